@@ -1,0 +1,3 @@
+"""Track faces and facial features in video with particle filters."""
+
+__version__ = "0.1.0"

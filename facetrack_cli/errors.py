@@ -1,0 +1,47 @@
+"""What can go wrong, and the exit code of each.
+
+FacetrackError            1  our fault
+├── UsageError            2  the command line
+│   ├── RecipeError       2  a recipe, with file, line and column where known
+│   └── OutputError       2  the output cannot be written: permission, full disk, in the way
+└── InputError            3  a clip, an init file, a prior or a truth file
+
+Every message is one line that names the file, the place and the remedy. `RecipeError` may carry a second part, the
+excerpt with a caret, in `excerpt`.
+"""
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    DONE = 0
+    FAULT = 1
+    USAGE = 2
+    INPUT = 3
+    LOST = 4
+    BATCH = 5
+    REGRESSION = 6
+    INTERRUPTED = 130
+    TERMINATED = 143
+
+
+class FacetrackError(Exception):
+    exit_code = ExitCode.FAULT
+
+
+class UsageError(FacetrackError):
+    exit_code = ExitCode.USAGE
+
+
+class RecipeError(UsageError):
+    def __init__(self, message: str, excerpt: str = "") -> None:
+        super().__init__(message)
+        self.excerpt = excerpt
+
+
+class OutputError(UsageError):
+    pass
+
+
+class InputError(FacetrackError):
+    exit_code = ExitCode.INPUT
