@@ -1,0 +1,325 @@
+"""The table of results: one row a frame, target and part. CSV, JSON and JSON lines, and the reader of the CSV.
+
+The CSV holds what was measured and nothing of when or where, so the same numbers give the same bytes. JSON holds the
+same rows, grouped by frame, between a header (source, recipe, seed, init) and a footer (how the run ended). JSON lines
+are the header, a line a frame, and the footer, each with its `type`. Truth files are CSV with the same columns, whose
+`status` is visible, hidden or absent.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeAlias
+
+from facetrack_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from facetrack_cli.types import Result
+
+SCHEMA = "facetrack-trajectory"
+VERSION = 1
+Format: TypeAlias = Literal["csv", "json", "jsonl"]
+FORMATS: tuple[Format, ...] = ("csv", "json", "jsonl")
+
+
+class Row(NamedTuple):
+    """One line of a trajectory or of a truth file.
+
+    `frame` is the 0-based source frame; (x, y) the centre and (w, h) the window in pixels; `angle` in degrees;
+    `confidence` 0..1; `std_x`, `std_y` the posterior's spread in pixels. What is not known is None, or "" for text.
+    """
+
+    frame: int
+    time_s: float | None
+    target: str
+    part: str
+    x: float | None
+    y: float | None
+    w: float | None = None
+    h: float | None = None
+    angle: float | None = None
+    confidence: float | None = None
+    status: str = ""
+    std_x: float | None = None
+    std_y: float | None = None
+    particles: int | None = None
+    ess: float | None = None
+    identity: str = ""
+    identity_prob: float | None = None
+
+
+COLUMNS = Row._fields
+REQUIRED = ("frame", "target", "part", "x", "y")
+# the bytes of a file are a function of the values: every column has its number of decimals
+DECIMALS = {
+    "time_s": 4,
+    "x": 3,
+    "y": 3,
+    "w": 3,
+    "h": 3,
+    "angle": 2,
+    "confidence": 4,
+    "std_x": 3,
+    "std_y": 3,
+    "ess": 1,
+    "identity_prob": 4,
+}
+WHOLE = ("frame", "particles")
+
+
+def rows(result: Result) -> Iterator[Row]:
+    """The rows of one frame: targets in the tracker's order, parts in the recipe's."""
+    for target in result.targets:
+        for part in target.parts:
+            yield Row(
+                frame=result.frame.index,
+                time_s=result.frame.time_s,
+                target=target.name,
+                part=part.name,
+                x=part.x,
+                y=part.y,
+                w=part.w,
+                h=part.h,
+                angle=part.angle,
+                confidence=part.confidence,
+                status=part.status,
+                std_x=math.sqrt(max(part.cov[0], 0.0)),
+                std_y=math.sqrt(max(part.cov[2], 0.0)),
+                particles=target.particles,
+                ess=part.ess,
+                identity=target.identity or "",
+                identity_prob=target.identity_prob,
+            )
+
+
+# --- writing -----------------------------------------------------------------------------------------------------
+
+
+class Sink(Protocol):
+    """Where records go. `write` takes a whole record: a sink that runs full keeps whole records only."""
+
+    def write(self, record: str) -> None: ...
+    def finish(self, tail: Callable[[int], str]) -> None: ...
+
+
+class Writer(Protocol):
+    """A trajectory being written, a frame at a time. `close` ends it properly, whatever ended the run."""
+
+    def write(self, result: Result) -> None: ...
+    def close(self, footer: Footer) -> None: ...
+
+
+Header: TypeAlias = Mapping[str, Any]  # JSON-ready: source, recipe, seed, init
+
+
+class Footer(NamedTuple):
+    """How a run ended. `complete` is False when frames that were asked for are missing; `stopped` says why.
+
+    `lost_frames` counts, for each "target/part", the frames in which it was lost.
+    """
+
+    complete: bool = True
+    stopped: str | None = None
+    warnings: tuple[str, ...] = ()
+    lost_frames: Mapping[str, int] = {}
+
+
+def csv_lines(items: Iterable[Row]) -> str:
+    """Rows as lines of CSV, without the header."""
+    out: list[str] = []
+    for row in items:
+        out.append(",".join(_cell(column, value) for column, value in zip(COLUMNS, row, strict=True)))
+        out.append("\n")
+    return "".join(out)
+
+
+class CsvWriter:
+    """Header line, then a row a frame, target and part."""
+
+    def __init__(self, sink: Sink, header: Header) -> None:
+        self._sink = sink
+        sink.write(",".join(COLUMNS) + "\n")
+
+    def write(self, result: Result) -> None:
+        self._sink.write(csv_lines(rows(result)))
+
+    def close(self, footer: Footer) -> None:
+        self._sink.finish(lambda _: "")
+
+
+class JsonWriter:
+    """One object; the frames stand in a list, one to a line, so that neither writing nor `grep` holds them all."""
+
+    def __init__(self, sink: Sink, header: Header) -> None:
+        self._sink = sink
+        self._between = ""
+        head = "".join(f"{_dumps(key)}: {_dumps(value)},\n" for key, value in _head(header).items())
+        sink.write("{\n" + head + '"frames": [\n')
+
+    def write(self, result: Result) -> None:
+        # the comma goes with the record that follows it: a file cut back to whole records still closes
+        self._sink.write(self._between + _dumps(_frame(result)))
+        self._between = ",\n"
+
+    def close(self, footer: Footer) -> None:
+        def tail(records: int) -> str:
+            pairs = _foot(footer, records - 1)
+            return "\n],\n" + ",\n".join(f"{_dumps(key)}: {_dumps(value)}" for key, value in pairs.items()) + "\n}\n"
+
+        self._sink.finish(tail)
+
+
+class JsonLinesWriter:
+    """A line a frame, for programs that read while the tracker runs."""
+
+    def __init__(self, sink: Sink, header: Header) -> None:
+        self._sink = sink
+        sink.write(_dumps({"type": "header", **_head(header)}) + "\n")
+
+    def write(self, result: Result) -> None:
+        self._sink.write(_dumps({"type": "frame", **_frame(result)}) + "\n")
+
+    def close(self, footer: Footer) -> None:
+        self._sink.finish(lambda records: _dumps({"type": "footer", **_foot(footer, records - 1)}) + "\n")
+
+
+WRITERS: Mapping[Format, Callable[[Sink, Header], Writer]] = {
+    "csv": CsvWriter,
+    "json": JsonWriter,
+    "jsonl": JsonLinesWriter,
+}
+
+
+def _head(header: Header) -> dict[str, Any]:
+    from facetrack_cli import __version__
+
+    return {"schema": SCHEMA, "version": VERSION, "facetrack": __version__, **header}
+
+
+def _foot(footer: Footer, frames: int) -> dict[str, Any]:
+    ended = {"stopped": footer.stopped} if footer.stopped else {}
+    return {
+        "complete": footer.complete,
+        **ended,
+        "frames_tracked": frames,
+        "lost_frames": dict(footer.lost_frames),
+        "warnings": list(footer.warnings),
+    }
+
+
+def _frame(result: Result) -> dict[str, Any]:
+    targets: dict[str, dict[str, Any]] = {}
+    for row in rows(result):
+        values = {name: _rounded(name, value) for name, value in zip(COLUMNS, row, strict=True)}
+        target = targets.setdefault(
+            row.target, {"target": row.target, **{key: values[key] for key in _OF_TARGET if _known(values[key])}}
+        )
+        parts = target.setdefault("parts", [])
+        parts.append({"part": row.part, **{key: values[key] for key in _OF_PART if _known(values[key])}})
+    time_s = _rounded("time_s", result.frame.time_s)
+    return {"frame": result.frame.index, "time_s": time_s, "targets": list(targets.values())}
+
+
+_OF_TARGET = ("particles", "identity", "identity_prob")
+_OF_PART = ("x", "y", "w", "h", "angle", "confidence", "status", "std_x", "std_y", "ess")
+
+
+def _known(value: object) -> bool:
+    return value is not None and value != ""
+
+
+def _rounded(column: str, value: Any) -> Any:
+    if not isinstance(value, float):
+        return value
+    if not math.isfinite(value):
+        return None
+    return round(value, DECIMALS[column]) + 0.0  # + 0.0 turns -0.0 into 0.0
+
+
+def _cell(column: str, value: Any) -> str:
+    if value is None:
+        return ""
+    if column in DECIMALS:
+        rounded = _rounded(column, float(value))
+        return "" if rounded is None else f"{rounded:.{DECIMALS[column]}f}"
+    text = str(value)
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text
+
+
+def _dumps(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+# --- reading -----------------------------------------------------------------------------------------------------
+
+
+def read_csv(path: Path) -> list[Row]:
+    """The rows of a trajectory or truth file, in the file's order.
+
+    Columns may stand in any order; frame, target, part, x and y must be there, columns of other tools are passed over.
+    Raises InputError with file, line and column for anything that is no number where one belongs.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return list(_read(path, csv.reader(file)))
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read: {e.strerror or e}") from e
+    except UnicodeDecodeError as e:
+        raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is CSV with a header line") from e
+
+
+def _read(path: Path, lines: Any) -> Iterator[Row]:
+    try:
+        header = [name.strip() for name in next(lines, [])]
+        if not any(header):
+            raise InputError(f"{path}: is empty; a trajectory begins with the header {','.join(COLUMNS)}")
+        missing = [name for name in REQUIRED if name not in header]
+        if missing:
+            raise InputError(
+                f"{path}:1: the header has no column {', '.join(missing)}; it should read {','.join(COLUMNS)}"
+            )
+        twice = sorted({name for name in header if name in COLUMNS and header.count(name) > 1})
+        if twice:
+            raise InputError(f"{path}:1: column {twice[0]} is there twice; keep one of them")
+        for cells in lines:
+            if not cells:
+                continue
+            if len(cells) != len(header):
+                raise InputError(
+                    f"{path}:{lines.line_num}: {len(cells)} values under {len(header)} columns; "
+                    "give every column a value, or leave it empty between its commas"
+                )
+            named = {name: cell.strip() for name, cell in zip(header, cells, strict=True) if name in COLUMNS}
+            place = f"{path}:{lines.line_num}"
+            yield Row(**{name: _value(place, name, cell) for name, cell in {**_EMPTY, **named}.items()})
+    except csv.Error as e:
+        raise InputError(f"{path}:{lines.line_num}: is not CSV: {e}") from e
+
+
+_EMPTY = dict.fromkeys(COLUMNS, "")
+
+
+def _value(place: str, column: str, cell: str) -> Any:
+    if column in DECIMALS:
+        if not cell:
+            return None
+        try:
+            number = float(cell)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise InputError(f"{place}: column {column}: {cell!r} is no finite number; correct it or leave it empty")
+        return number
+    if column in WHOLE:
+        if not cell and column != "frame":
+            return None
+        if not (cell.isascii() and cell.isdigit()) or len(cell) > 18:
+            raise InputError(f"{place}: column {column}: {cell!r} is no whole number from 0 up; correct it")
+        return int(cell)
+    if not cell and column in ("target", "part"):
+        raise InputError(f"{place}: column {column} is empty; name the {column}")
+    return cell
