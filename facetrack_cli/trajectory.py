@@ -233,19 +233,18 @@ def _known(value: object) -> bool:
 
 
 def _rounded(column: str, value: Any) -> Any:
-    if not isinstance(value, float):
+    if value is None or column not in DECIMALS:
         return value
-    if not math.isfinite(value):
-        return None
-    return round(value, DECIMALS[column]) + 0.0  # + 0.0 turns -0.0 into 0.0
+    number = float(value)
+    return round(number, DECIMALS[column]) + 0.0 if math.isfinite(number) else None  # + 0.0 turns -0.0 into 0.0
 
 
 def _cell(column: str, value: Any) -> str:
+    value = _rounded(column, value)
     if value is None:
         return ""
     if column in DECIMALS:
-        rounded = _rounded(column, float(value))
-        return "" if rounded is None else f"{rounded:.{DECIMALS[column]}f}"
+        return f"{value:.{DECIMALS[column]}f}"
     text = str(value)
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text
 
