@@ -1,0 +1,68 @@
+"""How far an estimate can be trusted, from the picture alone.
+
+The window at the estimate is compared with the template, and the distance d is placed between two levels of this clip:
+what the part itself has shown since the start, and what windows beside the part look like. 
+
+    good_i    running mean of d at the estimate over the frames in which the part was tracked
+    bad_i     median of d over a ring of windows one window's width away from the part in the first frame
+    confidence = clip((bad - d) / (bad - good), 0, 1)
+
+A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, and `tracked` again as soon as it
+rises above.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from facetrack_cli.types import Array, Frame, Status
+
+
+class Measures(Protocol):
+    """A likelihood that can say how badly a window matches; `windows` (K, 2) pixels."""
+
+    windows: Array
+
+    def distances(self, learned: Any, frame: Frame, x: Array) -> Array:
+        """(N, K) of x (N, K, 2): 0 for a perfect match."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is known of each of K parts after a frame. `good`, `bad`, `confidence` (K,); `below`: frames in a row."""
+
+    good: Array
+    bad: Array
+    confidence: Array
+    below: np.ndarray[tuple[int], np.dtype[np.int64]]
+    status: tuple[Status, ...]
+
+
+@dataclass(frozen=True)
+class Confidence:
+    lost_below: float = 0.3
+    patience: int = 3
+    memory: int = 50
+
+    def begin(self, measure: Measures, learned: Any, frame: Frame, x0: Array) -> Judgement:
+        k = len(x0)
+        angles = np.arange(16) * (2 * np.pi / 16)
+        ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * measure.windows
+        bad = np.median(measure.distances(learned, frame, x0 + ring), axis=0)
+        status: tuple[Status, ...] = ("init",) * k
+        return Judgement(np.zeros(k), bad, np.ones(k), np.zeros(k, np.int64), status)
+
+    def judge(self, last: Judgement, distance: Array) -> Judgement:
+        """The judgement of the next frame, whose windows at the estimates have `distance` (K,) from the templates."""
+        first = last.status[0] == "init"
+        good = distance.copy() if first else last.good
+        span = np.maximum(last.bad - good, 1e-6)
+        confidence = np.clip((last.bad - distance) / span, 0.0, 1.0)
+        below = np.where(confidence < self.lost_below, last.below + 1, 0)
+        lost = below >= self.patience
+        good = np.where(confidence < self.lost_below, good, good + (distance - good) / self.memory)
+        status: tuple[Status, ...] = tuple("lost" if v else "tracked" for v in lost)
+        return Judgement(good, last.bad, confidence, below, status)

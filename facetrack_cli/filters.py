@@ -1,0 +1,168 @@
+"""The particle filters, side by side: what they differ by is all that stands here.
+
+A filter is a function `(rng, particles, model) -> (particles, info)`. It never sees a picture: `model` is the tracker with
+one frame bound in. All arithmetic on weights is in logs.
+
+============  ===========================================================  ================================
+filter        proposal                                                     weight
+============  ===========================================================  ================================
+sir           transition of resampled particles                            p(y|s) [p(s)]
+auxiliary     transition of particles that promise a high likelihood       p(y|s) [p(s)] / lambda
+factorized    product of the marginal posteriors of the parts              eq. 11, eq. 7, or 1 (independent)
+============  ===========================================================  ================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.resampling import Resampling, effective_sample_size, logsumexp, normalise, systematic, uniform
+from facetrack_cli.types import Array, Info, Particles
+
+Reweight: TypeAlias = Literal["prior", "transition", "none"]
+
+
+class FrameModel(Protocol):
+    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently."""
+
+    def propagate(self, rng: np.random.Generator, x: Array) -> Array:
+        """(N, K, D) drawn from p(x_t | x_{t-1} = x)."""
+
+    def log_transition(self, x: Array, parents: Array) -> Array:
+        """(N, M, K): log p(x_t | x_{t-1}) of each part."""
+
+    def log_likelihood(self, x: Array, parents: Array) -> Array:
+        """(N, K): log p(y | x) of each part."""
+
+    def log_prior(self, x: Array) -> Array:
+        """(N,): log p(x) of the shape, up to a constant; zeros without a prior."""
+
+    def propose_part(self, rng: np.random.Generator, x: Array, part: int) -> Array:
+        """(N, D): part `part` drawn from the shape prior given the other parts of each particle."""
+
+
+# in place of log 0, so that a ratio of two zeros is 1 and not a NaN: where nothing is likely, nothing is preferred
+LEAST = -1e30
+
+Step: TypeAlias = Callable[[np.random.Generator, Particles, FrameModel], tuple[Particles, Info]]
+
+
+@dataclass(frozen=True)
+class Sir:
+    """Sampling/importance resampling over the joint state (section 2): resample, propagate, weigh by the likelihood.
+
+    With a shape prior in the model, p(y|s)p(s) is the observation, as in `Auxiliary`.
+    """
+
+    resample: Resampling = systematic
+
+    def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
+        parents = particles.x[self.resample(rng, particles.log_w, len(particles.x))]
+        x = model.propagate(rng, parents)
+        log_w = normalise(model.log_likelihood(x, parents).sum(axis=1) + model.log_prior(x))
+        return Particles(x, log_w), _joint_info(x, log_w)
+
+
+@dataclass(frozen=True)
+class Auxiliary:
+    """Auxiliary filter over the joint state, p(y|s)p(s) as the observation (section 4; Pitt & Shephard 1999).
+
+    The first stage looks ahead with a *random* draw mu ~ p(s|s^-), as section 2.1 has it, not with the mean.
+    """
+
+    resample: Resampling = systematic
+
+    def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
+        mu = model.propagate(rng, particles.x)
+        log_lambda = np.maximum(model.log_likelihood(mu, particles.x).sum(axis=1) + model.log_prior(mu), LEAST)
+        chosen = self.resample(rng, normalise(particles.log_w + log_lambda), len(mu))
+        parents = particles.x[chosen]
+        x = model.propagate(rng, parents)
+        observed = np.maximum(model.log_likelihood(x, parents).sum(axis=1) + model.log_prior(x), LEAST)
+        log_w = normalise(observed - log_lambda[chosen])
+        return Particles(x, log_w), _joint_info(x, log_w)
+
+
+@dataclass(frozen=True)
+class Factorized:
+    """Filter with factorized likelihoods (Patras & Pantic 2004, section 2.1).
+
+    Each part runs an auxiliary step of its own (steps 1-5), which represents its marginal posterior p(a_i | Y); particles
+    are put together from independent draws of those marginals, the proposal g(a) = prod_i p(a_i | Y); and they are
+    reweighted by
+
+    - `prior`: the shape prior in place of the ratio of eq. 5 (eq. 11);
+    - `transition`: eq. 7, the ratio of predictive densities estimated from the particles themselves;
+    - `none`: 1. That is N independent auxiliary filters, the paper's first baseline.
+
+    `from_prior` (ours, 0 as published): this share of the sub-particles of each part is drawn from the shape prior given
+    the other parts of the parent instead of from the transition, so that a part can come back from afar. The transition
+    of a part is then the mixture of both, the label of the component belongs to the auxiliary variable, and the
+    weights of steps 3 and 5 hold as they are.
+    """
+
+    reweight: Reweight = "prior"
+    from_prior: float = 0.0
+    resample: Resampling = systematic
+
+    def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
+        n, k, _ = particles.x.shape
+        jumps = rng.random((n, k)) < self.from_prior if self.from_prior > 0 else None
+        # particles of equal weight are exchangeable: a jump's other parts are those of its own particle
+        mu = self._move(rng, particles.x, model, particles.x, jumps)
+        log_lambda = np.maximum(model.log_likelihood(mu, particles.x), LEAST)
+        chosen = np.empty((n, k), np.int64)
+        for i in range(k):
+            chosen[:, i] = self.resample(rng, normalise(particles.log_w + log_lambda[:, i]), n)
+        columns = np.arange(k)
+        parents = particles.x[chosen, columns]
+        s = self._move(rng, parents, model, particles.x, None if jumps is None else jumps[chosen, columns], chosen)
+        log_pi = np.maximum(model.log_likelihood(s, parents), LEAST) - log_lambda[chosen, columns]
+
+        x = np.empty_like(s)
+        ess = np.empty(k)
+        for i in range(k):
+            marginal = normalise(log_pi[:, i])
+            ess[i] = effective_sample_size(marginal)
+            # shuffled, because resampled indices come in order and would tie the parts together
+            x[:, i] = s[rng.permutation(self.resample(rng, marginal, n)), i]
+        log_w = self._log_weights(x, particles, model)
+        return Particles(x, log_w), Info(np.minimum(ess, effective_sample_size(log_w)))
+
+    def _log_weights(self, x: Array, previous: Particles, model: FrameModel) -> Array:
+        if self.reweight == "none":
+            return uniform(len(x))
+        if self.reweight == "prior":
+            return normalise(model.log_prior(x))
+        step = model.log_transition(x, previous.x)  # (N, M, K)
+        joint = logsumexp(step.sum(axis=2) + previous.log_w, axis=1)
+        marginals = logsumexp(step + previous.log_w[:, None], axis=1)
+        return normalise(joint - marginals.sum(axis=1))
+
+    @staticmethod
+    def _move(
+        rng: np.random.Generator,
+        x: Array,
+        model: FrameModel,
+        whole: Array,
+        jumps: np.ndarray[tuple[int, int], np.dtype[np.bool_]] | None,
+        chosen: np.ndarray[tuple[int, int], np.dtype[np.int64]] | None = None,
+    ) -> Array:
+        """x (N, K, D) moved by the transition, or by the prior where `jumps` (N, K); `whole` are the parents entire."""
+        moved = model.propagate(rng, x)
+        if jumps is None:
+            return moved
+        for i in range(x.shape[1]):
+            rows = np.flatnonzero(jumps[:, i])
+            if rows.size:
+                moved[rows, i] = model.propose_part(rng, whole[rows if chosen is None else chosen[rows, i]], i)
+        return moved
+
+
+def _joint_info(x: Array, log_w: Array) -> Info:
+    """A joint weight says the same of every part."""
+    return Info(np.full(x.shape[1], float(effective_sample_size(log_w))))
