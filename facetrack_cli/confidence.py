@@ -1,7 +1,7 @@
 """How far an estimate can be trusted, from the picture alone.
 
 The window at the estimate is compared with the template, and the distance d is placed between two levels of this clip:
-what the part itself has shown since the start, and what windows beside the part look like. 
+what the part itself has shown since the start, and what windows beside the part look like.
 
     good_i    running mean of d at the estimate over the frames in which the part was tracked
     bad_i     median of d over a ring of windows one window's width away from the part in the first frame

@@ -71,9 +71,7 @@ class ColourRatio:
             for i, c in zip(parts, centres, strict=True):
                 t = learned[i]
                 robust = kernels.ROBUST[self.robust]
-                kernels.colour_ratio_distances(
-                    picture, t.ratio, t.w, t.h, c, LEAST_MEAN, robust, self.scale, out[i]
-                )
+                kernels.colour_ratio_distances(picture, t.ratio, t.w, t.h, c, LEAST_MEAN, robust, self.scale, out[i])
         return out.T
 
     def _template(self, frame: Frame, x0: Array, window: Array) -> Template:
