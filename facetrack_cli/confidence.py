@@ -7,8 +7,8 @@ what the part itself has shown since the start, and what windows beside the part
     bad_i     median of d over a ring of windows one window's width away from the part in the first frame
     confidence = clip((bad - d) / (bad - good), 0, 1)
 
-A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, and `tracked` again as soon as it
-rises above.
+A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, and `tracked` again as soon
+as it rises above.
 """
 
 from __future__ import annotations
@@ -64,5 +64,9 @@ class Confidence:
         below = np.where(confidence < self.lost_below, last.below + 1, 0)
         lost = below >= self.patience
         good = np.where(confidence < self.lost_below, good, good + (distance - good) / self.memory)
-        status: tuple[Status, ...] = tuple("lost" if v else "tracked" for v in lost)
+        status = tuple(_status(v) for v in lost)
         return Judgement(good, last.bad, confidence, below, status)
+
+
+def _status(lost: bool) -> Status:
+    return "lost" if lost else "tracked"

@@ -1,7 +1,7 @@
 """The particle filters, side by side: what they differ by is all that stands here.
 
-A filter is a function `(rng, particles, model) -> (particles, info)`. It never sees a picture: `model` is the tracker with
-one frame bound in. All arithmetic on weights is in logs.
+A filter is a function `(rng, particles, model) -> (particles, info)`. It never sees a picture: `model` is the tracker
+with one frame bound in. All arithmetic on weights is in logs.
 
 ============  ===========================================================  ================================
 filter        proposal                                                     weight
@@ -91,18 +91,18 @@ class Auxiliary:
 class Factorized:
     """Filter with factorized likelihoods (Patras & Pantic 2004, section 2.1).
 
-    Each part runs an auxiliary step of its own (steps 1-5), which represents its marginal posterior p(a_i | Y); particles
-    are put together from independent draws of those marginals, the proposal g(a) = prod_i p(a_i | Y); and they are
-    reweighted by
+    Each part runs an auxiliary step of its own (steps 1-5), which represents its marginal posterior p(a_i | Y);
+    particles are put together from independent draws of those marginals, the proposal g(a) = prod_i p(a_i | Y); and
+    they are reweighted by
 
     - `prior`: the shape prior in place of the ratio of eq. 5 (eq. 11);
     - `transition`: eq. 7, the ratio of predictive densities estimated from the particles themselves;
     - `none`: 1. That is N independent auxiliary filters, the paper's first baseline.
 
-    `from_prior` (ours, 0 as published): this share of the sub-particles of each part is drawn from the shape prior given
-    the other parts of the parent instead of from the transition, so that a part can come back from afar. The transition
-    of a part is then the mixture of both, the label of the component belongs to the auxiliary variable, and the
-    weights of steps 3 and 5 hold as they are.
+    `from_prior` (ours, 0 as published): this share of the sub-particles of each part is drawn from the shape prior
+    given the other parts of the parent instead of from the transition, so that a part can come back from afar. The
+    transition of a part is then the mixture of both, the label of the component belongs to the auxiliary variable, and
+    the weights of steps 3 and 5 hold as they are.
     """
 
     reweight: Reweight = "prior"

@@ -19,13 +19,13 @@ _compile: Any = njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "n
 
 
 @_compile
-def _read_window(image: Any, left: float, top: float, rows: int, row_values: int, out: Any) -> float:
+def _read_window(image: Any, left: float, top: float, rows: int, row_values: int, out: Any) -> Any:
     """Bilinear window of `rows` x `row_values // 3` pixels at a subpixel place, flat into `out`; returns its sum.
 
     Outside the picture the nearest border pixel is read.
     """
     height, width = image.shape[0], image.shape[1] // 3
-    x0, y0 = int(math.floor(left)), int(math.floor(top))
+    x0, y0 = math.floor(left), math.floor(top)
     fx, fy = np.float32(left - x0), np.float32(top - y0)
     one = np.float32(1.0)
     w00, w01 = (one - fy) * (one - fx), (one - fy) * fx

@@ -1,7 +1,7 @@
 """Resampling schemes, the effective sample size, and arithmetic on log weights.
 
 Every scheme takes the generator, normalised log weights (N,) and a number of draws M, and returns M indices (M,) int64
-in ascending order, each below N and never of a particle whose weight is zero. Expected counts are M * w for all of them.
+in ascending order, each below N and never of a particle whose weight is zero. Expected counts are M * w for them all.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def _invert(weights: Array, points: Array) -> Indices:
     """Indices where the cumulated weights first exceed each of the ascending `points` in [0, 1)."""
     cumulated = np.cumsum(weights)
     # scaled to the sum reached, so that rounding can neither pass the last particle nor pick one of weight zero
-    return np.searchsorted(cumulated, points * cumulated[-1], side="right").clip(max=np.flatnonzero(weights)[-1])
+    chosen = np.searchsorted(cumulated, points * cumulated[-1], side="right")
+    return np.asarray(np.minimum(chosen, np.flatnonzero(weights)[-1]), np.int64)
 
 
 def systematic(rng: np.random.Generator, log_w: Array, m: int) -> Indices:

@@ -55,9 +55,9 @@ class ColourRatio:
         return tuple(self._template(frame, x0[i], self.windows[i]) for i in range(len(x0)))
 
     def score(self, learned: tuple[Template, ...], frame: Frame, x: Array, parents: Array | None = None) -> Array:
-        """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; the parents do not matter."""
+        """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; parents do not matter."""
         log_p = -self.distances(learned, frame, x) / np.array([t.sigma for t in learned])
-        return log_p if self.floor is None else np.logaddexp(log_p, self.floor)
+        return log_p if self.floor is None else np.asarray(np.logaddexp(log_p, self.floor))
 
     def distances(self, learned: tuple[Template, ...], frame: Frame, x: Array) -> Array:
         """d(o_i, q_i) of eq. 9 for windows at x (N, K, 2) -> (N, K)."""

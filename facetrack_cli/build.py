@@ -1,0 +1,102 @@
+"""From a recipe and a start to a tracker: the one file that knows every part by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from facetrack_cli import filters, recipe
+from facetrack_cli.confidence import Confidence
+from facetrack_cli.errors import InputError
+from facetrack_cli.likelihoods.colour_ratio import ColourRatio
+from facetrack_cli.motion import RandomWalk
+from facetrack_cli.priors import BoundPrior, bind, load_prior
+from facetrack_cli.recipe import Length, Recipe
+from facetrack_cli.resampling import SCHEMES
+from facetrack_cli.spaces import size_of_points
+from facetrack_cli.track import Target, Tracker
+from facetrack_cli.types import Array, Start
+
+
+def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
+    """The tracker of a recipe for a clip that begins at `start`, whose every point lies in the picture.
+
+    Raises InputError where the start lacks what the recipe needs, RecipeError where parts do not fit each other.
+    """
+    return tuple(_points_target(recipe_, name, start) for name in start.targets)
+
+
+def _points_target(recipe_: Recipe, name: str, start: Start) -> Target:
+    parts = tuple(recipe_.target.parts)
+    given = start.targets[name]
+    missing = [part for part in parts if part not in given.points]
+    if missing:
+        raise InputError(f"{start.origin}: {name} has no point for {', '.join(missing)}; the recipe wants them")
+    x0 = np.array([given.points[part] for part in parts], dtype=float)
+    size = size_of_points(x0) if len(parts) > 1 else _size_of_box(start, name)
+    windows = _windows(recipe_.target.windows, parts, size)
+    for part, side in given.windows.items():
+        if part in parts:
+            windows[parts.index(part)] = side
+    return Target(
+        name=name,
+        parts=parts,
+        x0=x0,
+        particles=recipe_.filter.particles,
+        motion=RandomWalk(_per_part(recipe_.motion.sigma, parts, size)),
+        likelihood=_likelihood(recipe_.likelihood, windows),
+        prior=_prior(recipe_, parts, x0),
+        step=_step(recipe_.filter),
+        confidence=Confidence(recipe_.confidence.lost_below, recipe_.confidence.patience),
+    )
+
+
+def _size_of_box(start: Start, name: str) -> float:
+    """The unit of length of a single point: the mean side of its box."""
+    box = start.targets[name].box
+    if box is None:
+        raise InputError(f"{start.origin}: {name} has a single point and no box to measure lengths by; add a box")
+    return float(np.sqrt(box[2] * box[3]))
+
+
+def _likelihood(given: recipe.ColourRatio, windows: Array) -> ColourRatio:
+    return ColourRatio(
+        windows,
+        sigma=given.sigma,
+        robust=given.robust,
+        scale=given.scale,
+        floor=given.floor,
+        max_samples=given.max_samples,
+    )
+
+
+def _prior(recipe_: Recipe, parts: Sequence[str], x0: Array) -> BoundPrior | None:
+    if recipe_.prior is None:
+        return None
+    return bind(load_prior(recipe.resolve_file(recipe_, recipe_.prior.file)), parts, x0, recipe_.prior.sigma)
+
+
+def _step(given: recipe.Sir | recipe.Auxiliary | recipe.Factorized | recipe.Independent) -> filters.Step:
+    resample = SCHEMES[given.resampling]
+    if isinstance(given, recipe.Sir):
+        return filters.Sir(resample)
+    if isinstance(given, recipe.Auxiliary):
+        return filters.Auxiliary(resample)
+    if isinstance(given, recipe.Independent):
+        return filters.Factorized("none", resample=resample)
+    return filters.Factorized(given.reweight, given.from_prior, resample)
+
+
+def _per_part(given: Length | Mapping[str, Length], parts: Sequence[str], size: float) -> Array:
+    """One length for all parts, or one for each by name with `default` for the rest, as pixels (K,)."""
+    if isinstance(given, Length):
+        return np.full(len(parts), given.pixels(size))
+    return np.array([given.get(part, given["default"]).pixels(size) for part in parts])
+
+
+def _windows(given: Mapping[str, Length | tuple[Length, Length]], parts: Sequence[str], size: float) -> Array:
+    """Width and height of each part's window in pixels, (K, 2)."""
+    sides = [given.get(part, given.get("default")) for part in parts]
+    pairs = [(side, side) if isinstance(side, Length) else side for side in sides]
+    return np.array([[w.pixels(size), h.pixels(size)] for w, h in pairs])
