@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from facetrack_cli.errors import InputError
 from facetrack_cli.likelihoods.colour_ratio import ColourRatio
 from facetrack_cli.motion import RandomWalk
 from facetrack_cli.priors import BoundPrior, bind, load_prior
-from facetrack_cli.recipe import Length, Recipe
+from facetrack_cli.recipe import Recipe
 from facetrack_cli.resampling import SCHEMES
 from facetrack_cli.spaces import size_of_points
 from facetrack_cli.track import Target, Tracker
@@ -35,7 +35,7 @@ def _points_target(recipe_: Recipe, name: str, start: Start) -> Target:
         raise InputError(f"{start.origin}: {name} has no point for {', '.join(missing)}; the recipe wants them")
     x0 = np.array([given.points[part] for part in parts], dtype=float)
     size = size_of_points(x0) if len(parts) > 1 else _size_of_box(start, name)
-    windows = _windows(recipe_.target.windows, parts, size)
+    windows = np.array([[side.pixels(size) for side in recipe_.target.window(part)] for part in parts])
     for part, side in given.windows.items():
         if part in parts:
             windows[parts.index(part)] = side
@@ -44,7 +44,7 @@ def _points_target(recipe_: Recipe, name: str, start: Start) -> Target:
         parts=parts,
         x0=x0,
         particles=recipe_.filter.particles,
-        motion=RandomWalk(_per_part(recipe_.motion.sigma, parts, size)),
+        motion=RandomWalk(np.array([recipe_.motion.sigma.of(part).pixels(size) for part in parts])),
         likelihood=_likelihood(recipe_.likelihood, windows),
         prior=_prior(recipe_, parts, x0),
         step=_step(recipe_.filter),
@@ -65,7 +65,7 @@ def _likelihood(given: recipe.ColourRatio, windows: Array) -> ColourRatio:
         windows,
         sigma=given.sigma,
         robust=given.robust,
-        scale=given.scale,
+        scale=given.scale or 1.0,
         floor=given.floor,
         max_samples=given.max_samples,
     )
@@ -86,17 +86,3 @@ def _step(given: recipe.Sir | recipe.Auxiliary | recipe.Factorized | recipe.Inde
     if isinstance(given, recipe.Independent):
         return filters.Factorized("none", resample=resample)
     return filters.Factorized(given.reweight, given.from_prior, resample)
-
-
-def _per_part(given: Length | Mapping[str, Length], parts: Sequence[str], size: float) -> Array:
-    """One length for all parts, or one for each by name with `default` for the rest, as pixels (K,)."""
-    if isinstance(given, Length):
-        return np.full(len(parts), given.pixels(size))
-    return np.array([given.get(part, given["default"]).pixels(size) for part in parts])
-
-
-def _windows(given: Mapping[str, Length | tuple[Length, Length]], parts: Sequence[str], size: float) -> Array:
-    """Width and height of each part's window in pixels, (K, 2)."""
-    sides = [given.get(part, given.get("default")) for part in parts]
-    pairs = [(side, side) if isinstance(side, Length) else side for side in sides]
-    return np.array([[w.pixels(size), h.pixels(size)] for w, h in pairs])
