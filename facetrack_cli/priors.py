@@ -1,0 +1,254 @@
+"""The shape prior of Patras & Pantic, section 3.3: a Parzen density over the relative positions of the parts (eq. 11).
+
+A hypothesis s is registered to the training shapes by
+
+    q(s)_i = ((s_i - s_n) - (s0_i - s0_n)) / L0
+
+with n the stable part (the nose), s0 the first frame, L0 the distance of two parts in it (the mouth's width): the
+displacement of every part since the first frame, seen from the nose, in mouth widths. A training shape h_j is the same
+of an annotated frame. With M shapes of K parts, d_j = |q(s) - h_j| and the kernel's standard deviation sigma,
+
+    log_density(s) = log (1/M) sum_j exp(-d_j^2 / (2 sigma^2)).
+
+What is left out is constant: as a density in pixels of the K - 1 other parts given the stable one, it lacks
+-(K - 1) log(2 pi (sigma L0)^2).
+
+The printed eq. 11 writes d(q(s_k)), h_j; the text below it names d(q(s_k), h_j), and that is what is taken.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import zipfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.errors import InputError, OutputError, RecipeError
+from facetrack_cli.kernels_shape import LANES, log_parzen, pick_shape
+from facetrack_cli.types import Array
+
+FORMAT = "facetrack-shape-prior"
+VERSION = 1
+DEFAULT = "mouth_prior.npz"
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePrior:
+    """Training shapes h_j, (M, K, 2): displacements since the first frame, relative to the part `stable`.
+
+    Their unit is the distance of the two parts named by `scale` in the first frame (the mouth's width); the stable
+    part's own displacement is zero in every shape. Raises ValueError for anything else.
+    """
+
+    parts: tuple[str, ...]
+    shapes: Array
+    stable: str
+    scale: tuple[str, str]
+
+    def __post_init__(self) -> None:
+        if len(self.parts) < 2 or len(set(self.parts)) != len(self.parts):
+            raise ValueError("a prior needs two parts or more, each named once")
+        unknown = [name for name in (self.stable, *self.scale) if name not in self.parts]
+        if unknown:
+            raise ValueError(f"{unknown[0]!r} is none of the parts {', '.join(self.parts)}")
+        if self.scale[0] == self.scale[1]:
+            raise ValueError("the scale is the distance of two different parts")
+        if self.shapes.ndim != 3 or self.shapes.shape[1:] != (len(self.parts), 2) or not len(self.shapes):
+            raise ValueError(f"shapes of {self.shapes.shape} where (M, {len(self.parts)}, 2) belongs")
+        if not np.isfinite(self.shapes).all():
+            raise ValueError("a shape is not finite")
+        if np.abs(self.shapes).max() > 100.0:
+            raise ValueError("a part moves more than 100 units: shapes are displacements in mouth widths, not pixels")
+        if np.abs(self.shapes[:, self.parts.index(self.stable)]).max() > 1e-9:
+            raise ValueError(f"the stable part {self.stable!r} moves")
+
+    def save(self, path: Path) -> None:
+        """Writes an .npz of plain arrays, whole or not at all; equal priors give equal bytes. Raises OutputError."""
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            try:
+                with temporary.open("wb") as file:
+                    np.savez(
+                        file,
+                        format=np.array(FORMAT),
+                        version=np.array(VERSION, "<i8"),
+                        parts=np.array(self.parts),
+                        stable=np.array(self.stable),
+                        scale=np.array(self.scale),
+                        shapes=np.ascontiguousarray(self.shapes, "<f8"),
+                    )
+                temporary.replace(path)
+            finally:
+                temporary.unlink(missing_ok=True)
+        except OSError as e:
+            raise OutputError(f"{path}: cannot be written: {e.strerror or e}") from e
+
+    def spacing(self) -> float:
+        """Mean distance of a shape to its nearest neighbour, in units of the scale; 0 for a single shape."""
+        if len(self.shapes) < 2:
+            return 0.0
+        flat = self.shapes.reshape(len(self.shapes), -1)
+        nearest = [np.partition(((flat - one) ** 2).sum(1), 1)[1] for one in flat]
+        return float(np.sqrt(nearest).mean())
+
+
+def default_prior_path() -> Path:
+    """The prior that is shipped: beside the recipes in the wheel, or in the source tree's configs/."""
+    here = Path(__file__).resolve().parent
+    inside = here / "configs" / DEFAULT
+    return inside if inside.exists() else here.parent / "configs" / DEFAULT
+
+
+def load_prior(path: Path) -> ShapePrior:
+    """The prior in a file that `save` wrote. Raises InputError for anything else; nothing in the file is executed."""
+    remedy = "make one with `facetrack prior fit`"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise InputError(f"{path}: is a bare array, not a shape prior; {remedy}")
+            found = {name: file[name] for name in ("format", "version") if name in file.files}
+            if str(found.get("format")) != FORMAT:
+                raise InputError(f"{path}: is not a shape prior; {remedy}")
+            if found.get("version") is None or found["version"].ravel()[0] != VERSION:
+                raise InputError(
+                    f"{path}: is a shape prior of format version {found.get('version')}, and this facetrack reads "
+                    f"version {VERSION}; fit it again with `facetrack prior fit`"
+                )
+            parts, scale = (tuple(str(name) for name in file[key].ravel()) for key in ("parts", "scale"))
+            if len(scale) != 2:
+                raise ValueError(f"scale names {len(scale)} parts where 2 belong")
+            return ShapePrior(parts, np.asarray(file["shapes"], np.float64), str(file["stable"]), (scale[0], scale[1]))
+    except FileNotFoundError as e:
+        raise InputError(f"{path}: there is no such prior; {remedy}") from e
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read: {e.strerror or e}") from e
+    except KeyError as e:
+        raise InputError(f"{path}: the prior lacks an array: {e.args[0]}; {remedy}") from e
+    except ValueError as e:
+        reason = "it is no .npz of plain arrays" if "pickle" in str(e) else " ".join(str(e).split())
+        raise InputError(f"{path}: is not a usable shape prior: {reason}; {remedy}") from e
+    except (TypeError, IndexError, EOFError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error) as e:
+        raise InputError(f"{path}: is not a usable shape prior: it is no .npz of plain arrays; {remedy}") from e
+
+
+def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> BoundPrior:
+    """The prior for one track: `parts` in the tracker's order, `first` (K, 2) their pixels in the first frame.
+
+    `sigma`, the kernel's standard deviation, is in mouth widths (the prior's unit). Raises RecipeError if the parts are
+    not the prior's or sigma is not positive, InputError if the first frame gives no scale.
+    """
+    strange = [name for name in parts if name not in prior.parts]
+    absent = [name for name in prior.parts if name not in parts]
+    if strange or absent or len(set(parts)) != len(parts):
+        said = [f"the shape prior knows {', '.join(prior.parts)}"]
+        said += [f"not {', '.join(strange)}"] if strange else []
+        said += [f"and the recipe does not track {', '.join(absent)}"] if absent else []
+        said += ["and the recipe tracks a part twice"] if not strange and not absent else []
+        raise RecipeError(" ".join(said) + "; fit a prior with `facetrack prior fit --parts` or change the parts")
+    if not (math.isfinite(sigma) and sigma > 0.0):
+        raise RecipeError(
+            f"the shape prior's sigma is {sigma}; it must be a positive number of mouth widths, such as 0.1"
+        )
+    first = np.array(first, np.float64)
+    if first.shape != (len(parts), 2) or not np.isfinite(first).all():
+        raise InputError(
+            f"the first frame gives no finite position for each of {', '.join(parts)}; complete the init file"
+        )
+    left, right = (first[list(parts).index(name)] for name in prior.scale)
+    length = float(np.hypot(*(right - left)))
+    if not length > 0.0:
+        raise InputError(
+            f"{prior.scale[0]} and {prior.scale[1]} are at the same place in the first frame, "
+            "so the shape prior has no scale; move them apart in the init file"
+        )
+    order = [prior.parts.index(name) for name in parts]
+    return BoundPrior(
+        tuple(parts), prior.shapes[:, order], first, list(parts).index(prior.stable), length, float(sigma)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """What the kernels need to compare hypotheses with all shapes over some of the parts."""
+
+    parts: NDArray[np.int64]
+    stable: int
+    h: Array
+    bias: Array
+
+
+class BoundPrior:
+    """A prior registered to one track; made by `bind`. x is (N, K, 2) in pixels; lengths are pixels throughout.
+
+    Given the other parts, the Parzen density of one part is a mixture with one component for each shape j:
+
+    - a part i that is not the stable one: mean x_n + (s0_i - s0_n) + L0 h_ji, standard deviation sigma L0, weight
+      exp(-|q(x) - h_j|^2 / (2 sigma^2)) over the other parts alone;
+    - the stable part n: each other part k says where it would be, r_jk = x_k - (s0_k - s0_n) - L0 h_jk. The exponent
+      sum_k |r_jk - x_n|^2 splits into (K - 1) |x_n - mean_k r_jk|^2 + sum_k |r_jk - mean_k r_jk|^2: mean of the r_jk,
+      standard deviation sigma L0 / sqrt(K - 1), and a weight from the second sum, which is the squared distance between
+      x and h_j after the means over the other parts are taken off both.
+
+    So the normalised conditional of any part is density(with the part) / density(of the other parts) / (2 pi sd^2).
+    """
+
+    def __init__(
+        self, parts: tuple[str, ...], shapes: Array, first: Array, stable: int, length: float, sigma: float
+    ) -> None:
+        self.parts, self.first, self.length, self.sigma = parts, first, length, sigma
+        self._shapes, self._stable, self._width = shapes, stable, sigma * length
+        self._moving = [k for k in range(len(parts)) if k != stable]
+        self._all = self._table(self._moving, stable)
+        self._without = [
+            self._table([k for k in self._moving if k != part], stable if part != stable else -1)
+            for part in range(len(parts))
+        ]
+
+    def _table(self, parts: list[int], stable: int) -> _Table:
+        h = self._shapes[:, parts] / self.sigma
+        if stable < 0:
+            h = h - h.mean(1, keepdims=True)
+        flat = h.reshape(len(h), -1).T
+        padding = -len(h) % LANES
+        bias = np.concatenate([-0.5 * (flat**2).sum(0), np.full(padding, -1e300)])
+        return _Table(np.array(parts, np.int64), stable, np.pad(flat, ((0, 0), (0, padding))), bias)
+
+    def _log_sum(self, table: _Table, x: Array) -> Array:
+        x = np.ascontiguousarray(x, np.float64)
+        return np.asarray(
+            log_parzen(x, table.parts, self.first, table.stable, self._width, table.h, table.bias), np.float64
+        )
+
+    def _spread(self, part: int) -> float:
+        return self._width / math.sqrt(len(self._moving)) if part == self._stable else self._width
+
+    def log_density(self, x: Array) -> Array:
+        """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, finite for any finite x below 1e100."""
+        return self._log_sum(self._all, x) - math.log(len(self._shapes))
+
+    def propose(self, rng: np.random.Generator, x: Array, part: int) -> Array:
+        """(N, 2): part `part` drawn from the prior given the other parts of each particle; x[:, part] is not read."""
+        x = np.ascontiguousarray(x, np.float64)
+        u, noise = rng.random(len(x)), rng.standard_normal((len(x), 2))
+        table = self._without[part]
+        chosen = pick_shape(x, table.parts, self.first, table.stable, self._width, table.h, table.bias, u)
+        h = self._shapes[chosen]
+        moved = x - self.first
+        if part == self._stable:
+            centre = (moved[:, self._moving] - self.length * h[:, self._moving]).mean(1)
+        else:
+            centre = moved[:, self._stable] + self.length * h[:, part]
+        return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
+
+    def log_conditional(self, x_part: Array, x: Array, part: int) -> Array:
+        """(N,): log density, per square pixel, with which `propose` draws x_part (N, 2) for `part` of x (N, K, 2)."""
+        full = np.array(x, np.float64)
+        full[:, part] = x_part
+        others = self._log_sum(self._without[part], full)
+        return self._log_sum(self._all, full) - others - math.log(2.0 * math.pi * self._spread(part) ** 2)

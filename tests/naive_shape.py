@@ -1,0 +1,37 @@
+"""Slow, plain twins of kernels_shape.py, in the words of the formulas. Imports nothing of ours."""
+
+import math
+
+import numpy as np
+
+
+def registered(x, parts, first, stable, width):
+    """q (P, 2) in kernel widths of one hypothesis x (K, 2)."""
+    moved = [x[k] - first[k] for k in range(len(x))]
+    reference = moved[stable] if stable >= 0 else sum(moved[k] for k in parts) / len(parts)
+    return np.array([(moved[k] - reference) / width for k in parts])
+
+
+def exponents(x, parts, first, stable, width, shapes):
+    """-|q - h_j|^2 / 2 for each of shapes (M, P, 2), which are in kernel widths."""
+    q = registered(x, parts, first, stable, width)
+    return [-0.5 * sum((q[i, c] - h[i, c]) ** 2 for i in range(len(parts)) for c in (0, 1)) for h in shapes]
+
+
+def log_parzen(x, parts, first, stable, width, shapes):
+    out = []
+    for one in x:
+        e = exponents(one, parts, first, stable, width, shapes)
+        top = max(e)
+        out.append(top + math.log(sum(math.exp(v - top) for v in e)))
+    return np.array(out)
+
+
+def pick_shape(x, parts, first, stable, width, shapes, u):
+    out = []
+    for one, uniform in zip(x, u, strict=True):
+        e = exponents(one, parts, first, stable, width, shapes)
+        weights = [math.exp(v - max(e)) for v in e]
+        reached = [sum(weights[: j + 1]) for j in range(len(weights))]
+        out.append(min(j for j in range(len(weights)) if reached[j] > uniform * reached[-1]))
+    return np.array(out)
