@@ -1,0 +1,367 @@
+"""A recipe: everything a tracker is made of, as a checked, frozen value read from YAML.
+
+The models below are the format. A later tracker adds a member to one of the unions `Target`, `Motion`, `Likelihood`,
+`Filter`, `Prior`; build.py turns each into the part that computes. No numerics are imported here.
+
+    recipe = load_recipe("factorized", ["filter.particles=200"])
+    recipe.filter.particles         # 200
+    recipe.motion.sigma.of("nose")  # Length(value=0.0625, px=False)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, ValidationInfo, model_validator
+
+from facetrack_cli.errors import RecipeError
+from facetrack_cli.lengths import Length, LengthPerPart, PerPart, Window, WindowPerPart
+from facetrack_cli.recipe_messages import Refusals, locate, problems, refuse, suggest
+from facetrack_cli.yaml_text import Node, Problem, Source, Span, YamlProblems, assign, parse, read_source
+
+__all__ = [
+    "Auxiliary",
+    "ColourRatio",
+    "Confidence",
+    "Factorized",
+    "Independent",
+    "Length",
+    "Parzen",
+    "PerPart",
+    "Points",
+    "RandomWalk",
+    "Recipe",
+    "Sir",
+    "Window",
+    "check_recipe",
+    "find_recipe",
+    "json_schema",
+    "load_recipe",
+    "read_recipe",
+    "resolve_file",
+    "shipped_folder",
+    "shipped_recipes",
+    "to_dict",
+]
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+PartName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
+
+
+class Points(Section):
+    """Named points of a face, each the centre of a window (section 3.1: alpha = <alpha_1 ... alpha_N>)."""
+
+    type: Literal["points"]
+    """Points, tracked by the picture around each."""
+    parts: Annotated[tuple[PartName, ...], Field(strict=False, min_length=1, max_length=100)]
+    """The names of the points, in the order of the state; left and right as seen in the picture."""
+    windows: WindowPerPart
+    """The window around each part: the side of a square, or [width, height]."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Points:
+        twice = {part for part in self.parts if self.parts.count(part) > 1}
+        found: Refusals = [(("parts",), f'the part "{part}" is named twice; remove one') for part in sorted(twice)]
+        if "default" in self.parts:
+            found.append((("parts",), 'a part cannot be called "default"; give it another name'))
+        refuse(found)
+        return self
+
+    def window(self, part: str) -> tuple[Length, Length]:
+        """(width, height) of a part's window."""
+        window = self.windows.of(part)
+        return window if isinstance(window, tuple) else (window, window)
+
+
+class RandomWalk(Section):
+    """Zero-order motion with Gaussian noise: p(alpha_i | alpha_i^-) = alpha_i^- + N(0, sigma) (section 3.3)."""
+
+    type: Literal["random_walk"]
+    """Each part stays where it was, give or take."""
+    sigma: LengthPerPart
+    """Standard deviation of a part's step from frame to frame, along x and along y."""
+
+
+class ColourRatio(Section):
+    """Colours of a window, each divided by the window's mean, against the first frame's (section 3.2, eq. 8-10)."""
+
+    type: Literal["colour_ratio"]
+    """Difference of colours that does not change with the intensity of the light."""
+    robust: Literal["l1", "huber", "tukey", "geman_mcclure"] = "l1"
+    """rho of eq. 9, the robust function of a colour difference; the paper takes l1."""
+    scale: Annotated[float, Field(gt=0)] | None = None
+    """Where rho begins to forgive, in colour differences (window mean = 1); for all robust functions but l1."""
+    sigma: Annotated[float, Field(gt=0)] = 1.5
+    """sigma_i of eq. 10 is this number / E{o_i}, with intensities in 0..255; the paper takes 1.5."""
+    floor: Annotated[float, Field(lt=0)] | None = None
+    """Log-likelihood of a part that matches nothing: log(exp(-d / sigma_i) + exp(floor)); null as published, none."""
+    max_samples: Annotated[int, Field(ge=5)] | None = None
+    """Samples along a side of a window at most: a larger one is read from a reduced picture; null: every pixel."""
+
+    @model_validator(mode="after")
+    def _check(self) -> ColourRatio:
+        if self.robust == "l1" and self.scale is not None:
+            refuse([(("scale",), "likelihood.scale has no meaning for robust: l1; remove it")])
+        if self.robust != "l1" and self.scale is None:
+            refuse([(("robust",), f"robust: {self.robust} needs likelihood.scale; add it, as in scale: 0.2")])
+        return self
+
+
+class _Filter(Section):
+    type: str
+    particles: Annotated[int, Field(ge=1, le=1_000_000)]
+    """Number of particles, K in the paper; of `independent`: for each part."""
+    resampling: Literal["systematic", "residual", "multinomial", "stratified"] = "systematic"
+    """How particles are picked by their weights."""
+
+
+class Sir(_Filter):
+    """Sampling/importance resampling over the joint state (section 2); weights are p(y|s), or p(y|s) p(s)."""
+
+    type: Literal["sir"]
+    """Sampling/importance resampling over the joint state."""
+
+
+class Auxiliary(_Filter):
+    """Auxiliary particle filter over the joint state (Pitt & Shephard 1999); observes p(y|s), or p(y|s) p(s)."""
+
+    type: Literal["auxiliary"]
+    """Auxiliary particle filter over the joint state."""
+
+
+class Factorized(_Filter):
+    """Proposes from g(alpha) = prod_i p(alpha_i|Y), the product of the parts' posteriors; reweights (section 2.1)."""
+
+    type: Literal["factorized"]
+    """The product of the parts' posteriors as proposal, then reweighted."""
+    reweight: Literal["prior", "transition"] = "prior"
+    """By the shape prior (eq. 11), or by the particles of the last frame (eq. 7)."""
+    from_prior: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Share of a part's sub-particles that is proposed from the prior given the other parts; as published 0."""
+
+
+class Independent(_Filter):
+    """An auxiliary particle filter for each part on its own (section 4, the paper's baseline)."""
+
+    type: Literal["independent"]
+    """An auxiliary particle filter for each part on its own."""
+
+
+class Parzen(Section):
+    """Shape prior: a sum of Gaussian kernels over registered training shapes (section 3.3, eq. 11)."""
+
+    type: Literal["parzen"]
+    """Parzen density over training shapes."""
+    file: Annotated[str, Field(min_length=1)]
+    """The training shapes, as `facetrack prior fit` writes them; sought beside the recipe, then among the shipped."""
+    sigma: Annotated[float, Field(gt=0)]
+    """sigma_p, the standard deviation of the kernel, in the prior's own unit."""
+
+
+class Confidence(Section):
+    """When a part counts as lost."""
+
+    lost_below: Annotated[float, Field(ge=0, le=1)] = 0.3
+    """A part is lost while its confidence stays below this, 0..1."""
+    patience: Annotated[int, Field(ge=1)] = 3
+    """... once it did so for this many frames."""
+
+
+# where later trackers join: another member of a union, told apart by its `type`
+Target: TypeAlias = Points
+Motion: TypeAlias = RandomWalk
+Likelihood: TypeAlias = ColourRatio
+Filter: TypeAlias = Annotated[Sir | Auxiliary | Factorized | Independent, Field(discriminator="type")]
+Prior: TypeAlias = Parzen
+
+
+class Recipe(Section):
+    """A tracker for `facetrack run --config`: what is tracked, how it moves, how it looks, and which filter."""
+
+    description: Annotated[str, Field(min_length=1, max_length=300)]
+    """One line for `facetrack recipes`."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Seed of the random numbers: the same seed gives the same track."""
+    target: Target
+    """What is tracked: the state alpha."""
+    motion: Motion
+    """How it moves from frame to frame: the transition density p(alpha_i | alpha^-)."""
+    likelihood: Likelihood
+    """How a part looks: the observation model p(y | alpha_i)."""
+    filter: Filter
+    """How the particles are proposed, weighted and resampled."""
+    prior: Prior | None = None
+    """Which shapes are likely: p(alpha); null for none."""
+    confidence: Confidence = Confidence()
+    """When a part counts as lost."""
+
+    _path: Path = PrivateAttr(default=Path("recipe.yaml"))
+    _root: Node | None = PrivateAttr(default=None)
+
+    def model_post_init(self, context: Any) -> None:
+        if context is not None:
+            self._path, self._root = context["path"], context["root"]
+
+    @model_validator(mode="after")
+    def _check(self, info: ValidationInfo) -> Recipe:
+        found = self.target.windows.refusals(("target", "windows"), self.target.parts)
+        found += self.motion.sigma.refusals(("motion", "sigma"), self.target.parts)
+        match self.filter:
+            case Factorized(reweight="prior") if self.prior is None:
+                remedy = "add a prior section, or write reweight: transition"
+                found.append((("filter", "reweight"), f"filter.reweight: prior needs a prior; {remedy}"))
+            case Factorized(from_prior=share) if share > 0 and self.prior is None:
+                message = "filter.from_prior above 0 needs a prior; add a prior section, or write 0"
+                found.append((("filter", "from_prior"), message))
+            case Independent() if self.prior is not None:
+                message = 'filter type "independent" makes no use of a prior; remove it, or write prior: null'
+                found.append((("prior",), message))
+            case _:
+                pass
+        refuse(found)
+        return self
+
+    @property
+    def path(self) -> Path:
+        """The file that it was read from."""
+        return self._path
+
+    @property
+    def name(self) -> str:
+        """The file's name without its ending."""
+        return self._path.stem
+
+    def error(self, key: str, message: str) -> RecipeError:
+        """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
+        if self._root is None:
+            return RecipeError(f"{self._path}: {message}")
+        node, _, _ = locate(self._root, tuple(key.split(".")))
+        return _error([Problem(node.span, message)])
+
+
+def load_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> Recipe:
+    """Read a recipe from a path, or by the name of a shipped one; `overrides` are `a.b=VALUE` of the command line.
+
+    Raises RecipeError for the first thing that is wrong, and says how many more there are.
+    """
+    try:
+        return _load(find_recipe(name_or_path), overrides)
+    except YamlProblems as refused:
+        raise _error(refused.problems) from None
+
+
+def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Problem]:
+    """Everything that is wrong with a recipe; also that the files it names are there."""
+    try:
+        recipe = _load(find_recipe(name_or_path), overrides)
+        if recipe.prior is not None:
+            _find_file(recipe, recipe.prior.file)
+    except YamlProblems as refused:
+        return list(refused.problems)
+    return []
+
+
+def shipped_folder() -> Path:
+    """Where the shipped recipes are: in the installed package, or beside it in a working copy."""
+    package = Path(__file__).resolve().parent
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parent / "configs"
+
+
+def shipped_recipes() -> list[Path]:
+    """The files of the shipped recipes, by name."""
+    return sorted(shipped_folder().glob("*.yaml"))
+
+
+def find_recipe(name_or_path: str) -> Path:
+    """The file of a recipe: a path that exists, else a shipped one by its name, with or without `.yaml`."""
+    path = Path(name_or_path)
+    try:
+        if path.exists() and not path.is_dir():
+            return path
+    except (OSError, ValueError):  # a name that the file system does not take
+        pass
+    shipped = {file.stem: file for file in shipped_recipes()}
+    wanted = name_or_path.removesuffix(".yaml")
+    if wanted in shipped:
+        return shipped[wanted]
+    near = suggest(path.name.removesuffix(".yaml"), list(shipped), "")
+    hint = f"{near} " if near.startswith("did") else ""
+    what = "a folder, not a recipe" if path.is_dir() else "neither a file nor a shipped recipe"
+    raise RecipeError(f'"{name_or_path}" is {what}; {hint}Shipped are: {", ".join(shipped)}')
+
+
+def read_recipe(path: Path) -> str:
+    """The text of a recipe's file, right or wrong; RecipeError if it is none."""
+    try:
+        return _read(path).text
+    except YamlProblems as refused:
+        raise _error(refused.problems) from None
+
+
+def resolve_file(recipe: Recipe, name: str) -> Path:
+    """A file that the recipe names: beside the recipe, then among the shipped ones. RecipeError if it is nowhere."""
+    try:
+        return _find_file(recipe, name)
+    except YamlProblems as refused:
+        raise _error(refused.problems) from None
+
+
+def to_dict(recipe: Recipe) -> dict[str, Any]:
+    """All settings, ready for JSON; written as a file it is the same recipe again."""
+    return recipe.model_dump(mode="json")
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a recipe."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Recipe.model_json_schema()}
+
+
+def _read(path: Path) -> Source:
+    try:
+        return read_source(path, str(path))
+    except OSError as error:
+        raise RecipeError(f"{path}: cannot be read: {error.strerror}; check the file's permissions") from None
+
+
+def _load(path: Path, overrides: Sequence[str]) -> Recipe:
+    source = _read(path)
+    root = parse(source)
+    start = Span(source, 0, 0, 1)
+    if root is None or root.value is None:
+        shipped = "start from a shipped recipe: facetrack recipes show factorized"
+        raise YamlProblems([Problem(start, f"the recipe is empty; {shipped}")])
+    if not isinstance(root.value, dict):
+        raise YamlProblems([Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this")])
+    for override in overrides:
+        assign(root, "--set", override)
+    try:
+        return Recipe.model_validate(root.plain(), context={"path": path, "root": root})
+    except ValidationError as error:
+        raise YamlProblems(problems(error, Recipe, root)) from None
+
+
+def _find_file(recipe: Recipe, name: str) -> Path:
+    node = None if recipe._root is None else next((n for _, n in recipe._root.walk() if n.value == name), None)
+    said_in = [] if node is None else [node.span.source.folder]  # of --set: the working directory
+    folders = [*said_in, recipe.path.parent, shipped_folder()]
+    for folder in folders:
+        if (folder / name).is_file():
+            return folder / name
+    sought = " and ".join(str(folder) for folder in dict.fromkeys(folders))
+    span = node.span if node is not None else Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1)
+    raise YamlProblems([Problem(span, f'there is no file "{name}" in {sought}; correct the name, or put it there')])
+
+
+def _error(found: Sequence[Problem]) -> RecipeError:
+    first, others = found[0], len(found) - 1
+    more = f" (and {others} more: facetrack recipes check lists all)" if others else ""
+    return RecipeError(f"{first}{more}", first.span.excerpt())

@@ -1,0 +1,205 @@
+"""What pydantic finds wrong with a recipe, as problems with a place in the text and a remedy."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
+from typing import Annotated, Any, TypeAlias, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from facetrack_cli.yaml_text import Node, Problem, Span
+
+Steps: TypeAlias = tuple[str | int, ...]
+Refusals: TypeAlias = list[tuple[Steps, str]]
+
+_WANTED = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "model_type": "a mapping of keys",
+    "model_attributes_type": "a mapping of keys",
+    "dict_type": "a mapping of keys",
+    "list_type": "a list",
+    "tuple_type": "a list",
+}
+_BOUNDS = {
+    "greater_than": ("gt", "greater than {}"),
+    "greater_than_equal": ("ge", "at least {}"),
+    "less_than": ("lt", "less than {}"),
+    "less_than_equal": ("le", "at most {}"),
+    "string_too_short": ("min_length", "at least {} characters long"),
+    "string_too_long": ("max_length", "at most {} characters long"),
+}
+
+
+def refuse(refusals: Refusals) -> None:
+    """Raise, inside a validator, whatever a rule between several fields found: (path from the model on, message)."""
+    if refusals:
+        raise PydanticCustomError("refused", "{summary}", {"summary": refusals[0][1], "refusals": refusals})
+
+
+def suggest(wrong: str, known: Sequence[str], otherwise: str) -> str:
+    """`did you mean "x"?` where something known is near, else `otherwise` and all that is known."""
+    near = get_close_matches(wrong, known, n=1)
+    return f'did you mean "{near[0]}"?' if near else f"{otherwise}: {', '.join(known)}"
+
+
+def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list[Problem]:
+    """Everything that the error lists, in the order of the text."""
+    found = [problem for details in error.errors(include_url=False) for problem in _problems(details, model, root)]
+    return sorted(found, key=lambda p: (not p.span.source.is_file, p.span.line, p.span.column))
+
+
+def locate(root: Node, path: Steps) -> tuple[Node, list[str], bool]:
+    """The value at a path, or the nearest above it; the keys that lead there; and whether it is the value itself.
+
+    pydantic's paths also name the chosen member of a union (`filter`, `sir`, `particles`): such a step has no place.
+    """
+    node, keys, exact = root, [], True
+    union_open = False
+    for step in path:
+        value = node.value
+        if isinstance(value, dict):
+            kind = value.get("type")
+            if union_open and kind is not None and kind.value == step:
+                union_open = False
+                continue
+            if isinstance(step, str) and step in value:
+                node, union_open, exact = value[step], True, True
+                keys.append(step)
+                continue
+        elif isinstance(value, list) and isinstance(step, int) and step < len(value):
+            node, union_open, exact = value[step], True, True
+            keys.append(f"[{step + 1}]")
+            continue
+        exact = False
+    return node, keys, exact
+
+
+def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iterator[Problem]:
+    kind, path, context = details["type"], details["loc"], details.get("ctx", {})
+    if kind == "refused":
+        for below, message in context["refusals"]:
+            node, _, _ = locate(root, (*path, *below))
+            yield Problem(node.span if node.key is None or not isinstance(node.value, dict) else node.key, message)
+        return
+    node, keys, _ = locate(root, path)
+    where = _dotted(keys)
+    if kind == "too_short" and _length(node) >= context["min_length"]:
+        return  # pydantic does not count items that are wrong themselves
+    if kind == "missing":
+        section = f'"{where}"' if where else "the recipe"
+        yield Problem(node.key or node.span, f'{section} lacks the key "{path[-1]}"; add it')
+    elif kind == "extra_forbidden":
+        yield Problem(node.key or node.span, _unknown_key(str(path[-1]), path, model, root))
+    elif kind == "union_tag_not_found":
+        known = [_type_name(member) for member in _models_at(model, tuple(keys))]
+        yield Problem(node.key or node.span, f'"{where}" lacks the key "type"; it is one of: {", ".join(known)}')
+    elif kind == "union_tag_invalid":
+        wrong = str(context.get("tag"))
+        place = node.value["type"].span if isinstance(node.value, dict) else node.span
+        known = [_type_name(member) for member in _models_at(model, tuple(keys))]
+        yield Problem(place, f'unknown {where} type "{wrong}"; {suggest(wrong, known, "it is one of")}')
+    else:
+        yield Problem(_value_span(node), f"{where or 'the recipe'} {_must(details, node)}")
+
+
+def _must(details: ErrorDetails, node: Node) -> str:
+    kind, context = details["type"], details.get("ctx", {})
+    given = _shown(node.value)
+    if kind in _WANTED:
+        quoted = isinstance(node.value, str) and kind in ("int_type", "float_type") and _is_number(node.value)
+        return f"must be {_WANTED[kind]}, not {given}{'; remove the quotes' if quoted else ''}"
+    if kind in _BOUNDS:
+        name, phrase = _BOUNDS[kind]
+        return f"must be {phrase.format(format(context[name], 'g'))}, not {given}"
+    if kind in ("too_short", "too_long"):
+        bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
+        return f"must have {bound} items, not {_length(node)}"
+    if kind == "literal_error":
+        known = [word.strip(" '") for word in str(context["expected"]).replace(" or ", ",").split(",")]
+        return f"cannot be {given}; {suggest(str(node.value), known, 'it is one of')}"
+    if kind == "string_pattern_mismatch":
+        return f"cannot be {given}; a name has small letters, digits and _, and begins with a letter"
+    return f"{details['msg']}, not {given}"
+
+
+def _unknown_key(key: str, path: Steps, model: type[BaseModel], root: Node) -> str:
+    node, keys, _ = locate(root, path[:-1])
+    section = _dotted(keys)
+    owners = _models_at(model, path[:-1])
+    known = [name for owner in owners[:1] for name in owner.model_fields]
+    variants = _models_at(model, tuple(keys))
+    homes = [_type_name(variant) for variant in variants if key in variant.model_fields]
+    if homes and section:
+        mine = _type_name(owners[0])
+        chosen = node.value.get("type") if isinstance(node.value, dict) else None
+        typed = chosen is not None and not chosen.span.source.is_file
+        remedy = f"give all of it at once: --set '{section}={{type: {mine}, ...}}'" if typed else "remove it"
+        return f'"{key}" does not belong to {section} type "{mine}" but to {" and ".join(homes)}; {remedy}'
+    inside = f' in "{section}"' if section else ""
+    return f'unknown key "{key}"{inside}; {suggest(key, known, "the keys there are")}'
+
+
+def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
+    """The models that may stand at a path: one, or all members of a union whose member the path does not name."""
+    here = [model]
+    for step in path:
+        named = [one for one in here if len(here) > 1 and _type_name(one) == step]
+        if named:
+            here = named
+            continue
+        fields = [one.model_fields[step] for one in here if isinstance(step, str) and step in one.model_fields]
+        here = [below for info in fields for below in _models_in(info.annotation)]
+    return here
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if get_origin(annotation) in (Union, types.UnionType):
+        return [model for member in get_args(annotation) for model in _models_in(member)]
+    return _models_in(get_args(annotation)[0]) if get_origin(annotation) is Annotated else []
+
+
+def _type_name(model: type[BaseModel]) -> str:
+    field = model.model_fields.get("type")
+    return str(get_args(field.annotation)[0]) if field is not None else ""
+
+
+def _length(node: Node) -> int:
+    return len(node.value) if isinstance(node.value, list) else 0
+
+
+def _value_span(node: Node) -> Span:
+    return node.key if node.key is not None and isinstance(node.value, dict) else node.span
+
+
+def _dotted(keys: Sequence[str]) -> str:
+    return ".".join(keys).replace(".[", "[")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, str):
+        short = value if len(value) <= 40 else value[:40] + "..."
+        return f'the text "{" ".join(short.split())}"'
+    if value is None:
+        return "empty (null)"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "a mapping"
+    return "a list" if isinstance(value, list) else str(value)

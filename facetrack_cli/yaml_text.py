@@ -1,0 +1,333 @@
+"""YAML 1.2 text as a tree whose every value knows its place, so that an error can point at it.
+
+What hand-written settings never need and what makes them dangerous or ambiguous is refused: anchors and aliases (a few
+lines can expand to gigabytes), tags, repeated keys, keys that are not names, several documents, numbers that are not
+finite. Plain scalars follow the core schema of YAML 1.2.2, section 10.3.2: `1e-3` is a number, `no` a text, `010` ten.
+"""
+
+from __future__ import annotations
+
+import codecs
+import math
+import re
+import unicodedata
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentStartEvent,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+)
+
+MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe is a page
+MAX_DEPTH = 20
+EXCERPT_WIDTH = 100
+
+Scalar: TypeAlias = "str | int | float | bool | None"
+
+_NULL = re.compile(r"null|Null|NULL|~|")
+_TRUE = re.compile(r"true|True|TRUE")
+_FALSE = re.compile(r"false|False|FALSE")
+_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A text and what to call it: a file's name, or the option of the command line that it came from."""
+
+    name: str
+    text: str
+    folder: Path
+    is_file: bool = True
+
+    def place(self, span: Span) -> str:
+        """`file:line:column`, both counted from 1; the name alone for an option of the command line."""
+        return f"{self.name}:{span.line + 1}:{span.column + 1}" if self.is_file else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Where something stands in a source: line and columns, counted from 0; `end` is one past its last character."""
+
+    source: Source
+    line: int
+    column: int
+    end: int
+
+    def excerpt(self) -> str:
+        """The line, and a line of carets under the place."""
+        lines = _lines(self.source.text)
+        line = lines[self.line] if self.line < len(lines) else ""
+        first = max(0, self.column - EXCERPT_WIDTH // 2)
+        shown = line[first : first + EXCERPT_WIDTH]
+        before = _clean(shown[: self.column - first])
+        under = _clean(shown[self.column - first : max(self.end, self.column + 1) - first])
+        gutter = f"{self.line + 1:>5} | " if self.source.is_file else "    "
+        margin = f"{'|':>7} " if self.source.is_file else gutter
+        return f"{gutter}{_clean(shown)}\n{margin}{' ' * _cells(before)}{'^' * max(1, _cells(under))}"
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong, where, and what to do about it."""
+
+    span: Span
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.span.source.place(self.span)}: {self.message}"
+
+
+@dataclass(slots=True)
+class Node:
+    """A value and its place; `key` is the place of the key it stands under, if any."""
+
+    span: Span
+    value: Scalar | list[Node] | dict[str, Node]
+    key: Span | None = None
+
+    def plain(self) -> Any:
+        """The value without its places: dicts, lists and scalars."""
+        if isinstance(self.value, dict):
+            return {key: node.plain() for key, node in self.value.items()}
+        if isinstance(self.value, list):
+            return [node.plain() for node in self.value]
+        return self.value
+
+    def walk(self) -> Iterator[tuple[tuple[str | int, ...], Node]]:
+        """Every value below this one, and itself, with its path of keys and indices."""
+        yield (), self
+        below: Iterator[tuple[str | int, Node]] = iter(())
+        if isinstance(self.value, dict):
+            below = iter(self.value.items())
+        elif isinstance(self.value, list):
+            below = iter(enumerate(self.value))
+        for name, node in below:
+            for path, child in node.walk():
+                yield (name, *path), child
+
+
+class YamlProblems(Exception):  # noqa: N818  (it carries several)
+    """The text is refused; `problems` holds at least one."""
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        super().__init__("; ".join(map(str, problems)))
+        self.problems = tuple(problems)
+
+
+def read_source(path: Path, name: str) -> Source:
+    """The text of a file; YamlProblems if it is longer than `MAX_BYTES` or not UTF-8, OSError as it comes."""
+    with path.open("rb") as file:
+        data = file.read(MAX_BYTES + 1)
+    start = Span(Source(name, "", path.parent), 0, 0, 0)
+    if len(data) > MAX_BYTES:
+        raise YamlProblems([Problem(start, f"larger than {MAX_BYTES // 1000} kB, which no such file is")])
+    data = data.removeprefix(codecs.BOM_UTF8)
+    try:
+        text = data.decode()
+    except UnicodeDecodeError as error:
+        before = data[: error.start].decode()
+        lines = _lines(before)
+        span = Span(Source(name, before, path.parent), len(lines) - 1, len(lines[-1]), 0)
+        message = f"byte 0x{data[error.start]:02x} is not UTF-8; is it a text file? Save it as UTF-8"
+        raise YamlProblems([Problem(span, message)]) from None
+    return Source(name, text, path.parent)
+
+
+def parse(source: Source, *, start: int = 0) -> Node | None:
+    """The tree of the one document in the text, None if there is none; `start` is the character to begin at.
+
+    Raises YamlProblems: all that is refused in it, or the one place where it stops being YAML.
+    """
+    return _Reader(source, start).read()
+
+
+def assign(root: Node, option: str, assignment: str) -> None:
+    """Put a value into the tree from the command line: `option` is its name there, `assignment` is `a.b=VALUE`.
+
+    The value is YAML, the path is keys with dots between them. Mappings on the way are made where nothing is.
+    Raises YamlProblems with the place in the assignment.
+    """
+    source = Source(f"{option} {_clean(assignment)}", assignment, Path(), is_file=False)
+    path, equals, _ = assignment.partition("=")
+    whole = Span(source, 0, 0, max(1, len(path)))
+    if not equals or any(c in path for c in "\n\r"):
+        raise YamlProblems([Problem(whole, f"no value is given; write {option} KEY=VALUE, as in filter.particles=200")])
+    value = parse(source, start=len(path) + 1) or Node(Span(source, 0, len(path), len(path) + 1), None)
+    node, column = root, 0
+    names = path.split(".")
+    for depth, raw in enumerate(names):
+        name = raw.strip()
+        begin = column + len(raw) - len(raw.lstrip())
+        key = Span(source, 0, begin, begin + max(1, len(name)))
+        column += len(raw) + 1
+        if not name:
+            raise YamlProblems([Problem(key, "a name is missing here; write keys with one dot between them")])
+        if not isinstance(node.value, dict):
+            above = ".".join(part.strip() for part in names[:depth])
+            raise YamlProblems([Problem(key, f'"{above}" holds no keys; set it as a whole: {option} {above}=VALUE')])
+        if depth == len(names) - 1:
+            node.value[name] = Node(value.span, value.value, key)
+        else:
+            child = node.value.get(name)
+            if child is None or child.value is None:
+                child = node.value[name] = Node(key, {}, key)
+            node = child
+
+
+@dataclass
+class _Reader:
+    source: Source
+    start: int
+    problems: list[Problem] = field(default_factory=list)
+    seen_alias: bool = False
+
+    def read(self) -> Node | None:
+        yaml = YAML(typ="safe", pure=True)
+        root: Node | None = None
+        documents = 0
+        try:
+            events = iter(yaml.parse(self.source.text[self.start :]))
+            for event in events:
+                if not isinstance(event, DocumentStartEvent):
+                    continue
+                documents += 1
+                if documents > 1:
+                    self.refuse(event, "a second document begins here; keep one in a file")
+                    break
+                if event.version not in (None, (1, 2), [1, 2]):
+                    self.refuse(event, "only YAML 1.2 is read; remove the %YAML line")
+                root = self.node(events, next(events), 0)
+        except _TooDeep:
+            pass
+        except MarkedYAMLError as error:
+            self.problems = [self.syntax(error)]
+        except (YAMLError, ValueError, OverflowError) as error:
+            self.problems = [self.unreadable(error)]
+        if self.problems:
+            raise YamlProblems(self.problems)
+        return root
+
+    def node(self, events: Iterator[Any], event: Any, depth: int) -> Node:
+        if depth > MAX_DEPTH:
+            self.refuse(event, f"nested more than {MAX_DEPTH} deep")
+            raise _TooDeep
+        span = self.span(event)
+        if isinstance(event, AliasEvent):
+            self.refuse_alias(event, f'"*{event.anchor}" repeats another part of the file; write it out')
+            return Node(span, None)
+        if event.anchor is not None:
+            self.refuse_alias(event, f'"&{event.anchor}" is an anchor; remove it, and write out what refers to it')
+        tag = event.ctag or event.tag
+        if tag is not None and str(tag) != "!":
+            self.refuse(event, f'the tag "{tag}" is not allowed; remove it')
+        if isinstance(event, MappingStartEvent):
+            return Node(span, self.mapping(events, depth))
+        if isinstance(event, SequenceStartEvent):
+            items: list[Node] = []
+            while not isinstance(child := next(events), SequenceEndEvent):
+                items.append(self.node(events, child, depth + 1))
+            return Node(span, items)
+        return Node(span, self.scalar(event))
+
+    def mapping(self, events: Iterator[Any], depth: int) -> dict[str, Node]:
+        found: dict[str, Node] = {}
+        while not isinstance(event := next(events), MappingEndEvent):
+            key = self.node(events, event, depth + 1)
+            value = self.node(events, next(events), depth + 1)
+            if not isinstance(event, ScalarEvent):
+                self.refuse(event, "a key must be a name")
+                continue
+            if (first := found.get(event.value)) is not None and first.key is not None:
+                also = f" (first on line {first.key.line + 1})" if self.source.is_file else ""
+                self.refuse(event, f'the key "{event.value}" is repeated{also}; remove one of them')
+                continue
+            found[event.value] = Node(value.span, value.value, key.span)
+        return found
+
+    def scalar(self, event: Any) -> Scalar:
+        text: str = event.value
+        if any("\ud800" <= char <= "\udfff" for char in text):
+            self.refuse(event, "half of a surrogate pair is no character; write the character itself")
+            return None
+        if event.style is not None or not event.implicit[0]:
+            return text
+        if _NULL.fullmatch(text):
+            return None
+        if _TRUE.fullmatch(text) or _FALSE.fullmatch(text):
+            return text.lower() == "true"
+        if _INT.fullmatch(text):
+            if len(text) > 30:
+                self.refuse(event, f"a number of {len(text)} digits; is it meant as a text? Put it in quotes")
+                return None
+            return int(text, {"0x": 16, "0o": 8}.get(text[:2], 10))
+        if _NOT_FINITE.fullmatch(text) or (_FLOAT.fullmatch(text) and math.isinf(float(text))):
+            self.refuse(event, f"{text} is not a finite number; write one")
+            return None
+        return float(text) if _FLOAT.fullmatch(text) else text
+
+    def span(self, event: Any) -> Span:
+        begin, end = event.start_mark, event.end_mark
+        last = end.column if end.line == begin.line else begin.column + 1
+        return self.at(begin.line, begin.column, last)
+
+    def at(self, line: int, column: int, end: int) -> Span:
+        head = _lines(self.source.text[: self.start])
+        shift = len(head[-1]) if line == 0 else 0
+        return Span(self.source, line + len(head) - 1, column + shift, end + shift)
+
+    def refuse(self, event: Any, message: str) -> None:
+        self.problems.append(Problem(self.span(event), message))
+
+    def refuse_alias(self, event: Any, message: str) -> None:
+        if not self.seen_alias:  # a bomb holds hundreds: the first says enough
+            self.refuse(event, message)
+        self.seen_alias = True
+
+    def syntax(self, error: MarkedYAMLError) -> Problem:
+        mark = error.problem_mark or error.context_mark
+        line, column = (mark.line, mark.column) if mark is not None else (0, 0)
+        span = self.at(line, column, column + 1)
+        lines = _lines(self.source.text)
+        here = lines[span.line][: span.column + 1] if span.line < len(lines) else ""
+        if here.endswith("\t") or (here.strip() == "" and "\t" in here):
+            return Problem(span, "a tab; YAML is indented by spaces, replace it")
+        about = " ".join(filter(None, (error.context, error.problem)))
+        return Problem(span, f"not valid YAML: {' '.join(about.split())}; mend the text at or before this place")
+
+    def unreadable(self, error: Exception) -> Problem:
+        position = getattr(error, "position", None)
+        if not isinstance(position, int):
+            return Problem(self.at(0, 0, 1), f"not valid YAML: {' '.join(str(error).split())}; mend the text")
+        lines = _lines(self.source.text[self.start :][:position])
+        span = self.at(len(lines) - 1, len(lines[-1]), len(lines[-1]) + 1)
+        return Problem(span, "a control character, which YAML does not allow; remove it")
+
+
+class _TooDeep(Exception):  # noqa: N818  (never leaves this file)
+    pass
+
+
+def _lines(text: str) -> list[str]:
+    """Lines as YAML counts them, so that its marks fit; there is always one."""
+    return re.split(r"\r\n|[\n\r\x85\u2028\u2029]", text)
+
+
+def _clean(text: str) -> str:
+    return "".join(char if char.isprintable() else " " if char == "\t" else "?" for char in text)
+
+
+def _cells(text: str) -> int:
+    """Columns of a terminal that the text takes."""
+    return sum(0 if unicodedata.combining(c) else 2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text)
