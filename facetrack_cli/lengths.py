@@ -11,7 +11,7 @@ from typing import Annotated, Any, Generic, TypeAlias, TypeVar
 from pydantic import ConfigDict, Discriminator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, RootModel, Tag
 from pydantic_core import PydanticCustomError, core_schema
 
-from facetrack_cli.recipe_messages import Refusals, Steps, suggest
+from facetrack_cli.recipe_messages import Refusal, Steps, suggest
 
 T = TypeVar("T")
 _NUMBER = r"([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?"
@@ -90,19 +90,24 @@ class PerPart(
             return self.root
         return self.root[part] if part in self.root else self.root["default"]
 
-    def refusals(self, path: Steps, parts: Sequence[str]) -> Refusals:
+    def refusals(self, path: Steps, parts: Sequence[str]) -> list[Refusal]:
         if not isinstance(self.root, dict):
             return []
         where = ".".join(map(str, path))
         known = [*parts, "default"]
-        found: Refusals = [
-            ((*path, name), f'"{name}" in {where} is no part of the target; {suggest(name, known, "there are")}')
+        found = [
+            Refusal(
+                (*path, name),
+                f'"{name}" in {where} is no part of the target; {suggest(name, known, "there are")}',
+                True,
+            )
             for name in self.root
             if name not in known
         ]
         lacking = [] if "default" in self.root else [part for part in parts if part not in self.root]
         if lacking:
-            found.append((path, f'{where} has no value for {", ".join(lacking)}; add each, or a "default"'))
+            message = f'{where} has no value for {", ".join(lacking)}; add each, or a "default"'
+            found.append(Refusal(path, message))
         return found
 
 

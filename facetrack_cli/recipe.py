@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError,
 
 from facetrack_cli.errors import RecipeError
 from facetrack_cli.lengths import Length, LengthPerPart, PerPart, Window, WindowPerPart
-from facetrack_cli.recipe_messages import Refusals, locate, problems, refuse, suggest
+from facetrack_cli.recipe_messages import Refusal, locate, problems, refuse, suggest
 from facetrack_cli.yaml_text import Node, Problem, Source, Span, YamlProblems, assign, parse, read_source
 
 __all__ = [
@@ -69,9 +69,9 @@ class Points(Section):
     @model_validator(mode="after")
     def _check(self) -> Points:
         twice = {part for part in self.parts if self.parts.count(part) > 1}
-        found: Refusals = [(("parts",), f'the part "{part}" is named twice; remove one') for part in sorted(twice)]
+        found = [Refusal(("parts",), f'the part "{part}" is named twice; remove one') for part in sorted(twice)]
         if "default" in self.parts:
-            found.append((("parts",), 'a part cannot be called "default"; give it another name'))
+            found.append(Refusal(("parts",), 'a part cannot be called "default"; give it another name'))
         refuse(found)
         return self
 
@@ -109,9 +109,9 @@ class ColourRatio(Section):
     @model_validator(mode="after")
     def _check(self) -> ColourRatio:
         if self.robust == "l1" and self.scale is not None:
-            refuse([(("scale",), "likelihood.scale has no meaning for robust: l1; remove it")])
+            refuse([Refusal(("scale",), "likelihood.scale has no meaning for robust: l1; remove it")])
         if self.robust != "l1" and self.scale is None:
-            refuse([(("robust",), f"robust: {self.robust} needs likelihood.scale; add it, as in scale: 0.2")])
+            refuse([Refusal(("robust",), f"robust: {self.robust} needs likelihood.scale; add it, as in scale: 0.2")])
         return self
 
 
@@ -201,7 +201,7 @@ class Recipe(Section):
     prior: Prior | None = None
     """Which shapes are likely: p(alpha); null for none."""
     confidence: Confidence = Confidence()
-    """When a part counts as lost."""
+    """When a part counts as lost, and when as found again."""
 
     _path: Path = PrivateAttr(default=Path("recipe.yaml"))
     _root: Node | None = PrivateAttr(default=None)
@@ -217,13 +217,13 @@ class Recipe(Section):
         match self.filter:
             case Factorized(reweight="prior") if self.prior is None:
                 remedy = "add a prior section, or write reweight: transition"
-                found.append((("filter", "reweight"), f"filter.reweight: prior needs a prior; {remedy}"))
+                found.append(Refusal(("filter", "reweight"), f"filter.reweight: prior needs a prior; {remedy}"))
             case Factorized(from_prior=share) if share > 0 and self.prior is None:
                 message = "filter.from_prior above 0 needs a prior; add a prior section, or write 0"
-                found.append((("filter", "from_prior"), message))
+                found.append(Refusal(("filter", "from_prior"), message))
             case Independent() if self.prior is not None:
                 message = 'filter type "independent" makes no use of a prior; remove it, or write prior: null'
-                found.append((("prior",), message))
+                found.append(Refusal(("prior",), message))
             case _:
                 pass
         refuse(found)
@@ -283,9 +283,10 @@ def shipped_recipes() -> list[Path]:
 
 def find_recipe(name_or_path: str) -> Path:
     """The file of a recipe: a path that exists, else a shipped one by its name, with or without `.yaml`."""
-    path = Path(name_or_path)
+    path, folder = Path(name_or_path), False
     try:
-        if path.exists() and not path.is_dir():
+        folder = path.is_dir()
+        if path.exists() and not folder:
             return path
     except (OSError, ValueError):  # a name that the file system does not take
         pass
@@ -295,7 +296,7 @@ def find_recipe(name_or_path: str) -> Path:
         return shipped[wanted]
     near = suggest(path.name.removesuffix(".yaml"), list(shipped), "")
     hint = f"{near} " if near.startswith("did") else ""
-    what = "a folder, not a recipe" if path.is_dir() else "neither a file nor a shipped recipe"
+    what = "a folder, not a recipe" if folder else "neither a file nor a shipped recipe"
     raise RecipeError(f'"{name_or_path}" is {what}; {hint}Shipped are: {", ".join(shipped)}')
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import types
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
-from typing import Annotated, Any, TypeAlias, Union, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, TypeAlias, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
@@ -13,7 +13,6 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from facetrack_cli.yaml_text import Node, Problem, Span
 
 Steps: TypeAlias = tuple[str | int, ...]
-Refusals: TypeAlias = list[tuple[Steps, str]]
 
 _WANTED = {
     "int_type": "a whole number",
@@ -37,10 +36,18 @@ _BOUNDS = {
 }
 
 
-def refuse(refusals: Refusals) -> None:
-    """Raise, inside a validator, whatever a rule between several fields found: (path from the model on, message)."""
+class Refusal(NamedTuple):
+    """What a rule between several fields finds wrong: the path from the model on, and whether its key is meant."""
+
+    path: Steps
+    message: str
+    at_key: bool = False
+
+
+def refuse(refusals: Sequence[Refusal]) -> None:
+    """Raise them, inside a validator, if there are any."""
     if refusals:
-        raise PydanticCustomError("refused", "{summary}", {"summary": refusals[0][1], "refusals": refusals})
+        raise PydanticCustomError("refused", "{summary}", {"summary": refusals[0].message, "refusals": refusals})
 
 
 def suggest(wrong: str, known: Sequence[str], otherwise: str) -> str:
@@ -84,9 +91,10 @@ def locate(root: Node, path: Steps) -> tuple[Node, list[str], bool]:
 def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iterator[Problem]:
     kind, path, context = details["type"], details["loc"], details.get("ctx", {})
     if kind == "refused":
-        for below, message in context["refusals"]:
-            node, _, _ = locate(root, (*path, *below))
-            yield Problem(node.span if node.key is None or not isinstance(node.value, dict) else node.key, message)
+        for refusal in context["refusals"]:
+            node, _, _ = locate(root, (*path, *refusal.path))
+            at_key = refusal.at_key and node.key is not None
+            yield Problem(node.key or node.span if at_key else _value_span(node), refusal.message)
         return
     node, keys, _ = locate(root, path)
     where = _dotted(keys)
@@ -177,7 +185,9 @@ def _length(node: Node) -> int:
 
 
 def _value_span(node: Node) -> Span:
-    return node.key if node.key is not None and isinstance(node.value, dict) else node.span
+    """Where to point for a wrong value: at its key if it is a section, or if nothing stands there."""
+    nothing = node.span.end <= node.span.column
+    return node.key if node.key is not None and (nothing or isinstance(node.value, dict)) else node.span
 
 
 def _dotted(keys: Sequence[str]) -> str:

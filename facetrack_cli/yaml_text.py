@@ -69,7 +69,7 @@ class Span:
         """The line, and a line of carets under the place."""
         lines = _lines(self.source.text)
         line = lines[self.line] if self.line < len(lines) else ""
-        first = max(0, self.column - EXCERPT_WIDTH // 2)
+        first = 0 if self.column < 0.8 * EXCERPT_WIDTH else self.column - EXCERPT_WIDTH // 2
         shown = line[first : first + EXCERPT_WIDTH]
         before = _clean(shown[: self.column - first])
         under = _clean(shown[self.column - first : max(self.end, self.column + 1) - first])
@@ -233,15 +233,16 @@ class _Reader:
         if tag is not None and str(tag) != "!":
             self.refuse(event, f'the tag "{tag}" is not allowed; remove it')
         if isinstance(event, MappingStartEvent):
-            return Node(span, self.mapping(events, depth))
+            found, end = self.mapping(events, depth)
+            return Node(self.span(event, end), found)
         if isinstance(event, SequenceStartEvent):
             items: list[Node] = []
             while not isinstance(child := next(events), SequenceEndEvent):
                 items.append(self.node(events, child, depth + 1))
-            return Node(span, items)
+            return Node(self.span(event, child), items)
         return Node(span, self.scalar(event))
 
-    def mapping(self, events: Iterator[Any], depth: int) -> dict[str, Node]:
+    def mapping(self, events: Iterator[Any], depth: int) -> tuple[dict[str, Node], Any]:
         found: dict[str, Node] = {}
         while not isinstance(event := next(events), MappingEndEvent):
             key = self.node(events, event, depth + 1)
@@ -254,7 +255,7 @@ class _Reader:
                 self.refuse(event, f'the key "{event.value}" is repeated{also}; remove one of them')
                 continue
             found[event.value] = Node(value.span, value.value, key.span)
-        return found
+        return found, event
 
     def scalar(self, event: Any) -> Scalar:
         text: str = event.value
@@ -277,8 +278,10 @@ class _Reader:
             return None
         return float(text) if _FLOAT.fullmatch(text) else text
 
-    def span(self, event: Any) -> Span:
+    def span(self, event: Any, closing: Any = None) -> Span:
         begin, end = event.start_mark, event.end_mark
+        if closing is not None and event.flow_style:
+            end = closing.end_mark
         last = end.column if end.line == begin.line else begin.column + 1
         return self.at(begin.line, begin.column, last)
 
@@ -303,6 +306,8 @@ class _Reader:
         here = lines[span.line][: span.column + 1] if span.line < len(lines) else ""
         if here.endswith("\t") or (here.strip() == "" and "\t" in here):
             return Problem(span, "a tab; YAML is indented by spaces, replace it")
+        if error.problem == "mapping values are not allowed here":
+            return Problem(span, "a second colon; put the text in quotes if it belongs to it, or begin a new line")
         about = " ".join(filter(None, (error.context, error.problem)))
         return Problem(span, f"not valid YAML: {' '.join(about.split())}; mend the text at or before this place")
 
