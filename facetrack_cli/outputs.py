@@ -1,151 +1,158 @@
-"""Where text results go: a file that appears when it is whole, or a stream.
-
-A file is written under a temporary name beside its own. On a full disk it keeps the records that fit: its end is
-written over the last of them, in room that the file already has, so a closed file is a valid one.
-"""
+"""The results of one job: what is refused before anything runs, and files that are closed whatever happens."""
 
 from __future__ import annotations
 
 import contextlib
-import errno
-import os
-from collections import deque
+import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING
 
 from facetrack_cli.errors import OutputError
+from facetrack_cli.sinks import FileSink, StreamSink, refused
+from facetrack_cli.trajectory import WRITERS, Footer, Header, Writer
 
-BLOCK = 1 << 16  # bytes held back before they are written
+if TYPE_CHECKING:
+    from facetrack_cli.job import Job
+    from facetrack_cli.types import Result, Start
+    from facetrack_cli.video.draw import Overlay
+    from facetrack_cli.video.source import Source
+    from facetrack_cli.video.writer import VideoWriter
 
-
-class ReaderGoneError(Exception):
-    """The program that reads our standard output has had enough."""
-
-
-def refused(path: Path, error: OSError) -> OutputError:
-    """The one line for a file that cannot be written."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return OutputError(
-            f"{path}: the disk is full ({error.strerror}); free some space or write elsewhere with --out"
-        )
-    return OutputError(f"{path}: cannot be written: {error.strerror or error}; choose another place with --out")
+VIDEO = "annotated.mp4"
 
 
-class FileSink:
-    """Records into `path`, which appears, or is replaced, at `finish`.
+def planned(job: Job) -> dict[str, Path]:
+    """The files of a job by what they hold: "video" and the formats."""
+    if job.out is None:
+        return {}
+    video = {"video": job.out / VIDEO} if job.video else {}
+    return {**video, **{form: job.out / f"trajectory.{form}" for form in job.formats}}
 
-    Raises OutputError when the file cannot be written; `finish` may still be called then, and keeps what fits.
-    """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.temporary = path.with_name(f".{path.name}.part")
+def check(job: Job) -> None:
+    """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
+    if job.out is None:
+        return
+    if job.out.exists() and not job.out.is_dir():
+        raise OutputError(f"{job.out}: is a file, where a folder for the results is to be; name another with --out")
+    if job.clip.exists() and job.out.exists() and job.out.samefile(job.clip):
+        raise OutputError(f"{job.out}: the results would go among the frames of the input; name another with --out")
+    for path in planned(job).values():
+        if path.exists() and job.clip.exists() and path.samefile(job.clip):
+            raise OutputError(f"{path}: is the input itself; name another folder with --out")
+        if path.exists() and not job.overwrite:
+            raise OutputError(f"{path}: is there already; --overwrite replaces it, --out names another folder")
+
+
+class Outputs:
+    """The files of one job: they appear when the job closes them; one that fails before its first frame leaves none."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._sinks: list[FileSink | StreamSink] = []
+        self._made: list[Path] = []
+        self._video: VideoWriter | None = None
+        self._overlay: Overlay | None = None
+        self.writers: list[Writer] = []
+        self.written: list[Path] = []
+
+    def __enter__(self) -> Outputs:
+        out = self._job.out
+        if out is None:
+            self._sinks = [StreamSink(sys.stdout.buffer)]
+            return self
         try:
-            self._file: BinaryIO = self._open()
+            missing = [folder for folder in (out, *out.parents) if not folder.exists()]
+            out.mkdir(parents=True, exist_ok=True)
         except OSError as e:
-            raise refused(path, e) from e
-        self._buffer = bytearray()
-        self._flushed = 0  # bytes in the file
-        self._records = 0
-        self._ends: deque[int] = deque()  # where the last records end
-        self._full = False
-
-    def _open(self) -> BinaryIO:
-        return self.temporary.open("wb", buffering=0)
-
-    def write(self, record: str) -> None:
-        data = record.encode()
-        self._buffer += data
-        self._records += 1
-        self._ends.append((self._ends[-1] if self._ends else 0) + len(data))
-        if len(self._buffer) >= BLOCK:
-            self._flush()
-
-    def finish(self, tail: Callable[[int], str]) -> None:
-        """End the file with `tail(number of records)` and give it its name."""
+            raise refused(out, e) from e
+        self._made = missing
         try:
-            end = tail(self._records).encode()
-            try:
-                if self._full:
-                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-                self._buffer += end
-                self._flush()
-            except (OSError, OutputError):
-                self._cut(tail)
-                self._rename()
-                raise
-            self._rename()
-        except OSError as e:
-            raise refused(self.path, e) from e
-        finally:
-            self.discard()
+            for form in self._job.formats:
+                self._sinks.append(FileSink(out / f"trajectory.{form}"))
+        except OutputError:
+            self.__exit__()
+            raise
+        return self
 
-    def discard(self) -> None:
-        """Close and remove the temporary file, if it is still there."""
-        with contextlib.suppress(OSError):
-            self._file.close()
-        with contextlib.suppress(OSError):
-            self.temporary.unlink(missing_ok=True)
+    def begin(self, source: Source, start: Start) -> None:
+        """Write the headers and start the encoder."""
+        header = _header(self._job, source, start)
+        for form, sink in zip(self._job.formats, self._sinks, strict=True):
+            self.writers.append(WRITERS[form](sink, header))
+        if self._job.out is not None and self._job.video:
+            from facetrack_cli.video.draw import Overlay
+            from facetrack_cli.video.writer import VideoWriter
 
-    def _flush(self) -> None:
-        view = memoryview(bytes(self._buffer))
+            title = f"{self._job.clip.name} {self._job.recipe.name}"
+            self._overlay = Overlay(source.size, fps=float(source.fps), title=title)
+            sound = source.path if source.is_video else None
+            self._video = VideoWriter(self._job.out / VIDEO, source.size, source.fps, audio_from=sound)
+
+    def paint(self, result: Result) -> None:
+        """Draw one result and pass it to the encoder."""
+        assert self._overlay is not None and self._video is not None
+        self._video.write(self._overlay.draw(result), result.frame.time_s)
+
+    def close(self, footer: Footer) -> Footer:
+        """Finish every file and return the footer written; what could not be finished is raised after the others are.
+
+        The video comes first, so that the trajectory can tell what was wrong with it.
+        """
+        errors: list[Exception] = []
+        self._made = []
+        if self._video is not None:
+            self._finish(self._video.path, self._video.close, errors)
+            footer = footer._replace(warnings=(*footer.warnings, *self._video.warnings))
+        for writer, sink in zip(self.writers, self._sinks, strict=True):
+            self._finish(sink.path, partial(writer.close, footer), errors)
+        if errors:
+            raise errors[0]
+        return footer
+
+    def _finish(self, path: Path | None, end: Callable[[], None], errors: list[Exception]) -> None:
         try:
-            while view:
-                n = self._file.write(view)
-                self._flushed += n
-                view = view[n:]
-        except OSError as e:
-            self._full = True
-            raise refused(self.path, e) from e
-        self._buffer.clear()
-        # two blocks of record ends are enough to find room for the tail in
-        while len(self._ends) > 1 and self._ends[0] < self._flushed - 2 * BLOCK:
-            self._ends.popleft()
+            end()
+        except Exception as e:
+            errors.append(e)
+        # a text file that a full disk cut short is kept, a video is not
+        if path is not None and (not errors or path.exists()):
+            self.written.append(path)
 
-    def _cut(self, tail: Callable[[int], str]) -> None:
-        """End the file within the bytes that reached it, after as many whole records as leave room."""
-        kept = self._records
-        while self._ends:
-            end = tail(kept).encode()
-            place = self._ends[-1]
-            if place + len(end) <= self._flushed:
-                self._file.seek(place)
-                self._file.write(end)
-                self._file.truncate(place + len(end))
-                return
-            self._ends.pop()
-            kept -= 1
-        self._file.truncate(0)
-
-    def _rename(self) -> None:
-        self._file.close()
-        self.temporary.replace(self.path)
+    def __exit__(self, *_: object) -> None:
+        """Drop what was not closed, and the folders made for it."""
+        for sink in self._sinks:
+            sink.discard()
+        if self._video is not None:
+            self._video.discard()
+        for folder in self._made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
 
-class StreamSink:
-    """Records to an open binary stream, each passed on at once. Raises ReaderGoneError when nobody reads any more."""
+def _header(job: Job, source: Source, start: Start) -> Header:
+    from facetrack_cli.recipe import to_dict
 
-    def __init__(self, stream: BinaryIO, name: str = "standard output") -> None:
-        self._stream = stream
-        self._name = name
-        self._records = 0
-
-    def write(self, record: str) -> None:
-        self._records += 1
-        self._pass_on(record)
-
-    def finish(self, tail: Callable[[int], str]) -> None:
-        self._pass_on(tail(self._records))
-
-    def discard(self) -> None:
-        pass
-
-    def _pass_on(self, text: str) -> None:
-        try:
-            self._stream.write(text.encode())
-            self._stream.flush()
-        except BrokenPipeError as e:
-            raise ReaderGoneError from e
-        except OSError as e:
-            raise refused(Path(self._name), e) from e
+    return {
+        "source": {
+            "path": str(job.clip),
+            "size": list(source.size),
+            "fps": round(float(source.fps), 6),
+        },
+        "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
+        "seed": job.recipe.seed,
+        "init": {
+            "from": start.origin,
+            "frame": start.frame,
+            "targets": {
+                name: {
+                    **({"box": list(target.box)} if target.box else {}),
+                    **({"points": {key: list(xy) for key, xy in target.points.items()}} if target.points else {}),
+                    **({"windows": {key: list(wh) for key, wh in target.windows.items()}} if target.windows else {}),
+                }
+                for name, target in start.targets.items()
+            },
+        },
+    }

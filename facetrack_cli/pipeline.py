@@ -17,7 +17,7 @@ from facetrack_cli.types import Frame, Result
 
 DEPTH = 4  # frames in each queue
 POLL_S = 0.1  # how long a stage sleeps at most before it looks whether the run was cancelled
-PATIENCE_S = 10.0  # a decoder that hangs in a read is left behind after this long
+PATIENCE_S = 1.0  # a decoder that does not come back from a read is left behind after this long
 
 T = TypeVar("T")
 Track: TypeAlias = Callable[[Iterator[Frame]], Iterator[Result]]

@@ -119,13 +119,15 @@ Header: TypeAlias = Mapping[str, Any]  # JSON-ready: source, recipe, seed, init
 class Footer(NamedTuple):
     """How a run ended. `complete` is False when frames that were asked for are missing; `stopped` says why.
 
-    `lost_frames` counts, for each "target/part", the frames in which it was lost.
+    `lost_frames` counts, for each "target/part", the frames in which it was lost. Only at its end is it known whether
+    a clip keeps a constant rate.
     """
 
     complete: bool = True
     stopped: str | None = None
     warnings: tuple[str, ...] = ()
     lost_frames: Mapping[str, int] = {}
+    variable_fps: bool | None = None
 
 
 def csv_lines(items: Iterable[Row]) -> str:
@@ -206,6 +208,7 @@ def _foot(footer: Footer, frames: int) -> dict[str, Any]:
         "complete": footer.complete,
         **ended,
         "frames_tracked": frames,
+        "variable_fps": footer.variable_fps,
         "lost_frames": dict(footer.lost_frames),
         "warnings": list(footer.warnings),
     }

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.errors import InputError, OutputError
-from facetrack_cli.outputs import FileSink, ReaderGoneError, StreamSink
+from facetrack_cli.sinks import FileSink, ReaderGoneError, StreamSink
 from facetrack_cli.trajectory import (
     COLUMNS,
     DECIMALS,
