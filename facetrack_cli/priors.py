@@ -109,7 +109,8 @@ def load_prior(path: Path) -> ShapePrior:
     """The prior in a file that `save` wrote. Raises InputError for anything else; nothing in the file is executed."""
     remedy = "make one with `facetrack prior fit`"
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as raw:
+            file = np.load(raw, allow_pickle=False)
             if not isinstance(file, np.lib.npyio.NpzFile):
                 raise InputError(f"{path}: is a bare array, not a shape prior; {remedy}")
             found = {name: file[name] for name in ("format", "version") if name in file.files}

@@ -53,7 +53,7 @@ OPENING_NARROWS = 0.15  # a mouth that opens by one unit gets this much narrower
 SMILE_MOST, PUCKER_MOST = 0.27, 0.30
 PUCKER_LIPS = 0.15  # lips thicken by this much of the narrowing, up and down
 ASYMMETRY = 0.06  # standard deviation of the difference between the two corners' way
-FIRST_OPENING, FIRST_SMILE = 0.15, 0.12  # the first frame is neutral or nearly so: at most this open, wider by this sd
+FIRST_OPENING, FIRST_SMILE = 0.15, 0.10  # the first frame is neutral or nearly so: at most this open, wider by this sd
 # set by hand: the head relative to the first frame: standard deviation and limit, degrees and share of the size
 YAW, PITCH, ROLL, GROWTH = (6.0, 15.0), (4.0, 10.0), (4.0, 8.0), (0.04, 0.08)
 
@@ -109,7 +109,7 @@ def shape(index: int) -> list[tuple[float, float]]:
     """The displacements of PARTS in the index-th shape."""
     u = even(index, 14)
     first = expression(
-        FIRST_OPENING * u[0] ** 2, normal(u[1], FIRST_SMILE, 2 * FIRST_SMILE), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
+        FIRST_OPENING * u[0] ** 2, normal(u[1], FIRST_SMILE, 1.5 * FIRST_SMILE), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
     )
     widening = 2.0 * u[3] - 1.0
     now = expression(
