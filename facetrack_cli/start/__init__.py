@@ -1,0 +1,6 @@
+"""Where a track begins: an init file, a box, or the first face that the Haar cascades find."""
+
+from facetrack_cli.start.files import check_start, default_path, find_init, read_init, write_init
+from facetrack_cli.start.haar import PARTS, box_start, haar_start
+
+__all__ = ["PARTS", "box_start", "check_start", "default_path", "find_init", "haar_start", "read_init", "write_init"]

@@ -1,0 +1,115 @@
+"""facetrack init: where the track of a clip begins, as a file to edit."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from facetrack_cli.errors import InputError, OutputError
+
+if TYPE_CHECKING:
+    from facetrack_cli.types import Box, Frame, Start
+
+SUFFIXES = (".yaml", ".yml", ".json")
+
+
+def _box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | None:
+    if value is None:
+        return None
+    try:
+        x, y, w, h = (float(part) for part in value.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{value!r}: give four numbers with commas: left,top,width,height") from None
+    if not (abs(x) < 1e6 and abs(y) < 1e6 and 0 < w < 1e6 and 0 < h < 1e6):
+        raise click.BadParameter(f"{value!r}: give pixels of the frame, width and height above 0")
+    return (x, y, w, h)
+
+
+@click.command()
+@click.argument("clip", metavar="INPUT", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--out", metavar="FILE", help="File to write [default: <clip>.init.yaml beside the clip]; - stdout."
+)
+@click.option("--init-frame", type=click.IntRange(min=0), default=0, help="Frame where the search begins, or of --box.")
+@click.option("--box", metavar="X,Y,W,H", callback=_box, help="The face's box in that frame: place the points in it.")
+@click.option(
+    "--preview", metavar="FILE.png", type=click.Path(path_type=Path), help="Also draw the result on its frame."
+)
+@click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
+def command(
+    clip: Path, out: str | None, init_frame: int, box: Box | None, preview: Path | None, overwrite: bool
+) -> None:
+    """Write where the track of a clip begins, as a file to edit.
+
+    INPUT is a video or a folder of images. The first face that the Haar cascades find, and five points of it (nose,
+    corners of the mouth, lips), become an init file, which `facetrack run` takes from beside the clip. Nothing that is
+    there already is replaced without --overwrite.
+
+    \b
+    Examples:
+      facetrack init clip.mp4 --preview look.png
+      facetrack init clip.mp4 --init-frame 120 --box 310,96,140,140
+      facetrack init frames/ -o - > start.yaml
+    """
+    from facetrack_cli.start import default_path, write_init
+
+    path = None if out == "-" else Path(out) if out else default_path(clip)
+    if out == "":
+        raise OutputError("--out is empty; name a file, or - for standard output")
+    _check_outputs(clip, path, preview, overwrite)
+    start, frame = _find(clip, init_frame, box)
+    if preview is not None:
+        from facetrack_cli.start.preview import write_preview
+
+        write_preview(preview, frame, start, overwrite=overwrite)
+        click.echo(f"{preview}: the start drawn on frame {start.frame}", err=True)
+    if path is None:
+        write_init(sys.stdout, start, clip=clip.name)
+    else:
+        write_init(path, start, clip=clip.name, overwrite=overwrite)
+        click.echo(f"{path}: a face in frame {start.frame}; edit it, then: facetrack run {clip}", err=True)
+
+
+def _check_outputs(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:
+    """Refuse before the search what would be refused after it."""
+    if path is not None and path.suffix.lower() not in SUFFIXES:
+        raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
+    if preview is not None and preview.suffix.lower() != ".png":
+        raise OutputError(f"{preview}: the preview is a PNG; let its name end in .png")
+    for file in (path, preview):
+        if file is None:
+            continue
+        if file.exists() and not overwrite:
+            raise OutputError(f"{file}: exists already; replace it with --overwrite, or name another file")
+        if file.is_dir():
+            raise OutputError(f"{file}: is a folder; name a file")
+        if not file.parent.is_dir():
+            raise OutputError(f"{file}: there is no folder {file.parent}; make it, or name another file")
+    if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():
+        raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
+
+
+def _find(clip: Path, init_frame: int, box: Box | None) -> tuple[Start, Frame]:
+    """The start, and its frame."""
+    from facetrack_cli.start import box_start, haar_start
+    from facetrack_cli.video.source import open_source
+
+    looked_at: list[Frame] = []
+    with open_source(clip, start=init_frame) as source:
+        frames = _last(source, looked_at)
+        if box is None:
+            return haar_start(frames, clip=str(clip)), looked_at[0]
+        frame = next(frames, None)
+        if frame is None:
+            raise InputError(f"{clip}: has no frame {init_frame}; choose an earlier one with --init-frame")
+        return box_start(frame, box, clip=str(clip)), frame
+
+
+def _last(frames: Iterable[Frame], kept: list[Frame]) -> Iterator[Frame]:
+    for frame in frames:
+        kept[:] = [frame]
+        yield frame

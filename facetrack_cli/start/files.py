@@ -1,0 +1,308 @@
+"""Init files: where a track begins, as a YAML or JSON file that people edit.
+
+    frame: 0
+    face:
+      box: [100, 60, 80, 80]                   # left, top, width, height
+      points: {nose: [141.0, 112.5], mouth_left: [120, 140]}
+      windows: {nose: [25, 25]}                # optional, pixels
+
+There may be several targets. With a single one `box`, `points` and `windows` may stand at the top level; the target is
+then called `face`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Final, NoReturn, TextIO, TypeAlias
+
+from facetrack_cli.errors import InputError, OutputError
+from facetrack_cli.types import Box, Point, Start, TargetStart
+from facetrack_cli.yaml_text import Node, Source, YamlProblems, parse, read_source
+
+SUFFIXES: Final = (".yaml", ".yml", ".json")
+TARGET: Final = "face"
+KEYS: Final = ("box", "points", "windows")
+MAX_PIXELS: Final = 1e6
+MAX_FRAME: Final = 10**9
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
+Branch: TypeAlias = "dict[str, Node]"
+
+WHAT_PARTS_ARE: Final = {
+    "nose": "the tip of the nose",
+    "mouth_left": "the corner of the mouth on the picture's left",
+    "mouth_right": "the corner on the picture's right",
+    "lip_upper": "the middle of the upper lip, at its upper edge",
+    "lip_lower": "the middle of the lower lip, at its lower edge",
+}
+
+
+def find_init(clip: Path) -> Path | None:
+    """The init file beside a video `clip.mp4` or a folder `clip/`: clip.init.yaml, else .yml, else .json; or None."""
+    return next((path for path in (default_path(clip, suffix) for suffix in SUFFIXES) if path.is_file()), None)
+
+
+def default_path(clip: Path, suffix: str = ".yaml") -> Path:
+    """Where `find_init` looks first: `clip.init.yaml` beside the clip."""
+    if clip.is_dir():
+        clip = clip if clip.name not in ("", "..") else clip.resolve()
+        return clip.parent / f"{clip.name}.init{suffix}"
+    return clip.parent / f"{clip.stem}.init{suffix}"
+
+
+def read_init(path: Path) -> Start:
+    """The start that an init file describes.
+
+    Raises InputError, one line with file, line and column, for whatever cannot be meant: a key that is unknown or
+    repeated, no frame, no number where one belongs, no area, neither box nor points, and what YAML itself refuses.
+    """
+    name = str(path)
+    try:
+        source = read_source(path, name)
+        if path.suffix.lower() == ".json":  # JSON may be indented by tabs, YAML may not
+            source = replace(source, text=source.text.replace("\t", " "))
+        root = parse(source)
+    except FileNotFoundError:
+        raise InputError(f"{name}: no such init file; correct the name, or make one with facetrack init") from None
+    except IsADirectoryError:
+        raise InputError(f"{name}: is a folder; name the init file, as in clip.init.yaml") from None
+    except OSError as e:
+        raise InputError(f"{name}: cannot be read: {e.strerror or e}; make it readable, or name another") from None
+    except YamlProblems as refused:
+        more = f" (and {len(refused.problems) - 1} more)" if len(refused.problems) > 1 else ""
+        raise InputError(f"{refused.problems[0]}{more}") from None
+    if root is None:
+        raise InputError(f"{name}:1: the init file is empty; make one with facetrack init")
+    return _start(root, source)
+
+
+def _start(root: Node, source: Source) -> Start:
+    top = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
+    if "frame" not in top:
+        _refuse(root, 'the key "frame" is missing; add frame: N, counted from 0')
+    frame = top["frame"].value
+    if isinstance(frame, bool) or not isinstance(frame, int) or not 0 <= frame <= MAX_FRAME:
+        _refuse(top["frame"], f"frame: {_shown(top['frame'])} is no frame; give a whole number, from 0")
+    rest = {key: node for key, node in top.items() if key != "frame"}
+    if not rest:
+        _refuse(root, "neither a box nor points are given; add box: [left, top, width, height] or points:")
+    if any(key in KEYS for key in rest):
+        return Start(frame, {TARGET: _target(rest, root, "")}, source.name)
+    targets = {}
+    for key, node in rest.items():
+        near = get_close_matches(key, ("frame", *KEYS), n=1, cutoff=0.7)
+        if not isinstance(node.value, dict) or near or not _NAME.fullmatch(key):
+            meant = f'did you mean "{near[0]}"?' if near else "a target holds box: and points:, indented below its name"
+            _refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
+        targets[key] = _target(node.value, node, f" of {key}")
+    return Start(frame, targets, source.name)
+
+
+def _target(found: Branch, node: Node, of: str) -> TargetStart:
+    for key, child in found.items():
+        if key not in KEYS:
+            near = get_close_matches(key, (*KEYS, "frame"), n=1)
+            meant = f'did you mean "{near[0]}"?' if near else f"keys{of} are {', '.join(KEYS)}"
+            _refuse(child, f'unknown key "{key}"{of}; {meant}', at_key=True)
+    if "box" not in found and "points" not in found:
+        _refuse(node, f"neither a box nor points{of} are given; add box: [left, top, width, height] or points:")
+    box: Box | None = None
+    if "box" in found:
+        left, top, width, height = _numbers(found["box"], f"the box{of}", ("left", "top", "width", "height"))
+        box = (left, top, *_size((width, height), found["box"], f"the box{of}"))
+    points: dict[str, Point] = {}
+    if "points" in found:
+        for name, child in _parts(found["points"], f"points{of}", "nose: [x, y]").items():
+            x, y = _numbers(child, f"the point {name}{of}", ("x", "y"))
+            points[name] = (x, y)
+    windows: dict[str, tuple[float, float]] = {}
+    if "windows" in found:
+        for name, child in _parts(found["windows"], f"windows{of}", "nose: [width, height]").items():
+            if "points" in found and name not in points:
+                near = get_close_matches(name, points, n=1)
+                meant = f'did you mean "{near[0]}"?' if near else "give the point, or remove the window"
+                _refuse(child, f'a window for "{name}"{of}, which has no point; {meant}', at_key=True)
+            w, h = _numbers(child, f"the window of {name}{of}", ("width", "height"))
+            windows[name] = _size((w, h), child, f"the window of {name}{of}")
+    return TargetStart(box, points, windows)
+
+
+def _mapping(node: Node, what: str, example: str) -> Branch:
+    if not isinstance(node.value, dict):
+        _refuse(node, f"{what} is a mapping, not {_shown(node)}; write {example}")
+    return node.value
+
+
+def _parts(node: Node, what: str, example: str) -> Branch:
+    found = _mapping(node, what, example)
+    if not found:
+        _refuse(node, f"{what} is empty; write {example}, or remove the key")
+    for name, child in found.items():
+        if not _NAME.fullmatch(name):
+            _refuse(child, f'"{name}" cannot name a part; use letters, digits, _ and -', at_key=True)
+    return found
+
+
+def _numbers(node: Node, what: str, wanted: Sequence[str]) -> tuple[float, ...]:
+    shape = f"[{', '.join(wanted)}]"
+    if not isinstance(node.value, list):
+        _refuse(node, f"{what} is {shape} in pixels, not {_shown(node)}; write {len(wanted)} numbers in brackets")
+    if len(node.value) != len(wanted):
+        _refuse(node, f"{what} has {len(node.value)} numbers; write {len(wanted)}: {shape}")
+    numbers = []
+    for name, child in zip(wanted, node.value, strict=True):
+        value = child.value
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            _refuse(child, f"{name} of {what} is {_shown(child)}; write a number of pixels")
+        if not abs(value) <= MAX_PIXELS:
+            _refuse(child, f"{name} of {what} is {_shown(child)}, beyond any picture; write a number of pixels")
+        numbers.append(float(value))
+    return tuple(numbers)
+
+
+def _size(size: tuple[float, float], node: Node, what: str) -> tuple[float, float]:
+    if min(size) <= 0:
+        _refuse(node, f"{what} has no area: width {size[0]:g}, height {size[1]:g}; both must be above 0")
+    return size
+
+
+def _shown(node: Node) -> str:
+    if isinstance(node.value, dict | list):
+        return "a mapping" if isinstance(node.value, dict) else "a list"
+    if node.value is None:
+        return "nothing"
+    text = str(node.value).lower() if isinstance(node.value, bool) else str(node.value)
+    text = json.dumps(text, ensure_ascii=False) if isinstance(node.value, str) else text
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
+    span = node.key if at_key and node.key is not None else node.span
+    raise InputError(f"{span.source.place(span)}: {message}")
+
+
+def inside(point: Point, size: tuple[int, int]) -> bool:
+    """Whether a point is on a pixel of a picture of that (width, height)."""
+    return -0.5 <= point[0] <= size[0] - 0.5 and -0.5 <= point[1] <= size[1] - 0.5
+
+
+def centre_inside(box: Box, size: tuple[int, int]) -> bool:
+    """Whether the centre of a box is on a pixel of the picture; its edges may stand out, as a face may."""
+    return inside((box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2), size)
+
+
+def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frames: int | None = None) -> None:
+    """InputError if the start does not fit the clip of that (width, height) in pixels, or the recipe's parts.
+
+    `parts` are the points that the recipe follows in every target, `frames` the clip's number of them where it is known
+    for certain.
+    """
+    picture = f"the picture of {size[0]}x{size[1]} pixels"
+    if frames is not None and start.frame >= frames:
+        raise InputError(
+            f"{start.origin}: starts at frame {start.frame}, but the clip ends with frame {frames - 1}; "
+            "choose one that it has"
+        )
+    for name, target in start.targets.items():
+        missing = [part for part in parts if part not in target.points]
+        if missing:
+            raise InputError(
+                f"{start.origin}: no point for {', '.join(missing)} of {name}, which the recipe follows; "
+                "add it, or have all points placed with --box X,Y,W,H"
+            )
+        if target.box is not None and not centre_inside(target.box, size):
+            box = ", ".join(f"{value:g}" for value in target.box)
+            raise InputError(f"{start.origin}: the box [{box}] of {name} is outside {picture}; correct it")
+        for part, (x, y) in target.points.items():
+            if not inside((x, y), size):
+                raise InputError(f"{start.origin}: {part} of {name} at [{x:g}, {y:g}] is outside {picture}; correct it")
+        for part, (w, h) in target.windows.items():
+            if w > size[0] or h > size[1]:
+                raise InputError(
+                    f"{start.origin}: the window of {part} of {name}, {w:g}x{h:g}, is larger than {picture}; shrink it"
+                )
+
+
+def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bool = False) -> None:
+    """Write an init file that `read_init` reads back as it was: JSON if `to` ends in .json, else YAML with comments.
+
+    Raises OutputError if the file exists and `overwrite` is not set, or cannot be written.
+    """
+    if not isinstance(to, Path):
+        to.write(_yaml(start, clip))
+        return
+    text = _json(start) if to.suffix.lower() == ".json" else _yaml(start, clip)
+    write_new(to, text.encode(), overwrite=overwrite)
+
+
+def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
+    """All of a small file or nothing. OutputError if it exists and `overwrite` is not set, or cannot be written."""
+    if not overwrite and os.path.lexists(path):
+        raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as e:
+        part.unlink(missing_ok=True)
+        raise OutputError(f"{path}: cannot be written: {e.strerror or e}; choose another place") from None
+
+
+def _json(start: Start) -> str:
+    tree: dict[str, object] = {"frame": start.frame}
+    for name, target in start.targets.items():
+        tree[name] = {
+            **({} if target.box is None else {"box": target.box}),
+            **({"points": dict(target.points)} if target.points else {}),
+            **({"windows": dict(target.windows)} if target.windows else {}),
+        }
+    return json.dumps(tree, indent=2) + "\n"
+
+
+def _yaml(start: Start, clip: str) -> str:
+    how = {"haar": ", found by Haar cascades", "--box": ", placed in the box given"}.get(start.origin, "")
+    lines = [
+        f"# Where the track{f' of {_comment(clip)}' if clip else ''} begins{how}.",
+        "# Edit the numbers: pixels of this frame, x to the right, y down; the centre of the first pixel is 0, 0.",
+        f"frame: {start.frame}  # counted from 0",
+    ]
+    for name, target in start.targets.items():
+        lines.append(f"{_key(name)}:")
+        if target.box is not None:
+            lines.append(f"  box: {_list(target.box)}  # left, top, width, height")
+        lines += _pairs("points", "x, y of each part; left and right as seen in the picture", target.points)
+        if target.windows:
+            lines += _pairs("windows", "width, height of the window that is compared", target.windows)
+        elif target.points:
+            example = next(iter(target.points))
+            lines += [
+                "  # To compare a larger or smaller window than the recipe's, give its width and height:",
+                f"  # windows: {{{_key(example)}: [25, 25]}}",
+            ]
+    return "\n".join(lines) + "\n"
+
+
+def _pairs(key: str, about: str, pairs: Mapping[str, tuple[float, float]]) -> list[str]:
+    if not pairs:
+        return []
+    rows = [(f"    {_key(name)}: {_list(pair)}", WHAT_PARTS_ARE.get(name, "")) for name, pair in pairs.items()]
+    wide = max(len(row) for row, _ in rows)
+    told = [f"{row:<{wide}}  # {what}" if what and key == "points" else row for row, what in rows]
+    return [f"  {key}:  # {about}", *told]
+
+
+def _list(values: Sequence[float]) -> str:
+    return f"[{', '.join(repr(int(v)) if v == int(v) else repr(float(v)) for v in values)}]"
+
+
+def _key(name: str) -> str:
+    return f'"{name}"' if name.lower() in ("null", "true", "false", "yes", "no", "on", "off", "y", "n") else name
+
+
+def _comment(text: str) -> str:
+    return "".join(char if char.isprintable() else "?" for char in text)
