@@ -1,0 +1,323 @@
+"""Where frames come from: a video file, or the images of a folder, as an iterable of `Frame`.
+
+A `Source` is read once, in order. Frames are counted from 0 of the file, also when reading starts later; `time_s` is
+counted from the file's first frame, by the file's own clock, and grows from frame to frame. The number of frames that
+a container claims is only used as a hint for progress bars.
+
+A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what was
+lost. How that is found: a video whose frames are fewer than the container claims (or, MPEG program streams, which claim
+nothing) is read again without decoding, and counts as incomplete if the demuxer reports missing data, if the packets go
+on where the decoder stopped, or if they end clearly before the claimed duration. A cut is not seen in transport
+streams, Ogg and WMV when it falls between two packets: nothing in those files says that more should follow.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+# OpenCV and its ffmpeg read these when they are loaded; their messages would break into ours on stderr
+os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+import cv2
+
+from facetrack_cli.errors import InputError, UsageError
+from facetrack_cli.types import Frame
+from facetrack_cli.video import ffmpeg, images
+
+if os.environ["OPENCV_LOG_LEVEL"] == "SILENT":  # where OpenCV was loaded before us
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
+FOLDER_FPS = Fraction(25)
+_JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by less than this
+
+
+class Source(ABC):
+    """Frames of one clip, iterable once; a context manager.
+
+    Attributes: `path`; `name` for naming outputs; `size` (width, height) in pixels, rotation applied; `fps` the nominal
+    rate; `variable` whether frames keep another rhythm than `fps` (None until known); `frames_hint` the likely number
+    of frames to come, for progress bars only; `is_video`; and, filled while iterating, `warnings` (one line each) and
+    `complete` (False once it is known that frames are missing).
+    """
+
+    def __init__(self, path: Path, name: str, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
+        self.path = path
+        self.name = name
+        self.size = size
+        self.fps = fps
+        self.variable: bool | None = None
+        self.frames_hint: int | None = None
+        self.is_video = False
+        self.warnings: list[str] = []
+        self.complete = True
+        self._start = start
+        self._stop = stop
+        self._begun = False
+
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames from `start` up to, not including, `stop`.
+
+        Raises InputError when the clip ends before `start`, RuntimeError when the source was iterated before.
+        """
+        if self._begun:
+            raise RuntimeError("a source is read only once; open it again")
+        self._begun = True
+        return self._frames()
+
+    @abstractmethod
+    def _frames(self) -> Iterator[Frame]: ...
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the iteration, also from another thread, and free the file; once closed, closing again does nothing."""
+
+    def __enter__(self) -> Source:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _cut(self, message: str) -> None:
+        self.complete = False
+        self.warnings.append(message)
+
+    def _past_end(self, frames: int) -> InputError:
+        return InputError(
+            f"{self.path}: frame {self._start} is past the end, the clip has {frames} frames "
+            f"(0 to {frames - 1}); start earlier"
+        )
+
+
+class VideoSource(Source):
+    """A video file, decoded by OpenCV."""
+
+    def __init__(self, path: Path, start: int, stop: int | None):
+        capture = cv2.VideoCapture(ffmpeg.source_argument(path), cv2.CAP_FFMPEG)
+        opened = capture.isOpened() and capture.grab()
+        ok, image = capture.retrieve() if opened else (False, None)
+        rate = capture.get(cv2.CAP_PROP_FPS) if ok else 0.0
+        # ffmpeg draws .txt files, and a tune's cover picture passes for a video of 90,000 frames a second
+        text = ok and int(capture.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi")
+        if not ok or image is None or text or (rate > 1000 and not ffmpeg.contents(path).video):
+            capture.release()
+            if text:
+                raise InputError(f"{path}: not a video; give a video file or a folder of images")
+            raise _why_not(path)
+        fps = Fraction(rate).limit_denominator(1001) if 0 < rate <= 1000 else FOLDER_FPS
+        height, width = image.shape[:2]
+        super().__init__(path, path.stem, (width, height), fps, start, stop)
+        self.is_video = True
+        count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        self._claimed = int(count) if math.isfinite(count) and 1 <= count < 1e9 else None
+        if self._claimed is not None:
+            self.frames_hint = max((min(self._claimed, stop) if stop else self._claimed) - start, 0)
+        self._capture = capture
+        self._first: Any = image
+        self._lock = threading.Lock()
+        self._closed = False
+
+    def close(self) -> None:
+        with self._lock:
+            self._closed = True
+            self._first = None
+            self._capture.release()
+
+    def _frames(self) -> Iterator[Frame]:
+        capture, lock, start, stop = self._capture, self._lock, self._start, self._stop
+        shape = (self.size[1], self.size[0], 3)
+        period = float(1 / self.fps)
+        origin = time = 0.0
+        index = 0
+        while stop is None or index < stop:
+            image: Any = None
+            with lock:  # the capture must not be released while it is at work
+                if self._closed:
+                    return
+                if index > 0 and not capture.grab():
+                    break
+                position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000  # of the frame just grabbed
+                if index >= start:
+                    image = self._first if index == 0 else capture.retrieve()[1]
+                    self._first = None
+            if index == 0:
+                origin = position
+            else:
+                step = position - origin - time
+                # without a stamp (the last frames of some AVI and MPEG files), or thrown back: the nominal rate goes on
+                if step <= 0:
+                    step = period
+                time += step
+                if abs(step - period) > _JITTER_S:
+                    self.variable = True
+            if index >= start:
+                if image is None or image.shape != shape:
+                    what = "cannot be decoded" if image is None else f"is {image.shape[1]}x{image.shape[0]}"
+                    self._cut(
+                        f"{self.path}: frame {index} {what}, those before are {shape[1]}x{shape[0]}; "
+                        f"stopped after {index} frames, convert the clip to one size"
+                    )
+                    return
+                yield Frame(index, time, image)
+            index += 1
+        else:  # `stop` was reached, the rest of the file is nobody's concern
+            return
+        if index <= start:
+            raise self._past_end(index)
+        if self.variable is None:
+            self.variable = False
+        self._judge_end(index, time, period)
+
+    def _judge_end(self, frames: int, last_s: float, period: float) -> None:
+        """Say so if the file went on, or should have gone on, after the last frame that was decoded."""
+        claimed = self._claimed
+        if claimed is not None and frames >= claimed and not _is_program_stream(self.path):
+            return
+        try:
+            packets = ffmpeg.packets(self.path)
+        except (OSError, RuntimeError, ValueError):  # no ffmpeg program: leave it at a count that is far off
+            if claimed is not None and frames < 0.9 * claimed:
+                self._cut(f"{self.path}: only {frames} of about {claimed} frames could be read; is the file complete?")
+            return
+        duration = packets.duration_s or 0.0
+        if not (
+            packets.damage
+            or packets.video_s > last_s + max(0.5, 5 * period)
+            or packets.end_s < duration - max(1.0, 0.03 * duration)
+        ):
+            return
+        of = ""
+        if claimed is not None and claimed > frames:
+            of = f" of about {claimed} ({last_s + period:.1f} of {max(duration, claimed * period):.1f} s)"
+        reason = f" ({packets.damage})" if packets.damage else ""
+        self._cut(
+            f"{self.path}: cut short or damaged{reason}: {frames} frames{of} could be read; "
+            "copy or download the file again for the rest"
+        )
+
+
+class FolderSource(Source):
+    """The images of a folder in natural order (2.jpg before 10.jpg), at a constant rate.
+
+    `files` are all of them; those to be read must be of one size, which is checked from their headers beforehand.
+    What becomes of 16 bits, transparency and orientation: see `images.read`.
+    """
+
+    def __init__(self, path: Path, name: str, files: Sequence[Path], fps: Fraction, start: int, stop: int | None):
+        super().__init__(path, name, (0, 0), fps, start, stop)
+        if start >= len(files):
+            raise self._past_end(len(files))
+        self.variable = False
+        self._files = files
+        self._end = len(files) if stop is None else min(stop, len(files))
+        self.frames_hint = self._end - start
+        self._closed = False
+        try:
+            first = images.read(files[start])
+        except (OSError, ValueError) as error:
+            raise InputError(f"{files[start]}: {images.reason(error)}; repair the image or remove it") from error
+        self.size = (first.shape[1], first.shape[0])
+        for file in files[start + 1 : self._end]:
+            size = images.header_size(file)
+            if size is not None and size != self.size:
+                raise InputError(
+                    f"{file}: {size[0]}x{size[1]} pixels, but {files[start].name} has "
+                    f"{self.size[0]}x{self.size[1]}; a folder must hold frames of one size"
+                )
+
+    def close(self) -> None:
+        self._closed = True
+
+    def _frames(self) -> Iterator[Frame]:
+        width, height = self.size
+        for index in range(self._start, self._end):
+            if self._closed:
+                return
+            try:
+                image = images.read(self._files[index])
+                if image.shape != (height, width, 3):
+                    raise ValueError(f"is not {width}x{height} pixels")
+            except (OSError, ValueError) as error:
+                self._cut(
+                    f"{self._files[index]}: {images.reason(error)}; stopped after {index} of {len(self._files)} "
+                    "frames, repair the image or remove it"
+                )
+                return
+            yield Frame(index, float(index / self.fps), image)
+
+
+def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None) -> Source:
+    """Open a video file, a folder of images, or a glob of images in one folder (`frames/a*.png`).
+
+    Frames from `start` up to, not including, `stop`. `fps` is the rate of a folder (default 25); a video has its own
+    clock and refuses it. Raises InputError when there is nothing to read, UsageError for impossible arguments.
+    """
+    if start < 0:
+        raise UsageError(f"{path}: cannot start at frame {start}; frames count from 0")
+    if stop is not None and stop <= start:
+        raise UsageError(f"{path}: nothing to read from frame {start} up to {stop}; stop must be greater than start")
+    if fps is not None and fps <= 0:
+        raise UsageError(f"{path}: {fps} is no frame rate; give frames per second greater than 0")
+    files = images.listing(path)
+    if files is not None:
+        if not files:
+            raise InputError(f"{path}: no images in this folder; {', '.join(sorted(images.SUFFIXES))} are read")
+        folder = path if path.is_dir() else path.parent
+        return FolderSource(path, folder.resolve().name, files, fps or FOLDER_FPS, start, stop)
+    _check_file(path)
+    if fps is not None:
+        raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for image folders only")
+    return VideoSource(path, start, stop)
+
+
+def _check_file(path: Path) -> None:
+    """Raise InputError for what can be told without looking for a video in it."""
+    try:
+        if not path.exists():
+            hint = "; a pipe cannot be read, save the clip to a file" if str(path) == "-" else "; check the name"
+            raise InputError(f"{path}: no such file or folder{hint}")
+        if not path.is_file():
+            raise InputError(f"{path}: neither a file nor a folder; save the clip to a file")
+        with path.open("rb") as file:
+            empty = not file.read(1)
+    except OSError as error:
+        raise InputError(f"{path}: {images.reason(error)}; check the name and the permissions") from error
+    if empty:
+        raise InputError(f"{path}: the file is empty; copy or download it again")
+    if path.suffix.lower() in images.SUFFIXES:
+        raise InputError(f"{path}: a single picture; give a video or the folder that holds the frames")
+
+
+def _why_not(path: Path) -> InputError:
+    """Why a file gave no frame."""
+    try:
+        found = ffmpeg.contents(path)
+    except (OSError, RuntimeError):
+        return InputError(f"{path}: no video that can be decoded; convert it to MP4 (H.264)")
+    # ffmpeg guesses MP4 from the name alone, so that any text called .mp4 lacks its moov
+    if "moov atom not found" in found.messages and "low score" not in found.messages:
+        return InputError(
+            f"{path}: the index of this MP4 (moov) is missing, its recording or download was cut off; copy it again"
+        )
+    if found.video:
+        if ffmpeg.packets(path).damage:
+            return InputError(f"{path}: cut short or damaged before its first frame; copy or download it again")
+        return InputError(f"{path}: the video cannot be decoded; convert it to MP4 (H.264)")
+    if found.audio:
+        return InputError(f"{path}: holds sound but no pictures; give a video")
+    return InputError(f"{path}: not a video; give a video file or a folder of images")
+
+
+def _is_program_stream(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(4) == b"\x00\x00\x01\xba"
