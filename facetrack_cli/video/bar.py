@@ -1,0 +1,120 @@
+"""The status bar: a dark translucent strip with frame, time, status, title and mean confidence, where there is room."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+
+from facetrack_cli.types import Image, Result, Status, TargetResult
+from facetrack_cli.video.marks import PALETTE, WHITE, Colour, mark
+from facetrack_cli.video.text import Font, stamp
+
+_QUIET: Colour = (190, 190, 190)
+_TROUGH: Colour = (130, 130, 130)
+LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the strip
+# what stands in the bar beside the status; the last goes first where it is narrow
+_ITEMS = ("frame", "gauge", "clock", "title", "percent")
+
+
+class StatusBar:
+    """Writes what a result says as a whole over the top of pictures `width` pixels wide, capitals `cap` pixels high."""
+
+    def __init__(self, width: int, cap: int, line: int, title: str = "") -> None:
+        self.height = round(1.9 * cap)
+        self._width = width
+        self._line = line
+        self._title = title
+        self._font = Font(cap)
+
+    def draw(self, image: Image, result: Result) -> None:
+        """Darken the top `height` rows of `image` (H, W, 3) and write on them, in place."""
+        font, cap = self._font, self._font.cap
+        strip = image[: self.height]
+        cv2.convertScaleAbs(strip, strip, 0.28)
+        status, sayings = summary(result.targets)
+        sure = [p.confidence for t in result.targets for p in t.parts if math.isfinite(p.confidence)]
+        mean = min(max(sum(sure) / len(sure), 0.0), 1.0) if sure else 0.0
+        texts = {"frame": f"#{result.frame.index}", "clock": clock(result.frame.time_s)}
+        gap, gauge, icon = round(0.8 * cap), round(3.5 * cap), round(1.5 * cap)
+        room = {
+            "frame": font.width(texts["frame"]) + gap,
+            "gauge": gauge + gap,
+            "clock": font.width(texts["clock"]) + gap,
+            "title": font.width(self._title) + gap if self._title else 0,
+            "percent": font.width("100%") + gap,
+        }
+        shown, saying, spare = self._fit(sayings, room, self._width - 2 * gap - icon)
+        title = self._title if "title" in shown else self._cut_title(spare - gap)
+        row, middle = (self.height - cap) // 2 - font.top, (self.height - cap) // 2 + (cap - 1) / 2
+        left, right = gap, self._width - gap
+        for item in ("frame", "clock"):
+            if item in shown:
+                stamp(strip, font.passing(texts[item]), left, row)
+                left += room[item]
+        sign = LOST_TEXT if status == "lost" else PALETTE[0]
+        mark(strip, left + 0.4 * cap, middle, status, sign, 0.37 * cap, self._line)
+        stamp(strip, font.sprite(saying, LOST_TEXT if status == "lost" else WHITE), left + icon, row)
+        if "gauge" in shown:
+            top, bottom = (self.height - cap) // 2, (self.height - cap) // 2 + cap - 1
+            full, end = right - gauge, right - gauge + round(mean * gauge)
+            cv2.rectangle(strip, (full, top), (right - 1, bottom), _TROUGH, -1)
+            if end > full:
+                cv2.rectangle(strip, (full, top), (end - 1, bottom), PALETTE[0], -1)
+            right = full - gap
+        if "percent" in shown:
+            percent = f"{mean:.0%}"
+            stamp(strip, font.sprite(percent, WHITE), right - font.width(percent), row)
+            right -= room["percent"]
+        if title:
+            stamp(strip, font.sprite(title, _QUIET), right - font.width(title), row)
+
+    def _fit(self, sayings: Sequence[str], room: dict[str, int], width: int) -> tuple[tuple[str, ...], str, int]:
+        """The items and the wording of the status that fit, and the room left: rather fewer items than fewer words."""
+        for counts in ((5, 4, 3), (2, 1, 0)):
+            for saying in sayings:
+                for n in counts:
+                    left = width - self._font.width(saying) - sum(room[k] for k in _ITEMS[:n])
+                    if left >= 0:
+                        return _ITEMS[:n], saying, left
+        return (), "", 0
+
+    def _cut_title(self, room: int) -> str:
+        """The title's beginning, as far as it says something in `room` pixels."""
+        length = len(self._title)
+        while length > 7 and self._font.width(self._title[:length] + "..") > room:
+            length -= 1
+        return self._title[:length] + ".." if length > 7 else ""
+
+
+def summary(targets: Sequence[TargetResult]) -> tuple[Status, list[str]]:
+    """The status of all together, and ways to say it, from the longest to the shortest."""
+    parts = [(t, p) for t in targets for p in t.parts]
+    if not parts:
+        return "lost", ["no target", "none"]
+    lost = [(t, p) for t, p in parts if p.status == "lost"]
+    if not lost:
+        status: Status = "init" if all(p.status == "init" for _, p in parts) else "tracked"
+        return status, [status]
+    names = []
+    for target in targets:
+        gone = [p.name for p in target.parts if p.status == "lost"]
+        if gone and len(gone) == len(target.parts):
+            names.append(target.name)
+        else:
+            names += [f"{target.name}/{name}" if len(targets) > 1 else name for name in gone]
+    several = [f"lost: {names[0]} +{len(names) - 1}"] if len(names) > 1 else []
+    return "lost", ["lost: " + ", ".join(names), *several, f"lost {len(lost)}/{len(parts)}", "lost"]
+
+
+def clock(seconds: float) -> str:
+    """Seconds as h:mm:ss.cc, without the hours if there are none."""
+    if not math.isfinite(seconds):
+        return "-:--"
+    hundredths = round(abs(seconds) * 100)
+    minutes, rest = divmod(hundredths, 6000)
+    hours, minutes = divmod(minutes, 60)
+    sign = "-" if seconds < 0 and hundredths else ""
+    tail = f"{rest // 100:02d}.{rest % 100:02d}"
+    return f"{sign}{hours}:{minutes:02d}:{tail}" if hours else f"{sign}{minutes}:{tail}"
