@@ -21,7 +21,7 @@ from facetrack_cli.types import Array
 
 SEEN = ("visible", "init", "tracked", "")
 LEAST_DISTANCE = 0.01  # mouth widths; a shape nearer than this to one that is kept adds nothing
-LEAST_SIGMA = 0.05  # mouth widths; a narrower kernel would punish a tracker's own noise
+NARROWEST = 0.05  # mouth widths; a narrower kernel would punish a tracker's own noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ def fit_prior(
 
 def suggested_sigma(prior: ShapePrior) -> float:
     """A kernel's standard deviation that joins the shapes of a prior to one density, in mouth widths."""
-    return max(prior.spacing(), LEAST_SIGMA)
+    return max(prior.spacing(), NARROWEST)
 
 
 Target = dict[int, dict[str, Row]]  # frame -> part -> row

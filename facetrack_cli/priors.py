@@ -30,12 +30,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.errors import InputError, OutputError, RecipeError
-from facetrack_cli.kernels_shape import LANES, log_parzen, pick_shape
+from facetrack_cli.kernels_shape import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.types import Array
 
 FORMAT = "facetrack-shape-prior"
 VERSION = 1
 DEFAULT = "mouth_prior.npz"
+LEAST_SIGMA = 0.005  # of the unit; the float32 exponents of narrower kernels would be wrong by 0.001 and more
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +143,7 @@ def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) ->
     """The prior for one track: `parts` in the tracker's order, `first` (K, 2) their pixels in the first frame.
 
     `sigma`, the kernel's standard deviation, is in mouth widths (the prior's unit). Raises RecipeError if the parts are
-    not the prior's or sigma is not positive, InputError if the first frame gives no scale.
+    not the prior's or sigma is below LEAST_SIGMA, InputError if the first frame gives no scale.
     """
     strange = [name for name in parts if name not in prior.parts]
     absent = [name for name in prior.parts if name not in parts]
@@ -152,10 +153,8 @@ def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) ->
         said += [f"and the recipe does not track {', '.join(absent)}"] if absent else []
         said += ["and the recipe tracks a part twice"] if not strange and not absent else []
         raise RecipeError(" ".join(said) + "; fit a prior with `facetrack prior fit --parts` or change the parts")
-    if not (math.isfinite(sigma) and sigma > 0.0):
-        raise RecipeError(
-            f"the shape prior's sigma is {sigma}; it must be a positive number of mouth widths, such as 0.1"
-        )
+    if not LEAST_SIGMA <= sigma < math.inf:
+        raise RecipeError(f"the shape prior's sigma is {sigma:g}; give {LEAST_SIGMA} mouth widths or more, such as 0.1")
     first = np.array(first, np.float64)
     if first.shape != (len(parts), 2) or not np.isfinite(first).all():
         raise InputError(
@@ -180,8 +179,8 @@ class _Table:
 
     parts: NDArray[np.int64]
     stable: int
-    h: Array
-    bias: Array
+    h: NDArray[np.float32]
+    bias: NDArray[np.float32]
 
 
 class BoundPrior:
@@ -215,10 +214,10 @@ class BoundPrior:
         h = self._shapes[:, parts] / self.sigma
         if stable < 0:
             h = h - h.mean(1, keepdims=True)
-        flat = h.reshape(len(h), -1).T
-        padding = -len(h) % LANES
-        bias = np.concatenate([-0.5 * (flat**2).sum(0), np.full(padding, -1e300)])
-        return _Table(np.array(parts, np.int64), stable, np.pad(flat, ((0, 0), (0, padding))), bias)
+        flat = h.reshape(len(h), -1).T.astype(np.float32)
+        bias = np.full(-(-len(h) // LANES) * LANES, PADDING)
+        bias[: len(h)] = -0.5 * (flat**2).sum(0)
+        return _Table(np.array(parts, np.int64), stable, np.pad(flat, ((0, 0), (0, len(bias) - len(h)))), bias)
 
     def _log_sum(self, table: _Table, x: Array) -> Array:
         x = np.ascontiguousarray(x, np.float64)
@@ -230,7 +229,10 @@ class BoundPrior:
         return self._width / math.sqrt(len(self._moving)) if part == self._stable else self._width
 
     def log_density(self, x: Array) -> Array:
-        """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, finite for any finite x below 1e100."""
+        """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, and finite for any x within 1e100.
+
+        Right to about 1e-5 near the shapes, and to 1e-6 of its value far from them.
+        """
         return self._log_sum(self._all, x) - math.log(len(self._shapes))
 
     def propose(self, rng: np.random.Generator, x: Array, part: int) -> Array:

@@ -11,7 +11,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.errors import InputError, OutputError, RecipeError, UsageError
-from facetrack_cli.kernels_shape import LANES, log_parzen, pick_shape
+from facetrack_cli.kernels_shape import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.prior_fit import fit_prior
 from facetrack_cli.prior_picture import draw_prior
 from facetrack_cli.priors import ShapePrior, bind, default_prior_path, load_prior
@@ -43,8 +43,8 @@ def kernel_arguments(rng, parts, stable, shapes):
     if stable < 0:
         h -= h.mean(1, keepdims=True)
     padding = -shapes % LANES
-    flat = np.pad(h.reshape(shapes, -1).T, ((0, 0), (0, padding)))
-    bias = np.concatenate([-0.5 * (h**2).sum((1, 2)), np.full(padding, -1e300)])
+    flat = np.pad(h.reshape(shapes, -1).T, ((0, 0), (0, padding))).astype(np.float32)
+    bias = np.concatenate([-0.5 * (h**2).sum((1, 2)), np.full(padding, PADDING)]).astype(np.float32)
     return h, flat, bias
 
 
@@ -57,21 +57,19 @@ def test_kernels_agree_with_their_plain_twins(parts, stable, shapes):
     given = (np.array(parts), FACE, stable, 5.5)
     plain = (parts, FACE, stable, 5.5, h)
     np.testing.assert_allclose(
-        log_parzen(x, *given, flat, bias), naive_shape.log_parzen(x, *plain), rtol=1e-12, atol=1e-12
+        log_parzen(x, *given, flat, bias), naive_shape.log_parzen(x, *plain), rtol=1e-6, atol=1e-5
     )
     assert (pick_shape(x, *given, flat, bias, u) == naive_shape.pick_shape(x, *plain, u)).all()
 
 
 def test_exponents_of_any_depth_add_up():
-    # two shapes whose exponents differ by 0 .. 800: the smaller one counts for exactly exp(-difference)
-    for difference in (1e-9, 0.3, 1.0, 20.0, 36.0, 700.0, 800.0):
-        far = np.sqrt(2.0 * difference)
-        h = np.zeros((2, LANES))
-        h[0, 1] = far
-        bias = np.full(LANES, -1e300)
+    # two shapes, the second less likely by exp(-difference); log(1 + w) = log1p(w)
+    for difference in (1e-9, 0.01, 0.3, 1.0, 5.0, 14.0, 60.0, 79.0, 90.0, 800.0, 1e6):
+        h = np.zeros((2, LANES), np.float32)
+        bias = np.full(LANES, PADDING)
         bias[:2] = 0.0, -difference
         got = log_parzen(np.zeros((1, 2, 2)), np.array([1]), np.zeros((2, 2)), 0, 1.0, h, bias)
-        assert got[0] == pytest.approx(np.log1p(np.exp(-difference)), rel=1e-13, abs=3e-16)
+        assert got[0] == pytest.approx(np.log1p(np.exp(-difference)), abs=1.5e-7)
 
 
 @pytest.mark.parametrize("u", [0.0, np.nextafter(1.0, 0.0)])
@@ -96,7 +94,22 @@ def test_density_of_one_shape_is_a_gaussian_of_the_distance():
     at[4, 1] += 0.5 * length
     off = at.copy()
     off[3, 0] += 0.2 * length  # two standard deviations
-    assert bound.log_density(np.stack([at, off])) == pytest.approx([0.0, -2.0], abs=1e-12)
+    assert bound.log_density(np.stack([at, off])) == pytest.approx([0.0, -2.0], abs=1e-5)
+
+
+@pytest.mark.parametrize("sigma", [0.005, 0.02, 0.1, 1.0])
+def test_density_is_right_near_a_shape_for_every_kernel_width(sigma):
+    prior = load_prior(default_prior_path())
+    bound = bind(prior, PARTS, FACE, sigma)
+    x = (
+        FACE
+        + bound.length * prior.shapes[::10]
+        + np.random.default_rng(8).normal(0.0, sigma, (41, 5, 2)) * bound.length
+    )
+    q = ((x - FACE) - (x - FACE)[:, [NOSE]]) / bound.length
+    e = -((q[:, None] - prior.shapes) ** 2).sum((2, 3)) / (2 * sigma**2)
+    expected = np.log(np.exp(e - e.max(1, keepdims=True)).mean(1)) + e.max(1)
+    np.testing.assert_allclose(bound.log_density(x), expected, atol=2e-3 if sigma < 0.01 else 1e-4)
 
 
 def test_density_is_the_mean_over_the_shapes():
@@ -105,19 +118,19 @@ def test_density_is_the_mean_over_the_shapes():
     q = (x - FACE) - (x - FACE)[:, [NOSE]]
     d2 = ((q[:, None] / np.hypot(40.0, 1.0) - prior.shapes) ** 2).sum((2, 3))
     expected = np.log(np.exp(-d2 / (2 * 0.2**2)).mean(1))
-    np.testing.assert_allclose(bind(prior, PARTS, FACE, 0.2).log_density(x), expected, rtol=1e-12)
+    np.testing.assert_allclose(bind(prior, PARTS, FACE, 0.2).log_density(x), expected, rtol=1e-5)
 
 
 def test_density_follows_the_face_and_its_size_and_not_the_order_of_parts():
     prior, x = some_prior(), some_particles(50)
     expected = bind(prior, PARTS, FACE, 0.1).log_density(x)
     np.testing.assert_allclose(
-        bind(prior, PARTS, FACE, 0.1).log_density(x + np.array([37.0, -12.5])), expected, rtol=1e-9
+        bind(prior, PARTS, FACE, 0.1).log_density(x + np.array([37.0, -12.5])), expected, rtol=1e-6
     )
-    np.testing.assert_allclose(bind(prior, PARTS, 3 * FACE, 0.1).log_density(3 * x), expected, rtol=1e-9)
+    np.testing.assert_allclose(bind(prior, PARTS, 3 * FACE, 0.1).log_density(3 * x), expected, rtol=1e-6)
     order = [3, 0, 4, 2, 1]
     shuffled = bind(prior, [PARTS[i] for i in order], FACE[order], 0.1)
-    np.testing.assert_allclose(shuffled.log_density(x[:, order]), expected, rtol=1e-9)
+    np.testing.assert_allclose(shuffled.log_density(x[:, order]), expected, rtol=1e-6)
 
 
 def test_density_far_away_is_finite_and_falls():
@@ -126,6 +139,9 @@ def test_density_far_away_is_finite_and_falls():
     values = bound.log_density(np.stack([FACE + r * way for r in (0.0, 1e2, 1e4, 1e8, 1e50)]))
     assert np.isfinite(values).all()
     assert (np.diff(values) < 0).all()
+    length = np.hypot(40.0, 1.0)
+    away = ((way - way[NOSE]) * 1e8 / (0.05 * length))[1:]
+    assert values[3] == pytest.approx(-0.5 * (away**2).sum(), rel=1e-6)
     assert bound.log_density(np.empty((0, 5, 2))).shape == (0,)
 
 
@@ -149,7 +165,7 @@ def test_conditional_is_the_density_normalised_over_the_part(part):
     assert np.exp(conditional).sum() * 0.25 == pytest.approx(1.0, abs=1e-6)
     many[:, part] = places
     difference = conditional - bound.log_density(many)
-    np.testing.assert_allclose(difference, difference[0], atol=1e-8)
+    np.testing.assert_allclose(difference, difference[0], atol=1e-4)
 
 
 @pytest.mark.parametrize("part", range(5))
@@ -219,6 +235,7 @@ def test_two_parts_are_enough():
         ((*PARTS[:4], "nose"), FACE, 0.1, RecipeError, "lip_lower"),
         ((*PARTS, "nose"), np.vstack([FACE, FACE[:1]]), 0.1, RecipeError, "twice"),
         (PARTS, FACE, 0.0, RecipeError, "sigma"),
+        (PARTS, FACE, 0.001, RecipeError, "sigma is 0.001"),
         (PARTS, FACE, float("nan"), RecipeError, "sigma"),
         (PARTS, FACE * np.nan, 0.1, InputError, "finite"),
         (PARTS, FACE * 0.0, 0.1, InputError, "same place"),
