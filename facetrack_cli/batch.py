@@ -41,18 +41,18 @@ def folders(clips: Sequence[Path], recipe: str) -> list[str]:
     Clips of one name are told apart by the folders they lie in, as many as it takes; those of one folder, by their
     suffix.
     """
-    resolved = [clip.resolve() for clip in clips]
+    places = [absolute(clip) for clip in clips]
     names = [title(clip) for clip in clips]
     depth = 0
     while True:
         clashing = [i for i, name in enumerate(names) if _count(names, name) > 1]
-        longest = max((len(clip.parts) for clip in resolved), default=0)
+        longest = max((len(clip.parts) for clip in places), default=0)
         if not clashing or depth > longest:
             break
         depth += 1
         for i in clashing:
-            clip = resolved[i]
-            same_place = [j for j in clashing if j != i and resolved[j].parent == clip.parent]
+            clip = places[i]
+            same_place = [j for j in clashing if j != i and places[j].parent == clip.parent]
             last = clip.name.replace(".", "-") if same_place else title(clip)
             names[i] = "-".join([*clip.parent.parts[1:][-depth:], last])
     for i, name in enumerate(names):
@@ -61,13 +61,18 @@ def folders(clips: Sequence[Path], recipe: str) -> list[str]:
     return [f"{name}-{recipe}" for name in names]
 
 
+def absolute(clip: Path) -> Path:
+    """The whole path under the name that was given: a link keeps its own."""
+    return Path(os.path.abspath(clip))  # noqa: PTH100 -- Path.resolve follows links
+
+
 def _count(names: Sequence[str], name: str) -> int:
     return sum(other.casefold() == name.casefold() for other in names)
 
 
 def title(clip: Path) -> str:
     """What a clip is called: a file's name without its suffix; the name of a folder, also where `*.png` follows it."""
-    full = clip.resolve()
+    full = absolute(clip)
     if full.is_dir():
         return full.name
     return full.parent.name if "*" in full.name and not full.exists() else full.stem

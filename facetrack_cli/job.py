@@ -70,7 +70,7 @@ class Outcome:
         """One line: what was written, how fast, what was lost."""
         if self.frames == 0:
             return f"{self.clip}: {self.stopped or 'ended'} before the first frame; nothing was written"
-        parts = [f"{self.frames} frames", f"{self.frames_per_s:.1f} frames/s"]
+        parts = [f"{self.frames} frame{'s' * (self.frames > 1)}", f"{self.frames_per_s:.1f} frames/s"]
         if self.lost:
             parts.append("lost: " + ", ".join(f"{part} in {n}" for part, n in self.lost.items()))
         if self.stopped:
@@ -112,11 +112,12 @@ def _track(
     from facetrack_cli import pipeline
     from facetrack_cli.track import track
 
-    outputs.begin(source, start)
     tally = _Tally()
     total = source.frames_hint
 
     def record(result: Result) -> None:
+        if tally.frames == 0:
+            outputs.begin(source, start)
         for writer in outputs.writers:
             writer.write(result)
         tally.count(result)

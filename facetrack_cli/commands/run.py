@@ -126,7 +126,7 @@ def command(
     Exit codes: 0 done (also if a clip was cut short: a warning says so), 2 usage, recipe or output, 3 input,
     4 lost (--fail-on-lost), 5 some of several inputs failed, 130 interrupted, 143 terminated.
     """
-    from facetrack_cli.batch import cores
+    from facetrack_cli.batch import absolute, cores
     from facetrack_cli.job import HAAR, Job
     from facetrack_cli.progress import progress
     from facetrack_cli.recipe import load_recipe
@@ -141,7 +141,7 @@ def command(
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
     recipe = load_recipe(config, overrides)
-    clips = list({clip.resolve(): clip for clip in reversed(inputs)}.values())[::-1]
+    clips = list({absolute(clip): clip for clip in reversed(inputs)}.values())[::-1]
     folders, wanted = _places(clips, recipe.name, out, formats)
     workers = min(workers, len(clips))
     with Stop().listening() as ending, contextlib.closing(progress(quiet)) as shown:
@@ -200,6 +200,8 @@ def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
     shown.begin(job.clip.name, "frames", None)
     outcome = run(job, stop, shown.update)
     shown.close()
+    if isinstance(outcome.error, BrokenPipeError):
+        raise outcome.error
     _report(outcome, shown)
     if outcome.error is not None:
         raise outcome.error
