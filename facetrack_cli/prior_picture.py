@@ -60,30 +60,31 @@ def _clouds(canvas: Image, prior: ShapePrior, base: Array, sigma: float) -> None
     _outline(canvas, prior.parts, mean, INK, 2)
     moving = [k for k, name in enumerate(prior.parts) if name != prior.stable]
     for k in moving:
-        soft = tuple((c + 255) // 2 for c in _colour(k))
+        soft = tuple((c + 255) // 2 for c in _colour(prior.parts[k], k))
         for shape in places:
             _disc(canvas, origin + zoom * shape[k], 2.2, (soft[0], soft[1], soft[2]))
     for k in moving:
-        _spread(canvas, origin + zoom * places[:, k], _colour(k))
+        _spread(canvas, origin + zoom * places[:, k], _colour(prior.parts[k], k))
     for k, name in enumerate(prior.parts):
         _disc(canvas, mean[k], 7.0, PAPER)
-        _disc(canvas, mean[k], 5.5, _colour(k))
+        _disc(canvas, mean[k], 5.5, _colour(prior.parts[k], k))
         if name == prior.stable:
-            _text(canvas, name, (mean[k][0] + 14, mean[k][1] + 5), 0.55, _colour(k), 2)
+            _text(canvas, name, (mean[k][0] + 14, mean[k][1] + 5), 0.55, _colour(prior.parts[k], k), 2)
 
     x = 40.0
     for k in moving:
         sd = prior.shapes[:, k].std(0)
-        _disc(canvas, (x, HEIGHT - 122), 6.0, _colour(k))
+        _disc(canvas, (x, HEIGHT - 122), 6.0, _colour(prior.parts[k], k))
         _text(canvas, prior.parts[k], (x + 14, HEIGHT - 117), 0.5, INK)
         _text(canvas, f"sd {sd[0]:.2f}, {sd[1]:.2f}", (x + 14, HEIGHT - 98), 0.4, INK)
         x += (CLOUDS - 60) / len(moving)
-    bar, y = (0.25 if zoom > 200 else 1.0), HEIGHT - 48
+    unit = "mouth widths" if set(prior.scale) == {"mouth_left", "mouth_right"} else "units"
+    bar, y = (0.25 if zoom > 200 else 2.0), HEIGHT - 48
     end = 40 + bar * zoom
     _line(canvas, (40, y), (end, y), INK, 2)
     for x in (40, end):
         _line(canvas, (x, y - 5), (x, y + 5), INK, 2)
-    _text(canvas, f"{bar:g} mouth widths" if bar != 1.0 else "1 mouth width", (end + 14, y + 5), 0.45, INK)
+    _text(canvas, f"{bar:g} {unit}", (end + 14, y + 5), 0.45, INK)
     radius = sigma * zoom
     if radius < 40:
         cv2.circle(canvas, _at((end + 230, y)), round(radius * FINE * 16), INK, FINE, cv2.LINE_AA, 4)
@@ -121,7 +122,7 @@ def _modes(canvas: Image, prior: ShapePrior, base: Array) -> None:
             places = origin + zoom * faces[m, s]
             _outline(canvas, prior.parts, places, INK, 2)
             for k in range(len(prior.parts)):
-                _disc(canvas, places[k], 3.5, _colour(k))
+                _disc(canvas, places[k], 3.5, _colour(prior.parts[k], k))
             if not m:
                 _text(canvas, f"{s:+g} sd" if s else "mean", (left + 50 + (c + 0.5) * column - 18, top + 10), 0.45, INK)
 
@@ -152,8 +153,9 @@ def _spread(canvas: Image, places: Array, colour: Colour) -> None:
     cv2.polylines(canvas, [np.round(ring * FINE * 16).astype(np.int32)[:, None]], True, colour, 3, cv2.LINE_AA, 4)
 
 
-def _colour(part: int) -> Colour:
-    return COLOURS[part % len(COLOURS)]
+def _colour(name: str, k: int) -> Colour:
+    known = list(PLACES)
+    return COLOURS[(known.index(name) if name in known else len(known) + k) % len(COLOURS)]
 
 
 def _at(place: Place) -> tuple[int, int]:
