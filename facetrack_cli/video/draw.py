@@ -182,13 +182,17 @@ class Overlay:
         for ring, k in zip(fixed(rings - origin), ring_parts, strict=True):
             polylines(layer, [ring], ink(tints[k], 0.6), fine, closed=True)
         local = shape.corners - origin
-        for part, tint, corners, window in zip(shape.parts, tints, local, fixed(local), strict=True):
+        windows, middles = fixed(local), (shape.centres - origin).tolist()
+        order = np.argsort(shape.lost, kind="stable").tolist()  # what is lost lies on top
+        for k in order:
+            part, tint = shape.parts[k], tints[k]
             weight = line if min(part.w, part.h) < 60 * line else line + 1
             if part.status == "lost":
-                polylines(layer, list(fixed(dashes(corners, 10 * line))), ink(tint, 1), weight)
+                polylines(layer, list(fixed(dashes(local[k], 10 * line))), ink(tint, 1), weight)
             else:
-                polylines(layer, [window], ink(tint, 1), weight, closed=True)
-        for part, tint, (x, y) in zip(shape.parts, tints, (shape.centres - origin).tolist(), strict=True):
+                polylines(layer, [windows[k]], ink(tint, 1), weight, closed=True)
+        for k in order:
+            part, tint, (x, y) = shape.parts[k], tints[k], middles[k]
             if size := self._sign(part):
                 if part.status == "tracked":  # a ring of shade, or the dot would merge with the trail that ends in it
                     mark(layer, x, y, part.status, ink((0, 0, 0), 0.8), size + line, line)
