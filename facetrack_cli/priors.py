@@ -217,7 +217,9 @@ class BoundPrior:
         flat = h.reshape(len(h), -1).T.astype(np.float32)
         bias = np.full(-(-len(h) // LANES) * LANES, PADDING)
         bias[: len(h)] = -0.5 * (flat**2).sum(0)
-        return _Table(np.array(parts, np.int64), stable, np.pad(flat, ((0, 0), (0, len(bias) - len(h)))), bias)
+        # in rows: along columns the kernels would not vectorise
+        padded = np.ascontiguousarray(np.pad(flat, ((0, 0), (0, len(bias) - len(h)))))
+        return _Table(np.array(parts, np.int64), stable, padded, bias)
 
     def _log_sum(self, table: _Table, x: Array) -> Array:
         x = np.ascontiguousarray(x, np.float64)

@@ -43,7 +43,7 @@ def kernel_arguments(rng, parts, stable, shapes):
     if stable < 0:
         h -= h.mean(1, keepdims=True)
     padding = -shapes % LANES
-    flat = np.pad(h.reshape(shapes, -1).T, ((0, 0), (0, padding))).astype(np.float32)
+    flat = np.ascontiguousarray(np.pad(h.reshape(shapes, -1).T, ((0, 0), (0, padding))), np.float32)
     bias = np.concatenate([-0.5 * (h**2).sum((1, 2)), np.full(padding, PADDING)]).astype(np.float32)
     return h, flat, bias
 
