@@ -144,13 +144,14 @@ def read_sound(path: Path) -> NDArray[np.float64]:
 
 def read_timed(path: Path) -> list[tuple[float, Image]]:
     """All pictures of a file as ffmpeg decodes them, each with its time in seconds."""
-    info = ffmpeg("-i", path, "-map", "0:v:0", "-fps_mode", "passthrough", "-copyts", "-f", "framehash", "-").decode()
+    every = ("-i", path, "-map", "0:v:0", "-fps_mode", "passthrough", "-enc_time_base", "demux")
+    info = ffmpeg(*every, "-f", "framehash", "-").decode()
     base = next(Fraction(line.split(":")[1].strip()) for line in info.splitlines() if line.startswith("#tb 0"))
     width, height = next(
         tuple(int(n) for n in line.split(":")[1].split("x")) for line in info.splitlines() if "#dimensions 0" in line
     )
     times = [float(int(line.split(",")[2]) * base) for line in info.splitlines() if line and line[0] == "0"]
-    raw = ffmpeg("-i", path, "-map", "0:v:0", "-fps_mode", "passthrough", "-f", "rawvideo", "-pix_fmt", "bgr24", "-")
+    raw = ffmpeg(*every, "-f", "rawvideo", "-pix_fmt", "bgr24", "-")
     pictures = np.frombuffer(raw, np.uint8).reshape(-1, height, width, 3)
     assert len(times) == len(pictures)
     return list(zip(times, pictures, strict=True))

@@ -18,6 +18,10 @@ _DAMAGE = re.compile(
     r"exceeds (?:max length|containing)|truncat",
     re.IGNORECASE,
 )
+_CAUSE = re.compile(
+    r"No space left on device|Disk quota exceeded|File too large|Read-only file system|Input/output error|"
+    r"Permission denied"
+)
 _PREFIX = re.compile(r"^(?:\[[^\]]*\] )+")
 _NO_TIME = str(-(2**63))  # how framecrc prints a packet without a time stamp
 _DURATION = re.compile(r"^  Duration: (\d+):(\d+):(\d+\.\d+)", re.MULTILINE)
@@ -33,8 +37,11 @@ def source_argument(path: Path) -> str:
     return str(path.absolute())
 
 
-def last_line(text: str) -> str:
-    """The last line of ffmpeg's messages that says something, without the part that names the module."""
+def cause(text: str) -> str:
+    """The cause of a failure in ffmpeg's messages: the system's word if there is one, else their last line."""
+    system = _CAUSE.search(text)
+    if system:
+        return system.group()
     lines = [_PREFIX.sub("", line).strip() for line in text.splitlines()]
     lines = [line for line in lines if line and not line.startswith(("Last message repeated", "Conversion failed"))]
     return lines[-1] if lines else ""
@@ -88,12 +95,10 @@ class Packets:
 
 
 def packets(path: Path, *, first_only: bool = False) -> Packets:
-    """Read all packets of a file, or only the first of each stream; memory stays flat."""
+    """Read all packets of a file, or only the first picture's; memory stays flat."""
     command = [executable(), "-nostdin", "-hide_banner", "-i", source_argument(path)]
-    command += ["-map", "0:v:0", "-map", "0:a:0?", "-c", "copy"]
-    if first_only:
-        command += ["-frames:v", "1", "-frames:a", "1"]
-    command += ["-f", "framecrc", "-"]
+    command += ["-map", "0:v:0", *(["-frames:v", "1"] if first_only else ["-map", "0:a?"])]
+    command += ["-c", "copy", "-f", "framecrc", "-"]
     start, last, end = 0.0, 0.0, 0.0
     seen = False
     ticks: dict[str, float] = {}

@@ -1,0 +1,301 @@
+"""Annotated frames to an MP4 that plays everywhere: H.264, yuv420p, the source's clock and the source's sound.
+
+Every frame keeps its own time, so a clip of variable rate comes out with as many frames as were written, each shown
+when the source shows it, and nothing is repeated. Times that lie within a millisecond of the nominal rate's grid are
+put on it, so that a clip of constant rate comes out with a strictly constant one.
+
+To carry those times the frames go to ffmpeg as uncompressed Matroska; a raw pipe (`imageio_ffmpeg.write_frames`) has no
+room for them, and would start the encoder in our process group, where the terminal's Ctrl-C ends it before the file is
+finished. The sound is added in a second pass, which copies: if it fails, there is still the video.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import tempfile
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+import numpy as np
+
+from facetrack_cli.errors import OutputError
+from facetrack_cli.types import Image
+from facetrack_cli.video import ffmpeg, images
+
+# of the presets, this one: superfast takes 0.8 of its time and makes files twice as large, faster takes twice its time
+_PRESET = "veryfast"
+_CRF = "20"
+_COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
+_SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
+_TICK_S = 1e-6  # of the pipe to the encoder
+
+
+class VideoWriter:
+    """Writes BGR frames of `size` (width, height) to an MP4 at `path`, which appears there when `close` is called.
+
+    `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from `audio_start_s` on its clock (default:
+    the time of the first frame written) to the end of the last frame. With `timestamps=False` the frames follow each
+    other at `fps`, whatever their times. Odd sizes are padded by one black line or column, which H.264 asks for.
+    `warnings` (one line each) says what could not be kept. Raises OutputError when the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        size: tuple[int, int],
+        fps: Fraction,
+        *,
+        audio_from: Path | None = None,
+        audio_start_s: float | None = None,
+        timestamps: bool = True,
+    ) -> None:
+        self.path = path
+        self.size = size
+        self.warnings: list[str] = []
+        self._fps = fps
+        # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 1/90000 s
+        self._timescale = fps.numerator * -(-90000 // fps.numerator)
+        self._audio_from = audio_from
+        self._audio_start_s = audio_start_s
+        self._timestamps = timestamps
+        self._frames = 0
+        self._first_s = 0.0
+        self._first_tick = self._last_tick = 0
+        self._closed = False
+        self._temporary = path.with_name(f".{path.stem}-{os.getpid()}.part.mp4")
+        try:
+            self._temporary.open("wb").close()
+        except OSError as error:
+            raise OutputError(f"{path}: {images.reason(error)}; choose another output folder") from error
+        self._messages: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - a file, since nobody has to empty it
+        try:
+            self._encoder = self._start()
+        except (OSError, RuntimeError) as error:
+            self._drop()
+            raise OutputError(f"{path}: ffmpeg cannot be started ({images.reason(error)})") from error
+        _widen(self._pipe)
+
+    def write(self, image: Image, time_s: float) -> None:
+        """Append one (H, W, 3) uint8 BGR frame, shown from `time_s` on the source's clock; times must not fall."""
+        width, height = self.size
+        if self._closed:
+            raise ValueError("write to a closed VideoWriter")
+        if image.shape != (height, width, 3) or image.dtype != np.uint8:
+            raise ValueError(f"frame is {image.dtype} {image.shape}, the video takes uint8 {(height, width, 3)}")
+        tick = self._tick(time_s)
+        if self._frames == 0:
+            self._first_s, self._first_tick = time_s, tick
+        else:
+            tick = max(tick, self._last_tick + 1)
+        elapsed = (tick - self._first_tick) / self._timescale
+        try:
+            if self._frames == 0:
+                self._pipe.write(_matroska_head(width, height, self._fps))
+            self._pipe.write(_matroska_block(round(elapsed / _TICK_S), image.nbytes))
+            self._pipe.write(np.ascontiguousarray(image).reshape(-1).data)
+        except OSError as error:
+            raise self._failure(error) from error
+        self._last_tick = tick
+        self._frames += 1
+
+    def close(self) -> None:
+        """Finish the file and put it at `path`; closing again does nothing. Without any frame there is no file."""
+        if self._closed:
+            return
+        if self._frames == 0:
+            self.discard()
+            return
+        self._closed = True
+        try:
+            self._pipe.close()
+            code = self._encoder.wait()
+        except OSError as error:
+            raise self._failure(error) from error
+        except BaseException:  # interrupted while the encoder has only a moment to go; a second time, it is dropped
+            self._finish_silently()
+            raise
+        if code != 0:
+            raise self._failure(None)
+        try:
+            self._add_audio()
+        finally:
+            self._publish()
+
+    def discard(self) -> None:
+        """Stop the encoder and leave no file, whatever stood at `path` before stays; nothing once closed."""
+        if not self._closed:
+            self._closed = True
+            self._drop()
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        # what was written until an interruption is worth keeping, too
+        self.close()
+
+    @property
+    def _target(self) -> Path:
+        return self._temporary
+
+    @property
+    def _pipe(self) -> IO[bytes]:
+        assert self._encoder.stdin is not None
+        return self._encoder.stdin
+
+    def _tick(self, time_s: float) -> int:
+        if not self._timestamps:
+            return round(self._frames / self._fps * self._timescale)
+        nearest = round(time_s * self._fps) / self._fps
+        if abs(float(nearest) - time_s) <= min(_SNAP_S, 0.25 / float(self._fps)):
+            return int(nearest * self._timescale)
+        return round(time_s * self._timescale)
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        matrix = "bt709" if self.size[1] >= 720 else "smpte170m"  # as players assume where they ignore the tag
+        filters = [
+            "pad=ceil(iw/2)*2:ceil(ih/2)*2",
+            f"scale=out_color_matrix={matrix}:out_range=tv",
+            "format=yuv420p",
+            f"setparams=colorspace={matrix}:color_primaries={matrix}:color_trc={matrix}:range=tv",
+        ]
+        command = [ffmpeg.executable(), "-hide_banner", "-nostats", "-v", "error", "-y", "-f", "matroska", "-i", "-"]
+        command += ["-vf", ",".join(filters), "-c:v", "libx264", "-preset", _PRESET, "-crf", _CRF]
+        command += ["-fps_mode", "passthrough", "-enc_time_base", f"1/{self._timescale}"]
+        command += ["-video_track_timescale", str(self._timescale), "-movflags", "+faststart"]
+        command += ["-f", "mp4", ffmpeg.source_argument(self._target)]
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=self._messages,
+            start_new_session=True,  # the terminal's Ctrl-C is for us, who then close the file properly
+        )
+
+    def _add_audio(self) -> None:
+        """Put the source's sound beside the video just written; without it, a warning."""
+        source = self._audio_from
+        if source is None or not source.is_file():
+            return
+        mixed = self._temporary.with_suffix(".audio.mp4")
+        try:
+            codec = ffmpeg.contents(source).audio
+            if codec is None:
+                return
+            start = self._first_s if self._audio_start_s is None else self._audio_start_s
+            # our clock starts at the source's first picture, ffmpeg's at whatever comes first
+            start += ffmpeg.packets(source, first_only=True).video_start_s
+            length = float((self._last_tick - self._first_tick) / Fraction(self._timescale) + 1 / self._fps)
+            command = ["-v", "error", "-y", "-i", ffmpeg.source_argument(self._temporary)]
+            command += ["-itsoffset", f"{-start:.6f}", "-i", ffmpeg.source_argument(source)]
+            command += ["-map", "0:v:0", "-map", "1:a:0", "-map_metadata", "-1", "-c:v", "copy"]
+            # copying drops what comes before time 0 by itself
+            recode = ["-af", "atrim=start=0", "-c:a", "aac", "-b:a", "160k"]
+            command += ["-c:a", "copy"] if codec in _COPIED_AUDIO else recode
+            command += ["-t", f"{length:.6f}", "-video_track_timescale", str(self._timescale)]
+            command += ["-movflags", "+faststart", "-f", "mp4", ffmpeg.source_argument(mixed)]
+            done = ffmpeg.run(command)
+            if done.returncode == 0:
+                mixed.replace(self._temporary)
+            else:
+                self._no_audio(ffmpeg.cause(done.stderr))
+        except (OSError, RuntimeError, ValueError) as error:
+            self._no_audio(images.reason(error))
+        finally:
+            mixed.unlink(missing_ok=True)
+
+    def _no_audio(self, reason: str) -> None:
+        self.warnings.append(
+            f"{self.path}: written without sound, that of {self._audio_from} cannot be used ({reason})"
+        )
+
+    def _finish_silently(self) -> None:
+        try:
+            with contextlib.suppress(OSError):
+                self._pipe.close()
+            code = self._encoder.wait()
+        except BaseException:
+            self._drop()
+            raise
+        if code == 0:
+            self._publish()
+        else:
+            self._drop()
+
+    def _publish(self) -> None:
+        self._messages.close()
+        try:
+            self._temporary.replace(self.path)
+        except OSError as error:
+            self._temporary.unlink(missing_ok=True)
+            raise OutputError(f"{self.path}: {images.reason(error)}; choose another output folder") from error
+
+    def _failure(self, error: OSError | None) -> OutputError:
+        """What to raise once the encoder has failed: its own words, where it left any."""
+        self._closed = True
+        with contextlib.suppress(OSError):
+            self._pipe.close()
+        code = self._encoder.wait()
+        self._messages.seek(0)
+        said = ffmpeg.cause(self._messages.read().decode("utf-8", "replace"))
+        if not said:
+            said = images.reason(error) if error else f"ffmpeg ended with code {code}"
+        self._drop()
+        return OutputError(f"{self.path}: the video cannot be written ({said}); free some space or use --no-video")
+
+    def _drop(self) -> None:
+        encoder = getattr(self, "_encoder", None)
+        if encoder is not None:
+            encoder.kill()
+            with contextlib.suppress(OSError):
+                self._pipe.close()
+            encoder.wait()
+        self._messages.close()
+        self._temporary.unlink(missing_ok=True)
+
+
+def _widen(pipe: IO[bytes]) -> None:
+    """A larger pipe, where the system has such: fewer turns between us and the encoder for each frame."""
+    try:
+        import fcntl
+
+        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[attr-defined,unused-ignore]
+    except (ImportError, AttributeError, OSError):
+        return
+
+
+# Just enough of Matroska (RFC 9559) for one track of uncompressed BGR frames, each with a time
+
+
+def _element(identity: str, data: bytes) -> bytes:
+    return bytes.fromhex(identity) + (len(data) | 1 << 56).to_bytes(8, "big") + data
+
+
+def _number(identity: str, value: int) -> bytes:
+    return _element(identity, value.to_bytes(8, "big"))
+
+
+def _matroska_head(width: int, height: int, fps: Fraction) -> bytes:
+    ebml = _element("4282", b"matroska") + _number("4287", 4) + _number("4285", 2)
+    info = _number("2AD7B1", round(_TICK_S * 1e9)) + _element("4D80", b"facetrack") + _element("5741", b"facetrack")
+    video = _number("B0", width) + _number("BA", height) + _element("2EB524", b"BGR\x18")
+    track = _number("D7", 1) + _number("73C5", 1) + _number("83", 1) + _number("9C", 0)
+    track += _number("23E383", round(10**9 / fps))  # without it, the last frame would last no time and not be shown
+    track += _element("86", b"V_UNCOMPRESSED") + _element("E0", video)
+    segment = bytes.fromhex("18538067") + b"\x01" + b"\xff" * 7  # of unknown length: it ends with the pipe
+    return (
+        _element("1A45DFA3", ebml) + segment + _element("1549A966", info) + _element("1654AE6B", _element("AE", track))
+    )
+
+
+def _matroska_block(ticks: int, size: int) -> bytes:
+    """All that goes before the `size` bytes of one frame: a cluster of its own, since only clusters hold long times."""
+    time = _number("E7", ticks)
+    block = b"\xa3" + (size + 4 | 1 << 56).to_bytes(8, "big") + b"\x81\x00\x00\x80"
+    return bytes.fromhex("1F43B675") + (len(time) + len(block) + size | 1 << 56).to_bytes(8, "big") + time + block
