@@ -103,7 +103,7 @@ def hidden_spans(clip: Clip) -> list[tuple[int, int, list[int]]]:
 def frames_to_return(clip: Clip, one: Run) -> list[float]:
     """For each hidden span, frames from its end until the run is back; inf if it is not before the next or the end."""
     spans = hidden_spans(clip)
-    ends = [*[a for a, _, _ in spans[1:]], len(clip.frames)]
+    ends = [*[a for a, _, _ in spans], len(clip.frames)][1:]
     out = []
     for (_, begin, parts), end in zip(spans, ends, strict=True):
         good = (one.errors[begin:end, parts] < clip.size / 6).all(axis=1)
