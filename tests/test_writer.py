@@ -120,7 +120,7 @@ def test_colours_come_back(tmp_path: Path, size: tuple[int, int]) -> None:
     decoded = media.read_timed(tmp_path / "out.mp4")[1][1]
     for k, colour in enumerate(colours):
         middle = decoded[height // 2, width // 5 * k + width // 10]
-        assert np.abs(middle.astype(int) - colour).max() <= 5, (colour, middle)
+        assert np.abs(middle.astype(int) - colour).max() <= 3, (colour, middle)
 
 
 def test_wrong_frames_are_refused(tmp_path: Path) -> None:

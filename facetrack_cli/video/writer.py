@@ -161,7 +161,7 @@ class VideoWriter:
         matrix = "bt709" if self.size[1] >= 720 else "smpte170m"  # as players assume where they ignore the tag
         filters = [
             "pad=ceil(iw/2)*2:ceil(ih/2)*2",
-            f"scale=out_color_matrix={matrix}:out_range=tv",
+            f"scale=out_color_matrix={matrix}:out_range=tv:flags=bicubic+accurate_rnd",  # else 2 levels darker
             "format=yuv420p",
             f"setparams=colorspace={matrix}:color_primaries={matrix}:color_trc={matrix}:range=tv",
         ]
