@@ -81,7 +81,7 @@ def every_command():
             yield f"{name} {below}", subcommand
 
 
-@pytest.mark.parametrize(("name", "command"), every_command())
+@pytest.mark.parametrize(("name", "command"), list(every_command()))
 def test_a_command_has_an_example_and_help_of_80_columns(name, command, capsys):
     assert main([*name.split(), "--help"]) == 0
     text = capsys.readouterr().out
