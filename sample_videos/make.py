@@ -110,7 +110,10 @@ def main() -> None:
     for name in args.clips or SCENES:
         if name not in SCENES:
             parser.error(f"no clip {name!r}; there are {', '.join(SCENES)}")
-        scene = SCENES[name]()
+        try:
+            scene = SCENES[name]()
+        except ModuleNotFoundError as error:
+            parser.error(f"{error.name} is not installed; pip install -e '.[samples]'")
         pictures, where, hidden = frames(scene)
         args.out.mkdir(parents=True, exist_ok=True)
         video = args.out / f"{name}.mp4"

@@ -132,7 +132,7 @@ def hopper() -> Portrait:
     low = top + 0.115 * a.width * np.sqrt(np.clip(1 - (z / 0.95) ** 2, 0, None))
     gaps = 0.80 + 0.20 * np.abs(np.sin(np.pi * (z * 3.6 + 0.0))) ** 0.4
     shade = np.clip(1.05 - 0.75 * np.abs(z) ** 1.6, 0, 1) * gaps
-    ivory = shade[..., None] * np.array([138.0, 152.0, 180.0])
+    ivory = shade[..., None] * np.array([120.0, 150.0, 182.0])
     below = smoothstep((y - low + 0.8) / 1.6)[..., None]
     mouth = ivory * (1 - below) + _depths(a, picture.shape) * below
     return Portrait(a, (a.centre[0] - 172.0, 0.0), _padded(picture), _padded(mouth.astype(np.float32)), 0.88)
