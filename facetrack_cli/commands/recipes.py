@@ -98,9 +98,9 @@ def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
 
 @command.command()
 def schema() -> None:
-    """Print the JSON Schema of recipes, for completion in an editor.
+    """Print the JSON Schema of recipes, for editors.
 
-    Write it beside your recipe, and name it in the recipe's first line; editors
+    For completion: write it beside your recipe, and name it in the recipe's first line; editors
     with the YAML language server (VS Code, Neovim, Emacs, ...) then complete
     keys, show what they mean, and underline what is wrong.
 
