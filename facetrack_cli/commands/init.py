@@ -55,7 +55,7 @@ def command(
       facetrack init clip.mp4 --init-frame 120 --box 310,96,140,140
       facetrack init frames/ -o - > start.yaml
     """
-    from facetrack_cli.start import default_path, write_init
+    from facetrack_cli.start import default_path, find_init, write_init
 
     path = None if out == "-" else Path(out) if out else default_path(clip)
     if out == "":
@@ -71,7 +71,8 @@ def command(
         write_init(sys.stdout, start, clip=clip.name)
     else:
         write_init(path, start, clip=clip.name, overwrite=overwrite)
-        click.echo(f"{path}: a face in frame {start.frame}; edit it, then: facetrack run {clip}", err=True)
+        named = "" if find_init(clip) == path else f" --init {path}"
+        click.echo(f"{path}: a face in frame {start.frame}; edit it, then: facetrack run {clip}{named}", err=True)
 
 
 def _check_outputs(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:
@@ -83,10 +84,10 @@ def _check_outputs(clip: Path, path: Path | None, preview: Path | None, overwrit
     for file in (path, preview):
         if file is None:
             continue
-        if file.exists() and not overwrite:
-            raise OutputError(f"{file}: exists already; replace it with --overwrite, or name another file")
         if file.is_dir():
             raise OutputError(f"{file}: is a folder; name a file")
+        if file.exists() and not overwrite:
+            raise OutputError(f"{file}: exists already; replace it with --overwrite, or name another file")
         if not file.parent.is_dir():
             raise OutputError(f"{file}: there is no folder {file.parent}; make it, or name another file")
     if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():

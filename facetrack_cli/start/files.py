@@ -182,7 +182,8 @@ def _shown(node: Node) -> str:
 
 
 def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
-    span = node.key if at_key and node.key is not None else node.span
+    # what is not there has no place of its own, its key has
+    span = node.key if (at_key or node.value is None) and node.key is not None else node.span
     raise InputError(f"{span.source.place(span)}: {message}")
 
 
@@ -254,14 +255,15 @@ def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
 
 
 def _json(start: Start) -> str:
-    tree: dict[str, object] = {"frame": start.frame}
+    targets = []
     for name, target in start.targets.items():
-        tree[name] = {
-            **({} if target.box is None else {"box": target.box}),
-            **({"points": dict(target.points)} if target.points else {}),
-            **({"windows": dict(target.windows)} if target.windows else {}),
-        }
-    return json.dumps(tree, indent=2) + "\n"
+        keys = [] if target.box is None else [f'"box": {_list(target.box)}']
+        for key, pairs in (("points", target.points), ("windows", target.windows)):
+            if pairs:
+                rows = ",\n".join(f'      "{part}": {_list(pair)}' for part, pair in pairs.items())
+                keys.append(f'"{key}": {{\n{rows}\n    }}')
+        targets.append(f'  "{name}": {{\n    ' + ",\n    ".join(keys) + "\n  }")
+    return f'{{\n  "frame": {start.frame},\n' + ",\n".join(targets) + "\n}\n"
 
 
 def _yaml(start: Start, clip: str) -> str:

@@ -28,8 +28,8 @@ MOUTH_Y: Final = (1.12, 0.10)
 SHADE_Y: Final = (0.72, 0.06)  # the dark line under the nose
 SHADE_TO_MOUTH: Final = (0.43, 0.08)
 HALF_WIDTH: Final = (0.415, 0.065)  # from the middle of the mouth to a corner
-UPPER: Final = (0.13, 0.045)  # from the line between the corners up to the upper lip's edge
-LOWER: Final = (0.22, 0.06)  # and down to the lower lip's
+UPPER: Final = (0.14, 0.05)  # from the dark line, in the middle, up to the upper lip's edge
+LOWER: Final = (0.23, 0.09)  # from half-way between that line and the corners down to the lower lip's edge
 TIP_ABOVE_SHADE: Final = 0.15
 
 CLEAR: Final = 0.1  # a valley this deep (in log grey) is a line beyond doubt
@@ -46,7 +46,7 @@ def read_points(picture: Image) -> dict[str, Point]:
     shade_y, mouth_y = _dark_lines(line)
     path = _follow(line, mouth_y)
     left, right = _corners(valley, path)
-    upper, lower = _lips(grey, red, left, right)
+    upper, lower = _lips(grey, red, left, right, path)
     return {
         "nose": (_nose_x(grey, valley, shade_y), shade_y - TIP_ABOVE_SHADE),
         "mouth_left": left,
@@ -116,9 +116,9 @@ def _outwards(line: Array, columns: Index) -> Array:
 def _follow(line: Array, mouth_y: float) -> Index:
     """The row of the line between the lips in every column (WIDTH,), by dynamic programming around `mouth_y`."""
     xs, ys = _columns(), _rows()
-    reach = 0.08 + 0.2 * np.abs(xs)
-    allowed = np.abs(ys[:, None] - mouth_y) <= reach[None, :]
-    gain = np.where(allowed, line, -1.0)
+    away = np.abs(ys[:, None] - mouth_y)
+    # without a line to follow, straight on
+    gain = np.where(away <= 0.08 + 0.2 * np.abs(xs), line - 0.01 * away, -1.0)
     total = gain[:, 0].copy()
     back = np.zeros((WIDTH, HEIGHT), np.int64)
     steps = np.array([-1, 0, 1])
@@ -140,7 +140,8 @@ def _corners(valley: Array, path: Index) -> tuple[Point, Point]:
     xs, ys = _columns(), _rows()
     depth = valley[path, np.arange(WIDTH)]
     inside = float(np.median(depth[np.abs(xs) < 0.25]))
-    share = np.minimum(depth / max(inside, 0.02), 1.0) - CORNER
+    # a line that can hardly be seen says little about where it ends
+    share = (np.minimum(depth / max(inside, 1e-6), 1.0) - CORNER) * min(2 * inside / CLEAR, 1.0)
     ends = []
     for sign in (-1, 1):
         order = np.flatnonzero(sign * xs > 0)[::sign]
@@ -150,7 +151,7 @@ def _corners(valley: Array, path: Index) -> tuple[Point, Point]:
     return ends[0], ends[1]
 
 
-def _lips(grey: Array, red: Array, left: Point, right: Point) -> tuple[Point, Point]:
+def _lips(grey: Array, red: Array, left: Point, right: Point, path: Index) -> tuple[Point, Point]:
     """The lips' outer edges below and above the middle between the corners."""
     x, y = (left[0] + right[0]) / 2, (left[1] + right[1]) / 2
     xs, ys = _columns(), _rows()
@@ -159,7 +160,8 @@ def _lips(grey: Array, red: Array, left: Point, right: Point) -> tuple[Point, Po
     redder = _slope(red[:, band].mean(axis=1))
     upper = EDGE * (darker + 4 * redder)
     lower = -2 * EDGE * redder  # in grey a lower lip shades into the chin: the mean knows better
-    up, down = y - ys, ys - y
+    middle = float(ys[path[band]].mean())
+    up, down = middle - ys, ys - (middle + y) / 2
     best_up = np.argmax(np.where(up > 0.02, np.minimum(upper, 3.0) - _off(up, UPPER), -np.inf))
     best_down = np.argmax(np.where(down > 0.04, np.minimum(lower, 3.0) - _off(down, LOWER), -np.inf))
     return (x, float(ys[best_up])), (x, float(ys[best_down]))
