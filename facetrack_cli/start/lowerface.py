@@ -22,7 +22,7 @@ UNIT: Final = 64  # pixels of the straightened picture for a length of 1
 LEFT, RIGHT, TOP, BOTTOM = -0.75, 0.75, 0.25, 1.75  # what it shows
 WIDTH, HEIGHT = round((RIGHT - LEFT) * UNIT), round((BOTTOM - TOP) * UNIT)
 
-# Mean and spread: from 1,502 frontal faces with 68 landmarks (corners at y 1.03 there) and from 26 faces in clips and
+# Mean and spread: from 1,502 frontal faces with 68 landmarks (corners at y 1.03 there) and 26 pictures from clips and
 # portraits (1.14; in many of the clips pixels are wider than high, so that faces look long). The means lie between.
 MOUTH_Y: Final = (1.12, 0.10)
 SHADE_Y: Final = (0.72, 0.06)  # the dark line under the nose

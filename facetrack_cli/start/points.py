@@ -19,7 +19,7 @@ import numpy as np
 from facetrack_cli.start.lowerface import HEIGHT, LEFT, TOP, UNIT, WIDTH, read_points
 from facetrack_cli.types import Box, Image, Point
 
-# Fractions of a Haar box (x, y): the mean over 26 faces in 18 clips and two portraits; standard deviation 0.02.
+# Fractions of a Haar box (x, y): the mean over 26 pictures, from 15 clips and two portraits; standard deviation 0.02.
 EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))
 
 EYE_PICTURE: Final = 200  # width in pixels to which a face is brought before its eyes are searched
