@@ -24,7 +24,8 @@ from facetrack_cli.types import Array, Frame, Status
 class Measures(Protocol):
     """A likelihood that can say how badly a window matches; `windows` (K, 2) pixels."""
 
-    windows: Array
+    @property
+    def windows(self) -> Array: ...
 
     def distances(self, learned: Any, frame: Frame, x: Array) -> Array:
         """(N, K) of x (N, K, 2): 0 for a perfect match."""
@@ -52,8 +53,8 @@ class Confidence:
         angles = np.arange(16) * (2 * np.pi / 16)
         ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * measure.windows
         bad = np.median(measure.distances(learned, frame, x0 + ring), axis=0)
-        status: tuple[Status, ...] = ("init",) * k
-        return Judgement(np.zeros(k), bad, np.ones(k), np.zeros(k, np.int64), status)
+        init: Status = "init"
+        return Judgement(np.zeros(k), bad, np.ones(k), np.zeros(k, np.int64), (init,) * k)
 
     def judge(self, last: Judgement, distance: Array) -> Judgement:
         """The judgement of the next frame, whose windows at the estimates have `distance` (K,) from the templates."""

@@ -111,27 +111,19 @@ class Factorized:
 
     def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
         n, k, _ = particles.x.shape
+        columns = np.arange(k)
         jumps = rng.random((n, k)) < self.from_prior if self.from_prior > 0 else None
-        # particles of equal weight are exchangeable: a jump's other parts are those of its own particle
         mu = self._move(rng, particles.x, model, particles.x, jumps)
         log_lambda = np.maximum(model.log_likelihood(mu, particles.x), LEAST)
-        chosen = np.empty((n, k), np.int64)
-        for i in range(k):
-            chosen[:, i] = self.resample(rng, normalise(particles.log_w + log_lambda[:, i]), n)
-        columns = np.arange(k)
+        chosen = self.resample(rng, normalise(particles.log_w[:, None] + log_lambda), n)
         parents = particles.x[chosen, columns]
         s = self._move(rng, parents, model, particles.x, None if jumps is None else jumps[chosen, columns], chosen)
-        log_pi = np.maximum(model.log_likelihood(s, parents), LEAST) - log_lambda[chosen, columns]
-
-        x = np.empty_like(s)
-        ess = np.empty(k)
-        for i in range(k):
-            marginal = normalise(log_pi[:, i])
-            ess[i] = effective_sample_size(marginal)
-            # shuffled, because resampled indices come in order and would tie the parts together
-            x[:, i] = s[rng.permutation(self.resample(rng, marginal, n)), i]
+        marginal = np.maximum(model.log_likelihood(s, parents), LEAST) - log_lambda[chosen, columns]
+        marginal = normalise(marginal)
+        # shuffled, because resampled indices come in order and would tie the parts together
+        x = s[rng.permuted(self.resample(rng, marginal, n), axis=0), columns]
         log_w = self._log_weights(x, particles, model)
-        return Particles(x, log_w), Info(np.minimum(ess, effective_sample_size(log_w)))
+        return Particles(x, log_w), Info(np.minimum(effective_sample_size(marginal), effective_sample_size(log_w)))
 
     def _log_weights(self, x: Array, previous: Particles, model: FrameModel) -> Array:
         if self.reweight == "none":

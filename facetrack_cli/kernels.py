@@ -15,102 +15,160 @@ from numpy.typing import NDArray
 L1, HUBER, TUKEY, GEMAN_MCCLURE = 0, 1, 2, 3
 ROBUST = {"l1": L1, "huber": HUBER, "tukey": TUKEY, "geman_mcclure": GEMAN_MCCLURE}
 
-_compile: Any = njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+_exact: Any = njit(cache=True, nogil=True, error_model="numpy")
+# sums may be reordered, which is what lets them vectorise; NaN and infinity keep their meaning
+_fast: Any = njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+# as functions of their own these do not vectorise, and take five times as long
+_inline: Any = njit(inline="always", error_model="numpy")
 
 
-@_compile
-def _read_window(image: Any, left: float, top: float, rows: int, row_values: int, out: Any) -> Any:
-    """Bilinear window of `rows` x `row_values // 3` pixels at a subpixel place, flat into `out`; returns its sum.
+@_inline
+def _read_window(image: Any, x: float, y: float, w: int, h: int, pixels: Any, out: Any) -> Any:
+    """Bilinear window of w x h pixels centred at (x, y) into `out`; returns the sum of its values.
 
-    Outside the picture the nearest border pixel is read.
+    `image` (H, W * 3); outside it the nearest border pixel is read. Rows of `out` are (w + 1) * 3 long, the last pixel
+    of each is zero; `pixels` is scratch, (h + 1) * (w + 1) * 3 + 3 long.
     """
     height, width = image.shape[0], image.shape[1] // 3
+    left, top = x - (w - 1) / 2, y - (h - 1) / 2
     x0, y0 = math.floor(left), math.floor(top)
     fx, fy = np.float32(left - x0), np.float32(top - y0)
     one = np.float32(1.0)
     w00, w01 = (one - fy) * (one - fx), (one - fy) * fx
     w10, w11 = fy * (one - fx), fy * fx
+    stride = 3 * (w + 1)
+    # whole rows are copied side by side, so that all arithmetic runs over one long flat row and vectorises
+    if x0 >= 0 and y0 >= 0 and x0 + w + 1 <= width and y0 + h + 1 <= height:
+        for i in range(h + 1):
+            source = image[y0 + i, 3 * x0 : 3 * x0 + stride]
+            row = pixels[i * stride : (i + 1) * stride]
+            for j in range(stride):
+                row[j] = np.float32(source[j])
+    else:
+        for i in range(h + 1):
+            yy = min(max(y0 + i, 0), height - 1)
+            for j in range(w + 1):
+                xx = min(max(x0 + j, 0), width - 1)
+                for c in range(3):
+                    pixels[i * stride + 3 * j + c] = np.float32(image[yy, 3 * xx + c])
+    right, below, both = pixels[3:], pixels[stride:], pixels[stride + 3 :]
+    for j in range(h * stride):
+        out[j] = w00 * pixels[j] + w01 * right[j] + w10 * below[j] + w11 * both[j]
+    for i in range(1, h + 1):
+        out[i * stride - 3] = out[i * stride - 2] = out[i * stride - 1] = np.float32(0.0)
     total = np.float32(0.0)
-    if x0 >= 0 and y0 >= 0 and 3 * x0 + row_values + 3 <= 3 * width and y0 + rows + 1 <= height:
-        for i in range(rows):
-            # the inner loop runs over flat rows: this is what lets it vectorise
-            r0 = image[y0 + i, 3 * x0 : 3 * x0 + row_values + 3]
-            r1 = image[y0 + i + 1, 3 * x0 : 3 * x0 + row_values + 3]
-            v = out[i * row_values : (i + 1) * row_values]
-            for j in range(row_values):
-                v[j] = (
-                    w00 * np.float32(r0[j])
-                    + w01 * np.float32(r0[j + 3])
-                    + w10 * np.float32(r1[j])
-                    + w11 * np.float32(r1[j + 3])
-                )
-            for j in range(row_values):
-                total += v[j]
-        return total
-    for i in range(rows):
-        ya = min(max(y0 + i, 0), height - 1)
-        yb = min(max(y0 + i + 1, 0), height - 1)
-        for j in range(row_values // 3):
-            xa = min(max(x0 + j, 0), width - 1)
-            xb = min(max(x0 + j + 1, 0), width - 1)
-            for c in range(3):
-                value = (
-                    w00 * np.float32(image[ya, 3 * xa + c])
-                    + w01 * np.float32(image[ya, 3 * xb + c])
-                    + w10 * np.float32(image[yb, 3 * xa + c])
-                    + w11 * np.float32(image[yb, 3 * xb + c])
-                )
-                out[i * row_values + 3 * j + c] = value
-                total += value
+    for j in range(h * stride):
+        total += out[j]
     return total
 
 
-@_compile
+@_exact
 def read_window(image: Any, x: float, y: float, w: int, h: int) -> Any:
-    """The window of w x h pixels centred at (x, y), read bilinearly: (h * w * 3,) float32. `image` is (H, W * 3)."""
-    out = np.empty(h * w * 3, np.float32)
-    _read_window(image, x - (w - 1) / 2, y - (h - 1) / 2, h, w * 3, out)
-    return out
+    """The window of w x h pixels centred at (x, y), read bilinearly: (h, w + 1, 3) float32, its last column zero.
 
-
-@_compile
-def colour_ratio_distances(
-    image: Any, template: Any, w: int, h: int, centres: Any, least_mean: float, robust: int, scale: float, out: Any
-) -> None:
-    """Mean robust difference of mean-normalised colours between a template and the windows at `centres` (eq. 8, 9).
-
-    `image` (H, W * 3) uint8 or float32; `template` (h * w * 3,) float32, already divided by its own mean; `centres`
-    (N, 2) float64, x before y; `out` (N,) float64. A window darker than `least_mean` is divided by that instead.
+    `image` is (H, W * 3), uint8 or float32.
     """
-    n = w * h * 3
-    window = np.empty(n, np.float32)
-    inverse_scale = np.float32(1.0 / scale)
-    one = np.float32(1.0)
-    for p in range(centres.shape[0]):
-        total = _read_window(image, centres[p, 0] - (w - 1) / 2, centres[p, 1] - (h - 1) / 2, h, w * 3, window)
-        gain = np.float32(1.0 / max(total / n, least_mean))
-        d = np.float32(0.0)
-        if robust == L1:
-            for j in range(n):
-                d += abs(template[j] - gain * window[j])
-            out[p] = d / n
-        elif robust == HUBER:
-            for j in range(n):
-                u = abs(template[j] - gain * window[j]) * inverse_scale
-                q = min(u, one)
-                d += q * (np.float32(2.0) * u - q)
-            out[p] = 0.5 * scale * d / n
-        elif robust == TUKEY:
-            for j in range(n):
-                u = (template[j] - gain * window[j]) * inverse_scale
-                r = max(one - u * u, np.float32(0.0))
-                d += one - r * r * r
-            out[p] = scale * d / n
-        else:
-            for j in range(n):
-                u = (template[j] - gain * window[j]) * inverse_scale
-                d += u * u / (one + u * u)
-            out[p] = scale * d / n
+    out = np.empty(h * (w + 1) * 3, np.float32)
+    _read_window(image, x, y, w, h, np.zeros((h + 1) * (w + 1) * 3 + 3, np.float32), out)
+    return out.reshape(h, w + 1, 3)
+
+
+@_inline
+def _mean_rho(template: Any, window: Any, gain: Any, robust: int, scale: float, n: int) -> Any:
+    """Mean of a robust function of template - gain * window, two flat rows that hold n values and zeros."""
+    one, two = np.float32(1.0), np.float32(2.0)
+    inverse = np.float32(1.0 / scale)
+    d = np.float32(0.0)
+    if robust == L1:
+        for j in range(len(template)):
+            d += abs(template[j] - gain * window[j])
+        return d / n
+    if robust == HUBER:
+        for j in range(len(template)):
+            u = abs(template[j] - gain * window[j]) * inverse
+            inner = min(u, one)
+            d += inner * (two * u - inner)
+        return 0.5 * scale * d / n
+    if robust == TUKEY:
+        for j in range(len(template)):
+            u = (template[j] - gain * window[j]) * inverse
+            rest = max(one - u * u, np.float32(0.0))
+            d += one - rest * rest * rest
+        return scale * d / n
+    for j in range(len(template)):
+        u = (template[j] - gain * window[j]) * inverse
+        d += u * u / (one + u * u)
+    return scale * d / n
+
+
+@_fast
+def colour_ratio_distances(
+    image: Any,
+    ratios: Any,
+    offsets: Any,
+    sides: Any,
+    parts: Any,
+    x: Any,
+    origin_x: float,
+    origin_y: float,
+    factor: int,
+    least_mean: float,
+    robust: int,
+    scale: float,
+    out: Any,
+) -> None:
+    """Mean robust difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
+
+    Template g of part `parts[g]` is `ratios[offsets[g] : offsets[g + 1]]`, divided by its own mean and laid out as
+    `read_window` does, of `sides[g]` = (w, h) pixels. `x` (N, K, 2) are centres in the whole picture; `image`
+    (H, W * 3) shows it from (origin_x, origin_y) on, reduced by `factor`. The distance goes to `out[n, parts[g]]`. A
+    window darker than `least_mean` is divided by that instead of its mean.
+    """
+    largest = 0
+    for g in range(len(parts)):
+        largest = max(largest, (sides[g, 0] + 1) * (sides[g, 1] + 1) * 3)
+    pixels, buffer = np.zeros(largest + 3, np.float32), np.empty(largest, np.float32)
+    # far outside, every window shows the same border; the bound keeps the integers small
+    reach = 4.0 * (image.shape[0] + image.shape[1])
+    for g in range(len(parts)):
+        k, w, h = parts[g], sides[g, 0], sides[g, 1]
+        template = ratios[offsets[g] : offsets[g + 1]]
+        window = buffer[: len(template)]
+        n = w * h * 3
+        for p in range(x.shape[0]):
+            cx = (x[p, k, 0] - origin_x - 0.5 * (factor - 1)) / factor
+            cy = (x[p, k, 1] - origin_y - 0.5 * (factor - 1)) / factor
+            cx, cy = min(max(cx, -reach), reach), min(max(cy, -reach), reach)
+            total = _read_window(image, cx, cy, w, h, pixels, window)
+            gain = np.float32(1.0 / max(total / n, least_mean))
+            out[p, k] = _mean_rho(template, window, gain, robust, scale, n)
+
+
+@_exact
+def invert_cdf(weights: Any, points: Any) -> Any:
+    """For each column, the indices at which the cumulated weights first exceed each ascending point of [0, 1).
+
+    `weights` (N, K), not all zero in a column, need not sum to one; `points` (M, K) -> (M, K) int64. Never an index of
+    weight zero, and never N, however the sums are rounded.
+    """
+    n, columns = weights.shape
+    m = points.shape[0]
+    out = np.empty((m, columns), np.int64)
+    for k in range(columns):
+        total = 0.0
+        last = 0
+        for i in range(n):
+            total += weights[i, k]
+            if weights[i, k] > 0.0:
+                last = i
+        i = 0
+        cumulated = weights[0, k]
+        for j in range(m):
+            while i < last and cumulated <= points[j, k] * total:
+                i += 1
+                cumulated += weights[i, k]
+            out[j, k] = i
+    return out
 
 
 def flat(image: NDArray[Any]) -> NDArray[Any]:

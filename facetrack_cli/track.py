@@ -14,7 +14,7 @@ import numpy as np
 
 from facetrack_cli.confidence import Confidence, Judgement
 from facetrack_cli.filters import Step
-from facetrack_cli.likelihoods.colour_ratio import ColourRatio, Template
+from facetrack_cli.likelihoods.colour_ratio import ColourRatio, Templates
 from facetrack_cli.motion import RandomWalk
 from facetrack_cli.priors import BoundPrior
 from facetrack_cli.resampling import uniform
@@ -45,7 +45,7 @@ class Bound:
     """A target with one frame bound in: the model that filters see (`filters.FrameModel`)."""
 
     target: Target
-    templates: tuple[Template, ...]
+    templates: Templates
     frame: Frame
 
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
@@ -69,7 +69,7 @@ class Bound:
 @dataclass
 class _State:
     particles: Particles
-    templates: tuple[Template, ...]
+    templates: Templates
     judgement: Judgement
 
 

@@ -6,10 +6,12 @@ Images are (H, W, 3) uint8 in OpenCV's order, blue first.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, TypeAlias
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,16 +22,51 @@ Status: TypeAlias = Literal["init", "tracked", "lost"]
 
 @dataclass(slots=True)
 class Frame:
-    """One picture of the source: its 0-based index there, its time in seconds, and its pixels."""
+    """One picture of the source: its 0-based index there, its time in seconds, and its pixels.
+
+    What is derived from the pixels is computed when first asked for, once, and only where it is needed.
+    """
 
     index: int
     time_s: float
     bgr: Image
+    _reduced: dict[int, tuple[Image, int, int, int, int]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels."""
         return self.bgr.shape[1], self.bgr.shape[0]
+
+    def reduced(self, factor: int, x: Array, reach: int) -> tuple[Image, int, int]:
+        """The picture reduced by a whole factor (area means), at least within `reach` pixels of every x (..., 2).
+
+        Returns it with the place (left, top) in the whole picture at which it begins. Blocks are counted from the
+        picture's corner, so that the same place has the same mean in every frame and whatever else is asked for;
+        pixels beyond the last whole block are left out.
+        """
+        if factor == 1:
+            return self.bgr, 0, 0
+        places = x.reshape(-1, 2)
+        (x_low, y_low), (x_high, y_high) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+        width, height = (max(side // factor, 1) for side in self.size)
+        left, right = _blocks(x_low - reach, x_high + reach, factor, width)
+        top, bottom = _blocks(y_low - reach, y_high + reach, factor, height)
+        known = self._reduced.get(factor)
+        if known is None or left < known[1] or top < known[2] or right > known[3] or bottom > known[4]:
+            # some more all around, since the next call of this frame asks for nearly the same place
+            more = 1 + reach // (2 * factor)
+            left, top = max(left - more, 0), max(top - more, 0)
+            right, bottom = min(right + more, width), min(bottom + more, height)
+            region = self.bgr[top * factor : bottom * factor, left * factor : right * factor]
+            small = cv2.resize(region, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
+            known = self._reduced[factor] = (small.astype(np.uint8, copy=False), left, top, right, bottom)
+        return known[0], known[1] * factor, known[2] * factor
+
+
+def _blocks(low: float, high: float, factor: int, count: int) -> tuple[int, int]:
+    """The half-open range of blocks of `factor` pixels that covers [low, high], within `count` blocks, never empty."""
+    first = min(max(math.floor(max(low, -1e9) / factor), 0), count - 1)
+    return first, min(max(math.ceil(min(high, 1e9) / factor) + 1, first + 1), count)
 
 
 class Particles(NamedTuple):

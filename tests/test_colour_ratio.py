@@ -91,7 +91,7 @@ def test_a_large_picture_read_reduced_peaks_at_the_truth(scale):
     likelihood = ColourRatio(WINDOWS * scale, max_samples=13)
     x0 = X0 * scale + (scale - 1) / 2
     learned = likelihood.init(frame(picture), x0)
-    assert max(t.w for t in learned) <= 13
+    assert max(group.sides.max() for group in learned.groups) <= 13
     offsets = grid() * scale
     score = likelihood.score(learned, frame(picture), x0 + offsets[:, None])
     assert np.abs(offsets[np.argmax(score, axis=0)]).max() <= 0.5 * scale

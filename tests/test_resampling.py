@@ -103,3 +103,16 @@ def test_logsumexp_along_an_axis():
     np.testing.assert_allclose(logsumexp(a, axis=1), expected)
     with np.errstate(invalid="raise"):
         assert logsumexp(np.full(3, -np.inf)) == -np.inf
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_populations_side_by_side_are_each_resampled_by_their_own_weights(name):
+    log_w = np.full((6, 3), -np.inf)
+    log_w[[1, 4, 0], [0, 1, 2]] = 0.0
+    chosen = SCHEMES[name](np.random.default_rng(0), log_w, 8)
+    np.testing.assert_array_equal(chosen, [[1, 4, 0]] * 8)
+
+
+def test_a_population_that_says_nothing_does_not_touch_its_neighbours():
+    log_w = normalise(np.array([[0.0, np.nan], [np.log(3.0), 1.0]]))
+    np.testing.assert_allclose(np.exp(log_w), [[0.25, 0.5], [0.75, 0.5]])

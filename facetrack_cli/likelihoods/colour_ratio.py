@@ -12,31 +12,44 @@ costs no more than one in 240p.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli import kernels
-from facetrack_cli.types import Array, Frame, Image
+from facetrack_cli.types import Array, Frame
 
 # a window darker than one grey level says nothing; dividing by less would only blow up its noise
 LEAST_MEAN = 1.0
 
 
 @dataclass(frozen=True)
-class Template:
-    """One part's window in the first frame, read at 1 / `factor` of the picture's size.
+class Group:
+    """Templates read at 1 / `factor` of the picture's size, laid out for the kernel; `parts` (G,) are their indices.
 
-    `ratio` (h * w * 3,) float32 is o / E{o}; `w`, `h` are odd, in reduced pixels; `sigma` is sigma_i.
+    `sides` (G, 2) are (w, h), odd, in reduced pixels; template g is `ratios[offsets[g] : offsets[g + 1]]`, o / E{o}.
     """
 
-    ratio: NDArray[np.float32]
-    w: int
-    h: int
     factor: int
-    sigma: float
+    parts: NDArray[np.int64]
+    sides: NDArray[np.int64]
+    ratios: NDArray[np.float32]
+    offsets: NDArray[np.int64]
+
+    @property
+    def reach(self) -> int:
+        """How far from its centre a window reads, in pixels of the whole picture."""
+        return int(self.sides.max() // 2 + 2) * self.factor
+
+
+@dataclass(frozen=True)
+class Templates:
+    """What K parts looked like in the first frame; `sigma` (K,) is sigma_i of eq. 10."""
+
+    groups: tuple[Group, ...]
+    sigma: Array
 
 
 @dataclass(frozen=True)
@@ -46,59 +59,56 @@ class ColourRatio:
     windows: Array
     sigma: float = 1.5
     robust: str = "l1"
-    scale: float = 0.2
+    scale: float = 1.0
     floor: float | None = None
     max_samples: int | None = None
 
-    def init(self, frame: Frame, x0: Array) -> tuple[Template, ...]:
+    def init(self, frame: Frame, x0: Array) -> Templates:
         """The templates of K parts at x0 (K, 2)."""
-        return tuple(self._template(frame, x0[i], self.windows[i]) for i in range(len(x0)))
+        factors = np.ones(len(x0), np.int64)
+        if self.max_samples is not None:
+            factors = np.ceil(self.windows.max(axis=1) / self.max_samples).astype(np.int64)
+        sigma = np.empty(len(x0))
+        groups = [
+            self._group(frame, x0, int(factor), np.flatnonzero(factors == factor), sigma)
+            for factor in np.unique(factors)
+        ]
+        return Templates(tuple(groups), sigma)
 
-    def score(self, learned: tuple[Template, ...], frame: Frame, x: Array, parents: Array | None = None) -> Array:
+    def score(self, learned: Templates, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; parents do not matter."""
-        log_p = -self.distances(learned, frame, x) / np.array([t.sigma for t in learned])
+        log_p = self.distances(learned, frame, x) / -learned.sigma
         return log_p if self.floor is None else np.asarray(np.logaddexp(log_p, self.floor))
 
-    def distances(self, learned: tuple[Template, ...], frame: Frame, x: Array) -> Array:
+    def distances(self, learned: Templates, frame: Frame, x: Array) -> Array:
         """d(o_i, q_i) of eq. 9 for windows at x (N, K, 2) -> (N, K)."""
-        out = np.empty((x.shape[1], x.shape[0]))
-        # far outside the picture every window shows the same border; the bound keeps the kernel's integers small
-        reach = 2.0 * max(frame.size)
-        for factor in sorted({t.factor for t in learned}):
-            parts = [i for i, t in enumerate(learned) if t.factor == factor]
-            centres = np.clip(np.ascontiguousarray(x[:, parts].swapaxes(0, 1)), -reach, reach)
-            picture, centres = _reduced(frame, centres, factor, max(max(learned[i].w, learned[i].h) for i in parts))
-            for i, c in zip(parts, centres, strict=True):
-                t = learned[i]
-                robust = kernels.ROBUST[self.robust]
-                kernels.colour_ratio_distances(picture, t.ratio, t.w, t.h, c, LEAST_MEAN, robust, self.scale, out[i])
-        return out.T
+        out = np.empty(x.shape[:2])
+        robust = kernels.ROBUST[self.robust]
+        for g in learned.groups:
+            picture, left, top = frame.reduced(g.factor, x, g.reach)
+            kernels.colour_ratio_distances(
+                kernels.flat(picture), g.ratios, g.offsets, g.sides, g.parts, x, left, top, g.factor,
+                LEAST_MEAN, robust, self.scale, out,
+            )  # fmt: skip
+        return out
 
-    def _template(self, frame: Frame, x0: Array, window: Array) -> Template:
-        largest = float(window.max())
-        factor = 1 if self.max_samples is None else max(1, int(np.ceil(largest / self.max_samples)))
-        w, h = (_odd(float(side) / factor) for side in window)
-        picture, centre = _reduced(frame, x0[None, None], factor, max(w, h))
-        o = kernels.read_window(picture, float(centre[0, 0, 0]), float(centre[0, 0, 1]), w, h)
-        mean = max(float(o.mean()), LEAST_MEAN)
-        return Template(o / np.float32(mean), w, h, factor, self.sigma / mean)
+    def _group(self, frame: Frame, x0: Array, factor: int, parts: NDArray[np.int64], sigma: Array) -> Group:
+        sides = np.array([[_odd(side / factor) for side in self.windows[k]] for k in parts], np.int64)
+        picture, left, top = frame.reduced(factor, x0[None], int(sides.max() // 2 + 2) * factor)
+        ratios: list[NDArray[np.float32]] = []
+        for k, (w, h) in zip(parts, sides, strict=True):
+            x, y = (x0[k] - (left, top) - (factor - 1) / 2) / factor
+            o = kernels.read_window(kernels.flat(picture), x, y, w, h)
+            mean = max(float(o[:, :w].mean()), LEAST_MEAN)
+            ratios.append(o.ravel() / np.float32(mean))
+            sigma[k] = self.sigma / mean
+        return Group(factor, parts, sides, np.concatenate(ratios), _offsets(ratios))
+
+
+def _offsets(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum([len(row) for row in rows])]).astype(np.int64)
 
 
 def _odd(side: float) -> int:
     """The odd number nearest to a length in pixels, at least 3, so that a window has a pixel at its centre."""
     return max(3, 2 * round((side - 1) / 2) + 1)
-
-
-def _reduced(frame: Frame, centres: Array, factor: int, side: int) -> tuple[Image, Array]:
-    """The picture as flat rows, reduced by `factor` where windows of `side` can reach; and `centres` in its pixels."""
-    if factor == 1:
-        return kernels.flat(frame.bgr), centres
-    # whole blocks counted from the picture's corner, so that the grid of area means is the same in every frame
-    blocks = np.maximum(np.array(frame.size) // factor, 1)
-    margin = side // 2 + 2
-    low = np.clip(np.floor(centres.min(axis=(0, 1)) / factor - margin), 0, blocks - 1).astype(int)
-    high = np.clip(np.ceil(centres.max(axis=(0, 1)) / factor + margin), low + 1, blocks).astype(int)
-    (left, top), (right, bottom) = low * factor, high * factor
-    region = frame.bgr[top:bottom, left:right]
-    small = cv2.resize(region, tuple((high - low).tolist()), interpolation=cv2.INTER_AREA)
-    return kernels.flat(small), (centres - (left, top) - (factor - 1) / 2) / factor
