@@ -191,6 +191,12 @@ class _Tally:
 def _open(job: Job, first: int) -> Source:
     from facetrack_cli.video.source import open_source
 
+    try:
+        str(job.clip).encode()
+    except UnicodeEncodeError:
+        # OpenCV would end the process over it
+        if not job.clip.is_dir():
+            raise InputError(f"{job.clip}: the name holds bytes that are no UTF-8 text; rename the file") from None
     return open_source(job.clip, fps=job.fps, start=first, stop=job.stop)
 
 
@@ -202,9 +208,7 @@ def _frames(source: Source, first: int, origin: str, stop: Callable[[], bool] = 
     except InputError as e:
         raise InputError(f"{e} (frame {first} is where {origin} begins)") from None
     if frame is None:
-        if source.warnings:
-            raise InputError(source.warnings.pop())
-        return
+        raise InputError(source.warnings.pop() if source.warnings else f"{source.path}: frame {first} cannot be read")
     while frame is not None and not stop():
         yield frame
         frame = next(frames, None)

@@ -86,8 +86,7 @@ class Outputs:
             from facetrack_cli.video.draw import Overlay
             from facetrack_cli.video.writer import VideoWriter
 
-            title = f"{self._job.clip.name} {self._job.recipe.name}"
-            self._overlay = Overlay(source.size, fps=float(source.fps), title=title)
+            self._overlay = Overlay(source.size, fps=float(source.fps), title=self._job.recipe.name)
             sound = source.path if source.is_video else None
             self._video = VideoWriter(self._job.out / VIDEO, source.size, source.fps, audio_from=sound)
 

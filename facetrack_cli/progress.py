@@ -61,7 +61,8 @@ class Lines:
         if now - self._last < EVERY_S:
             return
         self._last = now
-        of = f" of about {total}" if total else ""
+        # what a file says of its length is a guess
+        of = "" if not total else f" of about {total}" if self._unit == "frames" else f" of {total}"
         rate = done / (now - self._began) if rate is None else rate
         self.say(f"{self._name}: {done}{of} {self._unit}, {rate:.1f} frames/s")
 
@@ -88,7 +89,7 @@ class Bar:
             TextColumn("{task.fields[count]}", markup=False),
             TextColumn("{task.fields[rate]}", markup=False),
             TimeRemainingColumn(),
-            console=Console(stderr=True),
+            console=Console(stderr=True, emoji=False),
             transient=True,
         )
         self._task: TaskID | None = None
@@ -118,7 +119,7 @@ class Bar:
         )
 
     def say(self, line: str) -> None:
-        self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+        self._bar.console.print(_flat(line), markup=False, highlight=False, soft_wrap=True)
 
     def error(self, line: str) -> None:
         self.say(line)
@@ -128,5 +129,10 @@ class Bar:
 
 
 def _write(line: str) -> None:
-    sys.stderr.write(line + "\n")
+    sys.stderr.write(_flat(line) + "\n")
     sys.stderr.flush()
+
+
+def _flat(line: str) -> str:
+    """A name may hold a line break, a message must not."""
+    return " ".join(line.splitlines())

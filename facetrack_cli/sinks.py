@@ -32,6 +32,11 @@ def refused(path: Path, error: OSError) -> OutputError:
     return OutputError(f"{path}: cannot be written: {error.strerror or error}; choose another place with --out")
 
 
+def _bytes(text: str) -> bytes:
+    # a file name that is no UTF-8 holds lone surrogates; escaped they are still valid JSON
+    return text.encode(errors="backslashreplace")
+
+
 class FileSink:
     """Records into `path`, which appears, or is replaced, at `finish`.
 
@@ -55,7 +60,7 @@ class FileSink:
         return self.temporary.open("wb", buffering=0)
 
     def write(self, record: str) -> None:
-        data = record.encode()
+        data = _bytes(record)
         self._buffer += data
         self._records += 1
         self._ends.append((self._ends[-1] if self._ends else 0) + len(data))
@@ -65,7 +70,7 @@ class FileSink:
     def finish(self, tail: Callable[[int], str]) -> None:
         """End the file with `tail(number of records)` and give it its name."""
         try:
-            end = tail(self._records).encode()
+            end = _bytes(tail(self._records))
             try:
                 if self._full:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -107,7 +112,7 @@ class FileSink:
         """End the file within the bytes that reached it, after as many whole records as leave room."""
         kept = self._records
         while self._ends:
-            end = tail(kept).encode()
+            end = _bytes(tail(kept))
             place = self._ends[-1]
             if place + len(end) <= self._flushed:
                 self._file.seek(place)
@@ -145,7 +150,7 @@ class StreamSink:
 
     def _pass_on(self, text: str) -> None:
         try:
-            rest = memoryview(text.encode())
+            rest = memoryview(_bytes(text))
             while rest:
                 rest = rest[self._stream.write(rest) :]
         except BrokenPipeError as e:

@@ -12,6 +12,7 @@ import csv
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeAlias
 
@@ -132,11 +133,7 @@ class Footer(NamedTuple):
 
 def csv_lines(items: Iterable[Row]) -> str:
     """Rows as lines of CSV, without the header."""
-    out: list[str] = []
-    for row in items:
-        out.append(",".join(_cell(column, value) for column, value in zip(COLUMNS, row, strict=True)))
-        out.append("\n")
-    return "".join(out)
+    return "".join(",".join([form(value) for form, value in zip(_CSV, row, strict=True)]) + "\n" for row in items)
 
 
 class CsvWriter:
@@ -164,7 +161,7 @@ class JsonWriter:
 
     def write(self, result: Result) -> None:
         # the comma goes with the record that follows it: a file cut back to whole records still closes
-        self._sink.write(self._between + _dumps(_frame(result)))
+        self._sink.write(self._between + "{" + _frame(result) + "}")
         self._between = ",\n"
 
     def close(self, footer: Footer) -> None:
@@ -183,7 +180,7 @@ class JsonLinesWriter:
         sink.write(_dumps({"type": "header", **_head(header)}) + "\n")
 
     def write(self, result: Result) -> None:
-        self._sink.write(_dumps({"type": "frame", **_frame(result)}) + "\n")
+        self._sink.write('{"type":"frame",' + _frame(result) + "}\n")
 
     def close(self, footer: Footer) -> None:
         self._sink.finish(lambda records: _dumps({"type": "footer", **_foot(footer, records - 1)}) + "\n")
@@ -214,42 +211,61 @@ def _foot(footer: Footer, frames: int) -> dict[str, Any]:
     }
 
 
-def _frame(result: Result) -> dict[str, Any]:
-    targets: dict[str, dict[str, Any]] = {}
-    for row in rows(result):
-        values = {name: _rounded(name, value) for name, value in zip(COLUMNS, row, strict=True)}
-        target = targets.setdefault(
-            row.target, {"target": row.target, **{key: values[key] for key in _OF_TARGET if _known(values[key])}}
-        )
-        parts = target.setdefault("parts", [])
-        parts.append({"part": row.part, **{key: values[key] for key in _OF_PART if _known(values[key])}})
-    time_s = _rounded("time_s", result.frame.time_s)
-    return {"frame": result.frame.index, "time_s": time_s, "targets": list(targets.values())}
+def _frame(result: Result) -> str:
+    """The members of one frame's object; numbers have the digits of the CSV."""
+    targets: list[str] = []
+    for _, group in groupby(rows(result), key=lambda row: row.target):
+        parts: list[str] = []
+        head: list[str] = []
+        for row in group:
+            known = {name: text for name, form, value in zip(COLUMNS, _JSON, row, strict=True) if (text := form(value))}
+            head = head or _members(known, _OF_TARGET)
+            parts.append("{" + ",".join(_members(known, _OF_PART)) + "}")
+        targets.append("{" + ",".join(head) + ',"parts":[' + ",".join(parts) + "]}")
+    time_s = _JSON[COLUMNS.index("time_s")](result.frame.time_s) or "null"
+    return f'"frame":{result.frame.index},"time_s":{time_s},"targets":[{",".join(targets)}]'
 
 
-_OF_TARGET = ("particles", "identity", "identity_prob")
-_OF_PART = ("x", "y", "w", "h", "angle", "confidence", "status", "std_x", "std_y", "ess")
+_OF_TARGET = ("target", "particles", "identity", "identity_prob")
+_OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "std_x", "std_y", "ess")
 
 
-def _known(value: object) -> bool:
-    return value is not None and value != ""
+def _members(known: Mapping[str, str], names: Iterable[str]) -> list[str]:
+    return [f'"{name}":{known[name]}' for name in names if name in known]
 
 
-def _rounded(column: str, value: Any) -> Any:
-    if value is None or column not in DECIMALS:
-        return value
-    number = float(value)
-    return round(number, DECIMALS[column]) + 0.0 if math.isfinite(number) else None  # + 0.0 turns -0.0 into 0.0
+def _fixed(decimals: int) -> Callable[[Any], str]:
+    spec, zero = f".{decimals}f", f"{0:.{decimals}f}"
+
+    def text(value: Any) -> str:
+        if value is None:
+            return ""
+        written = format(value, spec)
+        if written[0] in "-ni":  # a minus, nan or inf
+            if not math.isfinite(value):
+                return ""
+            return zero if written[1:] == zero else written
+        return written
+
+    return text
 
 
-def _cell(column: str, value: Any) -> str:
-    value = _rounded(column, value)
-    if value is None:
-        return ""
-    if column in DECIMALS:
-        return f"{value:.{DECIMALS[column]}f}"
+def _whole(value: Any) -> str:
+    return "" if value is None else str(value)
+
+
+def _quoted(value: Any) -> str:
     text = str(value)
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text
+
+
+def _string(value: Any) -> str:
+    return _dumps(value) if value else ""
+
+
+# how the values of each column are written; "" is not known
+_CSV = tuple(_fixed(DECIMALS[name]) if name in DECIMALS else _whole if name in WHOLE else _quoted for name in COLUMNS)
+_JSON = tuple(_string if form is _quoted else form for form in _CSV)
 
 
 def _dumps(value: object) -> str:

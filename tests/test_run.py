@@ -189,6 +189,31 @@ def test_the_same_bytes_with_one_thread_and_two_and_from_pictures(run: Runner, c
     assert count(Path("pictures-factorized/annotated.mp4")) == 30
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names are text")
+def test_a_name_that_is_no_text(clip: Path, tmp_path: Path) -> None:
+    folder = os.fsdecode(b"caf\xe9\n")
+    (tmp_path / folder).mkdir()
+    with open_source(clip, stop=3) as source:
+        for frame in source:
+            cv2.imwrite(str(tmp_path / f"{frame.index}.png"), frame.bgr)
+            (tmp_path / f"{frame.index}.png").rename(tmp_path / folder / f"{frame.index}.png")
+    init = clip.with_suffix(".init.yaml")
+    done = subprocess.run([*FACETRACK, "run", folder, *SMALL, "--init", init], cwd=tmp_path, capture_output=True)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    data = json.loads((tmp_path / f"{folder}-factorized" / "trajectory.json").read_bytes())
+    assert data["source"]["path"] == folder
+    (tmp_path / "a.mp4").symlink_to(tmp_path / f"{folder}-factorized" / "annotated.mp4")
+    assert count(tmp_path / "a.mp4") == 3
+
+    (tmp_path / f"{folder}.mp4").symlink_to(clip)
+    done = subprocess.run(
+        [*FACETRACK, "run", f"{folder}.mp4", "--init", init, "-o", "x"], cwd=tmp_path, capture_output=True
+    )
+    assert done.returncode == 3
+    assert b"no UTF-8 text; rename the file" in done.stderr
+
+
 # --- where the track starts ---
 
 
