@@ -63,10 +63,14 @@ _FRAME = click.IntRange(min=0)
 @click.option(
     "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
 )
-@click.option("--seed", type=click.IntRange(min=0), help="Seed of the random numbers, instead of the recipe's.")
+@click.option(
+    "--seed", metavar="N", type=click.IntRange(min=0), help="Seed of the random numbers, instead of the recipe's."
+)
 @click.option("--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip.")
 @click.option("--box", metavar="X,Y,W,H", callback=_box, help="The face in the first frame, in pixels.")
-@click.option("--init-frame", type=_FRAME, help="Frame of --init or --box, or where the search for a face begins.")
+@click.option(
+    "--init-frame", metavar="N", type=_FRAME, help="Frame of --init or --box, or where the search for a face begins."
+)
 @click.option(
     "-o", "--out", metavar="DIR", help="Folder for results [default: ./<clip>-<recipe>]; - streams to stdout."
 )
@@ -78,13 +82,15 @@ _FRAME = click.IntRange(min=0)
     callback=_formats,
     help="csv, json, jsonl [default: csv,json; csv with -o -].",
 )
-@click.option("--start", type=_FRAME, default=0, help="First frame, from 0.")
-@click.option("--stop", type=_FRAME, help="Frame to stop before.")
+@click.option("--start", metavar="N", type=_FRAME, default=0, help="First frame, from 0.")
+@click.option("--stop", metavar="N", type=_FRAME, help="Frame to stop before.")
 @click.option("--fps", metavar="RATE", callback=_rate, help="Frames per second of image folders.")
 @click.option("--overwrite", is_flag=True, help="Replace results that are there already.")
 @click.option("--fail-on-lost", is_flag=True, help="Exit with 4 if a part is lost in the last frame.")
-@click.option("--threads", type=click.IntRange(min=1), help="Threads a clip [default: the cores, shared by -j].")
-@click.option("-j", "--jobs", "workers", type=click.IntRange(min=1), default=1, help="Clips at a time.")
+@click.option(
+    "--threads", metavar="N", type=click.IntRange(min=1), help="Threads a clip [default: the cores, shared by -j]."
+)
+@click.option("-j", "--jobs", "workers", metavar="N", type=click.IntRange(min=1), default=1, help="Clips at a time.")
 @click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
 @click.pass_context
 def command(
@@ -123,8 +129,9 @@ def command(
       find . -name '*.mp4' -print0 | xargs -0 facetrack run -j 4 --no-video
 
     \b
-    Exit codes: 0 done (also if a clip was cut short: a warning says so), 2 usage, recipe or output, 3 input,
-    4 lost (--fail-on-lost), 5 some of several inputs failed, 130 interrupted, 143 terminated.
+    Exit codes: 0 done (also if a clip was cut short: a warning says so),
+    2 usage, recipe or output, 3 input, 4 lost (--fail-on-lost),
+    5 some of several inputs failed, 130 interrupted, 143 terminated.
     """
     from facetrack_cli.batch import absolute, cores
     from facetrack_cli.job import HAAR, Job
