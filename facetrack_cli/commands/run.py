@@ -124,7 +124,7 @@ def command(
     \b
     Examples:
       facetrack run clip.mp4
-      facetrack run clip.mp4 --config independent --set filter.particles=500 -o results
+      facetrack run clip.mp4 --config sir --set filter.particles=500 -o out
       facetrack run frames/ --fps 25 -o - | head
       find . -name '*.mp4' -print0 | xargs -0 facetrack run -j 4 --no-video
 
