@@ -107,8 +107,8 @@ def frames_to_return(clip: Clip, one: Run) -> list[float]:
     out = []
     for (_, begin, parts), end in zip(spans, ends, strict=True):
         good = (one.errors[begin:end, parts] < clip.size / 6).all(axis=1)
-        runs = np.convolve(good, np.ones(5), "valid") == 5 if len(good) >= 5 else np.zeros(1, bool)
-        out.append(float(np.argmax(runs)) if runs.any() else float("inf"))
+        runs = np.flatnonzero(np.convolve(good, np.ones(5), "valid") == 5) if end - begin >= 5 else np.array([])
+        out.append(float(runs[0]) if runs.size else float("inf"))
     return out
 
 

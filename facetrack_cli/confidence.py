@@ -1,11 +1,14 @@
 """How far an estimate can be trusted, from the picture alone.
 
 The window at the estimate is compared with the template, and the distance d is placed between two levels of this clip:
-what the part itself has shown since the start, and what windows beside the part look like.
+what the part itself has shown since the start, and what is clearly not the part.
 
-    good_i    running mean of d at the estimate over the frames in which the part was tracked
-    bad_i     median of d over a ring of windows one window's width away from the part in the first frame
-    confidence = clip((bad - d) / (bad - good), 0, 1)
+    good_i    running mean of d at the estimate over the frames in which the part was not in doubt; it begins as the
+              median of d over a ring of windows in the first frame that are off by 1/13 of the window's size (one
+              pixel, for a window of 13)
+    bad_i     median of d over a ring of windows off by the whole window's size in the first frame, or d of a blank
+              window if that is less
+    confidence = clip((bad - d) / (bad - good), 0, 1), and 0 for a part that looks like all that is around it
 
 A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, and `tracked` again as soon
 as it rises above.
@@ -52,20 +55,21 @@ class Confidence:
         k = len(x0)
         angles = np.arange(16) * (2 * np.pi / 16)
         ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * measure.windows
-        bad = np.median(measure.distances(learned, frame, x0 + ring), axis=0)
+        near = np.median(measure.distances(learned, frame, x0 + ring / 13), axis=0)
+        beside = np.median(measure.distances(learned, frame, x0 + ring), axis=0)
+        blank = Frame(frame.index, frame.time_s, np.full_like(frame.bgr, 128))
+        bad = np.minimum(beside, measure.distances(learned, blank, x0[None])[0])
         init: Status = "init"
-        return Judgement(np.zeros(k), bad, np.ones(k), np.zeros(k, np.int64), (init,) * k)
+        return Judgement(near, bad, np.ones(k), np.zeros(k, np.int64), (init,) * k)
 
     def judge(self, last: Judgement, distance: Array) -> Judgement:
         """The judgement of the next frame, whose windows at the estimates have `distance` (K,) from the templates."""
-        first = last.status[0] == "init"
-        good = distance.copy() if first else last.good
-        span = np.maximum(last.bad - good, 1e-6)
-        confidence = np.clip((last.bad - distance) / span, 0.0, 1.0)
-        below = np.where(confidence < self.lost_below, last.below + 1, 0)
-        lost = below >= self.patience
-        good = np.where(confidence < self.lost_below, good, good + (distance - good) / self.memory)
-        status = tuple(_status(v) for v in lost)
+        span = last.bad - last.good
+        confidence = np.where(span > 1e-6, np.clip((last.bad - distance) / np.maximum(span, 1e-6), 0.0, 1.0), 0.0)
+        doubtful = confidence < self.lost_below
+        below = np.where(doubtful, last.below + 1, 0)
+        good = np.where(doubtful, last.good, last.good + (distance - last.good) / self.memory)
+        status = tuple(_status(v) for v in below >= self.patience)
         return Judgement(good, last.bad, confidence, below, status)
 
 
