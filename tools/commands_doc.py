@@ -1,0 +1,228 @@
+"""Write what the documentation says of commands and recipe keys, from the commands and the recipe format themselves.
+
+python tools/commands_doc.py            # writes docs/commands.md, and the table of keys in docs/recipes.md
+python tools/commands_doc.py --check    # writes nothing; exit code 1 if one of them is stale
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import itertools
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import click
+
+from facetrack_cli.cli import COMMANDS, cli
+from facetrack_cli.recipe import json_schema
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+BEGIN, END = "<!-- keys: written by tools/commands_doc.py -->", "<!-- end of keys -->"
+Schema: TypeAlias = "dict[str, Any]"
+
+
+# --- commands ------------------------------------------------------------------------------------------------------
+
+
+def commands() -> Iterator[tuple[str, click.Command]]:
+    """Every command by what one types, in the order of the help: `facetrack`, `facetrack run`, ..."""
+    context = click.Context(cli, info_name="facetrack")
+    yield "facetrack", cli
+    for name in COMMANDS:
+        command = cli.get_command(context, name)
+        assert command is not None
+        yield f"facetrack {name}", command
+        if isinstance(command, click.Group):
+            yield from ((f"facetrack {name} {below}", sub) for below, sub in command.commands.items())
+
+
+def commands_page() -> str:
+    """docs/commands.md."""
+    parts = [
+        "# Commands",
+        "Written by `tools/commands_doc.py` from the commands' own help; `facetrack COMMAND --help` says the same.",
+    ]
+    everything = list(commands())
+    rows = [f"| [`{name}`](#{name.replace(' ', '-')}) | {escape(short(command))} |" for name, command in everything[1:]]
+    parts.append("\n".join(["| command | |", "|---|---|", *rows]))
+    for name, command in everything:
+        parts += [f"## {name}", f"```\n{usage(name, command)}\n```", *help_of(command), *options(command)]
+    return "\n\n".join(parts) + "\n"
+
+
+def short(command: click.Command) -> str:
+    """The first sentence of a command's help."""
+    return " ".join(inspect.cleandoc(command.help or "").split("\n\n")[0].split())
+
+
+def usage(name: str, command: click.Command) -> str:
+    arguments = [argument_name(one) for one in command.params if isinstance(one, click.Argument)]
+    words = [name, "[OPTIONS]" if any(isinstance(one, click.Option) for one in command.params) else "", *arguments]
+    return " ".join(filter(None, [*words, "COMMAND ..." if isinstance(command, click.Group) else ""]))
+
+
+def argument_name(argument: click.Argument) -> str:
+    name = argument.metavar or (argument.name or "").upper()
+    return name if argument.required else f"[{name}]"
+
+
+def help_of(command: click.Command) -> Iterator[str]:
+    r"""The paragraphs of a help text; what stands indented below a \b becomes a block of code."""
+    for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
+        kept = paragraph.startswith("\b\n")
+        lines = [line for line in paragraph.splitlines() if line != "\b"]
+        for indented, group in itertools.groupby(lines, lambda line: kept and line.startswith(" ")):
+            if indented:
+                yield "```sh\n" + textwrap.dedent("\n".join(group)) + "\n```"
+            else:
+                yield textwrap.fill(escape(" ".join(" ".join(group).split())), 120, break_on_hyphens=False)
+
+
+def options(command: click.Command) -> list[str]:
+    """A table of the options, if there are any."""
+    rows = []
+    for option in command.params:
+        if not isinstance(option, click.Option):
+            continue
+        value = "" if option.is_flag else " " + (option.metavar or "N")
+        names = ", ".join(sorted(option.opts, key=len))
+        rows.append(f"| `{names}{value}` | {escape(' '.join((option.help or '').split()))}{extra(option)} |")
+    return ["\n".join(["| option | |", "|---|---|", *rows])] if rows else []
+
+
+def extra(option: click.Option) -> str:
+    """The default and the range, where the help text leaves them to click."""
+    said = [f"default: {option.default}"] if option.show_default else []
+    if isinstance(option.type, click.IntRange) and not option.is_flag:
+        low, high = option.type.min, option.type.max
+        said += [f"{low} to {high}" if high is not None else f"from {low} up"]
+    return f" [{', '.join(said)}]" if said else ""
+
+
+def escape(text: str) -> str:
+    """Plain text for Markdown: `<clip>` is no HTML, and a bar ends no cell; what stands between backticks is left."""
+    pieces = text.split("`")
+    return "`".join(re.sub(r"([<|*])", r"\\\1", piece) if i % 2 == 0 else piece for i, piece in enumerate(pieces))
+
+
+# --- keys of recipes -----------------------------------------------------------------------------------------------
+
+
+def keys_table() -> str:
+    """Every key of a recipe: what may stand there, what it is without, and what it means."""
+    schema = json_schema()
+    rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
+    for key, field in schema["properties"].items():
+        sections = members(schema, field)
+        if not sections:
+            rows.append(row(schema, key, field, key in schema["required"]))
+            continue
+        default = "required" if key in schema["required"] else "none" if allows_null(field) else "as below"
+        rows.append(f"| **`{key}`** | section | {default} | {escape(field.get('description', ''))} |")
+        rows += section_rows(schema, key, sections)
+    return "\n".join(rows)
+
+
+def section_rows(schema: Schema, key: str, sections: Sequence[Schema]) -> Iterator[str]:
+    """The keys of a section; one that only some types of it have says which."""
+    types = [one["properties"].get("type") for one in sections]
+    if types[0] is not None:
+        told = "; ".join(f"`{one['const']}`: {one['description'].rstrip('.')}" for one in types if one is not None)
+        names = ", ".join(f"`{one['const']}`" for one in types if one is not None)
+        yield f"| `{key}.type` | {names} | required | {escape(told)}. |"
+    seen = {"type"}
+    for one in sections:
+        for name, field in one["properties"].items():
+            if name in seen:
+                continue
+            seen.add(name)
+            having = [other for other in sections if name in other["properties"]]
+            note = ""
+            if len(having) < len(sections):  # told apart by their types, then
+                only = ", ".join(f"`{other['properties']['type']['const']}`" for other in having)
+                note = f"For {only} only. "
+            yield row(schema, f"{key}.{name}", field, name in one.get("required", []), note)
+
+
+def row(schema: Schema, key: str, field: Schema, required: bool, note: str = "") -> str:
+    default = field.get("default")
+    shown = "required" if required else f"`{'null' if default is None else default}`"
+    return f"| `{key}` | {value(schema, field)} | {shown} | {note}{escape(field.get('description', ''))} |"
+
+
+def members(schema: Schema, field: Schema) -> list[Schema]:
+    """The sections that a field may hold: one, several told apart by `type`, or none if it holds a value."""
+    found = [resolve(schema, one) for one in field.get("oneOf") or field.get("anyOf") or [field]]
+    return [one for one in found if "properties" in one]
+
+
+def resolve(schema: Schema, field: Schema) -> Schema:
+    name = field.get("$ref", "").removeprefix("#/$defs/")
+    return {**schema["$defs"][name], "name": name} if name else field
+
+
+def allows_null(field: Schema) -> bool:
+    return {"type": "null"} in field.get("anyOf", [])
+
+
+def value(schema: Schema, field: Schema) -> str:
+    """What may stand at a key, in a few words."""
+    name = field.get("$ref", "").removeprefix("#/$defs/")
+    if name:
+        return {
+            "LengthPerPart": "length, or `{part: length}`",
+            "WindowPerPart": "length or `[width, height]`, or `{part: ...}`",
+        }[name]
+    if "anyOf" in field:
+        return " or ".join(value(schema, one) for one in field["anyOf"])
+    if "enum" in field:
+        return ", ".join(f"`{one}`" for one in field["enum"])
+    words = {
+        "null": "`null`",
+        "string": "text",
+        "array": "list of names",
+        "integer": "whole number",
+        "number": "number",
+    }
+    bounds = (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
+    limits = [f"{sign} {field[bound]:,}" for bound, sign in bounds if bound in field]
+    shown = [limit for limit in limits if len(limit) < 15]  # not the largest number that fits a computer's word
+    return " ".join([words[field["type"]], ", ".join(shown)]).strip()
+
+
+def recipes_page(text: str) -> str:
+    """docs/recipes.md with its table of keys anew."""
+    before, found_begin, rest = text.partition(BEGIN)
+    _, found_end, after = rest.partition(END)
+    if not found_begin or not found_end:
+        raise SystemExit(f"docs/recipes.md: the table of keys goes between {BEGIN} and {END}; put them back")
+    return f"{before}{BEGIN}\n\n{keys_table()}\n\n{END}{after}"
+
+
+def pages() -> dict[Path, str]:
+    """What each page should read."""
+    recipes = DOCS / "recipes.md"
+    return {DOCS / "commands.md": commands_page(), recipes: recipes_page(recipes.read_text(encoding="utf-8"))}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a page is stale")
+    check = parser.parse_args(arguments).check
+    stale = 0
+    for path, text in pages().items():
+        if path.exists() and path.read_text(encoding="utf-8") == text:
+            continue
+        stale += 1
+        print(f"docs/{path.name} is stale; run: python tools/commands_doc.py" if check else f"docs/{path.name} written")
+        if not check:
+            path.write_text(text, encoding="utf-8")
+    return 1 if check and stale else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
