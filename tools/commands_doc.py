@@ -74,8 +74,8 @@ def help_of(command: click.Command) -> Iterator[str]:
     r"""The paragraphs of a help text; what stands indented below a \b becomes a block of code."""
     for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
         kept = paragraph.startswith("\b\n")
-        lines = [line for line in paragraph.splitlines() if line != "\b"]
-        for indented, group in itertools.groupby(lines, lambda line: kept and line.startswith(" ")):
+        lines = [line if kept else line.strip() for line in paragraph.splitlines() if line != "\b"]
+        for indented, group in itertools.groupby(lines, lambda line: line.startswith(" ")):
             if indented:
                 yield "```sh\n" + textwrap.dedent("\n".join(group)) + "\n```"
             else:
