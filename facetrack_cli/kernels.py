@@ -145,6 +145,18 @@ def colour_ratio_distances(
 
 
 @_exact
+def extent(x: Any, reach: float) -> Any:
+    """(x from, y from, x to, y to) of everything within `reach` of the places x (N, K, 2)."""
+    x_low = x_high = x[0, 0, 0]
+    y_low = y_high = x[0, 0, 1]
+    for n in range(x.shape[0]):
+        for k in range(x.shape[1]):
+            x_low, x_high = min(x_low, x[n, k, 0]), max(x_high, x[n, k, 0])
+            y_low, y_high = min(y_low, x[n, k, 1]), max(y_high, x[n, k, 1])
+    return x_low - reach, y_low - reach, x_high + reach, y_high + reach
+
+
+@_exact
 def invert_cdf(weights: Any, points: Any) -> Any:
     """For each column, the indices at which the cumulated weights first exceed each ascending point of [0, 1).
 

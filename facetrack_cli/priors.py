@@ -243,12 +243,11 @@ class BoundPrior:
         u, noise = rng.random(len(x)), rng.standard_normal((len(x), 2))
         table = self._without[part]
         chosen = pick_shape(x, table.parts, self.first, table.stable, self._width, table.h, table.bias, u)
-        h = self._shapes[chosen]
-        moved = x - self.first
         if part == self._stable:
-            centre = (moved[:, self._moving] - self.length * h[:, self._moving]).mean(1)
+            h = self._shapes[chosen]
+            centre = (x - self.first - self.length * h)[:, self._moving].mean(1)
         else:
-            centre = moved[:, self._stable] + self.length * h[:, part]
+            centre = x[:, self._stable] - self.first[self._stable] + self.length * self._shapes[chosen, part]
         return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
 
     def log_conditional(self, x_part: Array, x: Array, part: int) -> Array:

@@ -6,7 +6,7 @@
 
 Templates are learned in the first frame and then stay. Beyond the paper, as options: other robust functions; a floor,
 p + exp(floor) in place of p, so that a part which matches nothing costs the same wherever it is; and `max_samples`,
-which reads windows larger than that from a picture reduced by a whole factor (area means), so that a clip in 4K
+which reads windows larger than that from a picture reduced by a power of two (area means), so that a clip in 4K
 costs no more than one in 240p.
 """
 
@@ -38,18 +38,17 @@ class Group:
     ratios: NDArray[np.float32]
     offsets: NDArray[np.int64]
 
-    @property
-    def reach(self) -> int:
-        """How far from its centre a window reads, in pixels of the whole picture."""
-        return int(self.sides.max() // 2 + 2) * self.factor
-
 
 @dataclass(frozen=True)
 class Templates:
-    """What K parts looked like in the first frame; `sigma` (K,) is sigma_i of eq. 10."""
+    """What K parts looked like in the first frame; `sigma` (K,) is sigma_i of eq. 10.
+
+    `reach`: how far from its centre any window reads, in pixels of the whole picture.
+    """
 
     groups: tuple[Group, ...]
     sigma: Array
+    reach: float
 
 
 @dataclass(frozen=True)
@@ -67,13 +66,15 @@ class ColourRatio:
         """The templates of K parts at x0 (K, 2)."""
         factors = np.ones(len(x0), np.int64)
         if self.max_samples is not None:
-            factors = np.ceil(self.windows.max(axis=1) / self.max_samples).astype(np.int64)
+            excess = np.maximum(self.windows.max(axis=1) / self.max_samples, 1.0)
+            factors = 2 ** np.ceil(np.log2(excess)).astype(np.int64)
         sigma = np.empty(len(x0))
+        reach = float(self.windows.max()) / 2 + 3 * int(factors.max())
         groups = [
-            self._group(frame, x0, int(factor), np.flatnonzero(factors == factor), sigma)
+            self._group(frame, x0, int(factor), np.flatnonzero(factors == factor), sigma, reach)
             for factor in np.unique(factors)
         ]
-        return Templates(tuple(groups), sigma)
+        return Templates(tuple(groups), sigma, reach)
 
     def score(self, learned: Templates, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; parents do not matter."""
@@ -84,17 +85,20 @@ class ColourRatio:
         """d(o_i, q_i) of eq. 9 for windows at x (N, K, 2) -> (N, K)."""
         out = np.empty(x.shape[:2])
         robust = kernels.ROBUST[self.robust]
+        extent = kernels.extent(x, learned.reach)
         for g in learned.groups:
-            picture, left, top = frame.reduced(g.factor, x, g.reach)
+            picture, left, top = frame.reduced(g.factor, extent)
             kernels.colour_ratio_distances(
                 kernels.flat(picture), g.ratios, g.offsets, g.sides, g.parts, x, left, top, g.factor,
                 LEAST_MEAN, robust, self.scale, out,
             )  # fmt: skip
         return out
 
-    def _group(self, frame: Frame, x0: Array, factor: int, parts: NDArray[np.int64], sigma: Array) -> Group:
+    def _group(
+        self, frame: Frame, x0: Array, factor: int, parts: NDArray[np.int64], sigma: Array, reach: float
+    ) -> Group:
         sides = np.array([[_odd(side / factor) for side in self.windows[k]] for k in parts], np.int64)
-        picture, left, top = frame.reduced(factor, x0[None], int(sides.max() // 2 + 2) * factor)
+        picture, left, top = frame.reduced(factor, kernels.extent(x0[None], reach))
         ratios: list[NDArray[np.float32]] = []
         for k, (w, h) in zip(parts, sides, strict=True):
             x, y = (x0[k] - (left, top) - (factor - 1) / 2) / factor

@@ -1,0 +1,60 @@
+"""A frame's reduced pictures."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.types import Frame
+
+
+def naive_blocks(picture, factor):
+    """Area means of whole blocks, halved again and again as bytes, each step rounded half up."""
+    while factor > 1:
+        h, w = picture.shape[0] // 2, picture.shape[1] // 2
+        blocks = picture[: 2 * h, : 2 * w].reshape(h, 2, w, 2, 3).astype(int)
+        picture, factor = (blocks.sum(axis=(1, 3)) + 2) // 4, factor // 2
+    return picture
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    factor=st.sampled_from([2, 4, 8]),
+    extents=st.lists(
+        st.tuples(st.floats(-300, 300), st.floats(-300, 300), st.floats(0, 200), st.floats(0, 200)),
+        min_size=1,
+        max_size=4,
+    ),
+    order=st.permutations([2, 4, 8]),
+)
+def test_blocks_are_the_same_whatever_was_asked_before(factor, extents, order):
+    picture = np.random.default_rng(0).integers(0, 256, (101, 147, 3), dtype=np.uint8)
+    frame = Frame(0, 0.0, picture)
+    for x, y, w, h in extents:
+        for f in (*order, factor):
+            small, left, top = frame.reduced(f, (x, y, x + w, y + h))
+            assert left % f == top % f == 0
+            whole = naive_blocks(picture, f)
+            i, j = top // f, left // f
+            np.testing.assert_allclose(small, whole[i : i + small.shape[0], j : j + small.shape[1]], atol=1)
+            # all that lies in the picture and in the extent is there
+            rows, columns = whole.shape[:2]
+            assert left <= max(min(x, (columns - 1) * f), 0)
+            assert top <= max(min(y, (rows - 1) * f), 0)
+            assert left + small.shape[1] * f >= min(max(x + w, 0), columns * f)
+            assert top + small.shape[0] * f >= min(max(y + h, 0), rows * f)
+
+
+def test_factor_one_is_the_picture_itself():
+    picture = np.zeros((5, 7, 3), np.uint8)
+    small, left, top = Frame(0, 0.0, picture).reduced(1, (0, 0, 3, 3))
+    assert small is picture
+    assert (left, top) == (0, 0)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (3, 2, 3), (2, 9, 3)])
+def test_a_picture_smaller_than_a_block_is_one_block(shape):
+    small, _, _ = Frame(0, 0.0, np.full(shape, 77, np.uint8)).reduced(8, (0, 0, 1, 1))
+    assert small.shape[0] >= 1
+    assert small.shape[1] >= 1
+    assert np.all(small == 77)
