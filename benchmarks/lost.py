@@ -9,6 +9,7 @@ by less than a sixth of the target's initial size, *gone* if it is hidden or not
     recall        of the hidden rows, those called lost
     false alarms  of the rows visible and near, those called lost
     tracked near  of the rows called tracked, those near; in brackets, of those that are visible as well
+    within 2 std  of the x and y of the visible rows, those within two of the row's std of the truth
     delay         frames from a part's being hidden until it is called lost, and from its return until it is tracked
                   and near; medians over the spans in which that came about
 """
@@ -20,17 +21,40 @@ import itertools
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from accuracy import Clip, Run, load_clip, run
+from accuracy import Clip, load_clip
+
+from facetrack_cli.build import build_tracker
+from facetrack_cli.recipe import load_recipe
+from facetrack_cli.track import track
 
 NEAR = 1 / 6  # of the target's size
 COLUMNS = (
     *("recipe", "lost_below", "patience", "precision (gone)", "recall", "false alarms"),
-    *("tracked near (visible)", "delay: lost, back"),
+    *("tracked near (visible)", "within 2 std", "delay: lost, back"),
 )
 Bools: TypeAlias = "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"
+
+
+class Run(NamedTuple):
+    """One seed, without the first frame: whether lost and whether near (T, K), and whether within 2 std (T, K, 2)."""
+
+    lost: Bools
+    near: Bools
+    within: Bools
+
+
+def run(clip: Clip, config: str, overrides: tuple[str, ...], seed: int) -> Run:
+    tracker = build_tracker(load_recipe(config, overrides), clip.start)
+    order = [tracker[0].parts.index(part) for part in clip.parts]
+    results = [result.targets[0].parts for result in track(tracker, iter(clip.frames), seed)][1:]
+    rows = [[parts[i] for i in order] for parts in results]
+    off = np.abs(np.array([[(p.x, p.y) for p in row] for row in rows]) - clip.truth[1:])
+    std = np.sqrt(np.array([[(p.cov[0], p.cov[2]) for p in row] for row in rows]))
+    lost = np.array([[p.status == "lost" for p in row] for row in rows])
+    return Run(lost, np.hypot(off[..., 0], off[..., 1]) < NEAR * clip.size, off <= 2 * std)
 
 
 def share(of: Bools, those: Bools) -> str:
@@ -54,14 +78,14 @@ def delays(clip: Clip, lost: Bools, near: Bools) -> str:
 
 
 def summarise(clip: Clip, labels: tuple[str, ...], runs: list[Run]) -> str:
-    lost = np.array([one.lost[1:] for one in runs])
-    near = np.array([one.errors[1:] for one in runs]) < NEAR * clip.size
+    lost, near, within = (np.array(of_all) for of_all in zip(*runs, strict=True))
     visible = np.broadcast_to(clip.visible[1:], lost.shape)
     cells = (
         f"{share(lost, ~visible)} ({share(lost, ~visible | ~near)})",
         share(~visible, lost),
         share(visible & near, lost),
         f"{share(~lost, near)} ({share(~lost & visible, near)})",
+        share(np.repeat(visible[..., None], 2, axis=3), within),
         delays(clip._replace(visible=clip.visible[1:]), lost, near),
     )
     return f"| {' | '.join((*labels, *cells))} |"
