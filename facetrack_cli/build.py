@@ -8,7 +8,7 @@ import numpy as np
 
 from facetrack_cli import filters, recipe
 from facetrack_cli.confidence import Confidence
-from facetrack_cli.errors import InputError
+from facetrack_cli.errors import InputError, RecipeError
 from facetrack_cli.likelihoods.colour_ratio import ColourRatio
 from facetrack_cli.motion import RandomWalk
 from facetrack_cli.priors import BoundPrior, bind, load_prior
@@ -46,9 +46,9 @@ def _points_target(recipe_: Recipe, name: str, start: Start) -> Target:
         particles=recipe_.filter.particles,
         motion=RandomWalk(np.array([recipe_.motion.sigma.of(part).pixels(size) for part in parts])),
         likelihood=_likelihood(recipe_.likelihood, windows),
-        prior=_prior(recipe_, parts, x0),
+        prior=_prior(recipe_, parts, x0, start.origin),
         step=_step(recipe_.filter),
-        confidence=Confidence(recipe_.confidence.lost_below, recipe_.confidence.patience),
+        confidence=Confidence(**recipe_.confidence.model_dump()),
     )
 
 
@@ -71,10 +71,16 @@ def _likelihood(given: recipe.ColourRatio, windows: Array) -> ColourRatio:
     )
 
 
-def _prior(recipe_: Recipe, parts: Sequence[str], x0: Array) -> BoundPrior | None:
+def _prior(recipe_: Recipe, parts: Sequence[str], x0: Array, origin: str) -> BoundPrior | None:
     if recipe_.prior is None:
         return None
-    return bind(load_prior(recipe.resolve_file(recipe_, recipe_.prior.file)), parts, x0, recipe_.prior.sigma)
+    prior = load_prior(recipe.resolve_file(recipe_, recipe_.prior.file))
+    try:
+        return bind(prior, parts, x0, recipe_.prior.sigma)
+    except RecipeError as e:
+        raise recipe_.error("prior.file", str(e)) from None
+    except InputError as e:
+        raise InputError(f"{origin}: {e}") from None
 
 
 def _step(given: recipe.Sir | recipe.Auxiliary | recipe.Factorized | recipe.Independent) -> filters.Step:

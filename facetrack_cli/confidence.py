@@ -6,8 +6,9 @@ what the part itself has shown since the start, and what is clearly not the part
     good_i    running mean of d at the estimate over the frames in which the part was not in doubt; it begins as the
               median of d over a ring of windows in the first frame that are off by 1/13 of the window's size (one
               pixel, for a window of 13)
-    bad_i     median of d over a ring of windows off by the whole window's size in the first frame, or d of a blank
-              window if that is less
+    bad_i     a quantile of d over a ring of windows off by the whole window's size in the first frame, or d of a
+              blank window if that is less. The estimate is the best place of a search, so a part that ran off sits
+              on a window that matches better than most: the lower the quantile, the stricter
     confidence = clip((bad - d) / (bad - good), 0, 1), and 0 for a part that looks like all that is around it
 
 A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, and `tracked` again as soon
@@ -49,6 +50,7 @@ class Judgement:
 class Confidence:
     lost_below: float = 0.3
     patience: int = 3
+    beside: float = 0.125
     memory: int = 50
 
     def begin(self, measure: Measures, learned: Any, frame: Frame, x0: Array) -> Judgement:
@@ -56,7 +58,7 @@ class Confidence:
         angles = np.arange(16) * (2 * np.pi / 16)
         ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * measure.windows
         near = np.median(measure.distances(learned, frame, x0 + ring / 13), axis=0)
-        beside = np.median(measure.distances(learned, frame, x0 + ring), axis=0)
+        beside = np.quantile(measure.distances(learned, frame, x0 + ring), self.beside, axis=0)
         blank = Frame(frame.index, frame.time_s, np.full_like(frame.bgr, 128))
         bad = np.minimum(beside, measure.distances(learned, blank, x0[None])[0])
         init: Status = "init"

@@ -5,7 +5,7 @@ The models below are the format. A later tracker adds a member to one of the uni
 
     recipe = load_recipe("factorized", ["filter.particles=200"])
     recipe.filter.particles         # 200
-    recipe.motion.sigma.of("nose")  # Length(value=0.0625, px=False)
+    recipe.motion.sigma.of("nose")  # Length(value=0.1, px=False)
 """
 
 from __future__ import annotations
@@ -45,6 +45,10 @@ __all__ = [
     "shipped_recipes",
     "to_dict",
 ]
+
+
+MOST_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
+MOST_COMPARED = 2_000  # particles that are compared with each other: memory grows with their square
 
 
 class Section(BaseModel):
@@ -162,7 +166,7 @@ class Parzen(Section):
     """Parzen density over training shapes."""
     file: Annotated[str, Field(min_length=1)]
     """The training shapes, as `facetrack prior fit` writes them; sought beside the recipe, then among the shipped."""
-    sigma: Annotated[float, Field(gt=0)]
+    sigma: Annotated[float, Field(ge=0.005)]
     """sigma_p, the standard deviation of the kernel, in the prior's own unit."""
 
 
@@ -173,6 +177,8 @@ class Confidence(Section):
     """A part is lost while its confidence stays below this, 0..1."""
     patience: Annotated[int, Field(ge=1)] = 3
     """... once it did so for this many frames."""
+    beside: Annotated[float, Field(ge=0, le=1)] = 0.125
+    """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""
 
 
 # where later trackers join: another member of a union, told apart by its `type`
@@ -214,7 +220,16 @@ class Recipe(Section):
     def _check(self, info: ValidationInfo) -> Recipe:
         found = self.target.windows.refusals(("target", "windows"), self.target.parts)
         found += self.motion.sigma.refusals(("motion", "sigma"), self.target.parts)
+        hypotheses = self.filter.particles * len(self.target.parts)
+        if hypotheses > MOST_HYPOTHESES:
+            message = f"particles times parts is {hypotheses:,}; no more than {MOST_HYPOTHESES:,} fit into memory"
+            found.append(Refusal(("filter", "particles"), message))
         match self.filter:
+            case Factorized(reweight="transition", particles=n) if n > MOST_COMPARED:
+                message = (
+                    f"reweight: transition compares every two particles; give {MOST_COMPARED:,} at most, not {n:,}"
+                )
+                found.append(Refusal(("filter", "particles"), message))
             case Factorized(reweight="prior") if self.prior is None:
                 remedy = "add a prior section, or write reweight: transition"
                 found.append(Refusal(("filter", "reweight"), f"filter.reweight: prior needs a prior; {remedy}"))
@@ -285,8 +300,8 @@ def find_recipe(name_or_path: str) -> Path:
     """The file of a recipe: a path that exists, else a shipped one by its name, with or without `.yaml`."""
     path, folder = Path(name_or_path), False
     try:
-        folder = path.is_dir()
-        if path.exists() and not folder:
+        folder = bool(name_or_path) and path.is_dir()
+        if name_or_path and path.exists() and not folder:
             return path
     except (OSError, ValueError):  # a name that the file system does not take
         pass
@@ -297,7 +312,7 @@ def find_recipe(name_or_path: str) -> Path:
     near = suggest(path.name.removesuffix(".yaml"), list(shipped), "")
     hint = f"{near} " if near.startswith("did") else ""
     what = "a folder, not a recipe" if folder else "neither a file nor a shipped recipe"
-    raise RecipeError(f'"{name_or_path}" is {what}; {hint}Shipped are: {", ".join(shipped)}')
+    raise RecipeError(f'"{name_or_path}" is {what}; {hint or "name one; "}shipped are {", ".join(shipped)}')
 
 
 def read_recipe(path: Path) -> str:
