@@ -2,19 +2,67 @@
 
 from __future__ import annotations
 
-import os
-import sys
-import traceback
-from collections.abc import Sequence
+import contextlib
+import signal
 
-import click
+_before = signal.getsignal(signal.SIGINT)
+with contextlib.suppress(ValueError):  # not in the main thread
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C while we are loaded ends us without a traceback
 
-from facetrack_cli.cli import READER_GONE, cli
-from facetrack_cli.errors import ExitCode, FacetrackError, RecipeError
+import errno  # noqa: E402
+import io  # noqa: E402
+import os  # noqa: E402
+import sys  # noqa: E402
+import threading  # noqa: E402
+from collections.abc import Sequence  # noqa: E402
+from types import FrameType  # noqa: E402
+from typing import NoReturn  # noqa: E402
+
+import click  # noqa: E402
+
+from facetrack_cli.cli import READER_GONE, cli  # noqa: E402
+from facetrack_cli.errors import ExitCode, FacetrackError, RecipeError  # noqa: E402
+
+with contextlib.suppress(ValueError):
+    signal.signal(signal.SIGINT, _before)
+
+_STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
+
+
+class _Terminated(BaseException):
+    """SIGTERM, where no loop over frames has taken it over (stopping.py)."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line (by default the process's own) and return its exit code."""
+    _open_streams()
+    before = signal.getsignal(signal.SIGTERM)
+    listening = threading.current_thread() is threading.main_thread() and before is signal.SIG_DFL
+    if listening:
+        signal.signal(signal.SIGTERM, _terminate)
+    try:
+        return _run(argv)
+    except _Terminated:
+        _say("terminated")
+        return ExitCode.TERMINATED
+    finally:
+        if listening:
+            signal.signal(signal.SIGTERM, before)
+
+
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    raise _Terminated
+
+
+def _open_streams() -> None:
+    """Where the shell closed a stream (`>&-`): what goes to stdout is refused, what goes to stderr is dropped."""
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull)  # noqa: SIM115, PTH123 -- for as long as the process lives
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115, PTH123
+
+
+def _run(argv: Sequence[str] | None) -> int:
     try:
         code = cli.main(None if argv is None else list(argv), prog_name="facetrack", standalone_mode=False)
         sys.stdout.flush()
@@ -32,10 +80,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         _say("interrupted")
         return ExitCode.INTERRUPTED
     except BrokenPipeError:
-        # or the interpreter tries to flush once more while it shuts down, and complains
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _forget_output()
         return READER_GONE
+    except MemoryError as error:
+        _say(f"error: not enough memory ({error}); take fewer particles, smaller windows or smaller pictures")
+        _traceback_if_wanted()
+        return ExitCode.FAULT
     except Exception as error:
+        if _is_of_stdout(error):
+            _forget_output()
+            reason = getattr(error, "strerror", None) or error
+            _say(f"error: standard output: cannot be written: {reason}; send it elsewhere")
+            _traceback_if_wanted()
+            return ExitCode.USAGE
         told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         again = "" if _debugging() else "; run it again as facetrack --debug ... and send us what it prints"
         _say(f"error: this is our fault, not yours: {told}{again}")
@@ -43,10 +100,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         return ExitCode.FAULT
 
 
+def _is_of_stdout(error: Exception) -> bool:
+    # what we write to files is refused by their names: without one it is standard output
+    return (
+        isinstance(error, OSError)
+        and error.filename is None
+        and (error.errno in _STREAM or isinstance(error, io.UnsupportedOperation))
+    )
+
+
 def _say(message: str, excerpt: str = "") -> None:
-    click.echo(f"facetrack: {' '.join(message.splitlines())}", err=True)
-    if excerpt:
-        click.echo(excerpt, err=True)
+    with contextlib.suppress(OSError):  # a full disk under the log must not change the exit code
+        click.echo(f"facetrack: {' '.join(message.splitlines())}", err=True)
+        if excerpt:
+            click.echo(excerpt, err=True)
+
+
+def _forget_output() -> None:
+    """Or the interpreter tries to flush once more while it shuts down, and complains."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _debugging() -> bool:
@@ -55,6 +128,8 @@ def _debugging() -> bool:
 
 def _traceback_if_wanted() -> None:
     if _debugging():
+        import traceback
+
         traceback.print_exc()
 
 

@@ -12,14 +12,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
-from multiprocessing.synchronize import Event
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
+from typing import TypeAlias
 
 from facetrack_cli.errors import ExitCode, FacetrackError
 from facetrack_cli.job import Job, Outcome, Report, run
 from facetrack_cli.outputs import check
 from facetrack_cli.progress import Progress
 from facetrack_cli.stopping import Stop
+
+Ending: TypeAlias = "Synchronized[int]"  # the exit code of the wish to stop, 0 without one
 
 TELL_S = 0.2  # between a worker's reports
 LOOK_S = 0.2  # between two looks at the signals
@@ -136,7 +139,7 @@ def _failure(error: Exception) -> tuple[str, ExitCode]:
 class _Worker:
     """A process at work on one job, and the pipe that it tells of it through."""
 
-    def __init__(self, context: BaseContext, job: Job, ending: Event) -> None:
+    def __init__(self, context: BaseContext, job: Job, ending: Ending) -> None:
         self.job = job
         self.frames = 0
         self.ended: Ended | None = None
@@ -167,7 +170,7 @@ class _Worker:
 
 def _side_by_side(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[Ended]:
     context = _context()
-    ending = context.Event()
+    ending: Ending = context.Value("i", 0)
     waiting = list(reversed(jobs))
     working: list[_Worker] = []
     finished = frames_before = 0
@@ -177,7 +180,7 @@ def _side_by_side(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progr
         while waiting or working:
             if stop():
                 waiting.clear()
-                ending.set()
+                ending.value = stop.code or ExitCode.INTERRUPTED
             while waiting and len(working) < workers:
                 working.append(_Worker(context, waiting.pop(), ending))
             wait([worker.pipe for worker in working], timeout=LOOK_S)
@@ -192,7 +195,7 @@ def _side_by_side(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progr
             frames = frames_before + sum(worker.frames for worker in working)
             progress.update(finished, len(jobs), frames / (time.monotonic() - began))
     finally:
-        ending.set()
+        ending.value = ending.value or ExitCode.INTERRUPTED
         for worker in working:
             worker.process.join()
 
@@ -202,11 +205,24 @@ def _context() -> BaseContext:
     if "forkserver" in multiprocessing.get_all_start_methods():
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["facetrack_cli.batch", "facetrack_cli.build", "facetrack_cli.video.source"])
+        _start_server()
         return context
     return multiprocessing.get_context("spawn")
 
 
-def _work(job: Job, pipe: Connection, ending: Event) -> None:
+def _start_server() -> None:
+    """Start the server out of reach of Ctrl-C, which would break into its imports with a traceback."""
+    from multiprocessing import forkserver, resource_tracker
+
+    resource_tracker.ensure_running()  # first: it lifts the mask when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _work(job: Job, pipe: Connection, ending: Ending) -> None:
     """What a worker does: its job, and to stop when asked by a signal, by its parent, or by its parent's end."""
     # Ctrl-C reaches every process of a terminal; the parent alone acts on it
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -225,8 +241,13 @@ def _work(job: Job, pipe: Connection, ending: Event) -> None:
         with contextlib.suppress(OSError):
             pipe.send(said)
 
+    def asked() -> ExitCode | None:
+        if ending.value:
+            return ExitCode(ending.value)
+        return ExitCode.INTERRUPTED if os.getppid() != parent else None
+
     use_threads(job.threads)
-    with Stop(lambda: ending.is_set() or os.getppid() != parent).listening() as stop:
+    with Stop(asked).listening() as stop:
         tell(_attempt(job, stop, report))
     pipe.close()
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from facetrack_cli.video.source import Source
 
 HAAR: Final = "haar"
+LEAST_WINDOW: Final = 3.0  # pixels; windows are not made smaller
 Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
 
 
@@ -65,24 +66,25 @@ class Outcome:
     complete: bool = True
     stopped: str | None = None
     error: Exception | None = None
+    streamed: bool = False
 
     def summary(self) -> str:
         """One line: what was written, how fast, what was lost."""
         if self.frames == 0:
             return f"{self.clip}: {self.stopped or 'ended'} before the first frame; nothing was written"
-        parts = [f"{self.frames} frame{'s' * (self.frames > 1)}", f"{self.frames_per_s:.1f} frames/s"]
+        parts = [f"{self.frames} frames", f"{self.frames_per_s:.1f} frames/s"] if self.frames > 1 else ["1 frame"]
         if self.lost:
             parts.append("lost: " + ", ".join(f"{part} in {n}" for part, n in self.lost.items()))
         if self.stopped:
             parts.append(self.stopped)
         elif not self.complete:
             parts.append("incomplete")
-        return f"{self.clip} -> {_where(self.files)}: {'; '.join(parts)}"
+        return f"{self.clip} -> {_where(self.files, self.streamed)}: {'; '.join(parts)}"
 
 
-def _where(files: tuple[Path, ...]) -> str:
+def _where(files: tuple[Path, ...], streamed: bool) -> str:
     if not files:
-        return "standard output"
+        return "standard output" if streamed else "nothing"
     return f"{files[0].parent}{os.sep} ({', '.join(f.name for f in files)})"
 
 
@@ -103,6 +105,7 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
         with _open(job, start.frame) as source:
             check_start(start, source.size, job.recipe.target.parts)
             tracker = build_tracker(job.recipe, start)
+            _check_windows(job.recipe, tracker, source.size)
             return _track(job, source, start, tracker, outputs, stop, report)
 
 
@@ -126,7 +129,7 @@ def _track(
     error: Exception | None = None
     try:
         pipeline.run(
-            _frames(source, start.frame, start.origin),
+            _frames(source, start.frame, _origin(job, start)),
             lambda frames: track(tracker, frames, job.recipe.seed),
             record,
             outputs.paint if job.video else None,
@@ -163,6 +166,7 @@ def _track(
         complete=footer.complete and error is None,
         stopped=None if error is not None else stopped,
         error=error,
+        streamed=job.out is None,
     )
 
 
@@ -251,16 +255,34 @@ def _place(job: Job, start: Start) -> Start:
     """The start with its points: where one target has a box alone, the picture says where they are."""
     from facetrack_cli.start import box_start
 
-    _check_frame(job, start.frame, start.origin)
+    _check_frame(job, start.frame, _origin(job, start))
     names = list(start.targets)
     given = start.targets[names[0]]
     if len(names) > 1 or given.points or given.box is None:
         return start
     with _open(job, start.frame) as source:
-        frame = next(_frames(source, start.frame, start.origin))
-    placed = box_start(frame, given.box, job.recipe.target.parts, clip=str(job.clip))
+        frame = next(_frames(source, start.frame, _origin(job, start)))
+    said_in = str(job.clip) if job.box is not None else start.origin
+    placed = box_start(frame, given.box, job.recipe.target.parts, clip=said_in)
     [found] = placed.targets.values()
     return replace(start, targets={names[0]: replace(found, windows=given.windows)})
+
+
+def _origin(job: Job, start: Start) -> str:
+    """Who said at which frame to start."""
+    return start.origin if job.init_frame is None else "--init-frame"
+
+
+def _check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int]) -> None:
+    """Refuse windows beyond the picture, which compare hardly anything but its border, and take memory without end."""
+    for target in tracker:
+        for part, (w, h) in zip(target.parts, target.likelihood.windows, strict=True):
+            if max(w / size[0], h / size[1]) > 1 and max(w, h) > LEAST_WINDOW:
+                raise recipe.error(
+                    "target.windows",
+                    f"the window of {part} would be {w:.0f}x{h:.0f} pixels, "
+                    f"larger than the picture of {size[0]}x{size[1]}; make it smaller",
+                )
 
 
 def _check_frame(job: Job, frame: int, origin: str) -> None:

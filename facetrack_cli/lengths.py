@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError, core_schema
 from facetrack_cli.recipe_messages import Refusal, Steps, suggest
 
 T = TypeVar("T")
+SHORTEST, LONGEST = 1e-6, 1e6  # beyond these no picture has a use for it, and squares overflow
 _NUMBER = r"([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?"
 
 
@@ -43,8 +44,11 @@ class Length:
             length = cls(float(given))
         else:
             length = cls(math.nan)
-        if not 0 < length.value < math.inf:
-            hint = "must be a length above 0: a number in units of the target's size, or pixels as in 12px"
+        if not SHORTEST <= length.value <= LONGEST:  # also nan
+            hint = (
+                "must be a length above 0 (and no more than a million): "
+                "a number in units of the target's size, or pixels as in 12px"
+            )
             raise PydanticCustomError("length", hint)  # type: ignore[arg-type, unused-ignore]
         return length
 
@@ -58,7 +62,12 @@ class Length:
     def __get_pydantic_json_schema__(
         cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        units = {"type": "number", "exclusiveMinimum": 0, "description": "In units of the target's size at the start."}
+        units = {
+            "type": "number",
+            "minimum": SHORTEST,
+            "maximum": LONGEST,
+            "description": "In units of the target's size at the start.",
+        }
         pixels = {"type": "string", "pattern": f"^{_NUMBER} ?px$", "description": "In pixels, as in 12px."}
         return {"title": "Length", "anyOf": [units, pixels]}
 

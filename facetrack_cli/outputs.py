@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -35,15 +36,30 @@ def check(job: Job) -> None:
     """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
     if job.out is None:
         return
-    if job.out.exists() and not job.out.is_dir():
-        raise OutputError(f"{job.out}: is a file, where a folder for the results is to be; name another with --out")
-    if job.clip.exists() and job.out.exists() and job.out.samefile(job.clip):
-        raise OutputError(f"{job.out}: the results would go among the frames of the input; name another with --out")
-    for path in planned(job).values():
-        if path.exists() and job.clip.exists() and path.samefile(job.clip):
-            raise OutputError(f"{path}: is the input itself; name another folder with --out")
-        if path.exists() and not job.overwrite:
-            raise OutputError(f"{path}: is there already; --overwrite replaces it, --out names another folder")
+    try:
+        if job.out.exists() and not job.out.is_dir():
+            raise OutputError(f"{job.out}: is a file, where a folder for the results is to be; name another with --out")
+        if _same(job.out, job.clip):
+            raise OutputError(f"{job.out}: the results would go among the frames of the input; name another with --out")
+        for path in planned(job).values():
+            _check_file(path, job)
+    except OSError as e:
+        raise refused(job.out, e) from e
+
+
+def _check_file(path: Path, job: Job) -> None:
+    inputs = {"input": job.clip, "init file": job.init, "recipe": job.recipe.path}
+    for what, given in inputs.items():
+        if isinstance(given, Path) and _same(path, given):
+            raise OutputError(f"{path}: is the {what} itself; name another folder with --out")
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder, where a file of results is to be; name another folder with --out")
+    if os.path.lexists(path) and not job.overwrite:
+        raise OutputError(f"{path}: is there already; --overwrite replaces it, --out names another folder")
+
+
+def _same(one: Path, other: Path) -> bool:
+    return one.exists() and other.exists() and one.samefile(other)
 
 
 class Outputs:
@@ -61,7 +77,7 @@ class Outputs:
     def __enter__(self) -> Outputs:
         out = self._job.out
         if out is None:
-            self._sinks = [StreamSink(sys.stdout.buffer)]
+            self._sinks = [StreamSink(sys.stdout.buffer)]  # a stream that is closed says so when it is written
             return self
         try:
             missing = [folder for folder in (out, *out.parents) if not folder.exists()]
@@ -103,22 +119,24 @@ class Outputs:
         errors: list[Exception] = []
         self._made = []
         if self._video is not None:
-            self._finish(self._video.path, self._video.close, errors)
+            self._finish(self._video, self._video.close, errors)
             footer = footer._replace(warnings=(*footer.warnings, *self._video.warnings))
         for writer, sink in zip(self.writers, self._sinks, strict=True):
-            self._finish(sink.path, partial(writer.close, footer), errors)
+            self._finish(sink, partial(writer.close, footer), errors)
         if errors:
             raise errors[0]
         return footer
 
-    def _finish(self, path: Path | None, end: Callable[[], None], errors: list[Exception]) -> None:
+    def _finish(
+        self, file: FileSink | StreamSink | VideoWriter, end: Callable[[], None], errors: list[Exception]
+    ) -> None:
         try:
             end()
         except Exception as e:
             errors.append(e)
         # a text file that a full disk cut short is kept, a video is not
-        if path is not None and (not errors or path.exists()):
-            self.written.append(path)
+        if file.path is not None and file.published:
+            self.written.append(file.path)
 
     def __exit__(self, *_: object) -> None:
         """Drop what was not closed, and the folders made for it."""

@@ -88,7 +88,7 @@ class ShapePrior:
             finally:
                 temporary.unlink(missing_ok=True)
         except OSError as e:
-            raise OutputError(f"{path}: cannot be written: {e.strerror or e}") from e
+            raise OutputError(f"{path}: cannot be written: {e.strerror or e}; name another file with -o") from e
 
     def spacing(self) -> float:
         """Mean distance of a shape to its nearest neighbour, in units of the scale; 0 for a single shape."""
@@ -129,7 +129,9 @@ def load_prior(path: Path) -> ShapePrior:
     except FileNotFoundError as e:
         raise InputError(f"{path}: there is no such prior; {remedy}") from e
     except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}") from e
+        raise InputError(
+            f"{path}: cannot be read: {e.strerror or e}; name a prior, as `facetrack prior fit` writes it"
+        ) from e
     except KeyError as e:
         raise InputError(f"{path}: the prior lacks an array: {e.args[0]}; {remedy}") from e
     except ValueError as e:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from typing import TYPE_CHECKING, Protocol
@@ -129,8 +130,9 @@ class Bar:
 
 
 def _write(line: str) -> None:
-    sys.stderr.write(_flat(line) + "\n")
-    sys.stderr.flush()
+    with contextlib.suppress(OSError):  # a full disk under the log is no reason to stop
+        sys.stderr.write(_flat(line) + "\n")
+        sys.stderr.flush()
 
 
 def _flat(line: str) -> str:

@@ -312,7 +312,8 @@ def find_recipe(name_or_path: str) -> Path:
     near = suggest(path.name.removesuffix(".yaml"), list(shipped), "")
     hint = f"{near} " if near.startswith("did") else ""
     what = "a folder, not a recipe" if folder else "neither a file nor a shipped recipe"
-    raise RecipeError(f'"{name_or_path}" is {what}; {hint or "name one; "}shipped are {", ".join(shipped)}')
+    names = ", ".join(shipped)
+    raise RecipeError(f'"{name_or_path}" is {what}; {hint or "give a file or a name; "}shipped are {names}')
 
 
 def read_recipe(path: Path) -> str:

@@ -55,6 +55,7 @@ class FileSink:
         self._records = 0
         self._ends: deque[int] = deque()  # where the last records end
         self._full = False
+        self.published = False  # whether the file stands at `path`
 
     def _open(self) -> BinaryIO:
         return self.temporary.open("wb", buffering=0)
@@ -126,6 +127,7 @@ class FileSink:
     def _rename(self) -> None:
         self._file.close()
         self.temporary.replace(self.path)
+        self.published = True
 
 
 class StreamSink:
@@ -133,6 +135,7 @@ class StreamSink:
 
     def __init__(self, stream: BinaryIO, name: str = "standard output") -> None:
         self.path = None
+        self.published = False
         # past the buffer: what a reader did not take must not be tried again at exit
         self._stream = getattr(stream, "raw", stream)
         self._name = name

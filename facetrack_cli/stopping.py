@@ -22,15 +22,15 @@ _CODES = {
 
 
 class Stop:
-    """Whether the run is to end. `elsewhere` asks another process as well; `code` is the first wish's exit code."""
+    """Whether the run is to end. `code` is the exit code of the first wish; `elsewhere` asks another process."""
 
-    def __init__(self, elsewhere: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, elsewhere: Callable[[], ExitCode | None] = lambda: None) -> None:
         self.code: ExitCode | None = None
         self._elsewhere = elsewhere
 
     def __call__(self) -> bool:
-        if self.code is None and self._elsewhere():
-            self.code = ExitCode.INTERRUPTED
+        if self.code is None:
+            self.code = self._elsewhere()
         return self.code is not None
 
     @property

@@ -285,7 +285,7 @@ def read_csv(path: Path) -> list[Row]:
         with path.open(encoding="utf-8-sig", newline="") as file:
             return list(_read(path, csv.reader(file)))
     except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}") from e
+        raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or truth file in CSV") from e
     except UnicodeDecodeError as e:
         raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is CSV with a header line") from e
 

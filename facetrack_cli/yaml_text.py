@@ -66,7 +66,9 @@ class Span:
     end: int
 
     def excerpt(self) -> str:
-        """The line, and a line of carets under the place."""
+        """The line, and a line of carets under the place; "" where there is no text."""
+        if not self.source.text:
+            return ""
         lines = _lines(self.source.text)
         line = lines[self.line] if self.line < len(lines) else ""
         first = 0 if self.column < 0.8 * EXCERPT_WIDTH else self.column - EXCERPT_WIDTH // 2
@@ -132,7 +134,9 @@ def read_source(path: Path, name: str) -> Source:
         data = file.read(MAX_BYTES + 1)
     start = Span(Source(name, "", path.parent), 0, 0, 0)
     if len(data) > MAX_BYTES:
-        raise YamlProblems([Problem(start, f"larger than {MAX_BYTES // 1000} kB, which no such file is")])
+        raise YamlProblems(
+            [Problem(start, f"larger than {MAX_BYTES // 1000} kB, as no such file is; name the right one")]
+        )
     data = data.removeprefix(codecs.BOM_UTF8)
     try:
         text = data.decode()

@@ -1,5 +1,6 @@
 import json
 import os
+import signal
 import subprocess
 import sys
 import types
@@ -243,3 +244,33 @@ def test_on_a_terminal_there_are_a_table_and_colours():
     assert "particles" in table and "\x1b[1m" in table and "\t" not in table
     assert "\x1b[" in seen("recipes", "show", "sir")
     assert "\x1b[" not in seen("recipes", "show", "sir", NO_COLOR="1")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+@pytest.mark.parametrize("args", [["--help"], ["recipes"], ["recipes", "show", "sir"], ["recipes", "check", "sir"]])
+def test_standard_output_on_a_full_disk(args):
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "facetrack_cli", *args]
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr == (
+        "facetrack: error: standard output: cannot be written: No space left on device; send it elsewhere\n"
+    )
+
+
+def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):
+    def refuse(*_):
+        raise MemoryError("Unable to allocate 73 TiB")
+
+    monkeypatch.setattr("facetrack_cli.recipe.shipped_recipes", refuse)
+    assert main(["recipes"]) == 1
+    assert capsys.readouterr().err.startswith("facetrack: error: not enough memory (Unable to allocate 73 TiB); take")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_signal_outside_a_run(monkeypatch, capsys):
+    monkeypatch.setattr("facetrack_cli.recipe.shipped_recipes", lambda: os.kill(os.getpid(), signal.SIGTERM))
+    assert main(["recipes"]) == 143
+    assert capsys.readouterr().err == "facetrack: terminated\n"
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

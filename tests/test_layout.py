@@ -13,7 +13,7 @@ PACKAGE = Path(facetrack_cli.__file__).parent
 
 # lowest first; a unit imports only from the layers below its own. A folder is one unit.
 LAYERS = [
-    {"errors", "types", "kernels", "kernels_shape"},
+    {"errors", "types", "kernels", "kernels_shape", "options"},
     {"resampling", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
     {"confidence", "filters", "likelihoods", "motion", "priors", "recipe_messages", "start"},
     {"lengths", "prior_fit", "prior_picture", "track"},

@@ -20,9 +20,11 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.batch import folders
 from facetrack_cli.errors import ExitCode
+from facetrack_cli.recipe import shipped_folder
 from facetrack_cli.sinks import FileSink
 from facetrack_cli.stopping import Stop
 from facetrack_cli.trajectory import COLUMNS, read_csv
+from facetrack_cli.types import Image
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 
@@ -638,7 +640,7 @@ def test_a_signal_ends_a_batch_cleanly(long_clip: Path, tmp_path: Path, number: 
     assert got == code, err
     assert "Traceback" not in err
     for name in ("a-factorized", "b-factorized"):
-        check_interrupted(out / name, 1500, "interrupted")
+        check_interrupted(out / name, 1500, "interrupted" if number == signal.SIGINT else "terminated")
     assert not (out / "c-factorized").exists()
 
 
@@ -715,3 +717,133 @@ def test_a_bar_on_a_terminal(clip: Path, tmp_path: Path) -> None:
 
 def test_the_header_is_the_schema(run: Runner, clip: Path) -> None:
     assert run(clip, *SMALL, "-o", "-", "--stop", 1)[1].splitlines()[0] == ",".join(COLUMNS)
+
+
+# --- found by hand, held here ---
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "message"),
+    [
+        (["--set", "filter.particles=10000", "--config", "factorized_transition"], 2, "2,000 at most, not 10,000"),
+        (["--set", "target.windows=1000px"], 2, "larger than the picture of 128x96; make it smaller"),
+        (["--set", "target.windows=1e299px"], 2, "no more than a million"),
+        (["--set", "motion.sigma=1e299px"], 2, "no more than a million"),
+        (["--set", "prior.sigma=0.001"], 2, "prior.sigma must be at least 0.005, not 0.001"),
+        (["--set", "target.parts=[nose, mouth_left]"], 2, "the recipe does not track mouth_right"),
+        (["--seed", str(2**63)], 2, "seed must be less than 9223372036854775808"),
+        (["--start", "x"], 2, "'x' is not a valid whole number"),
+        (["--init", ""], 2, "--init is empty"),
+        (["--config", ""], 2, '"" is neither a file nor a shipped recipe'),
+        (["-o", "o" * 300], 2, "cannot be written: File name too long"),
+        (["--box", "60,-400000,2,800000"], 3, "far larger than the picture of 128x96 pixels"),
+        (["--box", "-400000,-400000,800000,800000"], 3, "far larger than the picture of 128x96 pixels"),
+        (["--init-frame", "500"], 3, "(frame 500 is where --init-frame begins)"),
+    ],
+)
+def test_what_cannot_work_is_refused_at_once(run: Runner, clip: Path, args: list[str], code: int, message: str) -> None:
+    began = time.monotonic()
+    got, out, err = run(clip, "--no-video", *args)
+    assert (got, out) == (code, "")
+    assert message in err.splitlines()[0]
+    assert "our fault" not in err and "Traceback" not in err
+    assert names(Path()) == []
+    assert time.monotonic() - began < 20
+
+
+def test_points_in_one_place_name_the_init_file(run: Runner, clip: Path) -> None:
+    Path("one.yaml").write_text(INIT.replace("[48, 62]", "[60, 40]").replace("[72, 62]", "[60, 40]"))
+    code, _, err = run(clip, "--init", "one.yaml")
+    assert code == ExitCode.INPUT
+    assert one_line(err).startswith("facetrack: error: one.yaml: mouth_left and mouth_right are at the same place")
+
+
+@pytest.mark.parametrize("name", ["trajectory.csv", "annotated.mp4"])
+def test_a_folder_in_the_way_of_a_file(run: Runner, clip: Path, name: str) -> None:
+    Path("o", name).mkdir(parents=True)
+    code, _, err = run(clip, "-o", "o", "--overwrite")
+    assert code == ExitCode.USAGE
+    assert f"{name}: is a folder, where a file of results is to be" in one_line(err)
+    assert names(Path("o")) == [name]
+
+
+def test_the_init_file_and_the_recipe_are_never_the_output(run: Runner, clip: Path) -> None:
+    start = Path("trajectory.json")
+    start.write_text('{"frame": 0, "box": [30, 10, 60, 70]}')
+    code, _, err = run(clip, "--init", start, "-o", ".", "--overwrite")
+    assert code == ExitCode.USAGE and "is the init file itself" in one_line(err)
+    recipe = Path("trajectory.csv")
+    recipe.write_text((shipped_folder() / "sir.yaml").read_text())
+    code, _, err = run(clip, "--config", recipe, "-o", ".", "--overwrite")
+    assert code == ExitCode.USAGE and "is the recipe itself" in one_line(err)
+    assert "sigma" in recipe.read_text() and "box" in start.read_text()
+
+
+def test_a_link_to_nowhere_is_a_result_that_is_there(run: Runner, clip: Path) -> None:
+    Path("o").mkdir()
+    Path("o/trajectory.csv").symlink_to("nowhere")
+    code, _, err = run(clip, "-o", "o")
+    assert code == ExitCode.USAGE and "is there already" in one_line(err)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_encoder_that_is_killed(run: Runner, clip: Path, monkeypatch: pytest.MonkeyPatch, threads: int) -> None:
+    write = VideoWriter.write
+
+    def killed(video: VideoWriter, image: Image, time_s: float) -> None:
+        if time_s > 0.3:
+            video._encoder.kill()
+            video._encoder.wait()
+        write(video, image, time_s)
+
+    monkeypatch.setattr(VideoWriter, "write", killed)
+    code, _, err = run(clip, *SMALL, "--threads", threads)
+    summary, error = err.splitlines()
+    assert code == ExitCode.USAGE
+    assert "(trajectory.csv, trajectory.json)" in summary and "incomplete" in summary
+    assert "annotated.mp4: the video cannot be written (ffmpeg was killed by signal 9); run it again" in error
+    assert names(Path("sway-factorized")) == ["trajectory.csv", "trajectory.json"]
+    assert len(read_csv(Path("sway-factorized/trajectory.csv"))) >= 8 * 5
+
+
+@pytest.mark.skipif(os.name != "posix", reason="closes streams as a shell does")
+@pytest.mark.parametrize(
+    ("closed", "args", "code"),
+    [(">&-", "-o -", 2), (">&-", "", 0), ("2>&-", "", 0), (">&- 2>&- <&-", "", 0)],
+)
+def test_streams_that_the_shell_closed(clip: Path, tmp_path: Path, closed: str, args: str, code: int) -> None:
+    command = f'"{sys.executable}" -m facetrack_cli run "{clip}" --no-video {" ".join(SMALL)} {args} {closed}'
+    ended = subprocess.run(command, shell=True, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == code, ended.stderr
+    assert "our fault" not in ended.stderr and "Traceback" not in ended.stderr
+    if code:
+        assert "standard output: cannot be written" in one_line(ended.stderr)
+    else:
+        assert names(tmp_path / "sway-factorized") == ["trajectory.csv", "trajectory.json"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_log_on_a_full_disk_does_not_stop_a_run(clip: Path, tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [*FACETRACK, "run", str(clip), "--no-video", *SMALL], cwd=tmp_path, stderr=full, check=False
+        )
+    assert ended.returncode == 0
+    assert names(tmp_path / "sway-factorized") == ["trajectory.csv", "trajectory.json"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_ctrl_c_while_a_batch_starts(long_clip: Path, tmp_path: Path) -> None:
+    clips = [tmp_path / name for name in ("a.mp4", "b.mp4")]
+    for one in clips:
+        one.symlink_to(long_clip)
+    for delay in (0.2, 0.6, 1.0):
+        began = time.monotonic()
+        code, err = interrupted(
+            [*clips, "--box", "40,20,40,60", "-j", "2", "-o", tmp_path / "out", "--overwrite"],
+            lambda: time.monotonic() - began > delay,  # noqa: B023 -- called within the turn
+            signal.SIGINT,
+            group=True,
+        )
+        assert code in (130, -signal.SIGINT), err  # the latter before Python itself has started
+        assert "Traceback" not in err

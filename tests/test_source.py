@@ -10,6 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import cv2
+import imageio.v3 as iio
 import numpy as np
 import pytest
 
@@ -421,3 +422,26 @@ def test_broken_picture_in_the_middle(tmp_path: Path, kind: str) -> None:
     (warning,) = source.warnings
     assert warning.startswith(str(broken)) and "7 of 12" in warning and "\n" not in warning
     assert str(broken) in refusal(folder, start=7)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".avi", ".mkv"])
+def test_a_clip_cut_within_its_head(tmp_path: Path, suffix: str) -> None:
+    whole = media.write_video(tmp_path / f"whole{suffix}")
+    part = tmp_path / f"part{suffix}"
+    part.write_bytes(whole.read_bytes()[:200])
+    with pytest.raises(InputError, match="cut short or damaged before its first frame; copy or download it again"):
+        open_source(part)
+
+
+def test_what_to_do_about_a_picture(tmp_path: Path) -> None:
+    text, deep = tmp_path / "text", tmp_path / "deep"
+    text.mkdir()
+    deep.mkdir()
+    (text / "0.png").write_text("no picture")
+    with pytest.raises(
+        InputError, match=r"0.png: is not an image, or of an unknown kind; repair the image or remove it$"
+    ):
+        open_source(text)
+    iio.imwrite(deep / "0.tif", np.zeros((4, 4), np.float32))
+    with pytest.raises(InputError, match=r"which has no agreed range; convert it to 8 or 16 bits$"):
+        open_source(deep)

@@ -387,7 +387,9 @@ def test_a_box_stands_in_for_a_face_that_no_cascade_sees():
         ((300, 10, 20, 20), "not in the picture of 200x100"),
         ((10, 60, 60, 60), "lip_lower would be outside"),
         ((1e5, 1e5, 50, 50), "not in the picture"),
-        ((10, 10, 0.5, 0.5), "not in the picture"),
+        ((10, 10, 0.5, 0.5), "smaller than 2 pixels"),
+        ((-300, -150, 800, 400), "far larger than the picture of 200x100"),
+        ((99, -1e5, 2, 2e5), "far larger than the picture"),
     ],
 )
 def test_boxes_that_hold_no_face(box, said):

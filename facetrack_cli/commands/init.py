@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.errors import InputError, OutputError
+from facetrack_cli.options import FRAME
+from facetrack_cli.options import box as box_of
 
 if TYPE_CHECKING:
     from facetrack_cli.types import Box, Frame, Start
@@ -17,25 +19,13 @@ if TYPE_CHECKING:
 SUFFIXES = (".yaml", ".yml", ".json")
 
 
-def _box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | None:
-    if value is None:
-        return None
-    try:
-        x, y, w, h = (float(part) for part in value.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{value!r}: give four numbers with commas: left,top,width,height") from None
-    if not (abs(x) < 1e6 and abs(y) < 1e6 and 0 < w < 1e6 and 0 < h < 1e6):
-        raise click.BadParameter(f"{value!r}: give pixels of the frame, width and height above 0")
-    return (x, y, w, h)
-
-
 @click.command()
 @click.argument("clip", metavar="INPUT", type=click.Path(path_type=Path))
 @click.option(
     "-o", "--out", metavar="FILE", help="File to write [default: <clip>.init.yaml beside the clip]; - stdout."
 )
-@click.option("--init-frame", type=click.IntRange(min=0), default=0, help="Frame where the search begins, or of --box.")
-@click.option("--box", metavar="X,Y,W,H", callback=_box, help="The face's box in that frame: place the points in it.")
+@click.option("--init-frame", metavar="N", type=FRAME, default=0, help="Frame where the search begins, or of --box.")
+@click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face's box in that frame: place the points in it.")
 @click.option(
     "--preview", metavar="FILE.png", type=click.Path(path_type=Path), help="Also draw the result on its frame."
 )

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from facetrack_cli.errors import OutputError, UsageError
+from facetrack_cli.options import Whole
 
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the file that is there already.")
 
@@ -61,7 +62,7 @@ def _scale(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
     help="Parts whose distance in the first frame is the unit.",
 )
 @click.option(
-    "--max-shapes", type=click.IntRange(1, 10_000), default=500, show_default=True, help="Keep so many at most."
+    "--max-shapes", metavar="N", type=Whole(1, 10_000), default=500, show_default=True, help="Keep so many at most."
 )
 @OVERWRITE
 @click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
@@ -88,7 +89,7 @@ def fit(
     from facetrack_cli.prior_fit import fit_prior
 
     if out.suffix != ".npz":
-        raise UsageError(f"{out}: a prior's name ends in .npz; write -o {out}.npz")
+        raise UsageError(f"{out}: a prior is an .npz file; let its name end so")
     _refuse_existing(out, overwrite)
     fitted = fit_prior(truth, parts, stable, scale, max_shapes)
     fitted.prior.save(out)
@@ -112,7 +113,7 @@ def fit(
 )
 @OVERWRITE
 def show(file: Path | None, out: Path | None, overwrite: bool) -> None:
-    """Summarise a prior, and draw it; without FILE, the one that is shipped.
+    """Summarise and draw a prior; without FILE, the shipped one.
 
     \b
     Examples:
@@ -129,7 +130,7 @@ def show(file: Path | None, out: Path | None, overwrite: bool) -> None:
     prior = load_prior(path)
     out = out or (path.with_suffix(".png") if file else Path(path.with_suffix(".png").name))
     if out.suffix.lower() != ".png":
-        raise UsageError(f"{out}: the picture is a PNG; write -o {out}.png")
+        raise UsageError(f"{out}: the picture is a PNG; let its name end in .png")
     _refuse_existing(out, overwrite)
     sigma = suggested_sigma(prior)
     done, data = cv2.imencode(".png", draw_prior(prior, path.name, sigma), [cv2.IMWRITE_PNG_COMPRESSION, 9])

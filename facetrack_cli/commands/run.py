@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.errors import ExitCode, OutputError, UsageError
+from facetrack_cli.options import FRAME, Whole
+from facetrack_cli.options import box as box_of
 from facetrack_cli.trajectory import FORMATS, Format
 
 if TYPE_CHECKING:
@@ -18,18 +20,6 @@ if TYPE_CHECKING:
     from facetrack_cli.progress import Progress
     from facetrack_cli.stopping import Stop
     from facetrack_cli.types import Box
-
-
-def _box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | None:
-    if value is None:
-        return None
-    try:
-        x, y, w, h = (float(part) for part in value.split(","))
-    except ValueError:
-        raise click.BadParameter(f"{value!r}: give four numbers with commas: left,top,width,height") from None
-    if not (abs(x) < 1e6 and abs(y) < 1e6 and 0 < w < 1e6 and 0 < h < 1e6):
-        raise click.BadParameter(f"{value!r}: give pixels of the frame, width and height above 0")
-    return (x, y, w, h)
 
 
 def _rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fraction | None:
@@ -54,9 +44,6 @@ def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     return tuple(form for form in FORMATS if form in names)
 
 
-_FRAME = click.IntRange(min=0)
-
-
 @click.command()
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--config", metavar="RECIPE", default="factorized", show_default=True, help="Recipe: a file, or a name.")
@@ -64,12 +51,12 @@ _FRAME = click.IntRange(min=0)
     "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
 )
 @click.option(
-    "--seed", metavar="N", type=click.IntRange(min=0), help="Seed of the random numbers, instead of the recipe's."
+    "--seed", metavar="N", type=Whole(min=0), help="Seed of the random numbers, instead of the recipe's."
 )
 @click.option("--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip.")
-@click.option("--box", metavar="X,Y,W,H", callback=_box, help="The face in the first frame, in pixels.")
+@click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face in the first frame, in pixels.")
 @click.option(
-    "--init-frame", metavar="N", type=_FRAME, help="Frame of --init or --box, or where the search for a face begins."
+    "--init-frame", metavar="N", type=FRAME, help="Frame of --init or --box, or where the search for a face begins."
 )
 @click.option(
     "-o", "--out", metavar="DIR", help="Folder for results [default: ./<clip>-<recipe>]; - streams to stdout."
@@ -82,15 +69,13 @@ _FRAME = click.IntRange(min=0)
     callback=_formats,
     help="csv, json, jsonl [default: csv,json; csv with -o -].",
 )
-@click.option("--start", metavar="N", type=_FRAME, default=0, help="First frame, from 0.")
-@click.option("--stop", metavar="N", type=_FRAME, help="Frame to stop before.")
+@click.option("--start", metavar="N", type=FRAME, default=0, help="First frame, from 0.")
+@click.option("--stop", metavar="N", type=FRAME, help="Frame to stop before.")
 @click.option("--fps", metavar="RATE", callback=_rate, help="Frames per second of image folders.")
 @click.option("--overwrite", is_flag=True, help="Replace results that are there already.")
 @click.option("--fail-on-lost", is_flag=True, help="Exit with 4 if a part is lost in the last frame.")
-@click.option(
-    "--threads", metavar="N", type=click.IntRange(min=1), help="Threads a clip [default: the cores, shared by -j]."
-)
-@click.option("-j", "--jobs", "workers", metavar="N", type=click.IntRange(min=1), default=1, help="Clips at a time.")
+@click.option("--threads", metavar="N", type=Whole(min=1), help="Threads a clip [default: the cores, shared by -j].")
+@click.option("-j", "--jobs", "workers", metavar="N", type=Whole(min=1), default=1, help="Clips at a time.")
 @click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
 @click.pass_context
 def command(
@@ -145,6 +130,8 @@ def command(
         raise UsageError(f"--stop {stop} leaves no frame after --start {start}; it is the frame to stop before")
     if fps is not None and all(clip.is_file() for clip in inputs):
         raise UsageError("--fps is for image folders; a video brings its own rate")
+    if init == "":
+        raise UsageError("--init is empty; name an init file, or haar to look for a face")
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
     recipe = load_recipe(config, overrides)

@@ -12,6 +12,7 @@ then called `face`.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -250,8 +251,9 @@ def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
         part.write_bytes(data)
         part.replace(path)
     except OSError as e:
-        part.unlink(missing_ok=True)
-        raise OutputError(f"{path}: cannot be written: {e.strerror or e}; choose another place") from None
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise OutputError(f"{path}: cannot be written: {e.strerror or e}; write it elsewhere") from None
 
 
 def _json(start: Start) -> str:

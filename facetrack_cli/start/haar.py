@@ -75,10 +75,15 @@ def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str
     InputError if the box has no area or is not in the picture, or a part would be outside; UsageError as `haar_start`.
     """
     check_parts(parts)
+    width, height = frame.size
     if not all(map(isfinite, box)) or box[2] <= 0 or box[3] <= 0:
         raise InputError(f"{clip}: the box {_text(box)} has no area; give left, top, width and height in pixels")
-    if not centre_inside(box, frame.size) or min(box[2:]) < 2:
-        width, height = frame.size
+    if min(box[2:]) < 2 or max(box[2] / width, box[3] / height) > 2:
+        wrong = (
+            "smaller than 2 pixels" if min(box[2:]) < 2 else f"far larger than the picture of {width}x{height} pixels"
+        )
+        raise InputError(f"{clip}: the box {_text(box)} is {wrong}; draw it from the brows to the chin")
+    if not centre_inside(box, frame.size):
         raise InputError(
             f"{clip}: the box {_text(box)} is not in the picture of {width}x{height} pixels; "
             "give left, top, width and height in pixels of the frame"
@@ -149,7 +154,7 @@ def _face_in(image: Image, box: Box) -> Box | None:
     x, y, w, h = box
     left, top = max(int(x - 0.4 * w), 0), max(int(y - 0.4 * h), 0)
     patch = image[top : min(int(y + 1.4 * h) + 1, height), left : min(int(x + 1.4 * w) + 1, width)]
-    zoom = min(1.0, LONGEST / max(patch.shape[:2]), 200 / min(w, h)) if min(w, h) >= 40 else 80 / min(w, h)
+    zoom = min(1.0 if min(w, h) >= 40 else 80 / min(w, h), LONGEST / max(patch.shape[:2]), 200 / min(w, h))
     size = max(round(patch.shape[1] * zoom), 1), max(round(patch.shape[0] * zoom), 1)
     grey = cv2.cvtColor(cv2.resize(patch, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
     smallest = max(20, round(0.45 * min(w, h) * zoom))

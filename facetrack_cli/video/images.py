@@ -62,10 +62,12 @@ def read(path: Path) -> Image:
         with iio.imopen(path, "r", plugin="pillow") as file:
             mode = str(file.metadata(exclude_applied=False)["mode"])
             if mode in ("I", "F") and path.suffix.lower() != ".png":
-                raise ValueError("is a 32-bit image, which has no agreed range; convert it to 8 or 16 bits")
+                raise _NoRangeError("is a 32-bit image, which has no agreed range")
             options: dict[str, Any] = {"index": 0, "rotate": True, "mode": _READ_AS.get(mode)}
             pixels: Any = np.asarray(file.read(**options))
     except (OSError, SyntaxError, EOFError, IndexError, KeyError, TypeError, RuntimeError) as error:  # Pillow's ways
+        if "can not handle the given uri" in str(error):
+            raise ValueError("is not an image, or of an unknown kind") from error
         raise ValueError(f"cannot be read as an image ({error})") from error
     if pixels.dtype.itemsize == 2:
         pixels = (pixels >> 8).astype(np.uint8)
@@ -86,6 +88,15 @@ def header_size(path: Path) -> tuple[int, int] | None:
         return None
     width, height = metadata["shape"]
     return (height, width) if metadata.get("Orientation", 1) in (5, 6, 7, 8) else (width, height)
+
+
+class _NoRangeError(ValueError):
+    pass
+
+
+def remedy(error: Exception) -> str:
+    """What to do about a picture that `read` refused."""
+    return "convert it to 8 or 16 bits" if isinstance(error, _NoRangeError) else "repair the image or remove it"
 
 
 def reason(error: Exception) -> str:

@@ -225,7 +225,7 @@ class FolderSource(Source):
         try:
             first = images.read(files[start])
         except (OSError, ValueError) as error:
-            raise InputError(f"{files[start]}: {images.reason(error)}; repair the image or remove it") from error
+            raise InputError(f"{files[start]}: {images.reason(error)}; {images.remedy(error)}") from error
         self.size = (first.shape[1], first.shape[0])
         for file in files[start + 1 : self._end]:
             size = images.header_size(file)
@@ -250,7 +250,7 @@ class FolderSource(Source):
             except (OSError, ValueError) as error:
                 self._cut(
                     f"{self._files[index]}: {images.reason(error)}; stopped after {index} of {len(self._files)} "
-                    "frames, repair the image or remove it"
+                    f"frames, {images.remedy(error)}"
                 )
                 return
             yield Frame(index, float(index / self.fps), image)
@@ -315,6 +315,10 @@ def _why_not(path: Path) -> InputError:
         return InputError(f"{path}: the video cannot be decoded; convert it to MP4 (H.264)")
     if found.audio:
         return InputError(f"{path}: holds sound but no pictures; give a video")
+    with path.open("rb") as file:
+        head = file.read(12)
+    if head[4:8] == b"ftyp" or head.startswith((b"RIFF", b"\x1a\x45\xdf\xa3")):  # MP4, AVI, Matroska
+        return InputError(f"{path}: cut short or damaged before its first frame; copy or download it again")
     return InputError(f"{path}: not a video; give a video file or a folder of images")
 
 

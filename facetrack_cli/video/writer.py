@@ -40,7 +40,8 @@ class VideoWriter:
     `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from `audio_start_s` on its clock (default:
     the time of the first frame written) to the end of the last frame. With `timestamps=False` the frames follow each
     other at `fps`, whatever their times. Odd sizes are padded by one black line or column, which H.264 asks for.
-    `warnings` (one line each) says what could not be kept. Raises OutputError when the file cannot be written.
+    `warnings` (one line each) says what could not be kept, `published` whether the file is at `path`. Raises
+    OutputError when the file cannot be written.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class VideoWriter:
         self.path = path
         self.size = size
         self.warnings: list[str] = []
+        self.published = False
         self._fps = fps
         # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 1/90000 s
         self._timescale = fps.numerator * -(-90000 // fps.numerator)
@@ -232,6 +234,7 @@ class VideoWriter:
         self._messages.close()
         try:
             self._temporary.replace(self.path)
+            self.published = True
         except OSError as error:
             self._temporary.unlink(missing_ok=True)
             raise OutputError(f"{self.path}: {images.reason(error)}; choose another output folder") from error
@@ -244,9 +247,13 @@ class VideoWriter:
         code = self._encoder.wait()
         self._messages.seek(0)
         said = ffmpeg.cause(self._messages.read().decode("utf-8", "replace"))
-        if not said:
-            said = images.reason(error) if error else f"ffmpeg ended with code {code}"
         self._drop()
+        if not said and code:
+            how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
+            return OutputError(
+                f"{self.path}: the video cannot be written (ffmpeg {how}); run it again or use --no-video"
+            )
+        said = said or (images.reason(error) if error else "ffmpeg ended early")
         return OutputError(f"{self.path}: the video cannot be written ({said}); free some space or use --no-video")
 
     def _drop(self) -> None:

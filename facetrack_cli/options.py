@@ -1,0 +1,32 @@
+"""Values of options that several commands take."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from facetrack_cli.types import Box
+
+
+class Whole(click.IntRange):
+    """A whole number in a range; click itself would call it an integer range."""
+
+    name = "whole number"
+
+
+FRAME = Whole(min=0)
+
+
+def box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | None:
+    """`left,top,width,height` in pixels."""
+    if value is None:
+        return None
+    try:
+        x, y, w, h = (float(part) for part in value.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{value!r}: give four numbers with commas: left,top,width,height") from None
+    if not (abs(x) < 1e6 and abs(y) < 1e6 and 0 < w < 1e6 and 0 < h < 1e6):
+        raise click.BadParameter(f"{value!r}: give pixels of the frame, width and height above 0")
+    return (x, y, w, h)
