@@ -1,3 +1,7 @@
 """Track faces and facial features in video with particle filters."""
 
+from facetrack_cli.kernel_cache import provide_cache
+
 __version__ = "0.1.0"
+
+provide_cache()

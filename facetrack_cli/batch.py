@@ -169,8 +169,9 @@ class _Worker:
 
 
 def _side_by_side(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[Ended]:
-    context = _context()
-    ending: Ending = context.Value("i", 0)
+    with _told_of_processes():
+        context = _context()
+        ending: Ending = context.Value("i", 0)
     waiting = list(reversed(jobs))
     working: list[_Worker] = []
     finished = frames_before = 0
@@ -182,7 +183,8 @@ def _side_by_side(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progr
                 waiting.clear()
                 ending.value = stop.code or ExitCode.INTERRUPTED
             while waiting and len(working) < workers:
-                working.append(_Worker(context, waiting.pop(), ending))
+                with _told_of_processes():
+                    working.append(_Worker(context, waiting.pop(), ending))
             wait([worker.pipe for worker in working], timeout=LOOK_S)
             for worker in list(working):
                 if worker.listen():
@@ -198,6 +200,14 @@ def _side_by_side(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progr
         ending.value = ending.value or ExitCode.INTERRUPTED
         for worker in working:
             worker.process.join()
+
+
+@contextlib.contextmanager
+def _told_of_processes() -> Iterator[None]:
+    try:
+        yield
+    except (OSError, EOFError) as e:  # a broken pipe here is none of standard output
+        raise FacetrackError(f"processes for -j cannot be started ({e}); run without -j") from e
 
 
 def _context() -> BaseContext:

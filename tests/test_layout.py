@@ -13,7 +13,7 @@ PACKAGE = Path(facetrack_cli.__file__).parent
 
 # lowest first; a unit imports only from the layers below its own. A folder is one unit.
 LAYERS = [
-    {"errors", "types", "kernels", "kernels_shape", "options"},
+    {"errors", "types", "kernels", "kernels_shape", "kernel_cache", "options"},
     {"resampling", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
     {"confidence", "filters", "likelihoods", "motion", "priors", "recipe_messages", "start"},
     {"lengths", "prior_fit", "prior_picture", "track"},
@@ -172,4 +172,4 @@ def test_what_help_needs_is_light(name):
     allowed = {*sys.stdlib_module_names, "click", "facetrack_cli"}
     found = imported(name, types=False)
     assert {one.library for _, one in found} <= allowed
-    assert {one.unit for _, one in found} <= {"", "cli", "errors"}
+    assert {one.unit for _, one in found} <= {"", "cli", "errors", "kernel_cache"}

@@ -548,6 +548,16 @@ def test_a_worker_that_dies_is_one_failed_clip(
     assert err.count("its process ended with code -9") == 2
 
 
+def test_processes_that_cannot_be_started(run: Runner, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse() -> None:
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    monkeypatch.setattr("facetrack_cli.batch._context", refuse)
+    code, _, err = run(clip, SAMPLE, "-j", "2")
+    assert code == ExitCode.FAULT
+    assert one_line(err).endswith("processes for -j cannot be started ([Errno 32] Broken pipe); run without -j")
+
+
 def _die(*_: object) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 

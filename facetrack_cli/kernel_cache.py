@@ -1,0 +1,46 @@
+"""Where numba keeps the compiled kernels, if neither the package's folder nor the user's cache can be written.
+
+numba refuses to start then. It is told where by NUMBA_CACHE_DIR, which it reads when it is imported: so this comes
+first, with the package itself.
+"""
+
+from __future__ import annotations
+
+import os
+from os import path
+
+
+def provide_cache() -> None:
+    """Set NUMBA_CACHE_DIR to a folder of this user's alone under the system's temporary one, where there is need."""
+    package = path.dirname(path.abspath(__file__))  # noqa: PTH100, PTH120 -- pathlib takes longer to load than --help
+    if "NUMBA_CACHE_DIR" in os.environ or _writable(path.join(package, "__pycache__")):  # noqa: PTH118
+        return
+    user = os.environ.get("XDG_CACHE_HOME") or path.expanduser("~/.cache")  # noqa: PTH111
+    if path.isabs(user) and _writable(user):  # noqa: PTH117
+        return
+    os.environ["NUMBA_CACHE_DIR"] = _temporary()
+
+
+def _writable(folder: str) -> bool:
+    """Whether a file can be put into the folder, or the folder be made."""
+    while not path.lexists(folder) and path.dirname(folder) != folder:  # noqa: PTH120
+        folder = path.dirname(folder)  # noqa: PTH120
+    return path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)  # noqa: PTH112
+
+
+def _temporary() -> str:
+    import tempfile
+    from pathlib import Path
+
+    if not hasattr(os, "getuid"):
+        return str(Path(tempfile.gettempdir(), "facetrack-kernels"))
+    folder = Path(tempfile.gettempdir(), f"facetrack-kernels-{os.getuid()}")
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        # what lies there is run: nobody else may have put it there
+        if found.st_uid == os.getuid() and not folder.is_symlink() and found.st_mode & 0o077 == 0:
+            return str(folder)
+    except OSError:
+        pass
+    return tempfile.mkdtemp(prefix="facetrack-kernels-")
