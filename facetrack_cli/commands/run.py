@@ -50,9 +50,7 @@ def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> t
 @click.option(
     "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
 )
-@click.option(
-    "--seed", metavar="N", type=Whole(min=0), help="Seed of the random numbers, instead of the recipe's."
-)
+@click.option("--seed", metavar="N", type=Whole(min=0), help="Seed of the random numbers, instead of the recipe's.")
 @click.option("--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip.")
 @click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face in the first frame, in pixels.")
 @click.option(
