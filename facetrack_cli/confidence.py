@@ -7,8 +7,8 @@ what the part itself has shown since the start, and what is clearly not the part
               median of d over a ring of windows in the first frame that are off by 1/13 of the window's size (one
               pixel, for a window of 13)
     bad_i     a quantile of d over a ring of windows off by the whole window's size in the first frame, or d of a
-              blank window if that is less. The estimate is the best place of a search, so a part that ran off sits
-              on a window that matches better than most: the lower the quantile, the stricter
+              blank window if that is less. The median by default. The estimate is the best place of a search, so a
+              part that ran off sits on a window that matches better than most: a lower quantile is stricter
     confidence = clip((bad - d) / (bad - good), 0, 1), and 0 for a part that looks like all that is around it
 
 A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, and `tracked` again as soon
@@ -50,7 +50,7 @@ class Judgement:
 class Confidence:
     lost_below: float = 0.3
     patience: int = 3
-    beside: float = 0.125
+    beside: float = 0.5
     memory: int = 50
 
     def begin(self, measure: Measures, learned: Any, frame: Frame, x0: Array) -> Judgement:
