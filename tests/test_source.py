@@ -442,6 +442,6 @@ def test_what_to_do_about_a_picture(tmp_path: Path) -> None:
         InputError, match=r"0.png: is not an image, or of an unknown kind; repair the image or remove it$"
     ):
         open_source(text)
-    iio.imwrite(deep / "0.tif", np.zeros((4, 4), np.float32))
+    cv2.imwrite(str(deep / "0.tif"), np.zeros((4, 4), np.float32))
     with pytest.raises(InputError, match=r"which has no agreed range; convert it to 8 or 16 bits$"):
         open_source(deep)
