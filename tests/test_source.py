@@ -10,7 +10,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import cv2
-import imageio.v3 as iio
 import numpy as np
 import pytest
 
