@@ -41,13 +41,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     if listening:
         signal.signal(signal.SIGTERM, _terminate)
     try:
-        return _run(argv)
+        code = _run(argv)
+        if argv is None and code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED):
+            _ignore_signals()
+        return code
     except _Terminated:
         _say("terminated")
         return ExitCode.TERMINATED
     finally:
         if listening:
             signal.signal(signal.SIGTERM, before)
+
+
+def _ignore_signals() -> None:
+    """The process has ended properly; another Ctrl-C while the interpreter shuts down must not change its exit code."""
+    with contextlib.suppress(ValueError):  # not in the main thread
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
