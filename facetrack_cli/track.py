@@ -8,18 +8,34 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.confidence import Confidence, Judgement
+from facetrack_cli.confidence import Confidence, Judgement, Measures
 from facetrack_cli.filters import Step
-from facetrack_cli.likelihoods.colour_ratio import ColourRatio, Templates
-from facetrack_cli.motion import RandomWalk
 from facetrack_cli.priors import BoundPrior
 from facetrack_cli.resampling import uniform
 from facetrack_cli.spaces import Estimate, estimate_points
 from facetrack_cli.types import Array, Frame, Info, Particles, PartResult, Result, TargetResult
+
+
+class Likelihood(Measures, Protocol):
+    """An observation model; what it has learned of a clip so far is a value that it returns and is given back."""
+
+    def init(self, frame: Frame, x0: Array) -> Any:
+        """What is learned from the first frame with the parts at x0 (K, 2)."""
+
+    def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array:
+        """(N, K): log p(y | x) of each part, x and parents (N, K, D)."""
+
+
+class Motion(Protocol):
+    """How parts move from frame to frame; see `filters.FrameModel`."""
+
+    def propagate(self, rng: np.random.Generator, x: Array) -> Array: ...
+
+    def log_transition(self, x: Array, parents: Array) -> Array: ...
 
 
 @dataclass(frozen=True)
@@ -30,8 +46,8 @@ class Target:
     parts: tuple[str, ...]
     x0: Array
     particles: int
-    motion: RandomWalk
-    likelihood: ColourRatio
+    motion: Motion
+    likelihood: Likelihood
     prior: BoundPrior | None
     step: Step
     confidence: Confidence
@@ -45,7 +61,7 @@ class Bound:
     """A target with one frame bound in: the model that filters see (`filters.FrameModel`)."""
 
     target: Target
-    templates: Templates
+    learned: Any
     frame: Frame
 
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
@@ -55,7 +71,7 @@ class Bound:
         return self.target.motion.log_transition(x, parents)
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
-        return self.target.likelihood.score(self.templates, self.frame, x, parents)
+        return self.target.likelihood.score(self.learned, self.frame, x, parents)
 
     def log_prior(self, x: Array) -> Array:
         return np.zeros(len(x)) if self.target.prior is None else self.target.prior.log_density(x)
@@ -69,7 +85,7 @@ class Bound:
 @dataclass
 class _State:
     particles: Particles
-    templates: Templates
+    learned: Any
     judgement: Judgement
 
 
@@ -89,10 +105,10 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int) -> Iterator[Resu
 
 
 def _begin(target: Target, frame: Frame) -> _State:
-    templates = target.likelihood.init(frame, target.x0)
+    learned = target.likelihood.init(frame, target.x0)
     x = np.repeat(target.x0[None], target.particles, axis=0)
-    judgement = target.confidence.begin(target.likelihood, templates, frame, target.x0)
-    return _State(Particles(x, uniform(target.particles)), templates, judgement)
+    judgement = target.confidence.begin(target.likelihood, learned, frame, target.x0)
+    return _State(Particles(x, uniform(target.particles)), learned, judgement)
 
 
 def _initial(target: Target, state: _State) -> TargetResult:
@@ -102,9 +118,9 @@ def _initial(target: Target, state: _State) -> TargetResult:
 
 
 def _advance(rng: np.random.Generator, target: Target, state: _State, frame: Frame) -> TargetResult:
-    state.particles, info = target.step(rng, state.particles, Bound(target, state.templates, frame))
+    state.particles, info = target.step(rng, state.particles, Bound(target, state.learned, frame))
     estimate = estimate_points(state.particles)
-    distance = target.likelihood.distances(state.templates, frame, estimate.mean[None])[0]
+    distance = target.likelihood.distances(state.learned, frame, estimate.mean[None])[0]
     state.judgement = target.confidence.judge(state.judgement, distance)
     return _result(target, state, estimate, info)
 
