@@ -236,6 +236,9 @@ class Recipe(Section):
             case Factorized(from_prior=share) if share > 0 and self.prior is None:
                 message = "filter.from_prior above 0 needs a prior; add a prior section, or write 0"
                 found.append(Refusal(("filter", "from_prior"), message))
+            case Factorized(reweight="transition", from_prior=share) if share > 0:
+                message = "filter.from_prior above 0 goes with reweight: prior; eq. 7 knows the motion model alone"
+                found.append(Refusal(("filter", "from_prior"), message))
             case Independent() if self.prior is not None:
                 message = 'filter type "independent" makes no use of a prior; remove it, or write prior: null'
                 found.append(Refusal(("prior",), message))

@@ -375,6 +375,8 @@ def test_rules_between_sections():
     assert "prior needs a prior; add a prior section" in refused("factorized", "prior=null")[2]
     message = refused("factorized", "prior=null", "filter.reweight=transition", "filter.from_prior=0.1")[2]
     assert "filter.from_prior above 0 needs a prior" in message
+    message = refused("factorized", "filter.reweight=transition", "filter.from_prior=0.1")[2]
+    assert "filter.from_prior above 0 goes with reweight: prior" in message
     assert "makes no use of a prior" in refused("auxiliary_prior", "filter.type=independent")[2]
     assert load_recipe("auxiliary_prior", ["filter.type=sir"]).prior is not None
 
