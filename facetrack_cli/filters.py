@@ -63,7 +63,7 @@ class Sir:
     def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
         parents = particles.x[self.resample(rng, particles.log_w, len(particles.x))]
         x = model.propagate(rng, parents)
-        log_w = normalise(model.log_likelihood(x, parents).sum(axis=1) + model.log_prior(x))
+        log_w = normalise(_log_observation(model, x, parents))
         return Particles(x, log_w), _joint_info(x, log_w)
 
 
@@ -78,12 +78,11 @@ class Auxiliary:
 
     def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
         mu = model.propagate(rng, particles.x)
-        log_lambda = np.maximum(model.log_likelihood(mu, particles.x).sum(axis=1) + model.log_prior(mu), LEAST)
+        log_lambda = _log_observation(model, mu, particles.x)
         chosen = self.resample(rng, normalise(particles.log_w + log_lambda), len(mu))
         parents = particles.x[chosen]
         x = model.propagate(rng, parents)
-        observed = np.maximum(model.log_likelihood(x, parents).sum(axis=1) + model.log_prior(x), LEAST)
-        log_w = normalise(observed - log_lambda[chosen])
+        log_w = normalise(_log_observation(model, x, parents) - log_lambda[chosen])
         return Particles(x, log_w), _joint_info(x, log_w)
 
 
@@ -118,8 +117,7 @@ class Factorized:
         chosen = self.resample(rng, normalise(particles.log_w[:, None] + log_lambda), n)
         parents = particles.x[chosen, columns]
         s = self._move(rng, parents, model, particles.x, None if jumps is None else jumps[chosen, columns], chosen)
-        marginal = np.maximum(model.log_likelihood(s, parents), LEAST) - log_lambda[chosen, columns]
-        marginal = normalise(marginal)
+        marginal = normalise(np.maximum(model.log_likelihood(s, parents), LEAST) - log_lambda[chosen, columns])
         # shuffled, because resampled indices come in order and would tie the parts together
         x = s[rng.permuted(self.resample(rng, marginal, n), axis=0), columns]
         log_w = self._log_weights(x, particles, model)
@@ -153,6 +151,12 @@ class Factorized:
             if rows.size:
                 moved[rows, i] = model.propose_part(rng, whole[rows if chosen is None else chosen[rows, i]], i)
         return moved
+
+
+def _log_observation(model: FrameModel, x: Array, parents: Array) -> Array:
+    """(N,): log p(y|s)p(s) of whole particles, what the filters over the joint state take for the observation."""
+    observed = model.log_likelihood(x, parents).sum(axis=1) + model.log_prior(x)
+    return np.asarray(np.maximum(observed, LEAST))
 
 
 def _joint_info(x: Array, log_w: Array) -> Info:

@@ -12,6 +12,7 @@ import pytest
 from facetrack_cli import __version__, cli
 from facetrack_cli.__main__ import main
 from facetrack_cli.errors import ExitCode, InputError, OutputError, RecipeError
+from tests.terminal import read_all
 
 HEAVY = {"numpy", "cv2", "numba", "pydantic", "rich", "imageio", "imageio_ffmpeg", "ruamel"}
 PACKAGE = Path(cli.__file__).parent
@@ -227,18 +228,9 @@ def test_on_a_terminal_there_are_a_table_and_colours():
         terminal = {**plain, "TERM": "xterm-256color", "COLUMNS": "80", **environment}
         with subprocess.Popen(command, stdout=theirs, stderr=theirs, env=terminal) as process:
             os.close(theirs)
-            data = b""
-            while True:
-                try:
-                    more = os.read(ours, 4096)
-                except OSError:  # Linux says so when the other side has closed
-                    break
-                if not more:
-                    break
-                data += more
-        os.close(ours)
+            said = read_all(ours)
         assert process.returncode == 0
-        return data.decode()
+        return said
 
     table = seen("recipes")
     assert "particles" in table and "\x1b[1m" in table and "\t" not in table

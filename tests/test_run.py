@@ -27,6 +27,7 @@ from facetrack_cli.trajectory import COLUMNS, read_csv
 from facetrack_cli.types import Image
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
+from tests.terminal import read_all
 
 SAMPLE = Path(__file__).parent.parent / "sample_videos" / "expressions.mp4"
 FACETRACK = [sys.executable, "-m", "facetrack_cli"]
@@ -708,18 +709,8 @@ def test_a_bar_on_a_terminal(clip: Path, tmp_path: Path) -> None:
         [*FACETRACK, "run", clip, *SMALL, "-o", tmp_path / "out"], stderr=theirs, env=environment
     )
     os.close(theirs)
-    shown = b""
-    while True:
-        try:
-            block = os.read(ours, 4096)
-        except OSError:  # how Linux says that the other end is closed
-            break
-        if not block:
-            break
-        shown += block
-    os.close(ours)
+    text = read_all(ours)
     assert process.wait(30) == 0
-    text = shown.decode()
     assert "frames/s" in text
     assert "━" in text
     assert "30 frames; " in text.splitlines()[-1]

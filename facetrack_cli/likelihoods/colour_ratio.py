@@ -12,14 +12,13 @@ costs no more than one in 240p.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli import kernels
-from facetrack_cli.types import Array, Frame
+from facetrack_cli.types import Array, Extent, Frame
 
 # a window darker than one grey level says nothing; dividing by less would only blow up its noise
 LEAST_MEAN = 1.0
@@ -68,13 +67,15 @@ class ColourRatio:
         if self.max_samples is not None:
             excess = np.maximum(self.windows.max(axis=1) / self.max_samples, 1.0)
             factors = 2 ** np.ceil(np.log2(excess)).astype(np.int64)
-        sigma = np.empty(len(x0))
         reach = float(self.windows.max()) / 2 + 3 * int(factors.max())
-        groups = [
-            self._group(frame, x0, int(factor), np.flatnonzero(factors == factor), sigma, reach)
-            for factor in np.unique(factors)
-        ]
-        return Templates(tuple(groups), sigma, reach)
+        extent = kernels.extent(x0[None], reach)
+        means = np.empty(len(x0))
+        groups = []
+        for factor in np.unique(factors).tolist():
+            parts = np.flatnonzero(factors == factor)
+            group, means[parts] = self._group(frame, extent, x0, factor, parts)
+            groups.append(group)
+        return Templates(tuple(groups), self.sigma / means, reach)
 
     def score(self, learned: Templates, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; parents do not matter."""
@@ -95,22 +96,20 @@ class ColourRatio:
         return out
 
     def _group(
-        self, frame: Frame, x0: Array, factor: int, parts: NDArray[np.int64], sigma: Array, reach: float
-    ) -> Group:
+        self, frame: Frame, extent: Extent, x0: Array, factor: int, parts: NDArray[np.int64]
+    ) -> tuple[Group, list[float]]:
+        """The templates of `parts`, read at 1 / `factor` of the picture's size, and E{o_i} of each."""
         sides = np.array([[_odd(side / factor) for side in self.windows[k]] for k in parts], np.int64)
-        picture, left, top = frame.reduced(factor, kernels.extent(x0[None], reach))
+        picture, left, top = frame.reduced(factor, extent)
         ratios: list[NDArray[np.float32]] = []
+        means: list[float] = []
         for k, (w, h) in zip(parts, sides, strict=True):
             x, y = (x0[k] - (left, top) - (factor - 1) / 2) / factor
             o = kernels.read_window(kernels.flat(picture), x, y, w, h)
-            mean = max(float(o[:, :w].mean()), LEAST_MEAN)
-            ratios.append(o.ravel() / np.float32(mean))
-            sigma[k] = self.sigma / mean
-        return Group(factor, parts, sides, np.concatenate(ratios), _offsets(ratios))
-
-
-def _offsets(rows: Sequence[NDArray[np.float32]]) -> NDArray[np.int64]:
-    return np.concatenate([[0], np.cumsum([len(row) for row in rows])]).astype(np.int64)
+            means.append(max(float(o[:, :w].mean()), LEAST_MEAN))
+            ratios.append(o.ravel() / np.float32(means[-1]))
+        offsets = np.concatenate([[0], np.cumsum([len(row) for row in ratios])]).astype(np.int64)
+        return Group(factor, parts, sides, np.concatenate(ratios), offsets), means
 
 
 def _odd(side: float) -> int:
