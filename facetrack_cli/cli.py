@@ -19,6 +19,13 @@ COMMANDS = {
     "init": "Write where the track of a clip begins, as a file to edit.",
     "recipes": "List, show and check the recipes of trackers.",
     "prior": "Learn shape priors from annotated frames, and draw them.",
+    "eval": "Measure a trajectory against the truth.",
+    "compare": "Run and rank several recipes on a clip with truth.",
+    "repeat": "Show how far a recipe's runs differ from seed to seed.",
+    "regress": "Check clips against their golden results, for CI.",
+    "plot": "Draw what happened in a trajectory.",
+    "report": "Write one HTML page about a run.",
+    "export": "Write a trajectory as other tools read it.",
 }
 """The one-line helps stand here because asking the commands for theirs would load them."""
 

@@ -1,0 +1,8 @@
+"""facetrack compare."""
+
+import click
+
+
+@click.command()
+def command() -> None:
+    """To come."""

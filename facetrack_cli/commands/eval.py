@@ -1,0 +1,8 @@
+"""facetrack eval."""
+
+import click
+
+
+@click.command()
+def command() -> None:
+    """To come."""

@@ -1,0 +1,8 @@
+"""facetrack export."""
+
+import click
+
+
+@click.command()
+def command() -> None:
+    """To come."""

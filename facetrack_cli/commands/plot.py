@@ -1,0 +1,8 @@
+"""facetrack plot."""
+
+import click
+
+
+@click.command()
+def command() -> None:
+    """To come."""

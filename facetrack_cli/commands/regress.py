@@ -1,0 +1,8 @@
+"""facetrack regress."""
+
+import click
+
+
+@click.command()
+def command() -> None:
+    """To come."""

@@ -1,0 +1,8 @@
+"""facetrack repeat."""
+
+import click
+
+
+@click.command()
+def command() -> None:
+    """To come."""

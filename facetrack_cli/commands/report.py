@@ -1,0 +1,8 @@
+"""facetrack report."""
+
+import click
+
+
+@click.command()
+def command() -> None:
+    """To come."""
