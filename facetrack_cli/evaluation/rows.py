@@ -1,0 +1,139 @@
+"""Ours beside the truth, row by row: the arrays that every measure of points and of trust is computed from.
+
+Axes: R rows of one part, one a frame, in the order of their frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.formats.table import Mask, Series, Whole
+from facetrack_cli.types import Array
+
+if TYPE_CHECKING:
+    from facetrack_cli.evaluation.match import Pair
+
+Figure: TypeAlias = float | None
+"""A measured figure; None where it is not defined, as the precision of nothing."""
+
+NEAR = 1 / 6
+"""A point is near if its error is less than this share of the normalising length."""
+NEAR_IOU = 0.5
+"""A box is near if its overlap with the truth (intersection over union) is more than this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """One part, ours against the truth; every array is (R,) but `offset` and `std`, which are (R, 2), x before y.
+
+    `offset` is ours minus the truth in pixels, nan where either has no position; `unit` the length in pixels by which
+    errors are normalised, nan where it is unknown. Each row is one of visible, hidden, absent; `placed` are the visible
+    and hidden ones whose true position is known. `near` may be asked where `judged` alone: an absent part has no place
+    to be near to, so an absent row is judged, and not near. `lost` may be asked where `told` alone. `init` are the rows
+    that the tracker was given.
+    """
+
+    target: str
+    part: str
+    frame: Whole
+    offset: Array
+    unit: Array
+    visible: Mask
+    hidden: Mask
+    absent: Mask
+    placed: Mask
+    near: Mask
+    judged: Mask
+    told: Mask
+    lost: Mask
+    init: Mask
+    confidence: Array
+    std: Array
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def name(self) -> str:
+        return f"{self.target}/{self.part}"
+
+    @property
+    def covered(self) -> Mask:
+        """(R,) hidden or absent."""
+        return self.hidden | self.absent
+
+    @property
+    def error(self) -> Array:
+        """(R,) pixels; nan where the true position is not known, infinite where ours alone is missing."""
+        error = np.hypot(self.offset[:, 0], self.offset[:, 1])
+        return np.where(self.placed, np.where(np.isnan(error), np.inf, error), np.nan)
+
+    def take(self, rows: Mask) -> Rows:
+        """These rows alone."""
+        arrays: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        picked: dict[str, Any] = {key: value[rows] for key, value in arrays.items() if isinstance(value, np.ndarray)}
+        return replace(self, **picked)
+
+
+def rows_of(pair: Pair, unit: Array, near: tuple[Mask, Mask] | None = None) -> Rows:
+    """The rows of a pair of series of equal frames, with `unit` (R,) in pixels.
+
+    `near` is, for boxes, whether each row is near and whether that is known, (R,) each; for points it comes from the
+    errors. A truth row that says nothing of visibility is visible.
+    """
+    ours, truth = pair.ours, pair.truth
+    hidden, absent = truth.status == "hidden", truth.status == "absent"
+    offset = np.stack([ours.x - truth.x, ours.y - truth.y], axis=1)
+    placed = ~absent & np.isfinite(truth.x) & np.isfinite(truth.y)
+    if near is None:
+        with np.errstate(invalid="ignore"):
+            near = np.hypot(offset[:, 0], offset[:, 1]) < NEAR * unit, placed & np.isfinite(unit)
+    init = ours.status == "init"
+    if len(ours) and not np.any(ours.status != ""):
+        init = np.arange(len(ours)) == 0  # a tracker that tells no status has been given its first row all the same
+    return Rows(
+        target=ours.target,
+        part=ours.part,
+        frame=ours.frame,
+        offset=offset,
+        unit=unit,
+        visible=~hidden & ~absent,
+        hidden=hidden,
+        absent=absent,
+        placed=placed,
+        near=near[0] & near[1] & ~absent,
+        judged=near[1] | absent,
+        told=(ours.status == "tracked") | (ours.status == "lost"),
+        lost=ours.status == "lost",
+        init=init,
+        confidence=ours.confidence,
+        std=np.stack([ours.std_x, ours.std_y], axis=1),
+    )
+
+
+def joined(parts: Iterable[Rows], name: str) -> Any:
+    """One column of all parts, end to end."""
+    return np.concatenate([getattr(part, name) for part in parts])
+
+
+def spans(mask: Mask) -> Iterator[tuple[int, int]]:
+    """(first, last + 1) of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def share(of: Mask, those: Mask) -> Figure:
+    """How much of `of` is also `those`, 0 to 1; None if there is nothing to count."""
+    count = int(np.sum(of))
+    return float(np.sum(of & those) / count) if count else None
+
+
+def is_box(ours: Series, truth: Series) -> bool:
+    """Whether a pair is measured as boxes: one of them says that it is a box, and both have a size in some row."""
+    named = "box" in (ours.part, truth.part) or truth.corners is not None
+    sized = [bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in (ours, truth)]
+    return named and all(sized)
