@@ -1,0 +1,137 @@
+"""Truth files of any kind that is read here, known by their shape or by name.
+
+    truth = read_truth(Path("groundtruth_rect.txt"))
+    truth.header["read_as"]         # "OTB text: left,top,width,height a line, pixels from 1 ..."
+
+Frames and pixels of the table are counted from 0 whatever the file's own counting is.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Protocol
+
+from facetrack_cli.errors import InputError
+from facetrack_cli.formats.lines import delimiter, lines_with_frame, read_text
+from facetrack_cli.formats.mot import read_mot
+from facetrack_cli.formats.plain import BOX_COLUMNS, read_boxes, read_got10k, read_otb
+from facetrack_cli.formats.pts import read_pts
+from facetrack_cli.formats.table import Table, read_trajectory
+from facetrack_cli.formats.vot import read_vot
+from facetrack_cli.trajectory import REQUIRED
+
+FORMATS: Final = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
+
+
+class _Reader(Protocol):
+    def __call__(self, path: Path, *, shift: int = 0) -> Table: ...
+
+
+def _read_facetrack(path: Path, *, shift: int = 0) -> Table:
+    table = read_trajectory(path)
+    moved = tuple(replace(one, frame=one.frame + shift) for one in table.series)
+    return replace(table, series=moved, header={**table.header, "read_as": "facetrack's own table"})
+
+
+_READERS: Final[dict[str, _Reader]] = {
+    "facetrack": _read_facetrack,
+    "boxes": read_boxes,
+    "otb": read_otb,
+    "got10k": read_got10k,
+    "mot": read_mot,
+    "vot": read_vot,
+    "pts": read_pts,
+}
+
+
+def read_truth(path: Path, form: str = "auto", *, shift: int = 0) -> Table:
+    """The truth in a file or folder, read as `form`, one of FORMATS; `auto` goes by the shape.
+
+    `shift` is added to every frame number. `header["read_as"]` of the table says in words how it was read. Raises
+    InputError, one line with file and line, for a file that is broken or of no known shape.
+    """
+    if form == "auto":
+        path, form = recognise(path)
+    return _READERS[form](path, shift=shift)
+
+
+def recognise(path: Path) -> tuple[Path, str]:
+    """The file to read, inside of `path` if that is a folder, and which of FORMATS it has."""
+    if path.is_dir():
+        return _inside(path)
+    if path.suffix.lower() == ".pts":
+        return path, "pts"
+    lines = lines_with_frame(read_text(path))
+    first = lines[0].text
+    place = f"{path}:{lines[0].number}"
+    if first.startswith("{"):
+        return path, "facetrack"
+    if first.lower().startswith("version:"):
+        return path, "pts"
+    cells = [cell.strip() for cell in first.split(delimiter(first))]
+    if _is_mask(cells[0]):
+        return path, "vot"
+    if not all(map(_is_number, cells)):
+        return path, _by_header(place, first)
+    return path, _by_count(path, place, cells, any(line.text in ("0", "1", "2") for line in lines))
+
+
+def _inside(folder: Path) -> tuple[Path, str]:
+    if any((folder / f"trajectory.{suffix}").is_file() for suffix in ("json", "csv", "jsonl")):
+        return folder, "facetrack"
+    if any(folder.glob("*.pts")) or any((folder / "annot").glob("*.pts")):
+        return folder, "pts"
+    named = ("gt/gt.txt", "groundtruth_rect.txt", "groundtruth.txt", "groundtruth.csv")
+    for file in (folder / name for name in named):
+        if file.is_file():
+            return recognise(file)
+    raise InputError(
+        f"{folder}: is a folder without trajectory.csv, {', '.join(named)} or .pts files; name the truth file"
+    )
+
+
+def _by_header(place: str, first: str) -> str:
+    names = {name.strip().lower() for name in next(csv.reader([first]))}
+    if {"target", "part"} <= names:
+        return "facetrack"
+    if set(BOX_COLUMNS) <= names:
+        return "boxes"
+    if first[0].isdigit():
+        raise InputError(
+            f"{place}: {first[:60]!r} are no numbers between commas, tabs or blanks; write decimals with a point"
+        )
+    raise InputError(
+        f"{place}: {first[:60]!r} begins no truth file that is known here; a header reads {','.join(REQUIRED)} for "
+        f"points or {','.join(BOX_COLUMNS)} for boxes, without a header a line is left,top,width,height"
+    )
+
+
+def _by_count(path: Path, place: str, cells: list[str], codes_follow: bool) -> str:
+    count = len(cells)
+    if count in (1, 8) or (count == 4 and codes_follow):
+        return "vot"
+    if count == 4:
+        labelled = any((path.parent / f"{name}.label").is_file() for name in ("absence", "cover"))
+        return "got10k" if labelled else "otb"
+    if count == 5:
+        raise InputError(f"{place}: five numbers a line; put the header {','.join(BOX_COLUMNS)} on top")
+    if count in (6, 7, 9, 10) and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
+        return "mot"
+    raise InputError(
+        f"{place}: {count} values a line are no truth that is known here; name its kind by --truth-format: "
+        f"{', '.join(FORMATS[1:])}"
+    )
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_mask(cell: str) -> bool:
+    return cell[:1] in ("m", "M") and _is_number(cell[1:])
