@@ -303,6 +303,9 @@ def _read(path: Path, lines: Any) -> Iterator[Row]:
         twice = sorted({name for name in header if name in COLUMNS and header.count(name) > 1})
         if twice:
             raise InputError(f"{path}:1: column {twice[0]} is there twice; keep one of them")
+        # the last cell is one of our own, empty, for columns that the file has not
+        places = [header.index(name) if name in header else len(header) for name in COLUMNS]
+        readers = [(_READERS[name], at) for name, at in zip(COLUMNS, places, strict=True)]
         for cells in lines:
             if not cells:
                 continue
@@ -311,14 +314,52 @@ def _read(path: Path, lines: Any) -> Iterator[Row]:
                     f"{path}:{lines.line_num}: {len(cells)} values under {len(header)} columns; "
                     "give every column a value, or leave it empty between its commas"
                 )
-            named = {name: cell.strip() for name, cell in zip(header, cells, strict=True) if name in COLUMNS}
-            place = f"{path}:{lines.line_num}"
-            yield Row(**{name: _value(place, name, cell) for name, cell in {**_EMPTY, **named}.items()})
+            cells.append("")
+            try:
+                yield Row._make([read(cells[at]) for read, at in readers])
+            except ValueError:
+                line = f"{path}:{lines.line_num}"
+                yield Row._make(
+                    [_value(line, name, cells[at].strip()) for name, at in zip(COLUMNS, places, strict=True)]
+                )
     except csv.Error as e:
         raise InputError(f"{path}:{lines.line_num}: is not CSV: {e}") from e
 
 
-_EMPTY = dict.fromkeys(COLUMNS, "")
+def _float(cell: str) -> float | None:
+    if not cell:
+        return None
+    number = float(cell)
+    if number - number != 0:  # nan or inf
+        raise ValueError
+    return number
+
+
+def _frame_number(cell: str) -> int:
+    if not (cell.isascii() and cell.isdigit()) or len(cell) > 18:
+        raise ValueError
+    return int(cell)
+
+
+def _int(cell: str) -> int | None:
+    return _frame_number(cell) if cell else None
+
+
+def _name(cell: str) -> str:
+    name = cell.strip()
+    if not name:
+        raise ValueError
+    return name
+
+
+# how the cells of a column are read; what they refuse _value reads once more, to allow blanks or to say what is wrong
+_READERS: Mapping[str, Callable[[str], Any]] = {
+    **dict.fromkeys(("status", "identity"), str.strip),
+    **dict.fromkeys(("target", "part"), _name),
+    **dict.fromkeys(WHOLE, _int),
+    **dict.fromkeys(DECIMALS, _float),
+    "frame": _frame_number,
+}
 
 
 def _value(place: str, column: str, cell: str) -> Any:
