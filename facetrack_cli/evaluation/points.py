@@ -1,0 +1,193 @@
+"""Errors of points against the truth, and what becomes of a part that was covered.
+
+Errors are Euclidean distances in pixels; a *normalised* error is divided by a length of the truth (units.py). Failure
+rate and AUC are those of the facial landmark literature (300-W, COFW, WFLW), a row here standing for an image there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from facetrack_cli.evaluation.rows import Figure, Rows, joined, spans
+from facetrack_cli.types import Array
+
+FAILURE = 0.1
+"""Normalised error above which a row has failed, as COFW and WFLW have it; 300-W takes 0.08."""
+HELD = 5
+"""A part is back once it is near for so many rows in a row."""
+LAST = 25
+"""Visible rows at the end whose median error tells whether a part is lost for good."""
+LOST = 1 / 4
+"""Of the normalising length: a part whose last rows are further off is lost for good."""
+
+
+@dataclass(frozen=True)
+class PointMeasures:
+    """Errors of one part, or of several together.
+
+    rows             visible rows with a known true position and a position of ours; the figures below are of these
+    missing          visible rows for which we have no position; they count as failures, and in nothing else
+    mean_px, median_px, std_px, p95_px  error in pixels: mean, median, standard deviation, 95th percentile
+    mean_normalised, median_normalised  the same normalised
+    failure_rate     share of the visible rows whose normalised error is above the failure threshold, or missing
+    auc              area under the cumulative distribution of their normalised error up to that threshold, divided by
+                     it: 1 if every error is 0
+    hidden_rows, hidden_mean_px, hidden_median_px  the same of hidden rows whose true position is known
+    lost_for_good    parts whose median error over their last 25 visible rows exceeds a quarter of the normalising
+                     length
+    """
+
+    rows: int
+    missing: int
+    mean_px: Figure
+    median_px: Figure
+    std_px: Figure
+    p95_px: Figure
+    mean_normalised: Figure
+    median_normalised: Figure
+    failure_rate: Figure
+    auc: Figure
+    hidden_rows: int
+    hidden_mean_px: Figure
+    hidden_median_px: Figure
+    lost_for_good: int | None
+
+
+@dataclass(frozen=True)
+class Occlusion:
+    """A stretch of rows of one target in which parts of it are hidden or absent.
+
+    `first` and `last` are its frames. `frames_to_return`: from the first frame after it to the first of 5 rows in a row
+    in which every part that was covered is near; None if there is none before the next occlusion or the end.
+    `decided` is False where fewer than 5 rows follow, so that it cannot be told.
+    """
+
+    target: str
+    parts: tuple[str, ...]
+    first: int
+    last: int
+    frames_to_return: int | None
+    decided: bool
+
+
+@dataclass(frozen=True)
+class RecoveryMeasures:
+    """Over all occlusions: how many there are, those that can be decided, those after which the parts come back.
+
+    `recovered` is the share of the decided ones; the median and the worst frames to return are of those that come back.
+    """
+
+    occlusions: int
+    decided: int
+    returned: int
+    recovered: Figure
+    frames_median: Figure
+    frames_worst: Figure
+
+
+def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeasures:
+    """Errors over all rows of the parts, each row counting once; `failure` is a normalised error."""
+    error, unit, visible, hidden = (joined(parts, name) for name in ("error", "unit", "visible", "hidden"))
+    seen = visible & np.isfinite(error)
+    missing = visible & np.isinf(error)
+    covered = hidden & np.isfinite(error)
+    px = error[seen]
+    # rows without a length have no normalised error; those without a position fail by any length
+    scaled = (seen | missing) & np.isfinite(unit)
+    normalised = error[scaled] / unit[scaled]
+    finite = normalised[np.isfinite(normalised)]
+    for_good = [lost for part in parts if (lost := lost_for_good(part)) is not None]
+    return PointMeasures(
+        rows=len(px),
+        missing=int(np.sum(missing)),
+        mean_px=_mean(px),
+        median_px=_median(px),
+        std_px=float(np.std(px)) if len(px) else None,
+        p95_px=float(np.percentile(px, 95)) if len(px) else None,
+        mean_normalised=_mean(finite),
+        median_normalised=_median(finite),
+        failure_rate=_mean(normalised > failure),
+        auc=auc(normalised, failure),
+        hidden_rows=int(np.sum(covered)),
+        hidden_mean_px=_mean(error[covered]),
+        hidden_median_px=_median(error[covered]),
+        lost_for_good=sum(for_good) if for_good else None,
+    )
+
+
+def auc(errors: Array, limit: float) -> Figure:
+    """Area under the cumulative distribution of `errors` (R,) from 0 to `limit`, divided by `limit`; None without rows.
+
+    The distribution is a step function, so its area is exact: each row adds what is left between its error and the
+    limit. Infinite errors add nothing.
+    """
+    return float(np.mean(np.clip(1 - errors / limit, 0.0, 1.0))) if len(errors) else None
+
+
+def lost_for_good(part: Rows) -> bool | None:
+    """Whether a part ends lost; None where no visible row has a true position and a length."""
+    seen = np.flatnonzero(part.visible & part.placed & np.isfinite(part.unit))[-LAST:]
+    return bool(np.median(part.error[seen] / part.unit[seen]) > LOST) if len(seen) else None
+
+
+def occlusions(parts: Sequence[Rows]) -> tuple[Occlusion, ...]:
+    """The occlusions of every target, in the order of targets and frames."""
+    found: list[Occlusion] = []
+    for target in dict.fromkeys(part.target for part in parts):
+        found += _of_target(target, [part for part in parts if part.target == target])
+    return tuple(found)
+
+
+def _of_target(target: str, parts: Sequence[Rows]) -> list[Occlusion]:
+    frames = np.unique(joined(parts, "frame"))
+    # a part without a row in a frame is not known to be covered there, nor to be near
+    covered = np.zeros((len(frames), len(parts)), dtype=np.bool_)
+    near = np.zeros_like(covered)
+    for k, part in enumerate(parts):
+        at = np.searchsorted(frames, part.frame)
+        covered[at, k] = part.covered
+        near[at, k] = part.near
+    stretches = list(spans(np.any(covered, axis=1)))
+    nexts = [*[first for first, _ in stretches[1:]], len(frames)]
+    found = []
+    for (first, end), until in zip(stretches, nexts, strict=True):
+        those = np.flatnonzero(covered[first:end].any(axis=0))
+        runs = [(a, b) for a, b in spans(np.all(near[end:until, those], axis=1)) if b - a >= HELD]
+        found.append(
+            Occlusion(
+                target=target,
+                parts=tuple(parts[k].part for k in those.tolist()),
+                first=int(frames[first]),
+                last=int(frames[end - 1]),
+                frames_to_return=int(frames[end + runs[0][0]] - frames[end]) if runs else None,
+                decided=until - end >= HELD,
+            )
+        )
+    return found
+
+
+def measure_recovery(found: Sequence[Occlusion]) -> RecoveryMeasures | None:
+    """Over occlusions; None if there is none."""
+    if not found:
+        return None
+    decided = [one for one in found if one.decided]
+    frames = [one.frames_to_return for one in decided if one.frames_to_return is not None]
+    return RecoveryMeasures(
+        occlusions=len(found),
+        decided=len(decided),
+        returned=len(frames),
+        recovered=len(frames) / len(decided) if decided else None,
+        frames_median=float(np.median(frames)) if frames else None,
+        frames_worst=float(max(frames)) if frames else None,
+    )
+
+
+def _mean(values: Array) -> Figure:
+    return float(np.mean(values)) if len(values) else None
+
+
+def _median(values: Array) -> Figure:
+    return float(np.median(values)) if len(values) else None
