@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import click
@@ -30,3 +31,16 @@ def box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | 
     if not (abs(x) < 1e6 and abs(y) < 1e6 and 0 < w < 1e6 and 0 < h < 1e6):
         raise click.BadParameter(f"{value!r}: give pixels of the frame, width and height above 0")
     return (x, y, w, h)
+
+
+def rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fraction | None:
+    """Frames per second."""
+    if value is None:
+        return None
+    try:
+        found = Fraction(value)
+    except (ValueError, ZeroDivisionError):
+        found = Fraction(0)
+    if not 0 < found <= 100_000:
+        raise click.BadParameter(f"{value!r}: give frames per second as 25, 29.97 or 30000/1001")
+    return found

@@ -4,34 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from facetrack_cli.errors import ExitCode, OutputError, UsageError
-from facetrack_cli.options import FRAME, Whole
+from facetrack_cli.options import FRAME, Whole, rate
 from facetrack_cli.options import box as box_of
 from facetrack_cli.trajectory import FORMATS, Format
 
 if TYPE_CHECKING:
+    from fractions import Fraction
+
     from facetrack_cli.job import Job, Outcome
     from facetrack_cli.progress import Progress
     from facetrack_cli.stopping import Stop
     from facetrack_cli.types import Box
-
-
-def _rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fraction | None:
-    if value is None:
-        return None
-    try:
-        rate = Fraction(value)
-    except (ValueError, ZeroDivisionError):
-        rate = Fraction(0)
-    if not 0 < rate <= 100_000:
-        raise click.BadParameter(f"{value!r}: give frames per second as 25, 29.97 or 30000/1001")
-    return rate
 
 
 def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[Format, ...] | None:
@@ -69,7 +58,7 @@ def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> t
 )
 @click.option("--start", metavar="N", type=FRAME, default=0, help="First frame, from 0.")
 @click.option("--stop", metavar="N", type=FRAME, help="Frame to stop before.")
-@click.option("--fps", metavar="RATE", callback=_rate, help="Frames per second of image folders.")
+@click.option("--fps", metavar="RATE", callback=rate, help="Frames per second of image folders.")
 @click.option("--overwrite", is_flag=True, help="Replace results that are there already.")
 @click.option("--fail-on-lost", is_flag=True, help="Exit with 4 if a part is lost in the last frame.")
 @click.option("--threads", metavar="N", type=Whole(min=1), help="Threads a clip [default: the cores, shared by -j].")
