@@ -271,7 +271,8 @@ def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> It
 
 
 def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
-    """Nods and shakes: runs of quick swings between turning points. They cannot overlap: each rules the other out."""
+    """Nods and shakes, in order of time: runs of quick swings between turning points."""
+    found: list[tuple[int, int, str]] = []
     for main, across, label in ((y, x, "nod"), (x, y, "shake")):
         light, side = _gauss(main, LIGHT_S / dt), _gauss(across, LIGHT_S / dt)
         turns = _turning_points(light, max(SWING, NOISE * _noise(main) * _left_by(LIGHT_S / dt)))
@@ -281,7 +282,13 @@ def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
         ]
         for a, b in _runs(np.array(quick, dtype=bool)):
             if b - a >= SWINGS:
-                yield turns[a], turns[b], label
+                found.append((turns[a], turns[b], label))
+    after = 0
+    for begin, end, label in sorted(found):
+        # the last swing of one may still be going on in the first of the other
+        if (end - max(begin, after)) * dt >= LEAST_S:
+            yield max(begin, after), end, label
+            after = end
 
 
 def _turning_points(signal: Array, least: float) -> list[int]:
