@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from facetrack_cli.evaluation.boxes import iou
 from facetrack_cli.formats.table import Mask, Series, Whole
 from facetrack_cli.types import Array
 
@@ -79,19 +80,20 @@ class Rows:
         return replace(self, **picked)
 
 
-def rows_of(pair: Pair, unit: Array, near: tuple[Mask, Mask] | None = None) -> Rows:
+def rows_of(pair: Pair, unit: Array) -> Rows:
     """The rows of a pair of series of equal frames, with `unit` (R,) in pixels.
 
-    `near` is, for boxes, whether each row is near and whether that is known, (R,) each; for points it comes from the
-    errors. A truth row that says nothing of visibility is visible.
+    A truth row that says nothing of visibility is visible. Whether a box is near is known without a unit.
     """
     ours, truth = pair.ours, pair.truth
     hidden, absent = truth.status == "hidden", truth.status == "absent"
     offset = np.stack([ours.x - truth.x, ours.y - truth.y], axis=1)
     placed = ~absent & np.isfinite(truth.x) & np.isfinite(truth.y)
-    if near is None:
-        with np.errstate(invalid="ignore"):
-            near = np.hypot(offset[:, 0], offset[:, 1]) < NEAR * unit, placed & np.isfinite(unit)
+    with np.errstate(invalid="ignore"):
+        if is_box(ours, truth):
+            near, known = iou(ours.boxes, truth.boxes) > NEAR_IOU, np.isfinite(truth.boxes).all(axis=1)
+        else:
+            near, known = np.hypot(offset[:, 0], offset[:, 1]) < NEAR * unit, np.isfinite(unit)
     init = ours.status == "init"
     if len(ours) and not np.any(ours.status != ""):
         init = np.arange(len(ours)) == 0  # a tracker that tells no status has been given its first row all the same
@@ -105,8 +107,8 @@ def rows_of(pair: Pair, unit: Array, near: tuple[Mask, Mask] | None = None) -> R
         hidden=hidden,
         absent=absent,
         placed=placed,
-        near=near[0] & near[1] & ~absent,
-        judged=near[1] | absent,
+        near=near & placed & known,
+        judged=(placed & known) | absent,
         told=(ours.status == "tracked") | (ours.status == "lost"),
         lost=ours.status == "lost",
         init=init,
@@ -132,8 +134,11 @@ def share(of: Mask, those: Mask) -> Figure:
     return float(np.sum(of & those) / count) if count else None
 
 
+def says_box(ours: Series, truth: Series) -> bool:
+    """Whether one of a pair says that it is a box; the windows of points have sizes too, and are none."""
+    return "box" in (ours.part, truth.part) or truth.corners is not None
+
+
 def is_box(ours: Series, truth: Series) -> bool:
     """Whether a pair is measured as boxes: one of them says that it is a box, and both have a size in some row."""
-    named = "box" in (ours.part, truth.part) or truth.corners is not None
-    sized = [bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in (ours, truth)]
-    return named and all(sized)
+    return says_box(ours, truth) and all(bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in (ours, truth))
