@@ -170,7 +170,7 @@ class _Worker:
 
 def _side_by_side(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[Ended]:
     with _told_of_processes():
-        context = _context()
+        context = worker_context()
         ending: Ending = context.Value("i", 0)
     waiting = list(reversed(jobs))
     working: list[_Worker] = []
@@ -210,7 +210,8 @@ def _told_of_processes() -> Iterator[None]:
         raise FacetrackError(f"processes for -j cannot be started ({e}); run without -j") from e
 
 
-def _context() -> BaseContext:
+def worker_context() -> BaseContext:
+    """How processes are started: safely beside threads, and with the heavy imports done once."""
     # a server that has the heavy imports behind it forks a worker at once; plain fork is not safe beside threads
     if "forkserver" in multiprocessing.get_all_start_methods():
         context = multiprocessing.get_context("forkserver")

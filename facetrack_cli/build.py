@@ -11,12 +11,14 @@ from facetrack_cli.confidence import Confidence
 from facetrack_cli.errors import InputError, RecipeError
 from facetrack_cli.likelihoods.colour_ratio import ColourRatio
 from facetrack_cli.motion import RandomWalk
+from facetrack_cli.opencv import OpenCvTarget
+from facetrack_cli.opencv import check as check_opencv
 from facetrack_cli.priors import BoundPrior, bind, load_prior
-from facetrack_cli.recipe import Recipe
+from facetrack_cli.recipe import OpenCvRecipe, ParticleRecipe, Recipe
 from facetrack_cli.resampling import SCHEMES
 from facetrack_cli.spaces import size_of_points
-from facetrack_cli.track import Target, Tracker
-from facetrack_cli.types import Array, Start
+from facetrack_cli.track import ParticleTarget, Tracker
+from facetrack_cli.types import Array, Box, Start
 
 
 def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
@@ -24,10 +26,30 @@ def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
 
     Raises InputError where the start lacks what the recipe needs, RecipeError where parts do not fit each other.
     """
+    if isinstance(recipe_, OpenCvRecipe):
+        return _opencv(recipe_, start)
+    assert isinstance(recipe_, ParticleRecipe)
     return tuple(_points_target(recipe_, name, start) for name in start.targets)
 
 
-def _points_target(recipe_: Recipe, name: str, start: Start) -> Target:
+def _opencv(recipe_: OpenCvRecipe, start: Start) -> Tracker:
+    try:
+        check_opencv(recipe_.tracker)
+    except RecipeError as e:
+        raise recipe_.error("tracker", str(e)) from None
+    return tuple(OpenCvTarget(name, _box(start, name), recipe_.tracker, start.origin) for name in start.targets)
+
+
+def _box(start: Start, name: str) -> Box:
+    box = start.targets[name].box
+    if box is None:
+        raise InputError(
+            f"{start.origin}: {name} has no box, which the recipe follows; add one, as in box: [x, y, w, h]"
+        )
+    return box
+
+
+def _points_target(recipe_: ParticleRecipe, name: str, start: Start) -> ParticleTarget:
     parts = tuple(recipe_.target.parts)
     given = start.targets[name]
     missing = [part for part in parts if part not in given.points]
@@ -39,7 +61,7 @@ def _points_target(recipe_: Recipe, name: str, start: Start) -> Target:
     for part, side in given.windows.items():
         if part in parts:
             windows[parts.index(part)] = side
-    return Target(
+    return ParticleTarget(
         name=name,
         parts=parts,
         x0=x0,
@@ -71,7 +93,7 @@ def _likelihood(given: recipe.ColourRatio, windows: Array) -> ColourRatio:
     )
 
 
-def _prior(recipe_: Recipe, parts: Sequence[str], x0: Array, origin: str) -> BoundPrior | None:
+def _prior(recipe_: ParticleRecipe, parts: Sequence[str], x0: Array, origin: str) -> BoundPrior | None:
     if recipe_.prior is None:
         return None
     prior = load_prior(recipe.resolve_file(recipe_, recipe_.prior.file))

@@ -103,9 +103,9 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
         if start is None:
             return Outcome(job.clip, stopped=stop.reason)
         with _open(job, start.frame) as source:
-            check_start(start, source.size, job.recipe.target.parts)
+            check_start(start, source.size, job.recipe.points)
             tracker = build_tracker(job.recipe, start)
-            _check_windows(job.recipe, tracker, source.size)
+            check_windows(job.recipe, tracker, source.size)
             return _track(job, source, start, tracker, outputs, stop, report)
 
 
@@ -228,12 +228,12 @@ def find_start(job: Job, stop: Stop) -> Start | None:
 
     if job.box is not None:
         first = job.start if job.init_frame is None else job.init_frame
-        return _place(job, Start(first, {"face": TargetStart(box=job.box)}, "--box"))
+        return place_start(job, Start(first, {"face": TargetStart(box=job.box)}, "--box"))
     path = starts.find_init(job.clip) if job.init is None else None if job.init == HAAR else Path(job.init)
     if path is None:
         return _look(job, stop)
     start = starts.read_init(path)
-    return _place(job, start if job.init_frame is None else replace(start, frame=job.init_frame))
+    return place_start(job, start if job.init_frame is None else replace(start, frame=job.init_frame))
 
 
 def _look(job: Job, stop: Stop) -> Start | None:
@@ -244,14 +244,14 @@ def _look(job: Job, stop: Stop) -> Start | None:
     _check_frame(job, first, origin)
     with _open(job, first) as source:
         try:
-            return haar_start(_frames(source, first, origin, stop), job.recipe.target.parts, clip=str(job.clip))
+            return haar_start(_frames(source, first, origin, stop), job.recipe.points, clip=str(job.clip))
         except InputError:
             if stop():
                 return None
             raise
 
 
-def _place(job: Job, start: Start) -> Start:
+def place_start(job: Job, start: Start) -> Start:
     """The start with its points: where one target has a box alone, the picture says where they are."""
     from facetrack_cli.start import box_start
 
@@ -263,7 +263,7 @@ def _place(job: Job, start: Start) -> Start:
     with _open(job, start.frame) as source:
         frame = next(_frames(source, start.frame, _origin(job, start)))
     said_in = str(job.clip) if job.box is not None else start.origin
-    placed = box_start(frame, given.box, job.recipe.target.parts, clip=said_in)
+    placed = box_start(frame, given.box, job.recipe.points, clip=said_in)
     [found] = placed.targets.values()
     return replace(start, targets={names[0]: replace(found, windows=given.windows)})
 
@@ -273,10 +273,10 @@ def _origin(job: Job, start: Start) -> str:
     return start.origin if job.init_frame is None else "--init-frame"
 
 
-def _check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int]) -> None:
+def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int]) -> None:
     """Refuse windows beyond the picture, which compare hardly anything but its border, and take memory without end."""
     for target in tracker:
-        for part, (w, h) in zip(target.parts, target.likelihood.windows, strict=True):
+        for part, (w, h) in target.windows.items():
             if max(w / size[0], h / size[1]) > 1 and max(w, h) > LEAST_WINDOW:
                 raise recipe.error(
                     "target.windows",

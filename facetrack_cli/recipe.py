@@ -10,11 +10,20 @@ The models below are the format. A later tracker adds a member to one of the uni
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, ValidationInfo, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
 
 from facetrack_cli.errors import RecipeError
 from facetrack_cli.lengths import Length, LengthPerPart, PerPart, Window, WindowPerPart
@@ -28,6 +37,8 @@ __all__ = [
     "Factorized",
     "Independent",
     "Length",
+    "OpenCvRecipe",
+    "ParticleRecipe",
     "Parzen",
     "PerPart",
     "Points",
@@ -190,12 +201,63 @@ Prior: TypeAlias = Parzen
 
 
 class Recipe(Section):
-    """A tracker for `facetrack run --config`: what is tracked, how it moves, how it looks, and which filter."""
+    """What every recipe has; `type` says which kind of tracker it is."""
 
+    type: str
     description: Annotated[str, Field(min_length=1, max_length=300)]
     """One line for `facetrack recipes`."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of the random numbers: the same seed gives the same track."""
+
+    _path: Path = PrivateAttr(default=Path("recipe.yaml"))
+    _root: Node | None = PrivateAttr(default=None)
+
+    def model_post_init(self, context: Any) -> None:
+        if context is not None:
+            self._path, self._root = context["path"], context["root"]
+
+    @property
+    def path(self) -> Path:
+        """The file that it was read from."""
+        return self._path
+
+    @property
+    def name(self) -> str:
+        """The file's name without its ending."""
+        return self._path.stem
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """The points that a start must place in every target; none for a tracker that begins with a box."""
+        return ()
+
+    @property
+    def particles(self) -> int | None:
+        """Number of particles, None for a tracker without."""
+        return None
+
+    def error(self, key: str, message: str) -> RecipeError:
+        """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
+        if self._root is None:
+            return RecipeError(f"{self._path}: {message}")
+        node, _, _ = locate(self._root, tuple(key.split(".")))
+        return _error([Problem(node.span, message)])
+
+
+class OpenCvRecipe(Recipe):
+    """One of OpenCV's own trackers of a box, to compare with."""
+
+    type: Literal["opencv"]
+    """One of OpenCV's own trackers, which follows a box."""
+    tracker: Literal["mil", "csrt", "kcf", "mosse"]
+    """Which one; all but `mil` need opencv-contrib-python-headless in place of opencv-python-headless."""
+
+
+class ParticleRecipe(Recipe):
+    """A particle filter: what is tracked, how it moves, how it looks, and which filter."""
+
+    type: Literal["particle_filter"] = "particle_filter"
+    """A particle filter; may be left out."""
     target: Target
     """What is tracked: the state alpha."""
     motion: Motion
@@ -209,15 +271,16 @@ class Recipe(Section):
     confidence: Confidence = Confidence()
     """When a part counts as lost, and when as found again."""
 
-    _path: Path = PrivateAttr(default=Path("recipe.yaml"))
-    _root: Node | None = PrivateAttr(default=None)
+    @property
+    def points(self) -> tuple[str, ...]:
+        return self.target.parts
 
-    def model_post_init(self, context: Any) -> None:
-        if context is not None:
-            self._path, self._root = context["path"], context["root"]
+    @property
+    def particles(self) -> int:
+        return self.filter.particles
 
     @model_validator(mode="after")
-    def _check(self, info: ValidationInfo) -> Recipe:
+    def _check(self, info: ValidationInfo) -> ParticleRecipe:
         found = self.target.windows.refusals(("target", "windows"), self.target.parts)
         found += self.motion.sigma.refusals(("motion", "sigma"), self.target.parts)
         hypotheses = self.filter.particles * len(self.target.parts)
@@ -247,22 +310,8 @@ class Recipe(Section):
         refuse(found)
         return self
 
-    @property
-    def path(self) -> Path:
-        """The file that it was read from."""
-        return self._path
 
-    @property
-    def name(self) -> str:
-        """The file's name without its ending."""
-        return self._path.stem
-
-    def error(self, key: str, message: str) -> RecipeError:
-        """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
-        if self._root is None:
-            return RecipeError(f"{self._path}: {message}")
-        node, _, _ = locate(self._root, tuple(key.split(".")))
-        return _error([Problem(node.span, message)])
+KINDS: Mapping[str, type[Recipe]] = {"particle_filter": ParticleRecipe, "opencv": OpenCvRecipe}
 
 
 def load_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> Recipe:
@@ -280,7 +329,7 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
     """Everything that is wrong with a recipe; also that the files it names are there."""
     try:
         recipe = _load(find_recipe(name_or_path), overrides)
-        if recipe.prior is not None:
+        if isinstance(recipe, ParticleRecipe) and recipe.prior is not None:
             _find_file(recipe, recipe.prior.file)
     except YamlProblems as refused:
         return list(refused.problems)
@@ -342,7 +391,8 @@ def to_dict(recipe: Recipe) -> dict[str, Any]:
 
 def json_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a recipe."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Recipe.model_json_schema()}
+    schema = TypeAdapter(ParticleRecipe | OpenCvRecipe).json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Recipe", **schema}
 
 
 def _read(path: Path) -> Source:
@@ -363,10 +413,23 @@ def _load(path: Path, overrides: Sequence[str]) -> Recipe:
         raise YamlProblems([Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this")])
     for override in overrides:
         assign(root, "--set", override)
+    kind = _kind(root)
     try:
-        return Recipe.model_validate(root.plain(), context={"path": path, "root": root})
+        return kind.model_validate(root.plain(), context={"path": path, "root": root})
     except ValidationError as error:
-        raise YamlProblems(problems(error, Recipe, root)) from None
+        raise YamlProblems(problems(error, kind, root)) from None
+
+
+def _kind(root: Node) -> type[Recipe]:
+    """The model of a recipe by its `type`: a particle filter where none is given."""
+    given = root.value.get("type") if isinstance(root.value, dict) else None
+    if given is None:
+        return ParticleRecipe
+    name = given.value if isinstance(given.value, str) else ""
+    if name not in KINDS:
+        hint = suggest(name, list(KINDS), "it is one of")
+        raise YamlProblems([Problem(given.span, f'unknown type of recipe "{name}"; {hint}')])
+    return KINDS[name]
 
 
 def _find_file(recipe: Recipe, name: str) -> Path:

@@ -1,12 +1,12 @@
 """The loop over frames: bind, step, estimate, judge; a result a frame.
 
-A tracker is a tuple of targets. A target is the parts of one recipe put together by `build.py`; what it learns of a
-clip is a value that this loop carries from frame to frame.
+A tracker is a tuple of targets, put together by `build.py`: particle filters, or what is wrapped to stand beside them
+(`opencv.py`). What a target knows of a clip is a value that this loop carries from frame to frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
@@ -38,9 +38,51 @@ class Motion(Protocol):
     def log_transition(self, x: Array, parents: Array) -> Array: ...
 
 
+class Target(Protocol):
+    """One target of a recipe, ready to track. `state` is a value that the loop keeps for it from frame to frame."""
+
+    @property
+    def windows(self) -> Mapping[str, tuple[float, float]]:
+        """Width and height in pixels of the picture that each part is compared by, of those that have one."""
+
+    def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[Any, TargetResult]:
+        """The state after the first frame, and what there is to say of it."""
+
+    def advance(self, rng: np.random.Generator, state: Any, frame: Frame) -> tuple[Any, TargetResult]:
+        """The state after one more frame, and what there is to say of it."""
+
+
+Tracker: TypeAlias = tuple[Target, ...]
+
+
+def track(tracker: Tracker, frames: Iterator[Frame], seed: int) -> Iterator[Result]:
+    """Track over `frames`, the first of which is the one that the tracker's start belongs to.
+
+    The same tracker, frames and seed give the same results, bit for bit.
+    """
+    rng = np.random.default_rng(seed)
+    states: list[Any] = []
+    for frame in frames:
+        if states:
+            ended = [target.advance(rng, state, frame) for target, state in zip(tracker, states, strict=True)]
+        else:
+            ended = [target.begin(rng, frame) for target in tracker]
+        states = [state for state, _ in ended]
+        yield Result(frame, tuple(result for _, result in ended))
+
+
 @dataclass(frozen=True)
-class Target:
-    """One target of a recipe, ready to track. `x0` (K, 2) pixels: its parts in the first frame."""
+class State:
+    """What a particle filter carries on: its particles, what was learned of the clip, and how each part is judged."""
+
+    particles: Particles
+    learned: Any
+    judgement: Judgement
+
+
+@dataclass(frozen=True)
+class ParticleTarget:
+    """A target followed by a particle filter. `x0` (K, 2) pixels: its parts in the first frame."""
 
     name: str
     parts: tuple[str, ...]
@@ -52,15 +94,49 @@ class Target:
     step: Step
     confidence: Confidence
 
+    @property
+    def windows(self) -> Mapping[str, tuple[float, float]]:
+        return {part: (float(w), float(h)) for part, (w, h) in zip(self.parts, self.likelihood.windows, strict=True)}
 
-Tracker: TypeAlias = tuple[Target, ...]
+    def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[State, TargetResult]:
+        learned = self.likelihood.init(frame, self.x0)
+        x = np.repeat(self.x0[None], self.particles, axis=0)
+        judgement = self.confidence.begin(self.likelihood, learned, frame, self.x0)
+        state = State(Particles(x, uniform(self.particles)), learned, judgement)
+        k = len(self.parts)
+        still = Estimate(self.x0, np.zeros((k, 2, 2)))
+        return state, self._result(state, still, Info(np.full(k, float(self.particles))))
+
+    def advance(self, rng: np.random.Generator, state: State, frame: Frame) -> tuple[State, TargetResult]:
+        particles, info = self.step(rng, state.particles, Bound(self, state.learned, frame))
+        estimate = estimate_points(particles)
+        distance = self.likelihood.distances(state.learned, frame, estimate.mean[None])[0]
+        state = State(particles, state.learned, self.confidence.judge(state.judgement, distance))
+        return state, self._result(state, estimate, info)
+
+    def _result(self, state: State, estimate: Estimate, info: Info) -> TargetResult:
+        parts = tuple(
+            PartResult(
+                name=name,
+                x=float(estimate.mean[i, 0]),
+                y=float(estimate.mean[i, 1]),
+                w=float(self.likelihood.windows[i, 0]),
+                h=float(self.likelihood.windows[i, 1]),
+                status=state.judgement.status[i],
+                confidence=float(state.judgement.confidence[i]),
+                cov=(float(estimate.cov[i, 0, 0]), float(estimate.cov[i, 0, 1]), float(estimate.cov[i, 1, 1])),
+                ess=float(info.ess[i]),
+            )
+            for i, name in enumerate(self.parts)
+        )
+        return TargetResult(self.name, parts, len(state.particles.x), state.particles.x)
 
 
 @dataclass(frozen=True)
 class Bound:
     """A target with one frame bound in: the model that filters see (`filters.FrameModel`)."""
 
-    target: Target
+    target: ParticleTarget
     learned: Any
     frame: Frame
 
@@ -80,64 +156,3 @@ class Bound:
         if self.target.prior is None:
             raise ValueError("there is no shape prior to propose from")
         return self.target.prior.propose(rng, x, part)
-
-
-@dataclass
-class _State:
-    particles: Particles
-    learned: Any
-    judgement: Judgement
-
-
-def track(tracker: Tracker, frames: Iterator[Frame], seed: int) -> Iterator[Result]:
-    """Track over `frames`, the first of which is the one that the targets' `x0` belong to.
-
-    The same tracker, frames and seed give the same results, bit for bit.
-    """
-    rng = np.random.default_rng(seed)
-    first = next(frames, None)
-    if first is None:
-        return
-    states = [_begin(target, first) for target in tracker]
-    yield Result(first, tuple(_initial(t, s) for t, s in zip(tracker, states, strict=True)))
-    for frame in frames:
-        yield Result(frame, tuple(_advance(rng, t, s, frame) for t, s in zip(tracker, states, strict=True)))
-
-
-def _begin(target: Target, frame: Frame) -> _State:
-    learned = target.likelihood.init(frame, target.x0)
-    x = np.repeat(target.x0[None], target.particles, axis=0)
-    judgement = target.confidence.begin(target.likelihood, learned, frame, target.x0)
-    return _State(Particles(x, uniform(target.particles)), learned, judgement)
-
-
-def _initial(target: Target, state: _State) -> TargetResult:
-    k = len(target.parts)
-    still = Estimate(target.x0, np.zeros((k, 2, 2)))
-    return _result(target, state, still, Info(np.full(k, float(target.particles))))
-
-
-def _advance(rng: np.random.Generator, target: Target, state: _State, frame: Frame) -> TargetResult:
-    state.particles, info = target.step(rng, state.particles, Bound(target, state.learned, frame))
-    estimate = estimate_points(state.particles)
-    distance = target.likelihood.distances(state.learned, frame, estimate.mean[None])[0]
-    state.judgement = target.confidence.judge(state.judgement, distance)
-    return _result(target, state, estimate, info)
-
-
-def _result(target: Target, state: _State, estimate: Estimate, info: Info) -> TargetResult:
-    parts = tuple(
-        PartResult(
-            name=name,
-            x=float(estimate.mean[i, 0]),
-            y=float(estimate.mean[i, 1]),
-            w=float(target.likelihood.windows[i, 0]),
-            h=float(target.likelihood.windows[i, 1]),
-            status=state.judgement.status[i],
-            confidence=float(state.judgement.confidence[i]),
-            cov=(float(estimate.cov[i, 0, 0]), float(estimate.cov[i, 0, 1]), float(estimate.cov[i, 1, 1])),
-            ess=float(info.ess[i]),
-        )
-        for i, name in enumerate(target.parts)
-    )
-    return TargetResult(target.name, parts, len(state.particles.x), state.particles.x)

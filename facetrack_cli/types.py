@@ -118,7 +118,7 @@ class Start:
 class PartResult:
     """The estimate of one part in one frame. (x, y) is the centre of its window of w x h pixels.
 
-    `cov` is the posterior's 2x2 covariance as (xx, xy, yy) in pixels squared.
+    `cov` is the posterior's 2x2 covariance as (xx, xy, yy) in pixels squared. None is what a tracker cannot tell.
     """
 
     name: str
@@ -127,9 +127,9 @@ class PartResult:
     w: float
     h: float
     status: Status
-    confidence: float
-    cov: tuple[float, float, float]
-    ess: float
+    confidence: float | None = None
+    cov: tuple[float, float, float] | None = None
+    ess: float | None = None
     angle: float | None = None
 
 
@@ -139,7 +139,7 @@ class TargetResult:
 
     name: str
     parts: tuple[PartResult, ...]
-    particles: int
+    particles: int | None
     cloud: Array
     identity: str | None = None
     identity_prob: float | None = None

@@ -16,7 +16,7 @@ LAYERS = [
     {"errors", "types", "kernels", "kernels_shape", "kernel_cache", "options"},
     {"resampling", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
     {"confidence", "filters", "formats", "likelihoods", "motion", "priors", "recipe_messages", "start"},
-    {"lengths", "prior_fit", "prior_picture", "track"},
+    {"lengths", "opencv", "prior_fit", "prior_picture", "track"},
     {"pipeline", "recipe"},
     {"build"},
     {"outputs", "progress"},

@@ -112,9 +112,15 @@ def escape(text: str) -> str:
 # --- keys of recipes -----------------------------------------------------------------------------------------------
 
 
-def keys_table() -> str:
-    """Every key of a recipe: what may stand there, what it is without, and what it means."""
+def keys_tables() -> str:
+    """A table of keys for each kind of recipe."""
     schema = json_schema()
+    kinds = [resolve(schema, one) for one in schema["anyOf"]]
+    return "\n\n".join(f"{one['description']}\n\n{keys_table({**schema, **one})}" for one in kinds)
+
+
+def keys_table(schema: Schema) -> str:
+    """Every key of a recipe: what may stand there, what it is without, and what it means."""
     rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
     for key, field in schema["properties"].items():
         sections = members(schema, field)
@@ -179,6 +185,8 @@ def value(schema: Schema, field: Schema) -> str:
         }[name]
     if "anyOf" in field:
         return " or ".join(value(schema, one) for one in field["anyOf"])
+    if "const" in field:
+        return f"`{field['const']}`"
     if "enum" in field:
         return ", ".join(f"`{one}`" for one in field["enum"])
     words = {
@@ -200,7 +208,7 @@ def recipes_page(text: str) -> str:
     _, found_end, after = rest.partition(END)
     if not found_begin or not found_end:
         raise SystemExit(f"docs/recipes.md: the table of keys goes between {BEGIN} and {END}; put them back")
-    return f"{before}{BEGIN}\n\n{keys_table()}\n\n{END}{after}"
+    return f"{before}{BEGIN}\n\n{keys_tables()}\n\n{END}{after}"
 
 
 def pages() -> dict[Path, str]:

@@ -137,7 +137,7 @@ def _list() -> None:
 
 
 def _row(recipe: Recipe) -> tuple[str, str, str]:
-    return recipe.name, str(recipe.filter.particles), " ".join(recipe.description.split())
+    return recipe.name, str(recipe.particles or "-"), " ".join(recipe.description.split())
 
 
 def _colour() -> bool:

@@ -250,7 +250,7 @@ class Overlay:
         """Two standard deviations around centres, (R, 32, 2), and whose; only where that is more than the mark."""
         roots, whose = [], []
         for k, part in enumerate(shape.parts):
-            xx, xy, yy = (v if math.isfinite(v) else 0.0 for v in part.cov)
+            xx, xy, yy = (v if math.isfinite(v) else 0.0 for v in part.cov or (0.0, 0.0, 0.0))
             sx = math.sqrt(min(max(xx, 0.0), self._reach**2))
             sy = math.sqrt(min(max(yy, 0.0), self._reach**2))
             # in a small window the dots say as much, with less clutter

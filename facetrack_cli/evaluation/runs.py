@@ -1,0 +1,332 @@
+"""Recipes run over a clip with many seeds, for what compares, repeats and checks them.
+
+All seeds of a plan advance side by side over one decoding of the clip, so memory stays flat but for the results.
+Every tracker is given a frame of its own, and only what it does itself is timed. With several processes plans, and
+then their seeds, are shared out; what a seed yields does not depend on that.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import multiprocessing
+import signal
+import time
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import TimeoutError as NotYet
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from fractions import Fraction
+from multiprocessing.sharedctypes import Synchronized
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.batch import cores, use_threads, worker_context
+from facetrack_cli.build import build_tracker
+from facetrack_cli.errors import FacetrackError, InputError
+from facetrack_cli.formats.table import Table, series
+from facetrack_cli.job import Job, check_windows, find_start, place_start
+from facetrack_cli.recipe import Recipe
+from facetrack_cli.start import check_start, find_init
+from facetrack_cli.stopping import Stop
+from facetrack_cli.track import track
+from facetrack_cli.trajectory import Row, rows
+from facetrack_cli.types import Box, Frame, Result, Start, TargetStart
+from facetrack_cli.video.source import open_source
+
+Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
+
+_Shared: TypeAlias = "Synchronized[int]"
+_LOOK_S = 0.2  # between two looks at the signals and at how far the processes are
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A recipe on a clip, with some seeds. `label` names it in results; `stop` is the frame to end before."""
+
+    label: str
+    clip: Path
+    recipe: Recipe
+    start: Start
+    seeds: tuple[int, ...]
+    stop: int | None = None
+    fps: Fraction | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SeedRun:
+    """One seed's trajectory. `frames_per_s` is the tracker's alone: decoding is not counted, nor the first frame."""
+
+    label: str
+    seed: int
+    table: Table
+    frames_per_s: float
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A plan that could not be run, and why."""
+
+    label: str
+    error: FacetrackError
+
+
+def run_plans(
+    plans: Sequence[Plan],
+    workers: int = 1,
+    stopped: Stop | None = None,
+    report: Report = lambda done, total: None,
+) -> Iterator[SeedRun | Failure]:
+    """Run all plans, in `workers` processes: their runs in the order of plans and seeds, or one failure for a plan.
+
+    Once `stopped` says so, nothing more is yielded.
+    """
+    stopped = stopped or Stop()
+    if workers == 1:
+        yield from _in_turn(plans, stopped, report)
+    else:
+        yield from _side_by_side(plans, workers, stopped, report)
+
+
+def find_plan_start(
+    clip: Path,
+    recipe: Recipe,
+    *,
+    init: Path | Literal["haar"] | None = None,
+    box: Box | None = None,
+    truth: Table | None = None,
+    fps: Fraction | None = None,
+    stop: int | None = None,
+    stopped: Stop | None = None,
+) -> Start:
+    """Where a recipe begins on a clip: the box or init file given, the init file beside the clip, else the truth.
+
+    The truth's start is its first frame in which all that the recipe follows is visible. Without a truth a face is
+    looked for. Raises InputError where there is no such place.
+    """
+    job = Job(clip, recipe, None, init=init, box=box, fps=fps, stop=stop)
+    if truth is not None and init is None and box is None and find_init(clip) is None:
+        return place_start(job, truth_start(truth, recipe.points))
+    start = find_start(job, stopped or Stop())
+    if start is None:
+        raise InputError(f"{clip}: stopped before a start was found")
+    return start
+
+
+def truth_start(truth: Table, points: Sequence[str]) -> Start:
+    """The first frame of the truth in which its targets' boxes, or all these points of them, are visible."""
+    for frame in truth.frames.tolist():
+        targets: dict[str, TargetStart] = {}
+        for target in truth.targets:
+            box: Box | None = None
+            found: dict[str, tuple[float, float]] = {}
+            for one in truth.series:
+                at = int(np.searchsorted(one.frame, frame))
+                if one.target != target or at == len(one) or one.frame[at] != frame or one.status[at] not in _SEEN:
+                    continue
+                if np.isfinite(one.boxes[at]).all():
+                    left, top, w, h = one.boxes[at].tolist()
+                    box = (left, top, w, h)
+                elif np.isfinite([one.x[at], one.y[at]]).all():
+                    found[one.part] = (float(one.x[at]), float(one.y[at]))
+            wanted = {part: found[part] for part in points if part in found}
+            if box is not None or (points and len(wanted) == len(points)):
+                targets[target or "face"] = TargetStart(box=box, points=wanted if len(wanted) == len(points) else {})
+        if len(targets) == len(truth.targets):
+            return Start(frame, targets, str(truth.path))
+    what = ", ".join(points) if points else "a box"
+    raise InputError(f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box")
+
+
+_SEEN = ("", "visible", "init", "tracked")
+
+
+# --- one plan ------------------------------------------------------------------------------------------------------
+
+
+class _Feed:
+    """Hands each tracker the present frame, whenever it asks for its next."""
+
+    def __init__(self) -> None:
+        self.frame: Frame | None = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        return self
+
+    def __next__(self) -> Frame:
+        assert self.frame is not None
+        # pictures derived from a frame are kept in it: each tracker is to make, and be timed for, its own
+        return Frame(self.frame.index, self.frame.time_s, self.frame.bgr)
+
+
+_NUMBERS = tuple(name for name in Row._fields if name not in ("target", "part", "status", "identity", "identity_prob"))
+
+
+class _Log:
+    """The rows of a run, as one array of numbers for each column and part."""
+
+    def __init__(self) -> None:
+        self._columns: dict[tuple[str, str], dict[str, array[float]]] = {}
+        self._status: dict[tuple[str, str], list[str]] = {}
+
+    def add(self, result: Result) -> None:
+        for row in rows(result):
+            key = (row.target, row.part)
+            if key not in self._columns:
+                self._columns[key] = {name: array("d") for name in _NUMBERS}
+                self._status[key] = []
+            for name, column in self._columns[key].items():
+                value = getattr(row, name)
+                column.append(np.nan if value is None else value)
+            self._status[key].append(row.status)
+
+    def table(self, clip: Path) -> Table:
+        found = []
+        for (target, part), columns in self._columns.items():
+            values = {name: np.array(column) for name, column in columns.items()}
+            found.append(series(target, part, values.pop("frame"), status=self._status[target, part], **values))
+        return Table(clip, tuple(found))
+
+
+def _run(plan: Plan, seeds: Sequence[int], stopped: Callable[[], bool], tell: Callable[[int], None]) -> list[SeedRun]:
+    """The runs of some seeds of a plan; none if it is stopped. `tell` hears of each frame how many tracked it."""
+    with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
+        check_start(plan.start, source.size, plan.recipe.points)
+        tracker = build_tracker(plan.recipe, plan.start)
+        check_windows(plan.recipe, tracker, source.size)
+        feed = _Feed()
+        runs = [track(tracker, iter(feed), seed) for seed in seeds]
+        logs = [_Log() for _ in seeds]
+        seconds = [0.0 for _ in seeds]
+        count = 0
+        for frame in source:
+            if stopped():
+                return []
+            feed.frame = frame
+            for i, run in enumerate(runs):
+                began = time.perf_counter()
+                result = next(run)
+                seconds[i] += (time.perf_counter() - began) * (count > 0)
+                logs[i].add(result)
+            count += 1
+            tell(len(seeds))
+        if count == 0:
+            raise InputError(f"{plan.clip}: frame {plan.start.frame}, where {plan.start.origin} begins, cannot be read")
+    return [
+        SeedRun(plan.label, seed, log.table(plan.clip), (count - 1) / max(spent, 1e-9))
+        for seed, log, spent in zip(seeds, logs, seconds, strict=True)
+    ]
+
+
+# --- all plans -----------------------------------------------------------------------------------------------------
+
+
+def _in_turn(plans: Sequence[Plan], stopped: Stop, report: Report) -> Iterator[SeedRun | Failure]:
+    done, total = 0, _total(plans)
+
+    def tell(frames: int) -> None:
+        nonlocal done
+        done += frames
+        report(done, total)
+
+    for plan in plans:
+        try:
+            found = _run(plan, plan.seeds, stopped, tell)
+        except FacetrackError as e:
+            yield Failure(plan.label, e)
+            continue
+        if stopped():
+            return
+        yield from found
+
+
+def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Report) -> Iterator[SeedRun | Failure]:
+    total = _total(plans)
+
+    def tell() -> None:
+        report(done.value, total)
+
+    pieces = -(-workers // max(len(plans), 1))  # of each plan, so that no process is idle
+    context = worker_context()
+    ending, done = context.Value("i", 0), context.Value("q", 0)
+    threads = max(1, cores() // workers)
+    pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(ending, done, threads))
+    try:
+        futures = [[pool.submit(_work, plan, share) for share in _shares(plan.seeds, pieces)] for plan in plans]
+        for plan, shares in zip(plans, futures, strict=True):
+            try:
+                found = [run for share in shares for run in _await(share, ending, stopped, tell)]
+            except FacetrackError as e:
+                yield Failure(plan.label, e)
+                continue
+            except BrokenProcessPool as e:
+                raise FacetrackError("a process of -j ended by itself (too little memory?); run without -j") from e
+            if stopped():
+                return
+            yield from found
+    finally:
+        ending.value = 1
+        pool.shutdown(cancel_futures=True)
+
+
+def _total(plans: Sequence[Plan]) -> int:
+    """Frames to track over all seeds, as far as the clips' own word for it goes; 0 if one says nothing."""
+    lengths: dict[tuple[Path, int, int | None], int] = {}
+    for plan in plans:
+        key = plan.clip, plan.start.frame, plan.stop
+        if key not in lengths:
+            try:
+                with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
+                    lengths[key] = source.frames_hint or 0
+            except FacetrackError:  # its turn will come
+                lengths[key] = 0
+    each = [len(plan.seeds) * lengths[plan.clip, plan.start.frame, plan.stop] for plan in plans]
+    return sum(each) if all(each) else 0
+
+
+def _shares(seeds: Sequence[int], pieces: int) -> list[tuple[int, ...]]:
+    """The seeds in order, in at most so many runs of nearly equal length."""
+    pieces = min(pieces, len(seeds))
+    edges = [round(i * len(seeds) / pieces) for i in range(pieces + 1)]
+    return [tuple(seeds[a:b]) for a, b in itertools.pairwise(edges)]
+
+
+def _await(share: Future[list[SeedRun]], ending: _Shared, stopped: Stop, tell: Callable[[], None]) -> list[SeedRun]:
+    while True:
+        if stopped():
+            ending.value = 1
+            return []
+        tell()
+        with contextlib.suppress(NotYet):
+            return share.result(timeout=_LOOK_S)
+
+
+class _Common:
+    """What a process shares with the one that started it."""
+
+    ending: _Shared
+    done: _Shared
+
+
+def _begin(ending: _Shared, done: _Shared, threads: int) -> None:
+    # Ctrl-C reaches every process of a terminal; the parent alone acts on it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _Common.ending, _Common.done = ending, done
+    use_threads(threads)
+
+
+def _work(plan: Plan, seeds: tuple[int, ...]) -> list[SeedRun]:
+    parent = multiprocessing.parent_process()
+
+    def tell(frames: int) -> None:
+        with _Common.done.get_lock():
+            _Common.done.value += frames
+
+    def stopped() -> bool:
+        return bool(_Common.ending.value) or (parent is not None and not parent.is_alive())
+
+    return _run(plan, seeds, stopped, tell)
