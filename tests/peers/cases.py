@@ -1,0 +1,203 @@
+"""Boxes for the toolkits and for us, and how measure.py is run over them.
+
+`python -m tests.peers.cases PYTHON` writes expected.json anew, by the Python that has the packages of requirements.txt.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+HERE = Path(__file__).parent
+EXPECTED = HERE / "expected.json"
+NAN = [np.nan] * 4
+
+
+class Case(NamedTuple):
+    """Boxes (T, 4) of a tracker and the truth; corners (T, 4, 2) or None; (width, height) of the picture."""
+
+    ours: np.ndarray
+    truth: np.ndarray
+    our_corners: np.ndarray | None
+    true_corners: np.ndarray | None
+    size: tuple[int, int]
+
+
+def edges():
+    """One pair of boxes a row, each at the border of some rule. (ours, truth)"""
+    first = [10, 20, 30, 40]
+    pairs = [
+        (first, first),
+        (first, [60, 70, 10, 10]),  # apart
+        (first, [40, 20, 30, 40]),  # side by side
+        (first, [15, 25, 5, 5]),  # one in the other
+        ([10, 20, 20, 40], [10, 20, 40, 40]),  # IoU 0.5
+        ([10, 20, 30, 40], [10, 20, 40, 40]),  # IoU 0.75
+        ([22, 36, 30, 40], first),  # 20 px apart
+        ([22, 36, 30, 40], [10, 20, 60, 80]),
+        ([16, 20, 30, 40], first),  # 0.2 of the box
+        ([25, 20, 30, 40], first),  # the centre on the border of the box
+        ([25.001, 20, 30, 40], first),
+        ([17.5, 30, 30, 40], first),  # a quarter of the box
+        ([10, 20, 0, 0], first),
+        ([10, 20, 30, 0], first),
+        (first, [10, 20, 0, 0]),
+        ([12, 24, 0, 0], [12, 24, 0, 0]),
+        ([0, 0, 0, 0], [0, 0, 0, 0]),
+        ([10, 20, -5, 40], first),
+        ([10, 20, -5, -5], [12, 22, -5, -5]),
+        ([10.5, 20.5, 30.5, 40.5], first),  # halves are rounded to even
+        ([11.5, 21.5, 31.5, 41.5], first),
+        ([10.49999999, 20.50000001, 30, 40], first),  # float32 makes them halves
+        ([10.2, 20.7, 29.6, 39.4], [10.6, 20.3, 30.3, 40.9]),
+        ([10, 20, 1, 9], [10, 25, 1, 9]),  # one column
+        ([10, 20, 1, 9], [10, 60, 1, 9]),
+        ([10, 20, 1, 1], [11, 21, 1, 1]),
+        ([10, 20, 0.3, 0.3], [10.1, 20.1, 0.3, 0.3]),  # far below a pixel
+        ([10, 20, 1e-7, 1e-7], [10, 20, 1e-7, 1e-7]),
+        ([-10, 5, 30, 40], [5, 5, 30, 40]),  # out of the picture, by a part and whole
+        ([-50, -60, 30, 40], [-45, -55, 30, 40]),
+        ([150, 100, 30, 40], [140, 90, 30, 40]),
+        ([300, 300, 30, 40], [310, 310, 30, 40]),
+        ([159, 10, 30, 40], [159, 12, 30, 40]),  # its last column
+        ([0, 0, 160, 120], [0, 0, 160, 120]),
+        ([-1e6, -1e6, 2e6, 2e6], [0, 0, 160, 120]),  # large
+        ([1e6, 1e6, 1e6, 1e6], [1.5e6, 1.5e6, 1e6, 1e6]),
+        (NAN, first),
+        (first, NAN),
+        (NAN, NAN),
+        ([np.nan, 20, 30, 40], first),
+        (NAN, [30.3, 40.4, 50, 60]),
+        (first, first),
+    ]
+    ours, truth = np.array(pairs, dtype=float).transpose(1, 0, 2)
+    ours = np.where(np.isnan(ours).any(axis=1, keepdims=True), np.nan, ours)
+    return Case(ours, truth, None, None, (160, 120))
+
+
+def walk(rng, rows, size=(320, 240)):
+    """A target on its way and a tracker that slips off it; some rows without truth, some without boxes."""
+    centre = rng.uniform(0.2, 0.8, 2) * size + np.cumsum(rng.normal(0, 4, (rows, 2)), axis=0)
+    sides = rng.uniform(5, 80, 2) * np.exp(np.cumsum(rng.normal(0, 0.03, (rows, 2)), axis=0))
+    off = np.cumsum(rng.normal(0, 1, (rows, 2)), axis=0) * rng.choice([0.02, 0.3, 1.5])
+    ours = np.concatenate([centre + off - sides / 2, sides * np.exp(rng.normal(0, 0.2, (rows, 2)))], axis=1)
+    truth = np.concatenate([centre - sides / 2, sides], axis=1)
+    kind = rng.integers(3)
+    if kind == 0:
+        ours, truth = np.round(ours), np.round(truth)
+    elif kind == 1:
+        ours, truth = np.round(ours * 2) / 2, np.round(truth, 3)
+    ours[rng.random(rows) < 0.1] = truth[0]
+    ours[rng.random(rows) < 0.05, 2:] = 0
+    ours[rng.random(rows) < 0.1] = np.nan
+    truth[rng.random(rows) < 0.1] = np.nan
+    truth[0] = [*centre[0].clip(5, 100), 30, 40]  # what the tracker starts from
+    ours[0] = truth[0] + rng.choice([0, 3])
+    return Case(ours, truth, None, None, size)
+
+
+def polygons(rng, rows, size=(320, 240), both=False):
+    """Truth as polygons, and the tracker's as boxes or polygons: turned boxes, and any four corners, even crossing."""
+    case = walk(rng, rows, size)
+
+    def turned(boxes):
+        angle = rng.choice([0, np.pi / 2, 0.3, 1.0, rng.uniform(-3, 3)], len(boxes))
+        half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (boxes[:, None, 2:] - 1) / 2
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
+        corners = boxes[:, None, :2] + (boxes[:, None, 2:] - 1) / 2 + half @ turn
+        wild = rng.random(len(boxes)) < 0.3
+        corners[wild] += rng.normal(0, 25, (int(wild.sum()), 4, 2))
+        flat = rng.random(len(boxes)) < 0.05
+        corners[flat] = corners[flat][:, :1]
+        return corners
+
+    upright = rng.random(rows) < 0.2  # lines of VOT may be of either kind
+    true_corners = turned(case.truth)
+    true_corners[upright] = np.nan
+    return case._replace(our_corners=turned(case.ours) if both else None, true_corners=true_corners)
+
+
+def fixed():
+    """The cases that expected.json holds."""
+    return {
+        "edges": edges(),
+        "walk": walk(np.random.default_rng(1), 40),
+        "polygons": polygons(np.random.default_rng(2), 40),
+        "two polygons": polygons(np.random.default_rng(3), 40, (200, 150), both=True),
+    }
+
+
+def random(seed):
+    """New ones."""
+    cases = {}
+    for at in range(12):
+        rng = np.random.default_rng([seed, at])
+        size = tuple(rng.integers(40, 400, 2).tolist())
+        rows = int(rng.integers(3, 120))
+        cases[f"random {seed} {at}"] = polygons(rng, rows, size, both=at % 4 == 1) if at % 2 else walk(rng, rows, size)
+    return cases
+
+
+def write(folder, case):
+    """The files that measure.py reads."""
+    folder.mkdir()
+
+    def lines(rows):
+        return "".join(",".join(map(repr, np.asarray(row).ravel().tolist())) + "\n" for row in rows)
+
+    folder.joinpath("size.txt").write_text(lines([case.size]), encoding="utf-8")
+    for name, boxes, corners in (("ours", case.ours, case.our_corners), ("truth", case.truth, case.true_corners)):
+        regions = list(boxes)
+        if corners is not None:
+            regions = [b if np.isnan(c).any() else c for b, c in zip(boxes, corners, strict=True)]
+        folder.joinpath(f"{name}.txt").write_text(lines(boxes), encoding="utf-8")
+        folder.joinpath(f"vot_{name}.txt").write_text(lines(regions), encoding="utf-8")
+
+
+def run(python, cases):
+    """What the toolkits say of the cases: `packages` and `measures` by name."""
+    with tempfile.TemporaryDirectory() as name:
+        folders = [Path(name, case) for case in cases]
+        for folder, case in zip(folders, cases.values(), strict=True):
+            write(folder, case)
+        done = subprocess.run([python, HERE / "measure.py", *folders], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{python} {HERE / 'measure.py'}:\n{done.stderr}")
+    return json.loads(done.stdout)
+
+
+def from_json(held):
+    arrays = [np.array(held[name], dtype=float) if held[name] is not None else None for name in Case._fields[:4]]
+    return Case(*arrays, tuple(held["size"]))
+
+
+def expected():
+    """Cases and what the toolkits said of them when they were recorded, by name."""
+    held = json.loads(EXPECTED.read_text(encoding="utf-8"))["cases"]
+    return {name: (from_json(one["boxes"]), one["measures"]) for name, one in held.items()}
+
+
+def record(python):
+    cases = fixed()
+    said = run(python, cases)
+
+    def plain(value):
+        if not isinstance(value, np.ndarray):
+            return value
+        return np.where(np.isnan(value), None, value).tolist()
+
+    held = {
+        name: {"boxes": {key: plain(v) for key, v in case._asdict().items()}, "measures": said["measures"][name]}
+        for name, case in cases.items()
+    }
+    # a line a case, so that a change shows where it is
+    text = ",\n".join(f"{json.dumps(name)}: {json.dumps(one)}" for name, one in held.items())
+    EXPECTED.write_text(f'{{"packages": {json.dumps(said["packages"])}, "cases": {{\n{text}\n}}}}\n', encoding="utf-8")
+
+
+if __name__ == "__main__":
+    record(sys.argv[1])
