@@ -100,15 +100,17 @@ def find_plan_start(
     box: Box | None = None,
     truth: Table | None = None,
     fps: Fraction | None = None,
+    first: int = 0,
     stop: int | None = None,
     stopped: Stop | None = None,
 ) -> Start:
     """Where a recipe begins on a clip: the box or init file given, the init file beside the clip, else the truth.
 
     The truth's start is its first frame in which all that the recipe follows is visible. Without a truth a face is
-    looked for. Raises InputError where there is no such place.
+    looked for. `first` is the frame of the box, or where the search begins. Raises InputError where there is no such
+    place from that frame on.
     """
-    job = Job(clip, recipe, None, init=init, box=box, fps=fps, stop=stop)
+    job = Job(clip, recipe, None, init=init, box=box, fps=fps, start=first, stop=stop)
     if truth is not None and init is None and box is None and find_init(clip) is None:
         return place_start(job, truth_start(truth, recipe.points))
     start = find_start(job, stopped or Stop())
