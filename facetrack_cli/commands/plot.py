@@ -1,8 +1,134 @@
-"""facetrack plot."""
+"""facetrack plot: a page of small plots of what happened in a trajectory."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from facetrack_cli.errors import OutputError, UsageError
+
+if TYPE_CHECKING:
+    from facetrack_cli.evaluation.match import Pair
+    from facetrack_cli.formats.table import Table
+
+# as formats/read.py and evaluation/plot_style.py have them, which would load numpy
+TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
+FORMS = ("png", "svg", "pdf")
+
 
 @click.command()
-def command() -> None:
-    """To come."""
+@click.argument("trajectory", metavar="TRAJECTORY", type=click.Path(path_type=Path))
+@click.option("--truth", metavar="FILE", type=click.Path(path_type=Path), help="Draw the truth too, and the error.")
+@click.option(
+    "--truth-format",
+    metavar="FORMAT",
+    type=click.Choice(TRUTH_FORMATS),
+    default="auto",
+    help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
+)
+@click.option(
+    "--shift",
+    metavar="N",
+    type=int,
+    help="Add N to the frame numbers of the truth; 0 takes them as they are even if another shift would fit better.",
+)
+@click.option("--partial", is_flag=True, help="Draw what both have, though the truth has less than the trajectory.")
+@click.option("--target", metavar="NAME[/PART]", help="One target, or one part of it, alone.")
+@click.option(
+    "-o",
+    "--out",
+    metavar="FILE",
+    help="File to write: .png, .svg or .pdf [default: plot.png beside TRAJECTORY].",
+)
+@click.option("--overwrite", is_flag=True, help="Replace a file that is there already.")
+@click.option("--title", metavar="TEXT", help="Title of the page [default: clip and recipe].")
+@click.option(
+    "--width", metavar="INCHES", type=click.FloatRange(4, 40), default=10, show_default=True, help="Width of the page."
+)
+@click.option(
+    "--dpi",
+    metavar="N",
+    type=click.FloatRange(40, 600),
+    default=120,
+    show_default=True,
+    help="Pixels an inch of a PNG.",
+)
+def command(
+    trajectory: Path,
+    truth: Path | None,
+    truth_format: str,
+    shift: int | None,
+    partial: bool,
+    target: str | None,
+    out: str | None,
+    overwrite: bool,
+    title: str | None,
+    width: float,
+    dpi: float,
+) -> None:
+    """Draw what happened in a trajectory.
+
+    TRAJECTORY is a trajectory.csv, .json or .jsonl, or the folder of a run. The page shows, over time, position and
+    size of every part, confidence and what was lost, particles and their effective sample size, spread, and with
+    --truth the error. What the tracker does not tell is left out. A long track is drawn by the range and the mean of
+    as many frames as fall on a pixel, so that no peak is lost.
+
+    \b
+    Examples:
+      facetrack plot out/
+      facetrack plot out/ --truth clip.truth.csv -o page.pdf
+      facetrack plot out/trajectory.csv --target face/nose -o nose.svg
+      facetrack plot out/ --truth groundtruth_rect.txt --partial --overwrite
+
+    \b
+    Exit codes: 0 done, 2 usage or output, or matplotlib is missing,
+    3 a trajectory or truth that cannot be read, or that do not belong
+    together, 130 interrupted.
+    """
+    if truth is None and (partial or shift is not None or truth_format != "auto"):
+        raise UsageError("--truth-format, --shift and --partial say how to read a truth; give it with --truth FILE")
+    if out == "":
+        raise OutputError("--out is empty; name a file that ends in .png, .svg or .pdf")
+    path = Path(out) if out else _beside(trajectory)
+    form = path.suffix[1:].lower()
+    if form not in FORMS:
+        raise UsageError(f"{path}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
+    _check_output(path, overwrite)
+    from facetrack_cli.evaluation.plot_style import need_matplotlib
+
+    need_matplotlib()
+    from facetrack_cli.evaluation.plots import page_figure, render
+    from facetrack_cli.formats.table import read_trajectory
+    from facetrack_cli.formats.targets import choose
+    from facetrack_cli.start.files import write_new
+
+    table = read_trajectory(trajectory)
+    pairs = None if truth is None else _pairs(table, truth, truth_format, shift, partial, target)
+    figure = page_figure(choose(table, target), pairs, title=title, width=width)
+    write_new(path, render(figure, form, dpi=dpi), overwrite=overwrite)
+    click.echo(f"{path}: written", err=True)
+
+
+def _beside(trajectory: Path) -> Path:
+    return (trajectory if trajectory.is_dir() else trajectory.parent) / "plot.png"
+
+
+def _check_output(path: Path, overwrite: bool) -> None:
+    """Refuse before the work what would be refused after it."""
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder; name a file")
+    if os.path.lexists(path) and not overwrite:
+        raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file with -o")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file with -o")
+
+
+def _pairs(table: Table, truth: Path, form: str, shift: int | None, partial: bool, target: str | None) -> list[Pair]:
+    from facetrack_cli.evaluation.match import match
+    from facetrack_cli.formats.read import read_truth
+
+    theirs = read_truth(truth, form, shift=shift or 0)
+    return match(table, theirs, partial=partial, select=target, check_shift=shift is None)
