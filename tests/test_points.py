@@ -113,6 +113,7 @@ def test_recovery_ends_at_the_next_occlusion_and_knows_when_it_cannot_tell():
     over = measure_recovery(found)
     assert (over.occlusions, over.decided, over.returned, over.recovered) == (3, 1, 1, 1.0)
     assert (over.frames_median, over.frames_worst) == (0.0, 0.0)
+    assert occlusions([rows([0, 0])]) == ()
     assert measure_recovery(()) is None
     assert measure_recovery(occlusions([rows([9] * 12, "vhh" + "v" * 9)])).recovered == 0.0
     assert measure_recovery(occlusions([rows([9] * 3, "vhh")])).recovered is None

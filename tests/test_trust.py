@@ -112,11 +112,13 @@ def test_auroc_counts_pairs(pairs):
 
 @given(arrays.arrays(float, st.integers(1, 40), elements=st.floats(0, 1)))
 def test_every_confidence_is_in_the_bin_that_says_so(confidence):
-    bins = calibration(confidence, confidence > 0.5)
+    bins = calibration(confidence, confidence > 0.5, confidence < 0.3)
     for i, one in enumerate(bins):
         inside = (confidence >= one.low) & ((confidence < one.high) | (i == 9))
         assert one.rows == inside.sum()
         assert not one.rows or one.mean_confidence == pytest.approx(confidence[inside].mean())
+        assert not one.rows or one.near == pytest.approx((confidence[inside] > 0.5).mean())
+        assert not one.rows or one.visible == pytest.approx((confidence[inside] < 0.3).mean())
 
 
 def test_coverage_of_ellipses():

@@ -1,8 +1,218 @@
-"""facetrack eval."""
+"""facetrack eval: a trajectory against the truth."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from facetrack_cli.errors import InputError, OutputError, UsageError
+
+if TYPE_CHECKING:
+    from facetrack_cli.evaluation.summary import Evaluation
+    from facetrack_cli.formats.table import Table
+
+FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")  # those of formats/read.py
+
+
+def _failure(ctx: click.Context, param: click.Parameter, value: str) -> float:
+    try:
+        share = float(value)
+    except ValueError:
+        share = 0.0
+    if not 0 < share <= 100:
+        raise click.BadParameter(f"{value!r}: give a normalised error above 0, as 0.1 or 0.08")
+    return share
+
 
 @click.command()
-def command() -> None:
-    """To come."""
+@click.argument("trajectory", metavar="TRAJECTORY", type=click.Path(path_type=Path))
+@click.option(
+    "--truth",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Truth file or folder [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
+)
+@click.option(
+    "--truth-format",
+    metavar="FORMAT",
+    type=click.Choice(FORMATS),
+    default="auto",
+    help=f"How to read it: {', '.join(FORMATS[1:])} [default: by its shape].",
+)
+@click.option("--target", metavar="NAME[/PART]", help="Measure this target, or this part of it, alone.")
+@click.option(
+    "--shift",
+    metavar="N",
+    type=int,
+    help="Add N to the frame numbers of the truth; 0 takes them as they are even if another shift would fit better.",
+)
+@click.option("--partial", is_flag=True, help="Measure what both have, though the truth has less than the trajectory.")
+@click.option(
+    "--normalise",
+    metavar="LENGTH",
+    default="size",
+    show_default=True,
+    help="Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
+    "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
+)
+@click.option(
+    "--failure",
+    metavar="SHARE",
+    default="0.1",
+    show_default=True,
+    callback=_failure,
+    help="A point has failed above this normalised error; 300-W takes 0.08.",
+)
+@click.option("--json", "json_to", metavar="FILE", help="Write all measures as JSON; - is standard output.")
+@click.option("--csv", "csv_to", metavar="FILE", help="Write a row a part and one of all as CSV; - is standard output.")
+@click.option("--plot", "plot_to", metavar="FILE.png", help="Draw how far confidence can be trusted (needs [plot]).")
+@click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
+def command(
+    trajectory: Path,
+    truth: Path | None,
+    truth_format: str,
+    target: str | None,
+    shift: int | None,
+    partial: bool,
+    normalise: str,
+    failure: float,
+    json_to: str | None,
+    csv_to: str | None,
+    plot_to: str | None,
+    overwrite: bool,
+) -> None:
+    """Measure a trajectory against the truth.
+
+    TRAJECTORY is a trajectory.csv, .json or .jsonl, or the folder of a run.
+    Printed are the errors of points, or the overlaps of boxes; how long parts
+    take to come back after occlusions; and how far lost, confidence and the
+    spread can be trusted. With --json - or --csv - the data take the place of
+    the tables. The first frame, which the tracker is given, counts among the
+    points; whatever measures trust leaves it out.
+
+    \b
+    Examples:
+      facetrack eval out/ --truth clip.truth.csv
+      facetrack eval out/ --truth groundtruth_rect.txt --json eval.json
+      facetrack eval out/ --truth annot/ --partial --normalise eyes
+      for run in runs/*/; do
+        facetrack eval "$run" --truth clip.truth.csv --csv - | tail -n 1
+      done
+
+    \b
+    Exit codes: 0 done, 2 usage or output, 3 a trajectory or truth that
+    cannot be read, or that do not belong together, 130 interrupted.
+    """
+    outputs = {"--json": json_to, "--csv": csv_to, "--plot": plot_to}
+    files = _check_outputs(outputs, overwrite)
+    if plot_to is not None:
+        from facetrack_cli.evaluation.plot_style import need_matplotlib
+
+        need_matplotlib()
+
+    from facetrack_cli.evaluation.match import match
+    from facetrack_cli.evaluation.summary import Options, evaluate
+    from facetrack_cli.evaluation.summary_data import About, to_csv, to_json
+    from facetrack_cli.evaluation.summary_table import to_text
+    from facetrack_cli.evaluation.units import check_normalise
+    from facetrack_cli.formats.read import read_truth
+    from facetrack_cli.formats.table import read_trajectory
+
+    check_normalise(normalise)
+    ours = read_trajectory(trajectory)
+    theirs = read_truth(truth or _truth_beside(ours), truth_format, shift=shift or 0)
+    for option, path in files.items():
+        if any(path.exists() and path.samefile(read) for read in (ours.path, theirs.path)):
+            raise OutputError(f"{path}: is what is to be measured; name another file with {option}")
+    pairs = match(ours, theirs, partial=partial, select=target, check_shift=shift is None)
+    options = Options(normalise, failure, _picture(ours))
+    evaluation = evaluate(pairs, options=options, reference=theirs.series)
+    about = About(ours.path, theirs.path, str(theirs.header.get("read_as", truth_format)), shift or 0)
+
+    data = {"--json": to_json, "--csv": to_csv}
+    whole: dict[str, bytes] = {
+        option: make(evaluation, about).encode(errors="backslashreplace")
+        for option, make in data.items()
+        if option in files
+    }
+    if plot_to is not None:
+        whole["--plot"] = _plot(evaluation, ours.path)
+    _write(whole, files, overwrite)
+    streamed = [make(evaluation, about) for option, make in data.items() if outputs[option] == "-"]
+    _print(streamed[0] if streamed else to_text(evaluation, about, colour=_colour()))
+
+
+def _check_outputs(outputs: dict[str, str | None], overwrite: bool) -> dict[str, Path]:
+    """The files to write by their options; refused before anything is read if they cannot be."""
+    if outputs["--json"] == outputs["--csv"] == "-":
+        raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
+    files = {option: Path(name) for option, name in outputs.items() if name is not None and name != "-"}
+    for option, path in files.items():
+        if not str(outputs[option]):
+            raise UsageError(f"{option} is empty; name a file")
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder, where {option} is to be a file; name a file in it")
+        if os.path.lexists(path) and not overwrite:
+            raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
+        if not path.parent.is_dir():
+            raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file with {option}")
+    if len({path.absolute() for path in files.values()}) < len(files):
+        raise UsageError(f"{' and '.join(files)} name the same file; name one for each")
+    if outputs["--plot"] is not None and Path(outputs["--plot"]).suffix.lower() != ".png":
+        raise UsageError(f"--plot {outputs['--plot']}: the picture is a PNG; let its name end in .png")
+    return files
+
+
+def _truth_beside(ours: Table) -> Path:
+    """The truth file beside the clip of a JSON trajectory."""
+    source: Any = ours.header.get("source")
+    clip = source.get("path") if isinstance(source, dict) else None
+    if not isinstance(clip, str) or not clip:
+        raise UsageError(f"{ours.path}: does not name its clip, beside which the truth might be; give --truth FILE")
+    beside = Path(clip).with_name(Path(clip).stem + ".truth.csv") if Path(clip).name else Path(clip)
+    if not beside.is_file():
+        raise UsageError(f"{ours.path}: beside its clip there is no {beside}; give --truth FILE")
+    return beside
+
+
+def _picture(ours: Table) -> tuple[int, int] | None:
+    """Width and height of the pictures, where a JSON trajectory tells them."""
+    source: Any = ours.header.get("source")
+    size = source.get("size") if isinstance(source, dict) else None
+    if isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size):
+        return size[0], size[1]
+    return None
+
+
+def _plot(evaluation: Evaluation, path: Path) -> bytes:
+    from facetrack_cli.evaluation.plot_compare import calibration_figure
+    from facetrack_cli.evaluation.plot_style import render
+
+    confidence = evaluation.all.trust.confidence
+    if confidence is None or not confidence.bins:
+        raise InputError(f"{path}: has no confidence from 0 to 1 in rows of known truth to draw; leave --plot out")
+    return render(calibration_figure(evaluation.all.trust))
+
+
+def _write(whole: dict[str, bytes], files: dict[str, Path], overwrite: bool) -> None:
+    from facetrack_cli.start.files import write_new
+
+    for option, content in whole.items():
+        write_new(files[option], content, overwrite=overwrite)
+        click.echo(f"written: {files[option]}", err=True)
+
+
+def _print(text: str) -> None:
+    """To standard output, in what its encoding has."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    if not encoding.lower().replace("-", "").startswith("utf"):
+        text = text.replace("\N{EN DASH}", "-")
+    click.echo(text.encode(encoding, errors="backslashreplace").decode(encoding), nl=False)
+
+
+def _colour() -> bool:
+    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"

@@ -151,7 +151,7 @@ def _of_target(target: str, parts: Sequence[Rows]) -> list[Occlusion]:
         covered[at, k] = part.covered
         near[at, k] = part.near
     stretches = list(spans(np.any(covered, axis=1)))
-    nexts = [*[first for first, _ in stretches[1:]], len(frames)]
+    nexts = [*[first for first, _ in stretches], len(frames)][1:]
     found = []
     for (first, end), until in zip(stretches, nexts, strict=True):
         those = np.flatnonzero(covered[first:end].any(axis=0))

@@ -60,13 +60,14 @@ class LostMeasures:
 
 @dataclass(frozen=True)
 class CalibrationBin:
-    """Rows with low <= confidence < high (the last bin: <= high), their mean confidence and the share of them near."""
+    """Rows with low <= confidence < high (last bin: <= high), their mean confidence, the shares near and visible."""
 
     low: float
     high: float
     rows: int
     mean_confidence: Figure
     near: Figure
+    visible: Figure
 
 
 @dataclass(frozen=True)
@@ -174,10 +175,10 @@ def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
         return None
     seen = auroc(confidence[told], visible[told])
     rows = told & judged
-    confidence, near = confidence[rows], near[rows]
+    confidence, near, visible = confidence[rows], near[rows], visible[rows]
     # scores of other tools need not lie between 0 and 1; then they rank rows, and that is all
     scaled = bool(len(confidence)) and bool(np.all((confidence >= 0) & (confidence <= 1)))
-    bins = calibration(confidence, near) if scaled else ()
+    bins = calibration(confidence, near, visible) if scaled else ()
     return ConfidenceMeasures(
         rows=len(confidence),
         near=float(np.mean(near)) if len(near) else None,
@@ -237,13 +238,13 @@ def auroc(score: Array, positive: Mask) -> Figure:
     return above / (positives * negatives)
 
 
-def calibration(confidence: Array, near: Mask) -> tuple[CalibrationBin, ...]:
-    """`BINS` bins of equal width for confidence (R,) from 0 to 1 and near (R,)."""
+def calibration(confidence: Array, near: Mask, visible: Mask) -> tuple[CalibrationBin, ...]:
+    """`BINS` bins of equal width for confidence (R,) from 0 to 1, near (R,) and visible (R,)."""
     edges = np.arange(BINS + 1) / BINS
     which = np.clip(np.searchsorted(edges, confidence, side="right") - 1, 0, BINS - 1)
     rows = np.bincount(which, minlength=BINS)
     sums = np.bincount(which, weights=confidence, minlength=BINS)
-    hits = np.bincount(which, weights=near.astype(np.float64), minlength=BINS)
+    hits, seen = (np.bincount(which, weights=mask.astype(np.float64), minlength=BINS) for mask in (near, visible))
     return tuple(
         CalibrationBin(
             low=float(edges[i]),
@@ -251,6 +252,7 @@ def calibration(confidence: Array, near: Mask) -> tuple[CalibrationBin, ...]:
             rows=int(n),
             mean_confidence=float(sums[i] / n) if n else None,
             near=float(hits[i] / n) if n else None,
+            visible=float(seen[i] / n) if n else None,
         )
         for i, n in enumerate(rows.tolist())
     )
