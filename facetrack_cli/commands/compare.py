@@ -1,8 +1,234 @@
-"""facetrack compare."""
+"""facetrack compare: recipes side by side on a clip with truth."""
+
+from __future__ import annotations
+
+import contextlib
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from facetrack_cli.errors import ExitCode, FacetrackError, UsageError
+from facetrack_cli.options import FRAME, Whole, rate
+from facetrack_cli.options import box as box_of
+
+if TYPE_CHECKING:
+    from facetrack_cli.evaluation.begin import Begin
+    from facetrack_cli.evaluation.compare import Entry, Options, Score
+    from facetrack_cli.evaluation.compare_text import Comparison
+    from facetrack_cli.evaluation.folder import Folder
+    from facetrack_cli.formats.table import Table
+    from facetrack_cli.progress import Progress
+    from facetrack_cli.recipe import Recipe
+    from facetrack_cli.stopping import Stop
+    from facetrack_cli.types import Box
+
+FILES = ("compare.json", "compare.csv", "compare.md")
+PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
+TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
+
 
 @click.command()
-def command() -> None:
-    """To come."""
+@click.argument("clip", metavar="INPUT", type=click.Path(path_type=Path))
+@click.option(
+    "--truth",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].",
+)
+@click.option(
+    "--config",
+    "configs",
+    metavar="RECIPE",
+    multiple=True,
+    required=True,
+    help="Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
+)
+@click.option("--seeds", metavar="N", type=Whole(min=1), default=10, show_default=True, help="Runs of each, seed 0 on.")
+@click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of all; repeatable.")
+@click.option("--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip.")
+@click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face in the first frame, in pixels.")
+@click.option("--truth-format", type=click.Choice(TRUTH_FORMATS), default="auto", show_default=True, help="Its kind.")
+@click.option("--target", metavar="NAME", help="Target of the truth to measure by.")
+@click.option("--shift", metavar="N", type=int, default=0, help="Add N to the frame numbers of the truth.")
+@click.option("--partial", is_flag=True, help="The truth may know fewer frames than the clip has.")
+@click.option("--stop", metavar="N", type=FRAME, help="Frame to stop before.")
+@click.option("--fps", metavar="RATE", callback=rate, help="Frames per second of image folders.")
+@click.option("--rank-by", metavar="MEASURE", help="Rank by this, as points.median_px or boxes.precision_20.")
+@click.option("-o", "--out", metavar="DIR", help="Folder for results [default: ./<clip>-compare].")
+@click.option("--json", "form", flag_value="json", help="Print JSON instead of the table.")
+@click.option("--csv", "form", flag_value="csv", help="Print CSV, a row a recipe and seed, instead of the table.")
+@click.option("--no-plots", is_flag=True, help="Draw nothing.")
+@click.option("--overwrite", is_flag=True, help="Replace results that are there already.")
+@click.option("-j", "--jobs", "workers", metavar="N", type=Whole(min=1), default=1, help="Recipes at a time.")
+@click.option("--quiet", "-q", is_flag=True, help="Print the table, and nothing else but errors.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    clip: Path,
+    truth: Path | None,
+    configs: tuple[str, ...],
+    seeds: int,
+    overrides: tuple[str, ...],
+    init: str | None,
+    box: Box | None,
+    truth_format: str,
+    target: str | None,
+    shift: int,
+    partial: bool,
+    stop: int | None,
+    fps: Fraction | None,
+    rank_by: str | None,
+    out: str | None,
+    form: str | None,
+    no_plots: bool,
+    overwrite: bool,
+    workers: int,
+    quiet: bool,
+) -> None:
+    """Run recipes on a clip with truth, and rank them.
+
+    Each recipe runs with seeds 0 to N-1; one that cannot run on this clip gets a row that says why. The table has the
+    mean and the standard deviation over seeds, the runs that failed, and the frames/s of the tracker alone, decoding
+    apart; all rows are timed in the same run, and only ratios between them mean anything (best with -j 1).
+
+    Ranked are boxes by success AUC, points by the mean normalised error. Recipes whose means +- 2 standard errors
+    overlap share their ranks: the runs do not tell them apart.
+
+    \b
+    The folder gets compare.json, compare.csv (a row a recipe and seed), compare.md, and
+      boxes   success.png, precision.png     points   cumulative.png
+      both    error.png: over time, median and 10-90 % of the seeds, hidden spans shaded
+
+    \b
+    Examples:
+      facetrack compare clip.mp4 --config factorized --config sir --config mil
+      facetrack compare clip.mp4 --truth clip.csv --config a.yaml --config b.yaml --seeds 20 -j 2
+      facetrack compare frames/ --config sir:filter.particles=100 --config sir:filter.particles=500
+      facetrack compare clip.mp4 --config factorized --config sir --csv -q > runs.csv
+
+    \b
+    Exit codes: 0 done, 2 usage, recipe or output, 3 input,
+    5 some of the recipes could not run, 130 interrupted, 143 terminated.
+    """
+    from facetrack_cli.batch import title
+    from facetrack_cli.evaluation.begin import Begin
+    from facetrack_cli.evaluation.compare import (
+        PRIMARY,
+        Options,
+        check_measure,
+        default_truth,
+        kind_of,
+        labels,
+        variant,
+    )
+    from facetrack_cli.evaluation.compare_text import Comparison
+    from facetrack_cli.evaluation.folder import Folder
+    from facetrack_cli.formats.read import read_truth
+    from facetrack_cli.progress import progress
+    from facetrack_cli.recipe import load_recipe
+    from facetrack_cli.stopping import Stop
+
+    begin = Begin.of(clip, init, box, stop, fps)
+    if rank_by is not None:
+        check_measure(rank_by)
+    named = {
+        label: load_recipe(name, (*overrides, *own))
+        for label, (name, own) in zip(labels(configs), map(variant, configs), strict=True)
+    }
+    file = default_truth(clip) if truth is None else truth
+    known = read_truth(file, truth_format, shift=shift)
+    plots = () if no_plots else PLOTS
+    with (
+        Stop().listening() as ending,
+        contextlib.closing(progress(quiet)) as shown,
+        Folder.of(out, f"{title(clip)}-compare", FILES + plots, overwrite=overwrite, inputs=[clip]) as folder,
+    ):
+        options = Options(target, partial, stop, begin.picture_size())
+        entries = _run(named, begin, known, seeds, workers, options, ending, shown)
+        shown.close()
+        if not any(entry.scores for entry in entries):
+            ctx.exit(ending.code or ExitCode.FAULT)
+        measure = rank_by or PRIMARY[kind_of(entries)]
+        found = Comparison(clip, file, seeds, tuple(entries), measure, workers, ending.code is None, named)
+        _write(found, folder, shown, plots=not no_plots)
+        _show(found, form)
+        shown.say(f"{clip} -> {folder.summary()}")
+    failed = any(entry.why for entry in entries)
+    ctx.exit(ending.code or (ExitCode.BATCH if failed else ExitCode.DONE))
+
+
+def _run(
+    named: dict[str, Recipe],
+    begin: Begin,
+    truth: Table,
+    seeds: int,
+    workers: int,
+    options: Options,
+    stop: Stop,
+    shown: Progress,
+) -> list[Entry]:
+    """Every recipe with its scores, or with what kept it from running. Raises the error if all fail of one."""
+    from facetrack_cli.evaluation.compare import Entry, score_run
+    from facetrack_cli.evaluation.runs import Failure, run_plans
+
+    refused: dict[str, FacetrackError] = {}
+    scores: dict[str, list[Score]] = {label: [] for label in named}
+    plans = []
+    for label, recipe in named.items():
+        try:
+            # what draws no random numbers has one run to show
+            plans.append(begin.plan(label, recipe, 1 if recipe.particles is None else seeds, truth, stop))
+        except FacetrackError as e:
+            if stop():
+                return []
+            refused[label] = e
+    shown.begin(begin.clip.name, "frames", None)
+    for run in run_plans(plans, workers, stop, lambda done, of: shown.update(done, of or None)):
+        try:
+            if isinstance(run, Failure):
+                raise run.error
+            scores[run.label].append(score_run(run, truth, options))
+        except FacetrackError as e:
+            refused[run.label] = e
+    if refused and not any(scores.values()) and stop.code is None:
+        first, *others = refused.items()
+        for label, error in others:
+            shown.error(f"facetrack: error: {label}: {error}")
+        raise first[1]
+    return [
+        Entry(
+            label,
+            tuple(sorted(scores[label], key=lambda score: score.seed)),
+            str(refused[label]) if label in refused else "",
+            deterministic=recipe.particles is None,
+        )
+        for label, recipe in named.items()
+    ]
+
+
+def _show(found: Comparison, form: str | None) -> None:
+    """The table, or the data, on standard output."""
+    from facetrack_cli.evaluation.compare_text import as_csv, as_json, sheet, show
+
+    if form is not None:
+        click.echo(as_json(found) if form == "json" else as_csv(found), nl=False)
+        return
+    show(sheet(found), found.title)
+
+
+def _write(found: Comparison, folder: Folder, shown: Progress, plots: bool) -> None:
+    """All files; without matplotlib all but the plots, and a line that says so."""
+    from facetrack_cli.evaluation.compare_plots import figures
+    from facetrack_cli.evaluation.compare_text import as_csv, as_json, markdown, sheet
+
+    folder.write("compare.json", as_json(found))
+    folder.write("compare.csv", as_csv(found))
+    folder.write("compare.md", markdown(sheet(found), found.title))
+    if plots:
+        try:
+            for name, png in figures(found):
+                folder.write(name, png)
+        except UsageError as e:  # matplotlib is missing
+            shown.say(f"facetrack: warning: no plots: {e}")

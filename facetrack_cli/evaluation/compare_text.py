@@ -1,0 +1,286 @@
+"""A comparison as a table for people, and as CSV and JSON for programs."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from facetrack_cli import __version__
+from facetrack_cli.evaluation.compare import Entry, Place, kind_of, less_is_better, rank
+from facetrack_cli.evaluation.summary import names
+
+if TYPE_CHECKING:
+    from facetrack_cli.recipe import Recipe
+
+SCHEMA: Final = "facetrack-compare"
+VERSION: Final = 1
+# what a measure is called in the table, its factor and its decimals
+TITLES: Final = {
+    "boxes.success_auc": ("success\nAUC", 1, 3),
+    "boxes.precision_20": ("precision\nat 20 px", 1, 3),
+    "boxes.good_rate": ("good\ntracking", 1, 3),
+    "points.mean_normalised": ("normalised\nerror, %", 100, 2),
+    "points.mean_px": ("mean\nerror, px", 1, 2),
+    "points.median_px": ("median\nerror, px", 1, 2),
+}
+LEAST_NAME: Final = 16  # columns that a name has at least before it is broken
+NO_FIGURE: Final = "\N{EN DASH}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All that a comparison found. `entries` in the order in which they were asked for; `recipes` by label."""
+
+    clip: Path
+    truth: Path
+    seeds: int
+    entries: tuple[Entry, ...]
+    measure: str
+    workers: int = 1
+    complete: bool = True
+    recipes: dict[str, Recipe] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """`boxes` or `points`: what the first recipe that ran is measured as."""
+        return kind_of(self.entries)
+
+    @property
+    def title(self) -> str:
+        frames = np.concatenate([score.frame for entry in self.entries for score in entry.scores])
+        return (
+            f"{self.clip.name}: {len(self.entries)} recipes on frames {frames.min()} to {frames.max()}, "
+            f"truth {self.truth.name}"
+        )
+
+    @property
+    def places(self) -> list[Place]:
+        return rank(self.entries, self.measure)
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """Those in the table, the one that ranks first."""
+        usual = [name for name in TITLES if name.startswith(self.kind)]
+        return tuple(dict.fromkeys([self.measure, *usual]))
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table of text: `heads` may hold line breaks; columns named in `left` are aligned to the left; `notes` below."""
+
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+    left: tuple[int, ...] = (1,)
+
+
+def sheet(comparison: Comparison) -> Sheet:
+    """Recipes in their order; those that could not run at the end, and why below."""
+    found = comparison.places
+    rates = [rate for place in found if (rate := place.entry.frames_per_s) is not None]
+    heads = ("rank", "recipe", *(_head(name) for name in comparison.measures), "failed", "frames/s", "time a\nframe")
+    rows = [_row(place, comparison, max(rates, default=0.0)) for place in found]
+    return Sheet(heads, tuple(rows), tuple(notes(comparison)))
+
+
+def _head(measure: str) -> str:
+    title = TITLES.get(measure, (measure.replace(".", ".\n"), 1, 3))[0]
+    arrow = "\N{DOWNWARDS ARROW}" if less_is_better(measure) else "\N{UPWARDS ARROW}"
+    return f"{title} {arrow}"
+
+
+def _row(place: Place, comparison: Comparison, fastest: float) -> tuple[str, ...]:
+    entry = place.entry
+    if not entry.scores:
+        return (place.text, entry.label, *(NO_FIGURE for _ in comparison.measures), "not run", NO_FIGURE, NO_FIGURE)
+    rate = entry.frames_per_s
+    return (
+        place.text,
+        entry.label,
+        *(_value(entry, name) for name in comparison.measures),
+        f"{entry.failures} of {len(entry.scores)}",
+        NO_FIGURE if rate is None else f"{rate:,.0f}" if rate >= 10 else f"{rate:.1f}",
+        NO_FIGURE if rate is None else _times(fastest / rate),
+    )
+
+
+def _times(ratio: float) -> str:
+    return f"\N{MULTIPLICATION SIGN}{ratio:.2f}" if ratio < 9.95 else f"\N{MULTIPLICATION SIGN}{ratio:,.0f}"
+
+
+def _value(entry: Entry, measure: str) -> str:
+    _, factor, decimals = TITLES.get(measure, ("", 1, 3))
+    mean, spread = entry.mean(measure), entry.spread(measure)
+    if mean is None:
+        return NO_FIGURE
+    text = f"{factor * mean:.{decimals}f}"
+    return text if spread is None or entry.deterministic else f"{text} ± {factor * spread:.{decimals}f}"
+
+
+def notes(comparison: Comparison) -> list[str]:
+    """What one must know to read the table, and why recipes did not run."""
+    several = any(len(entry.scores) > 1 for entry in comparison.entries)
+    once = [entry.label for entry in comparison.entries if entry.deterministic and entry.scores]
+    failed = (
+        "the median IoU over the last tenth of the frames is below 0.1"
+        if comparison.kind == "boxes"
+        else "a part's median error over its last 25 visible frames exceeds a quarter of the target's size"
+    )
+    places = [place for place in comparison.places if place.first is not None]
+    lines = []
+    if several:
+        lines.append(
+            f"Mean ± standard deviation over {comparison.seeds} seeds; "
+            f"ranked by {comparison.measure}, {'less' if less_is_better(comparison.measure) else 'more'} is better."
+        )
+    else:
+        lines.append(f"One run each; ranked by {comparison.measure}.")
+    if any(place.first != place.last for place in places):
+        lines.append(
+            "A rank such as 1\N{EN DASH}2: not distinguishable, the means ± 2 standard errors overlap"
+            + ("." if several else "; one seed tells nothing of a difference, give --seeds.")
+        )
+    lines.append(f"Failed: runs at whose end {failed}.")
+    shared = f" by {comparison.workers} processes" if comparison.workers > 1 else ""
+    lines.append(
+        f"Frames/s: the tracker alone, decoding apart, all timed in the same run{shared}; only ratios between rows "
+        "mean anything. Time a frame: over that of the fastest."
+    )
+    if once:
+        lines.append(f"Deterministic, run once: {', '.join(once)}.")
+    if not comparison.complete:
+        lines.append("Interrupted: these are the runs that were complete.")
+    lines += [f"{entry.label}: not run: {entry.why}" for entry in comparison.entries if entry.why]
+    return lines
+
+
+def markdown(given: Sheet, title: str) -> str:
+    """The table as Markdown, padded so that it reads as text too."""
+    heads = [head.replace("\n", " ") for head in given.heads]
+    cells = [[cell.replace("|", "\\|") for cell in row] for row in [heads, *given.rows]]
+    wide = [max(len(row[i]) for row in cells) for i in range(len(heads))]
+
+    def line(row: Sequence[str]) -> str:
+        padded = [
+            cell.ljust(w) if i in given.left else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(row, wide, strict=True))
+        ]
+        return f"| {' | '.join(padded)} |"
+
+    rule = [f":{'-' * (w - 1)}" if i in given.left else f"{'-' * (w - 1)}:" for i, w in enumerate(wide)]
+    text = "\n".join([line(cells[0]), f"| {' | '.join(rule)} |", *(line(row) for row in cells[1:])])
+    return f"{title}\n\n{text}\n\n" + "".join(f"- {note}\n" for note in given.notes)
+
+
+def show(given: Sheet, title: str) -> None:
+    """Print the table: in colours and as wide as the terminal, or else 100 columns wide, without."""
+    import sys
+
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    wide = None if sys.stdout.isatty() else 100
+    console = Console(width=wide, emoji=False, highlight=False, markup=False)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="bold", show_edge=False, padding=(0, 1))
+    for i, head in enumerate(given.heads):
+        left = i in given.left
+        longest = max(len(text) for text in [*head.split("\n"), *(row[i] for row in given.rows)])
+        # names are broken rather than cut, figures never are
+        table.add_column(
+            Text(head, justify="left" if left else "right"),
+            justify="left" if left else "right",
+            no_wrap=not left,
+            overflow="fold",
+            min_width=min(longest, LEAST_NAME) if left else longest,
+            vertical="middle",
+        )
+    for row in given.rows:
+        table.add_row(*(Text(cell) for cell in row))
+    console.print(Text(title, style="bold"), soft_wrap=True)
+    console.print()
+    console.print(table)
+    console.print()
+    for note in given.notes:
+        console.print(Text(note))
+
+
+# --- for programs ------------------------------------------------------------------------------------------------
+
+
+def as_csv(comparison: Comparison) -> str:
+    """A row a recipe and seed with every figure; a recipe that did not run has one row, which says why."""
+    measured = [name for name in names() if any(name in s.figures for e in comparison.entries for s in e.scores)]
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["recipe", "seed", "failed", "frames_per_s", *measured, "error"])
+    for entry in comparison.entries:
+        for score in entry.scores:
+            figures = [_plain(score.figures.get(name)) for name in measured]
+            writer.writerow([entry.label, score.seed, int(score.failed), f"{score.frames_per_s:.2f}", *figures, ""])
+        if entry.why:
+            writer.writerow([entry.label, "", "", "", *("" for _ in measured), entry.why])
+    return out.getvalue()
+
+
+def _plain(value: float | None) -> str:
+    return "" if value is None else f"{value:.6f}".rstrip("0").rstrip(".")
+
+
+def as_json(comparison: Comparison) -> str:
+    """Everything, with the recipes in full. No time but frames_per_s is in it."""
+    from facetrack_cli.recipe import to_dict
+
+    places = {place.entry.label: place for place in comparison.places}
+    order = [place.entry for place in comparison.places]
+    found: dict[str, Any] = {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "facetrack": __version__,
+        "clip": str(comparison.clip),
+        "truth": str(comparison.truth),
+        "seeds": comparison.seeds,
+        "ranked_by": comparison.measure,
+        "less_is_better": less_is_better(comparison.measure),
+        "complete": comparison.complete,
+        "notes": notes(comparison),
+        "recipes": [
+            {
+                "label": entry.label,
+                "rank": None
+                if places[entry.label].first is None
+                else [places[entry.label].first, places[entry.label].last],
+                "error": entry.why or None,
+                "deterministic": entry.deterministic,
+                "failures": entry.failures,
+                "frames_per_s": _rounded(entry.frames_per_s, 2),
+                "mean": {n: _rounded(m) for n in names() if (m := entry.mean(n)) is not None},
+                "std": {n: _rounded(s) for n in names() if (s := entry.spread(n)) is not None},
+                "runs": [
+                    {
+                        "seed": score.seed,
+                        "failed": score.failed,
+                        "frames_per_s": _rounded(score.frames_per_s, 2),
+                        **{name: _rounded(value) for name, value in score.figures.items()},
+                    }
+                    for score in entry.scores
+                ],
+                "recipe": to_dict(comparison.recipes[entry.label]) if entry.label in comparison.recipes else None,
+            }
+            for entry in order
+        ],
+    }
+    return json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _rounded(value: float | None, digits: int = 6) -> float | None:
+    return None if value is None or not math.isfinite(value) else round(value, digits)
