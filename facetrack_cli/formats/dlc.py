@@ -1,6 +1,6 @@
 """DeepLabCut's CSV: header rows scorer, bodyparts, coords, then a row a frame with x, y, likelihood of every part.
 
-With several targets there are four header rows, the second being `individuals`. DeepLabCut reads it as it reads its own:
+With several targets there are four header rows, the second being `individuals`. DeepLabCut reads it as its own files:
 `pandas.read_csv(file, header=[0, 1, 2], index_col=0)`, with several targets `header=[0, 1, 2, 3]`.
 
 - The index is the 0-based frame. A frame in which nothing was tracked has no row.

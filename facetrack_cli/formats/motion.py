@@ -22,8 +22,8 @@ size, times in seconds, whatever the frame rate, which may vary.
 All last at least 0.2 s. A nod is a run of swings up and down, a shake of swings left and right: each of at least 0.03
 sizes, 0.05 to 0.6 s long, and 1.5 times larger than what the target does across it meanwhile. What is smoothed is so by
 a Gaussian of that standard deviation. Where a track is so noisy that noise alone would pass a threshold, the threshold
-is raised to 5 standard deviations of the noise, measured on the second differences of the stretch. Nothing is said of
-frames in which the target is lost. The size of points that belong to a mouth also changes when it opens wide.
+is raised to 4 standard deviations of the noise, which is measured on second differences. Nothing is said of frames in
+which the target is lost. The size of points that belong to a mouth also changes when it opens wide.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from facetrack_cli.types import Array
 
 LIGHT_S = 0.04  # smoothing of swings: a nod of 6 Hz keeps a third of its height
 GAP_S = 0.25  # a pause between rows that ends a stretch
-NOISE = 5.0  # standard deviations of noise that a threshold stands above
+NOISE, KEPT = 4.0, 0.5  # deviations of noise that a threshold stands above; what of it stays from frame to frame
 SWING, SWINGS, SWING_S, ACROSS = 0.03, 3, (0.05, 0.6), 1.5
 STILL_S = 1.0
 LEAST_S = 0.2
@@ -188,7 +188,7 @@ def _follow(values: Array, good: Mask) -> tuple[Array, Mask]:
     changed = 1 + np.flatnonzero((good[1:] != good[:-1]).any(axis=1) & both.any(axis=1))
     steps = np.where(both, np.diff(values, axis=0), np.nan)
     step[changed] = _nanmedian(steps[changed - 1], axis=1)
-    begins = np.concatenate([[True], ~both.any(axis=1)])
+    begins = np.concatenate([[True], ~both.any(axis=1)])[: len(values)]
     step[begins] = 0.0  # each stretch is relative to its first row
     return np.where(good.any(axis=1), np.cumsum(np.nan_to_num(step)), np.nan), begins
 
@@ -259,9 +259,8 @@ def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
 def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> Iterator[tuple[int, int, str]]:
     smooth = _gauss(signal, rate.smooth_s / dt)
     speed = np.gradient(smooth, dt)
-    # white noise of unit deviation leaves this much in the rate
-    passed = np.sqrt(dt / (4 * np.sqrt(np.pi) * rate.smooth_s**3))
-    begin_above = max(rate.begin, NOISE * passed * _noise(signal))
+    slope = np.gradient(_kernel(rate.smooth_s / dt), dt)
+    begin_above = max(rate.begin, NOISE * _noise(signal) * _left_by(slope))
     for sign, label in zip((-1, 1), labels, strict=True):
         for begin, end in _runs(sign * speed > rate.last):
             fast = np.max(sign * speed[begin:end]) > begin_above
@@ -275,14 +274,17 @@ def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
     found: list[tuple[int, int, str]] = []
     for main, across, label in ((y, x, "nod"), (x, y, "shake")):
         light, side = _gauss(main, LIGHT_S / dt), _gauss(across, LIGHT_S / dt)
-        turns = _turning_points(light, max(SWING, NOISE * _noise(main) * _left_by(LIGHT_S / dt)))
-        quick = [
-            SWING_S[0] <= (b - a) * dt <= SWING_S[1] and abs(light[b] - light[a]) >= ACROSS * np.ptp(side[a : b + 1])
-            for a, b in pairwise(turns)
-        ]
-        for a, b in _runs(np.array(quick, dtype=bool)):
+        least = max(SWING, NOISE * _noise(main) * _left_by(_kernel(LIGHT_S / dt)))
+        turns = _turning_points(light, least)
+        quick = np.zeros(max(0, len(turns) - 1), dtype=bool)
+        for n, (a, b) in enumerate(pairwise(turns)):
+            # half a swing more at both ends: a circle is as wide as it is high, but not within half of its way
+            more = (b - a + 1) // 2
+            width = np.ptp(side[max(0, a - more) : b + more + 1])
+            quick[n] = SWING_S[0] <= (b - a) * dt <= SWING_S[1] and abs(light[b] - light[a]) >= ACROSS * width
+        for a, b in _runs(quick):
             if b - a >= SWINGS:
-                found.append((turns[a], turns[b], label))
+                found.append((_leaves(light, turns[a], turns[a + 1]), _reaches(light, turns[b - 1], turns[b]), label))
     after = 0
     for begin, end, label in sorted(found):
         # the last swing of one may still be going on in the first of the other
@@ -314,30 +316,48 @@ def _turning_points(signal: Array, least: float) -> list[int]:
     return turns
 
 
+def _leaves(signal: Array, a: int, b: int) -> int:
+    """Where between two turning points the swing begins: at the last place within a fifth of its height of `a`."""
+    near = np.abs(signal[a : b + 1] - signal[a]) <= 0.2 * abs(signal[b] - signal[a])
+    return a + int(np.flatnonzero(near)[-1])
+
+
+def _reaches(signal: Array, a: int, b: int) -> int:
+    """Where between two turning points the swing ends: at the first place within a fifth of its height of `b`."""
+    near = np.abs(signal[a : b + 1] - signal[b]) <= 0.2 * abs(signal[b] - signal[a])
+    return a + int(np.flatnonzero(near)[0])
+
+
 def _runs(mask: Mask) -> Iterator[tuple[int, int]]:
     """[begin, end) of every run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
+def _kernel(sigma: float) -> Array:
+    reach = int(np.ceil(4 * sigma))
+    weights: Array = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    return weights / np.sum(weights)
+
+
 def _gauss(signal: Array, sigma: float) -> Array:
-    """Smoothed by a Gaussian of `sigma` samples; beyond its ends the signal goes on mirrored in its end points."""
-    reach = int(np.ceil(4 * sigma))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    reach_in = min(reach, len(signal) - 1)
-    padded = np.pad(signal, reach_in, mode="reflect", reflect_type="odd")
-    padded = np.pad(padded, reach - reach_in, mode="edge")
-    return np.convolve(padded, kernel / kernel.sum(), mode="valid")
-
-
-def _left_by(sigma: float) -> float:
-    """The deviation that white noise of unit deviation keeps after `_gauss`."""
-    reach = int(np.ceil(4 * sigma))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    return float(np.sqrt(np.sum(kernel**2)) / kernel.sum())
+    """Smoothed by a Gaussian of `sigma` samples; beyond its ends the signal is mirrored."""
+    kernel = _kernel(sigma)
+    smooth: Array = np.convolve(np.pad(signal, len(kernel) // 2, mode="symmetric"), kernel, mode="valid")
+    return smooth
 
 
 def _noise(signal: Array) -> float:
-    """The standard deviation of white noise on a signal, from the median of its second differences."""
+    """The standard deviation of noise on a signal, from the median of its second differences.
+
+    Of the noise of particles about half stays from one frame to the next: of such noise of unit variance, second
+    differences have the variance 6 - 8 KEPT + 2 KEPT^2.
+    """
     second = np.diff(signal, n=2)
-    return float(np.median(np.abs(second)) / 0.6745 / np.sqrt(6)) if second.size else 0.0
+    return float(np.median(np.abs(second)) / 0.6745 / np.sqrt(6 - 8 * KEPT + 2 * KEPT**2)) if second.size else 0.0
+
+
+def _left_by(kernel: Array) -> float:
+    """The deviation that noise of unit deviation, of which KEPT stays from frame to frame, has after a filter."""
+    lags = np.abs(np.arange(1 - len(kernel), len(kernel)))
+    return float(np.sqrt(np.sum(np.correlate(kernel, kernel, "full") * KEPT**lags)))
