@@ -13,8 +13,9 @@ from facetrack_cli.recipe import (
     Factorized,
     Independent,
     Length,
+    OpenCvRecipe,
+    ParticleRecipe,
     Points,
-    Recipe,
     Sir,
     check_recipe,
     json_schema,
@@ -27,6 +28,7 @@ from facetrack_cli.recipe import (
 from facetrack_cli.yaml_text import MAX_BYTES, Source, YamlProblems, parse
 
 NAMES = ["auxiliary_prior", "factorized", "factorized_robust", "factorized_transition", "independent", "sir"]
+OPENCV = ["csrt", "kcf", "mil", "mosse"]
 
 GOOD = """\
 description: A recipe for tests
@@ -77,7 +79,7 @@ def under_caret(excerpt):
 
 
 def test_the_shipped_recipes_are_all_there():
-    assert [path.stem for path in shipped_recipes()] == NAMES
+    assert [path.stem for path in shipped_recipes()] == sorted(NAMES + OPENCV)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -114,6 +116,27 @@ def test_shipped_recipes_differ_in_filter_and_prior_only_where_they_should():
     assert recipes["factorized_robust"].likelihood.floor is not None
 
 
+@pytest.mark.parametrize("name", OPENCV)
+def test_recipes_of_opencv_name_their_tracker(name):
+    assert check_recipe(name) == []
+    recipe = load_recipe(name, ["seed=4"])
+    assert isinstance(recipe, OpenCvRecipe)
+    assert (recipe.tracker, recipe.seed, recipe.points, recipe.particles) == (name, 4, (), None)
+
+
+def test_the_type_of_a_recipe_says_which_keys_it_has(write):
+    whole = load_recipe(write("type: particle_filter\n" + GOOD))
+    assert to_dict(whole) == to_dict(load_recipe(write(GOOD))) and whole.points == ("nose", "chin")
+    with pytest.raises(RecipeError, match=r':1:7: unknown type of recipe "open_cv"; did you mean "opencv"\?'):
+        load_recipe(write("type: open_cv\ntracker: mil\ndescription: d\n"))
+    with pytest.raises(RecipeError, match=r":1:7: unknown type of recipe"):
+        load_recipe(write("type: [opencv]\ntracker: mil\ndescription: d\n"))
+    with pytest.raises(RecipeError, match=r':4:1: unknown key "filter"'):
+        load_recipe(write("type: opencv\ntracker: mil\ndescription: d\nfilter: {type: sir}\n"))
+    with pytest.raises(RecipeError, match=r":2:10: tracker cannot be the text .goturn.; it is one of: mil"):
+        load_recipe(write("type: opencv\ntracker: goturn\ndescription: d\n"))
+
+
 # finding
 
 
@@ -129,7 +152,7 @@ def test_a_recipe_is_found_by_name_and_by_path(write, tmp_path, monkeypatch):
 
 
 def test_a_miss_names_the_nearest_and_all(tmp_path):
-    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*auxiliary_prior, factorized, .*sir$'):
+    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*auxiliary_prior, csrt, factorized, .*sir$'):
         load_recipe("factorised.yaml")
     with pytest.raises(RecipeError, match="neither a file nor a shipped recipe; give a file or a name; shipped are "):
         load_recipe("zzzz")
@@ -271,7 +294,7 @@ def test_a_new_type_disowns_the_fields_of_the_old(write):
 
 WRONG = {
     "unknown key": (GOOD + "sed: 3\n", 14, 1, 'unknown key "sed"; did you mean "seed"?', "sed"),
-    "unlike key": (GOOD + "xyzzy: 3\n", 14, 1, "the keys there are: description, seed, target", "xyzzy"),
+    "unlike key": (GOOD + "xyzzy: 3\n", 14, 1, "the keys there are: type, description, seed, target", "xyzzy"),
     "foreign key": (GOOD + "  reweight: prior\n", 14, 3, 'to factorized; remove it', "reweight"),
     "missing key": (GOOD.replace("  particles: 10\n", ""), 11, 1, '"filter" lacks the key "particles"', "filter"),
     "missing section": (GOOD.replace("motion:\n  type: random_walk\n  sigma: 0.05\n", ""), 1, 1,
@@ -426,7 +449,7 @@ def test_any_recipe_is_read_or_refused(data, write):
     )
     path = write("".join(lines))
     try:
-        assert isinstance(load_recipe(path), Recipe)
+        assert isinstance(load_recipe(path), ParticleRecipe)
     except RecipeError as error:
         assert str(error).startswith(f"{path}:")
         assert "^" in error.excerpt
@@ -439,7 +462,7 @@ def test_schema_describes_every_field():
     schema = json_schema()
     json.dumps(schema, allow_nan=False)
     assert schema["$schema"].endswith("2020-12/schema")
-    models = {"Recipe": schema, **schema["$defs"]}
+    models = schema["$defs"]
     for name, model in models.items():
         assert model.get("title") and (model.get("description") or name == "Length"), name
         for field, what in model.get("properties", {}).items():
@@ -448,7 +471,8 @@ def test_schema_describes_every_field():
             assert model["additionalProperties"] is False
     for reference in re.findall(r'"\$ref": "([^"]*)"', json.dumps(schema)):
         assert reference.removeprefix("#/$defs/") in schema["$defs"]
-    kinds = [ref["$ref"].rpartition("/")[2] for ref in schema["properties"]["filter"]["oneOf"]]
+    of_filter = schema["$defs"]["ParticleRecipe"]["properties"]["filter"]["oneOf"]
+    kinds = [ref["$ref"].rpartition("/")[2] for ref in of_filter]
     assert kinds == ["Sir", "Auxiliary", "Factorized", "Independent"]
     length = json.dumps(schema["$defs"]["LengthPerPart"])
     assert '"maximum": 1000000.0' in length and "px" in length

@@ -553,7 +553,7 @@ def test_processes_that_cannot_be_started(run: Runner, clip: Path, monkeypatch: 
     def refuse() -> None:
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
 
-    monkeypatch.setattr("facetrack_cli.batch._context", refuse)
+    monkeypatch.setattr("facetrack_cli.batch.worker_context", refuse)
     code, _, err = run(clip, SAMPLE, "-j", "2")
     assert code == ExitCode.FAULT
     assert one_line(err).endswith("processes for -j cannot be started ([Errno 32] Broken pipe); run without -j")

@@ -1,4 +1,4 @@
-"""The whole engine in process: every shipped recipe on a sample clip, judged by its truth."""
+"""The whole engine in process: every shipped recipe of points on a sample clip, judged by its truth."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from facetrack_cli.types import Frame, Start, TargetStart
 from facetrack_cli.video.source import open_source
 
 SAMPLES = Path(__file__).parent.parent / "sample_videos"
-RECIPES = [path.stem for path in shipped_recipes()]
+RECIPES = [path.stem for path in shipped_recipes() if load_recipe(path.stem).points]
 
 
 class Clip:
