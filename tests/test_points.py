@@ -71,9 +71,7 @@ def test_absent_rows_and_unknown_lengths_have_no_error():
 def test_auc_is_the_integral_of_the_step_function(errors, limit):
     # piece by piece between the steps: the share of errors at or below the left end, times the width
     edges = [0.0, *sorted(e for e in errors if 0 < e < limit), limit]
-    area = sum(
-        (right - left) * np.mean([e <= left for e in errors]) for left, right in itertools.pairwise(edges)
-    )
+    area = sum((right - left) * np.mean([e <= left for e in errors]) for left, right in itertools.pairwise(edges))
     assert auc(np.array(errors), limit) == pytest.approx(area / limit, abs=1e-12)
 
 
@@ -162,6 +160,9 @@ def test_lengths_of_eyes_and_boxes():
 
 
 def test_lengths_that_are_not_there():
+    shut = [points("a", [(1, 1)], [0]), points("b", [(1, 1)], [0])]
+    for how in ("a:b", "size"):
+        assert math.isnan(unit_of(how, "face", shut, box=False, frames=np.array([0])).length[0]), "0 divides nothing"
     assert math.isnan(unit_of("size", "face", TRUTH[:1], box=False, frames=FRAMES).length[0])
     assert "no frame" in unit_of("size", "face", TRUTH, box=False, frames=np.array([0])).text
     for how in ("eyes", "mouth_left:chin"):
