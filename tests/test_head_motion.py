@@ -154,6 +154,30 @@ def test_parts_that_get_lost_and_return_make_no_motion():
     assert labels(points(t, degrees=8, noise=0.5, lost=away)) == []
 
 
+def test_a_part_that_has_gone_its_own_way_makes_no_step_when_it_gets_lost():
+    """The lips have drifted a fifth of the size from the nose, slowly; then the nose is lost for two seconds."""
+    t = clock(20)
+    away = np.clip((t > 16) * (t < 18), 0, 1).astype(bool)
+    parts = [
+        series("face", "nose", np.arange(len(t)), time_s=t, x=100 + 0 * t, y=50 + 0 * t,
+               status=np.where(away, "lost", "tracked")),
+        series("face", "lip_upper", np.arange(len(t)), time_s=t, x=100 + 3 * t, y=90 + 0 * t),
+    ]  # fmt: skip
+    assert labels(parts, "horizontal") == []
+
+
+def test_a_nod_that_turns_into_a_shake_is_one_after_the_other():
+    t = clock(8)
+    swing = 0.1 * np.sin(2 * np.pi * 2.5 * t)
+    for late in np.arange(3.5, 4.5, 0.04):
+        spans = head_motion(
+            box(t, y=np.where((t >= 2) & (t < 4), swing, 0), x=np.where((t >= late) & (t < 6), swing, 0))
+        )
+        nods = [span for span in spans if span.kind == "nods"]
+        assert [span.label for span in nods] == ["nod", "shake"]
+        assert nods[0].last < nods[1].first
+
+
 def test_nothing_is_said_of_what_is_lost():
     t = clock(10)
     gone = dict.fromkeys(POINTS, slice(100, 150))

@@ -233,11 +233,12 @@ def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
         known = np.isfinite(values)  # of angle and size, pairs may be missing where points are not
         return np.interp(grid, time_s[known], values[known]) if known.any() else np.zeros(len(grid))
 
-    def span(kind: str, label: str, begin: int, end: int) -> Span:
-        # grid times are rounding errors away from the rows'
+    def spans(kind: str, label: str, begin: int, end: int) -> Iterator[Span]:
+        # grid times are rounding errors away from the rows'; where rows are far apart, a span may hold none
         first = int(np.searchsorted(time_s, grid[begin] - dt / 4))
         after = int(np.searchsorted(time_s, grid[begin] + (end - begin - 0.25) * dt))
-        return Span(kind, label, int(pose.frame[rows[first]]), int(pose.frame[rows[max(first, after - 1)]]))
+        if after > first:
+            yield Span(kind, label, int(pose.frame[rows[first]]), int(pose.frame[rows[after - 1]]))
 
     busy = np.zeros(len(grid), dtype=bool)
     x, y = even(pose.x), even(pose.y)
@@ -247,13 +248,13 @@ def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
     for kind, signal, rate in signals:
         for begin, end, label in _moving(signal, dt, rate, LABELS[kind]):
             busy[begin:end] = True
-            yield span(kind, label, begin, end)
+            yield from spans(kind, label, begin, end)
     for begin, end, label in _swinging(x, y, dt):
         busy[begin:end] = True
-        yield span("nods", label, begin, end)
+        yield from spans("nods", label, begin, end)
     for begin, end in _runs(~busy):
         if (end - begin) * dt >= STILL_S:
-            yield span("still", "still", begin, end)
+            yield from spans("still", "still", begin, end)
 
 
 def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> Iterator[tuple[int, int, str]]:
