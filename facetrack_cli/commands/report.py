@@ -1,8 +1,86 @@
-"""facetrack report."""
+"""facetrack report: one HTML page about a run."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
 
 import click
 
+from facetrack_cli.errors import OutputError, UsageError
+
 
 @click.command()
-def command() -> None:
-    """To come."""
+@click.argument("run", metavar="RUN_DIR", type=click.Path(path_type=Path))
+@click.option("--truth", metavar="FILE", type=click.Path(path_type=Path), help="Measure against this truth file.")
+@click.option("--truth-format", metavar="FORMAT", default="auto", show_default=True, help="How to read --truth.")
+@click.option(
+    "-o", "--out", metavar="FILE", type=click.Path(path_type=Path), help="The page [default: RUN_DIR/report.html]."
+)
+@click.option("--clip", metavar="INPUT", type=click.Path(path_type=Path), help="The clip, if it is elsewhere now.")
+@click.option("--title", metavar="TEXT", help="Title of the page [default: clip and recipe].")
+@click.option("--overwrite", is_flag=True, help="Replace the page if it is there already.")
+@click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    run: Path,
+    truth: Path | None,
+    truth_format: str,
+    out: Path | None,
+    clip: Path | None,
+    title: str | None,
+    overwrite: bool,
+    quiet: bool,
+) -> None:
+    """Write one HTML page about a run.
+
+    RUN_DIR is the folder that facetrack run wrote. The page shows when each part was lost and found again, with
+    pictures of those frames, the plots, the recipe, and the command that repeats the run; with --truth also the
+    measures. It is a single file that needs neither network nor scripts.
+
+    The pictures are drawn from the clip, or taken from annotated.mp4 where the clip cannot be read.
+
+    \b
+    Examples:
+      facetrack report out
+      facetrack report out --truth clip.truth.csv -o paper/supplement.html
+      facetrack report out --clip /archive/clip.mp4 --overwrite
+
+    \b
+    Exit codes: 0 done, 2 usage, output, or matplotlib is missing,
+    3 input, 130 interrupted, 143 terminated.
+    """
+    from facetrack_cli.evaluation.report import NAME, make_report, trajectory_of
+    from facetrack_cli.formats.read import FORMATS
+    from facetrack_cli.progress import progress
+    from facetrack_cli.start.files import write_new
+    from facetrack_cli.stopping import Stop
+
+    if truth_format not in FORMATS:
+        raise UsageError(f"--truth-format {truth_format}: choose among {', '.join(FORMATS)}")
+    if truth_format != "auto" and truth is None:
+        raise UsageError("--truth-format says how to read --truth; give --truth too")
+    trajectory_of(run)
+    to = run / NAME if out is None else out
+    for what, given in (("--truth", truth), ("--clip", clip)):
+        if given is not None and given.exists() and to.exists() and given.samefile(to):
+            raise OutputError(f"{to}: is what {what} names; write the page elsewhere with -o")
+    if to.is_dir():
+        raise OutputError(f"{to}: is a folder; name a file, as in -o {to / NAME}")
+    if os.path.lexists(to) and not overwrite:
+        raise OutputError(f"{to}: is there already; --overwrite replaces it, -o names another file")
+    if not to.parent.is_dir():
+        raise OutputError(f"{to}: there is no folder {to.parent}; make it first, or write elsewhere with -o")
+    with Stop().listening() as stop, contextlib.closing(progress(quiet)) as shown:
+        shown.begin(run.name or str(run), "frames", None)
+        page = make_report(
+            run, truth=truth, truth_format=truth_format, clip=clip, title=title, stopped=stop, report=shown.update
+        )
+        if page is not None and stop.code is None:
+            write_new(to, page.html, overwrite=overwrite)
+            for note in page.notes:
+                shown.say(f"facetrack: warning: {note}")
+            shown.say(f"{run} -> {to} ({len(page.html) / 1e6:.1f} MB)")
+    ctx.exit(stop.code or 0)

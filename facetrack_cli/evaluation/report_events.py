@@ -1,0 +1,218 @@
+"""What happened in a run: when each part was lost and found again, and which frames show it best.
+
+Frames are source frames; a lost span runs from the frame in which a part was called lost up to, not including, the
+frame in which it was tracked again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.formats.table import Mask, Series, Table, Whole
+from facetrack_cli.types import Array
+
+Kind: TypeAlias = Literal["start", "lost", "back", "worst", "end"]
+MOST_PICTURES: Final = 12
+_OF_EPISODES: Final = 2 / 3  # of the pictures beside start, worst and end, where there are too many events
+
+
+class Clock:
+    """Frames to seconds on the clip's clock: as the rows say, at the nominal rate where they say nothing."""
+
+    def __init__(self, table: Table, fps: float) -> None:
+        self.frames: Whole = table.frames
+        self._period = 1 / fps
+        told = np.full(len(self.frames), np.nan)
+        for series in table.series:
+            told[np.searchsorted(self.frames, series.frame)] = series.time_s
+        self.times: Array = np.where(np.isfinite(told), told, self.frames * self._period)
+
+    def at(self, frame: int) -> float:
+        """Seconds from the clip's first frame to this one, which must be a frame of the run."""
+        return float(self.times[np.searchsorted(self.frames, frame)])
+
+    def after(self, frame: int) -> float:
+        """When this frame ends: when the run's next one begins."""
+        place = int(np.searchsorted(self.frames, frame)) + 1
+        return float(self.times[place]) if place < len(self.times) else float(self.times[-1]) + self._period
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the run's first frame to the end of its last."""
+        return self.after(int(self.frames[-1])) - float(self.times[0])
+
+
+class LostSpan(NamedTuple):
+    """One part lost once: from frame `first` to frame `last`; tracked again in `back`, None if never.
+
+    `lowest` is its least confidence in the span, nan if there is none.
+    """
+
+    name: str
+    first: int
+    last: int
+    back: int | None
+    frames: int
+    seconds: float
+    lowest: float
+
+
+@dataclass(frozen=True)
+class PartStory:
+    """How one part fared. `worst` is the frame of its lowest confidence; confidences are nan where there are none.
+
+    `told` is whether the tracker says anything of its status after the first frame.
+    """
+
+    name: str
+    rows: int
+    spans: tuple[LostSpan, ...]
+    mean: float
+    lowest: float
+    worst: int
+    last_status: str
+    told: bool
+
+    @property
+    def frames_lost(self) -> int:
+        return sum(span.frames for span in self.spans)
+
+    @property
+    def seconds_lost(self) -> float:
+        return sum(span.seconds for span in self.spans)
+
+    @property
+    def longest(self) -> float:
+        return max((span.seconds for span in self.spans), default=0.0)
+
+
+class Event(NamedTuple):
+    """Why a frame is worth a picture, and the parts that it is about: their spans for lost and back."""
+
+    kind: Kind
+    spans: tuple[LostSpan, ...] = ()
+
+
+class KeyFrame(NamedTuple):
+    frame: int
+    events: tuple[Event, ...]
+
+
+@dataclass(frozen=True)
+class Story:
+    """A whole run: its parts, the frames in which any was lost as stretches (first, last), and the worst frame."""
+
+    parts: tuple[PartStory, ...]
+    episodes: tuple[tuple[int, int], ...]
+    frames_lost: int
+    worst: int | None
+
+    @property
+    def spans(self) -> list[LostSpan]:
+        """Of all parts, in the order in which they began."""
+        return sorted((s for part in self.parts for s in part.spans), key=lambda s: (s.first, s.name))
+
+    @property
+    def lost_at_end(self) -> tuple[str, ...]:
+        return tuple(part.name for part in self.parts if part.last_status == "lost")
+
+
+def tell(table: Table, clock: Clock) -> Story:
+    """Read the run off its rows."""
+    several = len(table.targets) > 1
+    parts = tuple(_part(s, s.name if several else s.part, clock) for s in table.series)
+    any_lost = np.zeros(len(clock.frames), dtype=np.bool_)
+    total, known = np.zeros(len(clock.frames)), np.zeros(len(clock.frames))
+    for series in table.series:
+        place = np.searchsorted(clock.frames, series.frame)
+        any_lost[place] |= series.status == "lost"
+        sure = np.isfinite(series.confidence) & (series.status != "init")
+        total[place] += np.where(sure, series.confidence, 0.0)
+        known[place] += sure
+    mean = np.divide(total, known, out=np.full(len(total), np.inf), where=known > 0)
+    episodes = tuple((int(clock.frames[a]), int(clock.frames[b])) for a, b in stretches(any_lost))
+    worst = int(clock.frames[np.argmin(mean)]) if (known > 0).any() else None
+    return Story(parts, episodes, int(any_lost.sum()), worst)
+
+
+def stretches(mask: Mask) -> list[tuple[int, int]]:
+    """(first, last) index of each unbroken stretch of True."""
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+
+
+def _part(series: Series, name: str, clock: Clock) -> PartStory:
+    sure, frames = series.confidence, series.frame
+    spans = []
+    for a, b in stretches(series.status == "lost"):
+        back = int(frames[b + 1]) if b + 1 < len(frames) else None
+        end = clock.at(back) if back is not None else clock.after(int(frames[b]))
+        low = _least(sure[a : b + 1])
+        spans.append(
+            LostSpan(name, int(frames[a]), int(frames[b]), back, b - a + 1, end - clock.at(int(frames[a])), low)
+        )
+    tracked = sure[(series.status != "init") & np.isfinite(sure)]
+    worst = int(frames[np.nanargmin(sure)]) if np.isfinite(sure).any() else int(frames[0])
+    told = bool(((series.status == "tracked") | (series.status == "lost")).any())
+    mean = float(tracked.mean()) if len(tracked) else math.nan
+    return PartStory(name, len(series), tuple(spans), mean, _least(sure), worst, str(series.status[-1]), told)
+
+
+def _least(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if len(known) else math.nan
+
+
+def key_frames(story: Story, first: int, last: int, most: int = MOST_PICTURES) -> list[KeyFrame]:
+    """The frames to show, at most `most`, in their order.
+
+    Always the first, the last, and the one whose parts have the lowest confidence on average; and, if they are few
+    enough, every frame in which a part was called lost or was tracked again. Otherwise, of the longest stretches in
+    which any part was lost, the frames where they begin and end; then, one by one, the event furthest in time from all
+    those taken.
+    """
+    found: dict[tuple[int, Kind], list[LostSpan]] = {}
+    for span in story.spans:
+        found.setdefault((span.first, "lost"), []).append(span)
+        if span.back is not None:
+            found.setdefault((span.back, "back"), []).append(span)
+    events = sorted({frame for frame, _ in found})
+    taken = {first, last, *([] if story.worst is None else [story.worst])}
+    if len(taken.union(events)) <= most:
+        taken.update(events)
+    else:
+        room = len(taken) + round((most - len(taken)) * _OF_EPISODES)
+        for pair in _ends(story.episodes, events):
+            if len(taken | pair) <= room:
+                taken |= pair
+        taken = _spread(taken, events, most)
+    fixed: list[tuple[int | None, Kind]] = [(first, "start"), (story.worst, "worst"), (last, "end")]
+    shown = []
+    for frame in sorted(taken):
+        why = [Event(kind) for at, kind in fixed[:1] if at == frame]
+        why += [Event(kind, tuple(found[frame, kind])) for kind in ("lost", "back") if (frame, kind) in found]
+        why += [Event(kind) for at, kind in fixed[1:] if at == frame]
+        shown.append(KeyFrame(frame, tuple(why)))
+    return shown
+
+
+def _ends(episodes: Sequence[tuple[int, int]], events: Sequence[int]) -> Iterable[set[int]]:
+    """Where each stretch began and where its last part came back, longest first."""
+    for first, last in sorted(episodes, key=lambda e: (e[0] - e[1], e[0])):
+        after = int(np.searchsorted(events, last, side="right"))
+        yield {first, *events[after : after + 1]}
+
+
+def _spread(taken: set[int], events: Sequence[int], most: int) -> set[int]:
+    frames = np.array(events, dtype=np.int64)
+    away = np.min(np.abs(frames[:, None] - np.array(sorted(taken))), axis=1)
+    while len(taken) < most and away.max() > 0:
+        pick = int(np.argmax(away))
+        taken.add(int(frames[pick]))
+        away = np.minimum(away, np.abs(frames - frames[pick]))
+    return taken

@@ -1,0 +1,236 @@
+"""The report as HTML: what happened at the top, how it was made at the bottom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from facetrack_cli import __version__
+from facetrack_cli.evaluation.report_content import Content, Truth
+from facetrack_cli.evaluation.report_events import KeyFrame, Story
+from facetrack_cli.evaluation.report_header import Header, TargetHeader, needs_file, recipe_yaml
+from facetrack_cli.evaluation.report_html import Html, Image, join, page, pairs, section, table, tag, void
+from facetrack_cli.evaluation.report_summary import MOST_PARTS, summary
+from facetrack_cli.evaluation.report_text import (
+    at_clock,
+    lasting,
+    number,
+    rate,
+    why,
+)
+
+MOST_SPANS = 100  # rows of the table of lost spans
+_LEGEND = (
+    "A solid window with a dot is a part that is tracked, a dashed one with a cross a part called lost, a diamond "
+    "where the track began. The line is the way of the last second, the ellipse two standard deviations of the "
+    "particles."
+)
+
+
+def render(content: Content) -> bytes:
+    """The document as UTF-8."""
+    sections = [
+        summary(content),
+        _key_frames(content),
+        _plots(content),
+        *([_against_truth(content.truth)] if content.truth else []),
+        *([_spans(content)] if content.story.spans else []),
+        _making(content),
+    ]
+    return page(content.title, join([_head(content), *sections, _foot(content)], "\n"))
+
+
+def _head(content: Content) -> Html:
+    source = content.header.source
+    links = [("summary", "Summary"), ("key-frames", "Key frames"), ("over-time", "Over time")]
+    links += [("truth", "Against the truth")] if content.truth else []
+    links += [("lost", "Lost and found")] if content.story.spans else []
+    links += [("making", "How it was made")]
+    facts = (
+        f"{content.clip} · {source.size[0]} × {source.size[1]} pixels, {rate(content.header)} · "
+        f"recipe {content.header.recipe_name} · seed {content.header.seed}"
+    )
+    return tag(
+        "header",
+        tag("p", "Report of a facetrack run", class_="kicker"),
+        tag("h1", content.title),
+        tag("p", facts, class_="facts"),
+        tag("nav", *(tag("a", text, href=f"#{name}") for name, text in links), aria_label="On this page"),
+    )
+
+
+def _key_frames(content: Content) -> Html:
+    found = content.pictures
+    if not found.found:
+        text = (
+            "There are no pictures: neither the clip nor annotated.mp4 could be read. The option --clip names the clip."
+        )
+        return section("key-frames", "Key frames", tag("p", text))
+    origin = {
+        "clip": f"Frames of {content.clip}, drawn on as in annotated.mp4.",
+        "annotated": "Frames of annotated.mp4, since the clip itself could not be had.",
+    }[found.origin]
+    some = len({key.frame for key in content.keys}) < _events(content.story)
+    chosen = (
+        "Start, end, lowest confidence, and where the longest stretches began and ended in which a part was lost, with "
+        "others spread over the rest."
+        if some
+        else "Start, end, lowest confidence, and every frame in which a part was called lost or tracked again."
+    )
+    shown = [_figure(content, key) for key in content.keys if key.frame in found.found]
+    return section(
+        "key-frames",
+        "Key frames",
+        tag("p", f"{origin} {chosen}"),
+        tag("p", _LEGEND, class_="note"),
+        tag("div", *shown, class_="frames"),
+    )
+
+
+def _events(story: Story) -> int:
+    return len({frame for span in story.spans for frame in (span.first, span.back) if frame is not None})
+
+
+def _figure(content: Content, key: KeyFrame) -> Html:
+    picture = content.pictures.found[key.frame]
+    confidence, gone = {}, []
+    for series, part in zip(content.table.series, content.story.parts, strict=True):
+        at = int(np.searchsorted(series.frame, key.frame))
+        if at < len(series) and series.frame[at] == key.frame:
+            confidence[part.name] = float(series.confidence[at])
+            gone += [part.name] if series.status[at] == "lost" else []
+    known = [value for value in confidence.values() if value == value]
+    mean = sum(known) / len(known) if known else float("nan")
+    origin = _origin(content.header)
+    said = [(e.kind, *why(e, confidence, mean, origin, gone, len(confidence))) for e in key.events]
+    when = f"Frame {key.frame}"
+    time = at_clock(content.clock.at(key.frame))
+    alt = f"{when} at {time}. " + " ".join(f"{heading}: {words}." for _, heading, words in said)
+    left, top, width, height = picture.view
+    whole = content.header.source.size
+    part_of = (
+        tag("p", f"{width} × {height} of {whole[0]} × {whole[1]} pixels, from ({left}, {top})", class_="small")
+        if (width, height) != tuple(whole)
+        else ""
+    )
+    image = Image(picture.jpeg, "image/jpeg", picture.size)
+    return tag(
+        "figure",
+        void("img", src=Html(image.uri), width=image.size[0], height=image.size[1], alt=alt),
+        tag(
+            "figcaption",
+            tag("p", tag("strong", when), f" · {time}"),
+            tag("ul", *(tag("li", tag("strong", heading), f" {words}", class_=kind) for kind, heading, words in said)),
+            part_of,
+        ),
+    )
+
+
+def _origin(header: Header) -> str:
+    told = {"haar": "the Haar cascades", "--box": "--box"}
+    return told.get(header.init.origin, Path(header.init.origin).name or header.init.origin)
+
+
+def _plots(content: Content) -> Html:
+    wide, narrow = content.plot.wide, content.plot.narrow
+    alt = (
+        "Plots over time: position and size of each part, confidence with lost spans shaded, status, particles and "
+        "effective sample size, spread" + (", error against the truth." if content.truth else ".")
+    )
+    picture = tag(
+        "picture",
+        void("source", media="screen and (max-width: 40rem)", srcset=Html(narrow.uri)),
+        void("img", src=Html(wide.uri), width=wide.size[0], height=wide.size[1], alt=alt),
+    )
+    return section("over-time", "Over time", tag("figure", picture, class_="plot"))
+
+
+def _against_truth(truth: Truth) -> Html:
+    return section(
+        "truth",
+        "Against the truth",
+        tag("p", "Truth: ", tag("code", truth.path), f". {truth.about}"),
+        *(table(m.caption, m.head, m.rows[: MOST_PARTS + 1]) for m in truth.tables),
+        *(tag("p", note, class_="note") for note in truth.notes),
+        tag("p", "facetrack eval prints all measures, and says what they mean.", class_="note"),
+    )
+
+
+def _spans(content: Content) -> Html:
+    """The lost spans in their order; of too many, the longest."""
+    clock, spans = content.clock, content.story.spans
+    shown = sorted(sorted(spans, key=lambda s: -s.seconds)[:MOST_SPANS], key=lambda s: (s.first, s.name))
+    head = ("part", "lost in frame", "at", "tracked again in frame", "at", "frames", "time", "lowest confidence")
+    rows = [
+        (
+            span.name,
+            span.first,
+            at_clock(clock.at(span.first)),
+            tag("span", "never", class_="bad-text") if span.back is None else span.back,
+            "–" if span.back is None else at_clock(clock.at(span.back)),
+            f"{span.frames:,}",
+            lasting(span.seconds),
+            number(span.lowest),
+        )
+        for span in shown
+    ]
+    many = len(spans) > MOST_SPANS
+    note = f"The {MOST_SPANS} longest of {len(spans):,} lost spans; trajectory.csv has all." if many else ""
+    return section(
+        "lost",
+        "Lost and found",
+        *([tag("p", note, class_="note")] if many else []),
+        table("Every time that a part was lost" if not many else "The longest times that a part was lost", head, rows),
+    )
+
+
+def _making(content: Content) -> Html:
+    header = content.header
+    source, init = header.source, header.init
+    facts: list[tuple[object, object]] = [
+        ("Clip", tag("code", source.path)),
+        ("Size, rate", f"{source.size[0]} × {source.size[1]} pixels, {rate(header)}"),
+        ("Frames", f"{content.clock.frames[0]} to {content.clock.frames[-1]} of the clip, counted from 0"),
+        ("Began", f"in frame {init.frame}, placed by {_began(init.origin)}"),
+        *_places(init.targets),
+        ("Seed", header.seed),
+        ("Versions", f"run by facetrack {header.facetrack}; this page by facetrack {__version__}"),
+    ]
+    where = "" if Path(source.path).is_absolute() else " Paths are as given then: call it in the same folder."
+    file = f" Save the recipe above as {header.recipe_name}.yaml first." if needs_file(header) else ""
+    return section(
+        "making",
+        "How it was made",
+        pairs(facts),
+        tag("h3", f"Recipe {header.recipe_name}"),
+        tag("p", "Every setting as it was run, defaults and overrides included.", class_="note"),
+        tag(
+            "pre", tag("code", recipe_yaml(header.recipe)), tabindex="0", role="region", aria_label="The recipe as YAML"
+        ),
+        tag("h3", "To repeat the run"),
+        tag("pre", tag("code", content.command), class_="command"),
+        tag("p", f"The same version gives a trajectory.csv of the same bytes.{where}{file}", class_="note"),
+    )
+
+
+def _places(targets: Mapping[str, TargetHeader]) -> Iterator[tuple[str, str]]:
+    for name, target in targets.items():
+        of = f" of {name}" if len(targets) > 1 else ""
+        if target.box:
+            yield f"Box{of}", f"[{', '.join(f'{v:g}' for v in target.box)}]: left, top, width, height"
+        if target.points:
+            yield f"Points{of}", "; ".join(f"{part} ({x:g}, {y:g})" for part, (x, y) in target.points.items())
+
+
+def _began(origin: str) -> str:
+    return {"haar": "Haar cascades, which found the face", "--box": "a box that was given (--box)"}.get(origin, origin)
+
+
+def _foot(content: Content) -> Html:
+    return tag(
+        "footer",
+        "Everything on this page is inside this one file. Frames are counted from 0 of the clip; times are on the "
+        "clip's clock; left and right are as seen in the picture.",
+    )

@@ -1,0 +1,127 @@
+"""The head of the report: the run in words and figures, when each part was lost, and how often."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from facetrack_cli.evaluation.report_content import Content
+from facetrack_cli.evaluation.report_events import LostSpan
+from facetrack_cli.evaluation.report_html import Html, join, section, table, tag
+from facetrack_cli.evaluation.report_text import at_clock, count, ended, lasting, names, number, percent, sentences
+
+MOST_PARTS = 100  # rows of a table by part
+_BINS = 1000  # of the bar that shows when a part was lost
+
+
+def summary(content: Content) -> Html:
+    story, clock, header = content.story, content.clock, content.header
+    how, good = ended(header)
+    frames = len(clock.frames)
+    gone = story.lost_at_end
+    longest = max((part.longest for part in story.parts), default=0.0)
+    mean = np.nanmean([p.mean for p in story.parts]) if any(p.mean == p.mean for p in story.parts) else np.nan
+    figures = [
+        ("Frames", f"{frames:,}", f"{clock.frames[0]} to {clock.frames[-1]}"),
+        ("Duration", lasting(clock.duration), f"from {at_clock(clock.times[0])}"),
+        ("All parts tracked", percent(1 - story.frames_lost / frames), f"{count(frames - story.frames_lost, 'frame')}"),
+        ("Lost spans", f"{len(story.spans):,}", f"longest {lasting(longest)}" if story.spans else "none"),
+        ("Mean confidence", number(float(mean)), "over all parts and frames"),
+        ("At the end", f"{len(gone)} lost" if gone else "tracked", names(gone, 3) if gone else "no part is lost"),
+    ]
+    cells = [tag("div", tag("dt", name), tag("dd", value, tag("small", note))) for name, value, note in figures]
+    warnings = [*header.warnings, *content.pictures.notes]
+    box = tag(
+        "div",
+        tag("strong", "Warnings" if len(warnings) > 1 else "Warning"),
+        tag("ul", *(tag("li", line) for line in warnings)),
+        class_="warnings",
+    )
+    return section(
+        "summary",
+        "Summary",
+        tag("p", sentences(content.table, header, clock, story, content.clip), class_="lead"),
+        tag("p", how, class_=f"ended {'good' if good else 'bad'}"),
+        tag("dl", *cells, class_="figures"),
+        *([box] if warnings else []),
+        *_when(content),
+        _parts(content),
+    )
+
+
+def _when(content: Content) -> Iterator[Html]:
+    """When each part was lost, as bars over the run, and below them the key frames."""
+    first, last = int(content.clock.frames[0]), int(content.clock.frames[-1])
+    scale = _BINS / (last - first + 1)
+    rows = []
+    for part in content.story.parts[:MOST_PARTS]:
+        said = f"{part.name}: " + (f"lost in {count(len(part.spans), 'span')}" if part.spans else "never lost")
+        bars = [tag("rect", class_="track", x=0, y=0, width=_BINS, height=10)]
+        for x, w in _bars(part.spans, first, scale):
+            bars.append(tag("rect", class_="lost", x=f"{x:.1f}", y=0, width=f"{w:.1f}", height=10))
+        rows.append((part.name, _svg("bar", said, join(bars))))
+    at = [(key.frame - first + 0.5) * scale for key in content.keys]
+    ticks = [tag("line", class_="tick", x1=f"{x:.1f}", x2=f"{x:.1f}", y1=0, y2=10) for x in at]
+    rows.append(("key frames", _svg("bar ticks", f"{count(len(at), 'key frame')}", join(ticks))))
+    body = join(tag("tr", tag("th", name, scope="row", title=name), tag("td", svg)) for name, svg in rows)
+    yield tag("h3", "When each part was lost")
+    yield tag("table", tag("tbody", body), class_="when")
+    ends = (content.clock.times[0], content.clock.after(last))
+    yield tag("p", *(tag("span", at_clock(float(time))) for time in ends), class_="axis")
+
+
+def _svg(kind: str, said: str, inside: Html) -> Html:
+    return tag(
+        "svg", inside, class_=kind, viewBox=f"0 0 {_BINS} 10", preserveAspectRatio="none", role="img", aria_label=said
+    )
+
+
+def _bars(spans: Sequence[LostSpan], first: int, scale: float) -> list[tuple[float, float]]:
+    """(left, width) of what to paint: thousands of spans are no more than the bar has room for."""
+    least = 2.0 if len(spans) <= _BINS // 20 else 0.5  # a single frame of many must still be seen
+    bars: list[tuple[float, float]] = []
+    for span in spans:
+        left, right = (span.first - first) * scale, (span.last + 1 - first) * scale
+        if bars and left < sum(bars[-1]) + 0.2:
+            left = bars.pop()[0]
+        bars.append((left, max(right - left, least)))
+    return bars
+
+
+def _parts(content: Content) -> Html:
+    head = (
+        "part",
+        "times lost",
+        "frames lost",
+        "share",
+        "time lost",
+        "longest",
+        "confidence, mean",
+        "lowest",
+        "in frame",
+        "at the end",
+    )
+    rows = []
+    for part in content.story.parts[:MOST_PARTS]:
+        end = tag("span", "lost", class_="bad-text") if part.last_status == "lost" else part.last_status or "–"
+        rows.append(
+            (
+                part.name,
+                f"{len(part.spans):,}",
+                f"{part.frames_lost:,}",
+                percent(part.frames_lost / part.rows),
+                lasting(part.seconds_lost),
+                lasting(part.longest) if part.spans else "–",
+                number(part.mean),
+                number(part.lowest),
+                part.worst if part.lowest == part.lowest else "–",
+                end,
+            )
+        )
+    cut = _cut(len(content.story.parts), MOST_PARTS, "parts")
+    return join([table("How often and how long each part was lost", head, rows), cut])
+
+
+def _cut(there: int, shown: int, what: str) -> Html:
+    return tag("p", f"{shown} of {there:,} {what} are shown.", class_="note") if there > shown else Html("")
