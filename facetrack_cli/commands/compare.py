@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from facetrack_cli.errors import ExitCode, FacetrackError, UsageError
+from facetrack_cli.errors import ExitCode, FacetrackError, InputError, UsageError
 from facetrack_cli.options import FRAME, Whole, rate
 from facetrack_cli.options import box as box_of
 
@@ -50,8 +50,13 @@ TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "p
 @click.option("--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip.")
 @click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face in the first frame, in pixels.")
 @click.option("--truth-format", type=click.Choice(TRUTH_FORMATS), default="auto", show_default=True, help="Its kind.")
-@click.option("--target", metavar="NAME", help="Target of the truth to measure by.")
-@click.option("--shift", metavar="N", type=int, default=0, help="Add N to the frame numbers of the truth.")
+@click.option("--target", metavar="NAME[/PART]", help="Measure this target, or this part of it, alone.")
+@click.option(
+    "--shift",
+    metavar="N",
+    type=int,
+    help="Add N to the frame numbers of the truth; 0 takes them as they are even if all runs fit another shift better.",
+)
 @click.option("--partial", is_flag=True, help="The truth may know fewer frames than the clip has.")
 @click.option("--stop", metavar="N", type=FRAME, help="Frame to stop before.")
 @click.option("--fps", metavar="RATE", callback=rate, help="Frames per second of image folders.")
@@ -75,7 +80,7 @@ def command(
     box: Box | None,
     truth_format: str,
     target: str | None,
-    shift: int,
+    shift: int | None,
     partial: bool,
     stop: int | None,
     fps: Fraction | None,
@@ -138,7 +143,7 @@ def command(
         for label, (name, own) in zip(labels(configs), map(variant, configs), strict=True)
     }
     file = default_truth(clip) if truth is None else truth
-    known = read_truth(file, truth_format, shift=shift)
+    known = read_truth(file, truth_format, shift=shift or 0)
     plots = () if no_plots else PLOTS
     with (
         Stop().listening() as ending,
@@ -146,7 +151,7 @@ def command(
         Folder.of(out, f"{title(clip)}-compare", FILES + plots, overwrite=overwrite, inputs=[clip]) as folder,
     ):
         options = Options(target, partial, stop, begin.picture_size())
-        entries = _run(named, begin, known, seeds, workers, options, ending, shown)
+        entries = _run(named, begin, known, seeds, workers, options, shift is None, ending, shown)
         shown.close()
         if not any(entry.scores for entry in entries):
             ctx.exit(ending.code or ExitCode.FAULT)
@@ -155,7 +160,9 @@ def command(
         _write(found, folder, shown, plots=not no_plots)
         _show(found, form)
         shown.say(f"{clip} -> {folder.summary()}")
-    failed = any(entry.why for entry in entries)
+        failed = sum(bool(entry.why) for entry in entries)
+        if failed:
+            shown.say(f"{failed} of {len(entries)} recipes could not run")
     ctx.exit(ending.code or (ExitCode.BATCH if failed else ExitCode.DONE))
 
 
@@ -166,15 +173,17 @@ def _run(
     seeds: int,
     workers: int,
     options: Options,
+    check_shift: bool,
     stop: Stop,
     shown: Progress,
 ) -> list[Entry]:
     """Every recipe with its scores, or with what kept it from running. Raises the error if all fail of one."""
-    from facetrack_cli.evaluation.compare import Entry, score_run
+    from facetrack_cli.evaluation.compare import Entry, score_run, shifted
     from facetrack_cli.evaluation.runs import Failure, run_plans
 
     refused: dict[str, FacetrackError] = {}
     scores: dict[str, list[Score]] = {label: [] for label in named}
+    moved: dict[str, InputError | None] = {}
     plans = []
     for label, recipe in named.items():
         try:
@@ -190,6 +199,8 @@ def _run(
             if isinstance(run, Failure):
                 raise run.error
             scores[run.label].append(score_run(run, truth, options))
+            if check_shift and run.label not in moved:
+                moved[run.label] = shifted(run, truth, options)
         except FacetrackError as e:
             refused[run.label] = e
     if refused and not any(scores.values()) and stop.code is None:
@@ -197,6 +208,9 @@ def _run(
         for label, error in others:
             shown.error(f"facetrack: error: {label}: {error}")
         raise first[1]
+    # one recipe that trails behind is a bad tracker; all of them are a truth that counts otherwise
+    if moved and (wrong := next(iter(moved.values()))) is not None and all(moved.values()):
+        raise wrong
     return [
         Entry(
             label,
@@ -210,7 +224,8 @@ def _run(
 
 def _show(found: Comparison, form: str | None) -> None:
     """The table, or the data, on standard output."""
-    from facetrack_cli.evaluation.compare_text import as_csv, as_json, sheet, show
+    from facetrack_cli.evaluation.compare_text import as_csv, as_json, sheet
+    from facetrack_cli.evaluation.sheet import show
 
     if form is not None:
         click.echo(as_json(found) if form == "json" else as_csv(found), nl=False)
@@ -221,7 +236,8 @@ def _show(found: Comparison, form: str | None) -> None:
 def _write(found: Comparison, folder: Folder, shown: Progress, plots: bool) -> None:
     """All files; without matplotlib all but the plots, and a line that says so."""
     from facetrack_cli.evaluation.compare_plots import figures
-    from facetrack_cli.evaluation.compare_text import as_csv, as_json, markdown, sheet
+    from facetrack_cli.evaluation.compare_text import as_csv, as_json, sheet
+    from facetrack_cli.evaluation.sheet import markdown
 
     folder.write("compare.json", as_json(found))
     folder.write("compare.csv", as_csv(found))

@@ -155,8 +155,8 @@ def _matched(table: Table, truth: Table | None) -> list[Series]:
 
 def _write(found: Repetition, folder: Folder, shown: Progress, plots: bool) -> None:
     """All files; without matplotlib all but the plot, and a line that says so."""
-    from facetrack_cli.evaluation.compare_text import markdown
     from facetrack_cli.evaluation.repeat_text import as_csv, as_json, sheet
+    from facetrack_cli.evaluation.sheet import markdown
 
     folder.write("repeat.json", as_json(found))
     folder.write("repeat.csv", as_csv(found))
@@ -183,8 +183,8 @@ def _write(found: Repetition, folder: Folder, shown: Progress, plots: bool) -> N
 
 def _show(found: Repetition, form: str | None) -> None:
     """The table, or the data, on standard output."""
-    from facetrack_cli.evaluation.compare_text import show
     from facetrack_cli.evaluation.repeat_text import as_csv, as_json, sheet
+    from facetrack_cli.evaluation.sheet import show
 
     if form is not None:
         click.echo(as_json(found) if form == "json" else as_csv(found), nl=False)

@@ -27,6 +27,7 @@ from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Rows, joined, rows_of
+from facetrack_cli.evaluation.sheet import OVERRIDES
 from facetrack_cli.evaluation.summary import Evaluation, evaluate, higher_is_better, names, scalars, units_of
 from facetrack_cli.formats.table import Table, Whole
 from facetrack_cli.types import Array
@@ -193,6 +194,21 @@ def score_run(run: SeedRun, truth: Table, options: Options) -> Score:
     )
 
 
+def shifted(run: SeedRun, truth: Table, options: Options) -> InputError | None:
+    """What speaks for a truth that counts frames otherwise than the run; to be asked of runs that can be scored."""
+    try:
+        match(
+            run.table,
+            within(truth, run.table, options),
+            partial=options.partial,
+            select=options.select,
+            check_shift=True,
+        )
+    except InputError as e:
+        return e
+    return None
+
+
 def within(truth: Table, trajectory: Table, options: Options) -> Table:
     """The truth of the frames that were asked for: from the run's first one to before --stop."""
     first = int(trajectory.frames[0])
@@ -254,8 +270,7 @@ def variant(given: str) -> tuple[str, tuple[str, ...]]:
     name, colon, rest = given.partition(":")
     if not colon or "=" not in rest or Path(given).exists():
         return given, ()
-    # a comma separates only where a key follows: windows=[25,25] holds one
-    return name, tuple(re.split(r",(?=[\w.]+=)", rest))
+    return name, tuple(re.split(OVERRIDES, rest))
 
 
 def labels(given: Sequence[str]) -> list[str]:

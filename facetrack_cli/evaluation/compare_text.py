@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -15,6 +14,7 @@ import numpy as np
 
 from facetrack_cli import __version__
 from facetrack_cli.evaluation.compare import Entry, Place, kind_of, less_is_better, rank
+from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet
 from facetrack_cli.evaluation.summary import names
 
 if TYPE_CHECKING:
@@ -31,8 +31,6 @@ TITLES: Final = {
     "points.mean_px": ("mean\nerror, px", 1, 2),
     "points.median_px": ("median\nerror, px", 1, 2),
 }
-LEAST_NAME: Final = 16  # columns that a name has at least before it is broken
-NO_FIGURE: Final = "\N{EN DASH}"
 
 
 @dataclass(frozen=True)
@@ -72,21 +70,18 @@ class Comparison:
         return tuple(dict.fromkeys([self.measure, *usual]))
 
 
-@dataclass(frozen=True)
-class Sheet:
-    """A table of text: `heads` may hold line breaks; columns named in `left` are aligned to the left; `notes` below."""
-
-    heads: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
-    left: tuple[int, ...] = (1,)
-
-
 def sheet(comparison: Comparison) -> Sheet:
     """Recipes in their order; those that could not run at the end, and why below."""
     found = comparison.places
     rates = [rate for place in found if (rate := place.entry.frames_per_s) is not None]
-    heads = ("rank", "recipe", *(_head(name) for name in comparison.measures), "failed", "frames/s", "time a\nframe")
+    heads = (
+        "rank",
+        "recipe",
+        *(_head(name) for name in comparison.measures),
+        "failed",
+        "frames\nper s",
+        "time a\nframe",
+    )
     rows = [_row(place, comparison, max(rates, default=0.0)) for place in found]
     return Sheet(heads, tuple(rows), tuple(notes(comparison)))
 
@@ -100,7 +95,8 @@ def _head(measure: str) -> str:
 def _row(place: Place, comparison: Comparison, fastest: float) -> tuple[str, ...]:
     entry = place.entry
     if not entry.scores:
-        return (place.text, entry.label, *(NO_FIGURE for _ in comparison.measures), "not run", NO_FIGURE, NO_FIGURE)
+        blank = [NO_FIGURE for _ in comparison.measures]
+        return (place.text, entry.label, "not run", *blank[1:], NO_FIGURE, NO_FIGURE, NO_FIGURE)
     rate = entry.frames_per_s
     return (
         place.text,
@@ -160,58 +156,6 @@ def notes(comparison: Comparison) -> list[str]:
         lines.append("Interrupted: these are the runs that were complete.")
     lines += [f"{entry.label}: not run: {entry.why}" for entry in comparison.entries if entry.why]
     return lines
-
-
-def markdown(given: Sheet, title: str) -> str:
-    """The table as Markdown, padded so that it reads as text too."""
-    heads = [head.replace("\n", " ") for head in given.heads]
-    cells = [[cell.replace("|", "\\|") for cell in row] for row in [heads, *given.rows]]
-    wide = [max(len(row[i]) for row in cells) for i in range(len(heads))]
-
-    def line(row: Sequence[str]) -> str:
-        padded = [
-            cell.ljust(w) if i in given.left else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, wide, strict=True))
-        ]
-        return f"| {' | '.join(padded)} |"
-
-    rule = [f":{'-' * (w - 1)}" if i in given.left else f"{'-' * (w - 1)}:" for i, w in enumerate(wide)]
-    text = "\n".join([line(cells[0]), f"| {' | '.join(rule)} |", *(line(row) for row in cells[1:])])
-    return f"{title}\n\n{text}\n\n" + "".join(f"- {note}\n" for note in given.notes)
-
-
-def show(given: Sheet, title: str) -> None:
-    """Print the table: in colours and as wide as the terminal, or else 100 columns wide, without."""
-    import sys
-
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    wide = None if sys.stdout.isatty() else 100
-    console = Console(width=wide, emoji=False, highlight=False, markup=False)
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="bold", show_edge=False, padding=(0, 1))
-    for i, head in enumerate(given.heads):
-        left = i in given.left
-        longest = max(len(text) for text in [*head.split("\n"), *(row[i] for row in given.rows)])
-        # names are broken rather than cut, figures never are
-        table.add_column(
-            Text(head, justify="left" if left else "right"),
-            justify="left" if left else "right",
-            no_wrap=not left,
-            overflow="fold",
-            min_width=min(longest, LEAST_NAME) if left else longest,
-            vertical="middle",
-        )
-    for row in given.rows:
-        table.add_row(*(Text(cell) for cell in row))
-    console.print(Text(title, style="bold"), soft_wrap=True)
-    console.print()
-    console.print(table)
-    console.print()
-    for note in given.notes:
-        console.print(Text(note))
 
 
 # --- for programs ------------------------------------------------------------------------------------------------
