@@ -15,6 +15,7 @@ from facetrack_cli.evaluation.plot_style import (
     HIDDEN,
     INK,
     LOST,
+    clean,
     heading,
     line_style,
     new_figure,
@@ -105,7 +106,7 @@ def _curves(
     best = sorted(curves, key=lambda label: -scores[label])
     figure.legend(
         [handles[label] for label in best],
-        [f"{scores[label]:.3f}  {_cut(label)}" for label in best],
+        [f"{scores[label]:.3f}  {clean(label, 40)}" for label in best],
         loc="outside right upper",
         title=measure,
         alignment="left",
@@ -204,34 +205,41 @@ def spread_figure(
 
 
 def calibration_figure(trust: Trust, *, title: str = "Confidence against the truth") -> Figure:
-    """The share of rows that are near the truth in each bin of confidence, and how many rows there are.
+    """The shares of rows that are near the truth and visible in each bin of confidence, and how many rows there are.
 
     On the diagonal, confidence is the chance of being near. Bins without rows are left out.
     """
     with style():
-        figure = new_figure(5.6, 5.6)
+        figure = new_figure(5.6, 5.8)
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.2, 1]})
         measures = trust.confidence
-        bins = measures.bins if measures is not None else ()
-        upper.plot([0, 1], [0, 1], color=FAINT, linewidth=0.9, linestyle=(0, (3, 2)), zorder=1)
-        filled = [(b, b.mean_confidence, b.near) for b in bins if b.mean_confidence is not None and b.near is not None]
-        for b, mean, near in filled:
-            upper.plot([mean, mean], [mean, near], color=LOST, linewidth=1.0, alpha=0.55, zorder=1.5)
-            lower.bar((b.low + b.high) / 2, b.rows, 0.9 * (b.high - b.low), color=COLOURS[0], linewidth=0)
+        filled = [] if measures is None else [b for b in measures.bins if b.rows]
+        mean = _known([b.mean_confidence for b in filled])
+        near, visible = _known([b.near for b in filled]), _known([b.visible for b in filled])
         upper.plot(
-            [m for _, m, _ in filled], [n for _, _, n in filled], "o-", color=COLOURS[0], linewidth=1.5, markersize=5
+            [0, 1],
+            [0, 1],
+            color=FAINT,
+            linewidth=0.9,
+            linestyle=(0, (3, 2)),
+            zorder=1,
+            label="ideal: equal to confidence",
         )
+        upper.vlines(mean, mean, near, color=LOST, linewidth=1.0, alpha=0.55, zorder=1.5)
+        upper.plot(mean, near, "o-", color=COLOURS[0], linewidth=1.5, markersize=5, label="near the truth")
+        if any(share < 1 for share in visible):
+            upper.plot(mean, visible, "s--", color=COLOURS[1], linewidth=1.2, markersize=4, label="visible in truth")
         if not filled:
             upper.text(0.5, 0.45, "no row has a confidence between 0 and 1", ha="center", color=FAINT)
         upper.set_xlim(-0.02, 1.02)
         upper.set_ylim(-0.02, 1.04)
-        upper.set_ylabel("share of rows near the truth")
-        heading(upper, title, "dashed: the chance of being near")
-        if measures is not None and measures.ece is not None:
-            upper.text(0.03, 0.93, f"expected calibration error {measures.ece:.3f}", color=FAINT, fontsize=8, va="top")
+        upper.set_ylabel("share of rows")
+        ece = None if measures is None else measures.ece
+        heading(upper, title, "" if ece is None else f"expected calibration error {ece:.3f}")
+        lower.bar([(b.low + b.high) / 2 for b in filled], [b.rows for b in filled], 0.09, color=HIDDEN, linewidth=0)
         if filled:
             lower.set_yscale("log")
-            lower.set_ylim(0.7, 1.8 * max(b.rows for b, _, _ in filled))
+            lower.set_ylim(0.7, 1.8 * max(b.rows for b in filled))
             lower.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
             lower.yaxis.minorticks_off()
         else:
@@ -239,7 +247,13 @@ def calibration_figure(trust: Trust, *, title: str = "Confidence against the tru
         lower.set_ylabel("rows")
         lower.set_xlabel("confidence")
         heading(lower, "Rows", "log scale" if filled else "")
+        handles, labels = upper.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), handlelength=2.6)
         return figure
+
+
+def _known(shares: Sequence[float | None]) -> list[float]:
+    return [float("nan") if share is None else share for share in shares]
 
 
 def _over_time(frames: Whole, labels: Sequence[str]) -> tuple[Figure, Axes, float]:
@@ -247,14 +261,14 @@ def _over_time(frames: Whole, labels: Sequence[str]) -> tuple[Figure, Axes, floa
     from matplotlib.lines import Line2D
     from matplotlib.ticker import MaxNLocator
 
-    columns, rows = columns_for([_cut(label) for label in labels], WIDE[0])
+    columns, rows = columns_for([clean(label, 40) for label in labels], WIDE[0])
     top = 0.1 + 0.2 * rows
     figure = new_figure(WIDE[0], WIDE[1] + top)
     pieces: Any = figure.subfigures(2, 1, height_ratios=[top, WIDE[1]])
     handles = [Line2D([], [], linewidth=1.5, **line_style(number)) for number in range(len(labels))]
     pieces[0].legend(
         handles,
-        [_cut(label) for label in labels],
+        [clean(label, 40) for label in labels],
         loc="center left",
         ncols=columns,
         handlelength=2.8,
@@ -262,7 +276,7 @@ def _over_time(frames: Whole, labels: Sequence[str]) -> tuple[Figure, Axes, floa
     )
     axes = pieces[1].subplots()
     first, last = float(frames[0]), float(frames[-1])
-    margin = max(0.5, 0.004 * (last - first))
+    margin = max(0.5, 0.004 * (last - first), 1e-9 * last)
     axes.set_xlim(first - margin, last + margin)
     axes.xaxis.set_major_locator(MaxNLocator(10, integer=True, min_n_ticks=1, steps=[1, 2, 2.5, 5, 10]))
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
@@ -274,7 +288,3 @@ def _band(axes: Axes, frames: Whole, low: Array, high: Array, colour: str) -> No
     x, bottom, *_ = envelope(frames, low, BINS)
     _, top, *_ = envelope(frames, high, BINS)
     axes.fill_between(x, bottom, top, color=colour, alpha=0.15, linewidth=0)
-
-
-def _cut(label: str, most: int = 40) -> str:
-    return label if len(label) <= most else label[: most - 1] + "…"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from facetrack_cli.evaluation.plot_data import alone, beyond, envelope, frames_of, limits, spans
-from facetrack_cli.evaluation.plot_style import ABSENT, COLOURS, DASHES, HIDDEN, INK, LOST, line_style
+from facetrack_cli.evaluation.plot_style import ABSENT, COLOURS, DASHES, HIDDEN, INK, LOST, clean, line_style
 from facetrack_cli.formats.table import Mask, Series, Table, Whole
 from facetrack_cli.types import Array
 
@@ -73,7 +73,7 @@ def _name(s: Series, table: Table) -> str:
         name = s.target if sole else f"{s.target}/{s.part}"
     else:
         name = s.target if sole and s.part == "box" and s.target else s.part
-    return name.replace("_", " ")
+    return clean(name.replace("_", " "), 40)
 
 
 def _ramp(share: float) -> str:
@@ -157,7 +157,9 @@ class Pen:
         axes.spines["left"].set_visible(False)
         axes.set_yticks([])
         if not many:
-            axes.set_yticks([row + top + tall / 2 for row in range(len(lines))], [_cut(line.name) for line in lines])
+            axes.set_yticks(
+                [row + top + tall / 2 for row in range(len(lines))], [clean(line.name, 16) for line in lines]
+            )
         for label, line in zip(axes.get_yticklabels(), lines, strict=False):
             label.set(fontsize=7.5, color=line.colour)
 
@@ -194,6 +196,8 @@ def limit(axes: Axes, values: Iterable[Array], floor: float | None = None, ticks
 
 def numbers(ticks: Sequence[float]) -> list[str]:
     """Labels of ticks, all with as many decimals as one of them needs."""
+    if any(abs(tick) >= 1e7 for tick in ticks):
+        return [f"{tick:.3g}" for tick in ticks]
     decimals = next((d for d in range(4) if all(abs(t - round(t, d)) < 1e-9 for t in ticks)), 4)
     return [f"{tick + 0.0:,.{decimals}f}".replace("-", "\N{MINUS SIGN}") for tick in ticks]
 
@@ -204,10 +208,6 @@ def _pairwise(y: Array, pick: np.ufunc) -> Array:
     out = np.asarray(pick(y, after), dtype=np.float64)
     out[np.isnan(y)] = np.nan
     return out
-
-
-def _cut(name: str, most: int = 16) -> str:
-    return name if len(name) <= most else name[: most - 1] + "…"
 
 
 def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:

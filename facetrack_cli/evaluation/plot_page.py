@@ -10,9 +10,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from facetrack_cli.errors import InputError
 from facetrack_cli.evaluation.plot_data import frames_of, quantiles
-from facetrack_cli.evaluation.plot_lines import MANY, Line, Pen, columns_for, limit, lines_of
-from facetrack_cli.evaluation.plot_style import ABSENT, FAINT, HIDDEN, INK, LOST, WIDTH, heading, new_figure, style
+from facetrack_cli.evaluation.plot_lines import MANY, Line, Pen, columns_for, limit, lines_of, numbers
+from facetrack_cli.evaluation.plot_style import (
+    ABSENT,
+    FAINT,
+    HIDDEN,
+    INK,
+    LOST,
+    WIDTH,
+    clean,
+    heading,
+    new_figure,
+    style,
+)
 from facetrack_cli.evaluation.plot_time import set_time
 from facetrack_cli.formats.table import Series, Table
 from facetrack_cli.types import Array
@@ -44,7 +56,8 @@ def page_figure(
 
     `pairs` (match.py) bring the truth; the title names clip and recipe unless given; `width` is in inches, the height
     follows. Up to `MANY` parts have a line each; of more, all panels but position and size show the median, the middle
-    80 % and the whole range over parts. Long tracks are drawn by their envelope (plot_data.py).
+    80 % and the whole range over parts. Long tracks are drawn by their envelope (plot_data.py). Raises InputError where
+    nothing is known.
     """
     with style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
@@ -82,6 +95,7 @@ class _Page:
         self.table, self.width = table, width
         self.lines = lines_of(table, pairs)
         self.pairs = [line.pair for line in self.lines if line.pair is not None]
+        self.errors = [error(pair) for pair in self.pairs]
         self.many = len(self.lines) > MANY
         self.frames = frames = frames_of([line.ours.frame for line in self.lines])
         # so many strokes take long and say no more
@@ -94,6 +108,8 @@ class _Page:
         from matplotlib.legend_handler import HandlerTuple
 
         panels = self._panels()
+        if not panels:
+            raise InputError(f"{self.table.path}: has no number that could be drawn in any row")
         legend = self._legend()
         columns, rows = columns_for(list(legend), self.width)
         said = _wrap(self._summary(), int(self.width * 15))
@@ -103,9 +119,7 @@ class _Page:
         figure = new_figure(self.width, top + body)
         pieces: Any = figure.subfigures(2, 1, height_ratios=[top, body])
         head, rest = pieces
-        most = int(self.width * 8)
-        title = title if len(title) <= most else title[: most - 1] + "…"
-        head.text(0.012, 1 - 0.09 / top, title, va="top", weight="bold", size=12, parse_math=False)
+        head.text(0.012, 1 - 0.09 / top, clean(title, int(self.width * 8)), va="top", weight="bold", size=12)
         head.text(0.012, 1 - 0.31 / top, "\n".join(said), va="top", size=8.5, color=FAINT)
         if legend:
             head.legend(
@@ -147,7 +161,7 @@ class _Page:
                 picked = [group[round(i * (len(group) - 1) / 5)] for i in range(6)]
                 strokes = tuple(Line2D([], [], color=line.colour, linewidth=2) for line in picked)
                 of = f"{target}: " if len(self.table.targets) > 1 else ""
-                found[f"{of}{len(group)} parts, {group[0].ours.part} to {group[-1].ours.part}"] = strokes
+                found[clean(f"{of}{len(group)} parts, {group[0].ours.part} to {group[-1].ours.part}", 60)] = strokes
         if self.pairs and not self.many:
             found["truth"] = Line2D([], [], **_TRUTH)
         if self.ever_lost:
@@ -173,11 +187,12 @@ class _Page:
             said.append(f"seed {seed}")
         if self.ours_told:
             lost = [int((line.ours.status == "lost").sum()) for line in self.lines]
-            share = f"{100 * sum(lost) / sum(len(line.ours) for line in self.lines):.2g} %"
+            percent = 100 * sum(lost) / sum(len(line.ours) for line in self.lines)
+            share = f"{percent:.0f} %" if percent >= 9.95 else f"{max(percent, 0.1):.1f} %"
             over = "frames" if len(lost) == 1 else f"rows, {sum(map(bool, lost))} of {len(lost)} parts"
             said.append(f"lost in {share} of {over}" if any(lost) else "never lost")
         if self.pairs:
-            wrong = np.concatenate([error(pair) for pair in self.pairs])
+            wrong = np.concatenate(self.errors)
             if np.isfinite(wrong).any():
                 said.append(f"median error {np.nanmedian(wrong):.2f} px")
         if self.table.header.get("complete") is False:
@@ -220,7 +235,7 @@ class _Page:
         add(counted and not ess, "particles", [], 0.6, self._particles)
         notes = [bands, "standard deviation of the particles, both axes together"]
         add(self._known(spread), "spread (px)", notes, 0.95, lambda axes: self._positive(axes, spread))
-        measured = any(np.isfinite(error(pair)).any() for pair in self.pairs)
+        measured = any(np.isfinite(wrong).any() for wrong in self.errors)
         add(measured, "error (px)", [bands, *self._said_of_error()], 1.15, self._error)
         return found
 
@@ -273,7 +288,7 @@ class _Page:
         if self._known(_ess):  # what matters lies between one and a tenth of them
             axes.set_yscale("log")
             axes.set_ylim(0.8, 1.4 * max(2.0, float(np.nanmax(np.concatenate([*counts, *ess])))))
-            axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+            axes.yaxis.set_major_formatter(lambda value, _: numbers([value])[0])
             axes.yaxis.minorticks_off()
         else:
             limit(axes, counts, 0.0, 2)
@@ -288,8 +303,9 @@ class _Page:
     def _error(self, axes: Axes) -> None:
         hidden = [(pair.truth.frame, pair.truth.status == "hidden") for pair in self.pairs]
         self.pen.shade(axes, hidden, HIDDEN)
-        shown = [(line, line.pair.ours, error(line.pair)) for line in self.lines if line.pair]
-        limit(axes, [value for _, _, value in shown], 0.0)
+        paired = [line for line in self.lines if line.pair is not None]
+        shown = [(line, pair.ours, e) for line, pair, e in zip(paired, self.pairs, self.errors, strict=True)]
+        limit(axes, self.errors, 0.0)
         belief = self._belief()
         if belief is not None:
             line, sigma = belief

@@ -6,9 +6,12 @@ pyplot, inside `style()`, which puts the settings back. The same numbers give th
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
-from collections.abc import Iterator, Sequence
+import os
+import warnings
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
@@ -35,7 +38,7 @@ GRID: Final = "#E3E3E3"
 # where colours run out: solid, dashed, dotted, dash-dotted
 DASHES: Final[tuple[Any, ...]] = ("-", (0, (5, 1.8)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 
-_SETTINGS: Final[dict[str, Any]] = {
+_SETTINGS: Final[Any] = {
     "font.family": ["DejaVu Sans"],  # matplotlib brings it along
     "font.size": 9.0,
     "axes.titlesize": 9.0,
@@ -54,6 +57,7 @@ _SETTINGS: Final[dict[str, Any]] = {
     "grid.color": GRID,
     "grid.linewidth": 0.6,
     "text.color": INK,
+    "text.parse_math": False,  # names may hold a dollar
     "xtick.color": FAINT,
     "ytick.color": FAINT,
     "xtick.labelcolor": INK,
@@ -87,8 +91,13 @@ def need_matplotlib() -> None:
     log = logging.getLogger("matplotlib")
     before = log.level
     log.setLevel(logging.ERROR)
+    backend = os.environ.pop("MPLBACKEND", None)  # we need none, and a wrong one stops the import
     try:
-        import matplotlib.font_manager  # noqa: F401 -- builds the cache
+        import matplotlib.font_manager  # builds the cache
+
+        if backend is not None:
+            with contextlib.suppress(ValueError):
+                matplotlib.rcParams["backend"] = backend
     except ModuleNotFoundError as e:
         missing = (e.name or "matplotlib").partition(".")[0]
         raise UsageError(f"figures need {missing}, which is not installed: pip install 'facetrack[plot]'") from None
@@ -97,15 +106,22 @@ def need_matplotlib() -> None:
         raise UsageError(f"matplotlib cannot be loaded: {said}; install it anew: pip install 'facetrack[plot]'") from e
     finally:
         log.setLevel(before)
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Our settings for the length of a `with`, whatever matplotlibrc the user has; then as they were before."""
+    """Our settings for the length of a `with`, whatever matplotlibrc the user has; then as they were before.
+
+    Arithmetic that overflows, and letters that the font lacks, are drawn as well as they can be, without a warning.
+    """
     need_matplotlib()
     import matplotlib
+    import numpy as np
 
-    with matplotlib.rc_context():
+    with matplotlib.rc_context(), warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_SETTINGS)
         yield
@@ -145,7 +161,7 @@ def heading(axes: Axes, title: str, note: str = "", above: float = 0.0) -> None:
     from matplotlib.offsetbox import AnchoredOffsetbox, HPacker, TextArea
     from matplotlib.transforms import ScaledTranslation
 
-    words = [TextArea(title, textprops={"weight": "bold", "color": INK, "size": 9})]
+    words: list[Any] = [TextArea(title, textprops={"weight": "bold", "color": INK, "size": 9})]
     if note:
         words.append(TextArea(note, textprops={"color": FAINT, "size": 8}))
     figure = axes.get_figure(root=True)
@@ -162,15 +178,8 @@ def heading(axes: Axes, title: str, note: str = "", above: float = 0.0) -> None:
     axes.add_artist(box)
 
 
-def legend_above(figure: Figure, handles: Sequence[Any], labels: Sequence[str], *, columns: int = 0) -> None:
-    """One legend for the figure, outside every axes."""
-    if handles:
-        figure.legend(
-            handles,
-            labels,
-            loc="outside upper left",
-            ncols=columns or min(len(handles), 6),
-            handlelength=2.4,
-            columnspacing=1.6,
-            borderaxespad=0.2,
-        )
+def clean(text: str, most: int) -> str:
+    """A name on one line of at most so many characters, which a legend does not take for a hidden one."""
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    text = text if len(text) <= most else text[: most - 1] + "…"
+    return f" {text}" if text.startswith("_") else text

@@ -22,7 +22,7 @@ def set_time(top: Axes, bottom: Axes, table: Table, most: int = 11) -> bool:
 
     frames = frames_of([s.frame for s in table.series])
     first, last = float(frames[0]), float(frames[-1])
-    margin = max(0.5, 0.004 * (last - first))
+    margin = max(0.5, 0.004 * (last - first), 1e-9 * last)
     bottom.set_xlim(first - margin, last + margin)
     bottom.set_xlabel("frame")
     bottom.xaxis.set_major_locator(MaxNLocator(max(2, most - 1), integer=True, min_n_ticks=1, steps=[1, 2, 2.5, 5, 10]))

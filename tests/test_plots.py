@@ -1,0 +1,387 @@
+"""Figures: what of the data is in them, and that their bytes stay the same."""
+
+import colorsys
+import itertools
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.errors import InputError, UsageError
+from facetrack_cli.evaluation import plot_data, plot_style, plot_time, plots
+from facetrack_cli.evaluation.plot_lines import MANY, columns_for, lines_of, numbers, shares
+from facetrack_cli.formats.table import Series, Table, series
+from facetrack_cli.video.marks import PALETTE
+
+pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
+
+
+class Pair(NamedTuple):
+    name: str
+    ours: Series
+    truth: Series
+
+
+def track(frames=60, parts=3, targets=("face",), fps=25.0, **columns):
+    """A trajectory with everything known; `columns` replace what a column holds, None takes it out."""
+    rng = np.random.default_rng(3)
+    t = np.arange(frames)
+    found = []
+    for target, k in itertools.product(targets, range(parts)):
+        known = {
+            "time_s": t / fps,
+            "x": 100 + 10 * k + np.sin(t / 9),
+            "y": 50 + 10 * k + np.cos(t / 9),
+            "w": np.full(frames, 12.0),
+            "h": np.full(frames, 14.0),
+            "confidence": rng.uniform(0.6, 1, frames),
+            "status": np.where(t == 0, "init", "tracked"),
+            "std_x": np.full(frames, 1.0),
+            "std_y": np.full(frames, 2.0),
+            "particles": np.full(frames, 80),
+            "ess": rng.uniform(5, 50, frames),
+        } | columns
+        found.append(series(target, f"part_{k}", t, **{key: v for key, v in known.items() if v is not None}))
+    return Table(Path("runs/clip-sir/trajectory.csv"), tuple(found))
+
+
+def pairs_of(table, off=(3.0, 4.0), status="visible"):
+    truths = [replace(s, x=s.x - off[0], y=s.y - off[1], status=np.full(len(s), status)) for s in table.series]
+    return [Pair(s.name, s, truth) for s, truth in zip(table.series, truths, strict=True)]
+
+
+def panels(figure):
+    """Axes by the first word of their headings."""
+    texts = {}
+    for axes in figure.axes:
+        boxes = [a for a in axes.artists if hasattr(a, "get_child")]
+        if boxes:
+            words = [area.get_text() for area in boxes[0].get_child().get_children()]
+            texts[words[0].split(" (")[0]] = axes
+    return texts
+
+
+def said(figure):
+    head = figure.subfigs[0]
+    return [text.get_text() for text in head.texts], [t.get_text() for legend in head.legends for t in legend.texts]
+
+
+def drawn(axes):
+    """(x, y) of every line with more than one point."""
+    return [line.get_xydata() for line in axes.lines if len(line.get_xdata()) > 1]
+
+
+# --- the data behind the lines -----------------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    values=st.lists(st.one_of(st.floats(-1e6, 1e6), st.just(np.nan)), min_size=1, max_size=300),
+    bins=st.integers(1, 40),
+)
+def test_envelope_keeps_every_peak_and_invents_nothing(values, bins):
+    value = np.array(values)
+    x, y, *_ = plot_data.envelope(np.arange(len(value)), value, bins)
+    known = value[np.isfinite(value)]
+    if not known.size:
+        assert np.isnan(y).all()
+        return
+    assert (np.nanmin(y), np.nanmax(y)) == (known.min(), known.max())
+    assert set(y[np.isfinite(y)]) <= set(known)
+    assert x[np.isfinite(x)].min() >= 0 and x[np.isfinite(x)].max() < len(value)
+    assert (np.diff(x[np.isfinite(x)]) >= 0).all()
+
+
+def test_envelope_thins_long_series_alone_and_shows_a_peak_of_one_frame():
+    value = np.zeros(100_000)
+    value[70_007] = 9
+    thin = plot_data.envelope(np.arange(100_000), value, 500)
+    assert len(thin.y) <= 1000 and thin.y.max() == 9
+    assert abs(thin.x[thin.y.argmax()] - 70_007) <= 200
+    assert thin.mean_y.max() == pytest.approx(9 / 200)
+    assert plot_data.envelope(np.arange(1000), value[:1000], 500).mean_y is None
+
+
+@pytest.mark.parametrize("bins", [3, 1000])
+def test_lines_break_where_frames_or_values_are_missing(bins):
+    frame = np.r_[0:40, 80:120]
+    value = np.ones(80)
+    x, y, *_ = plot_data.envelope(frame, value, bins)
+    assert np.isnan(y).sum() == 1 and np.isnan(x[np.isnan(y)]).all()
+    holes = np.ones(120)
+    holes[40:80] = np.nan
+    assert np.isnan(plot_data.envelope(np.arange(120), holes, bins).y).sum() == 1
+    assert not np.isnan(plot_data.envelope(np.arange(0, 400, 5), value, bins).y).any(), "every fifth frame is no gap"
+
+
+def test_single_points_and_spans():
+    assert plot_data.alone(np.array([1, np.nan, 2, 3, np.nan, 4])).tolist() == [True, False, False, False, False, True]
+    frame = np.arange(10)
+    mask = np.isin(frame, [0, 1, 2, 5, 9])
+    assert plot_data.spans(frame, mask) == [(-0.5, 2.5), (4.5, 5.5), (8.5, 9.5)]
+    assert plot_data.spans(frame, mask, 3.0) == [(-0.5, 10.5)], "near ones join"
+    assert plot_data.spans(np.arange(10_000), np.arange(10_000) == 50, 20) == [(40, 60)], "one frame is seen"
+    assert plot_data.spans(frame * 10, mask)[0] == (-5, 25)
+    assert plot_data.spans(frame, ~(mask | ~mask)) == []
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.lists(st.one_of(st.floats(-9, 9), st.just(np.nan)), min_size=4, max_size=4), min_size=1, max_size=9))
+def test_quantiles_are_those_of_numpy(rows):
+    values = np.array(rows)
+    known = np.isfinite(values).any(axis=0)
+    for share, found in zip((0, 0.1, 0.5, 0.9, 1), plot_data.quantiles(values, (0, 0.1, 0.5, 0.9, 1)), strict=True):
+        np.testing.assert_allclose(found[known], np.nanquantile(values[:, known], share, axis=0), atol=1e-12)
+        assert np.isnan(found[~known]).all()
+
+
+def test_limits_hold_the_data_but_for_what_is_far_out():
+    low, high = plot_data.limits([np.linspace(10, 20, 50), np.array([np.nan])])
+    assert 9 < low < 10 and 20 < high < 21
+    far = np.r_[np.linspace(0, 10, 500), 4000]
+    assert plot_data.limits([far])[1] < 30
+    assert plot_data.limits([np.r_[np.zeros(50), np.full(50, 4000)]])[1] > 4000, "half of it is no outlier"
+    assert plot_data.limits([np.array([5.0])], floor=0.0)[0] == 0
+    assert plot_data.limits([np.array([np.nan])]) is None
+    low, high = plot_data.limits([np.full(9, 7.0)])
+    assert low < 7 < high
+
+
+def test_share_of_parts_is_of_those_that_have_the_frame():
+    frame, share = shares(
+        [(np.array([0, 1, 2]), np.array([1, 0, 1], bool)), (np.array([2, 3]), np.array([0, 1], bool))]
+    )
+    assert frame.tolist() == [0, 1, 2, 3] and share.tolist() == [1, 0, 0.5, 1]
+
+
+def test_ticks_of_time_follow_the_frames_times():
+    frame = np.arange(101.0)
+    time_s = np.where(frame <= 50, frame / 25, 2 + (frame - 50) / 10)  # the rate changes
+    places, labels = plot_time.ticks(frame, time_s)
+    assert labels[:3] == ["0 s", "1 s", "2 s"] and places[:4] == pytest.approx([0, 25, 50, 60])
+    assert plot_time.ticks(np.arange(9000.0), np.arange(9000) / 25)[1][:2] == ["0:00", "1:00"]
+    assert plot_time.ticks(np.arange(100_000.0), np.arange(100_000) / 25)[1][1] == "0:10:00"
+    assert plot_time.ticks(np.arange(3.0), np.arange(3) / 25)[1][0] == "0.00 s"
+    assert plot_time.times(track(time_s=None)) is None
+    assert plot_time.times(track(1)) is None
+
+
+def test_labels_of_ticks_have_equal_decimals():
+    assert numbers([0, 2.5, 5]) == ["0.0", "2.5", "5.0"]
+    assert numbers([-0.0, 1000, -2000]) == ["0", "1,000", "−2,000"]
+
+
+@given(st.lists(st.text("abc", min_size=1, max_size=30), min_size=1, max_size=20), st.floats(4, 20))
+def test_legends_fit(labels, width):
+    columns, rows = columns_for(labels, width)
+    assert columns * rows >= len(labels) > columns * (rows - 1) - columns
+
+
+# --- style -------------------------------------------------------------------------------------------------------
+
+# Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB
+BLIND = {
+    "none": np.eye(3),
+    "protan": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deutan": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritan": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+
+
+def rgb(colour):
+    return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+
+
+def oklab(linear):
+    to_lms = [
+        [0.41222147, 0.53633254, 0.05144599],
+        [0.2119035, 0.68069955, 0.10739696],
+        [0.08830246, 0.28171884, 0.62997870],
+    ]
+    to_lab = [
+        [0.21045426, 0.79361779, -0.00407205],
+        [1.9779985, -2.42859221, 0.45059371],
+        [0.02590404, 0.78277177, -0.80867577],
+    ]
+    return np.array(to_lab) @ np.cbrt(np.array(to_lms) @ np.clip(linear, 0, 1))
+
+
+@pytest.mark.parametrize("kind", BLIND)
+def test_colours_are_told_apart_by_colour_blind_eyes(kind):
+    linear = [((rgb(c) + 0.055) / 1.055) ** 2.4 for c in plot_style.COLOURS]
+    seen = [oklab(np.array(BLIND[kind]) @ c) for c in linear]
+    nearest = min(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(seen, 2))
+    assert nearest > 0.08, "two colours look alike"
+
+
+def test_colours_are_those_of_the_video():
+    for ours, (b, g, r) in zip(plot_style.COLOURS[:4], PALETTE, strict=False):
+        hue, light, _ = colorsys.rgb_to_hls(*rgb(ours))
+        video_hue, video_light, _ = colorsys.rgb_to_hls(r / 255, g / 255, b / 255)
+        assert abs(hue - video_hue) < 0.06 and light < video_light
+
+
+def test_twelve_lines_differ_in_colour_or_dash():
+    looks = {str(plot_style.line_style(i)) for i in range(12)}
+    assert len(looks) == 12
+    assert not {plot_style.line_style(i)["color"] for i in range(12)} & {plot_style.LOST}
+
+
+@pytest.mark.parametrize("form", plots.FORMS)
+def test_same_numbers_give_the_same_bytes_whatever_the_user_has_set(form):
+    import matplotlib
+
+    table = track(parts=1)
+    first = plots.render(plots.page_figure(table), form)
+    with matplotlib.rc_context({"lines.linewidth": 9, "font.size": 20, "svg.hashsalt": "other", "figure.dpi": 30}):
+        assert plots.render(plots.page_figure(table), form) == first
+        assert matplotlib.rcParams["lines.linewidth"] == 9, "the user's settings come back"
+    assert not re.search(rb"(?i)date>|CreationDate|20[2-9]\d-\d\d", first)
+
+
+def test_missing_matplotlib_is_one_line(monkeypatch):
+    plot_style.need_matplotlib.cache_clear()
+    for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(UsageError, match=r"^figures need matplotlib, .*pip install 'facetrack\[plot\]'$"):
+        plots.success_figure({"a": (np.arange(2.0), np.ones((1, 2)))})
+
+
+def test_the_first_import_says_nothing_and_no_pyplot(tmp_path):
+    """With a home folder that cannot be written, no font cache, and a backend that does not exist."""
+    (tmp_path / "file").touch()
+    home = str(tmp_path / "file" / "home")
+    script = (
+        "import numpy as np, sys\n"
+        "from facetrack_cli.evaluation import plots\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        "plots.render(plots.success_figure({'a': (np.arange(2.0), np.ones((1, 2)))}))\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    settings = {"PATH": "", "HOME": home, "MPLCONFIGDIR": home, "MPLBACKEND": "none_such", "TMPDIR": str(tmp_path)}
+    run = [sys.executable, "-W", "error", "-c", script]
+    done = subprocess.run(
+        run, env=settings, capture_output=True, text=True, check=False, cwd=Path(plots.__file__).parents[2]
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+# --- the page ----------------------------------------------------------------------------------------------------
+
+ALL = ["x", "y", "size", "confidence", "status", "effective sample size", "spread"]
+
+
+def test_page_has_a_panel_of_what_is_known_and_no_other():
+    table = track()
+    assert list(panels(plots.page_figure(table))) == ALL
+    assert list(panels(plots.page_figure(table, pairs_of(table)))) == [*ALL, "error"]
+    opencv = track(particles=None, ess=None, std_x=None, std_y=None, confidence=None)
+    assert list(panels(plots.page_figure(opencv))) == ["x", "y", "size", "status"]
+    bare = track(particles=None, ess=None, std_x=None, confidence=None, status=None, w=None, angle=np.arange(60.0))
+    assert list(panels(plots.page_figure(bare))) == ["x", "y", "angle"]
+    assert "particles" in panels(plots.page_figure(track(ess=None)))
+    nothing = dict.fromkeys(("x", "y", "w", "confidence", "status", "std_x", "particles", "ess"))
+    with pytest.raises(InputError, match=r"trajectory\.csv: has no number"):
+        plots.page_figure(track(**nothing))
+
+
+def test_page_draws_the_values():
+    table = track()
+    found = panels(plots.page_figure(table, pairs_of(table)))
+    x = drawn(found["x"])
+    assert np.allclose(x[1], np.stack([table.series[1].frame, table.series[1].x], axis=1))
+    assert np.allclose(x[3][:, 1], table.series[0].x - 3), "truth comes after ours"
+    assert np.allclose(drawn(found["size"])[0][:, 1], np.sqrt(12 * 14))
+    assert np.allclose(drawn(found["spread"])[0][:, 1], np.sqrt(5))
+    assert np.allclose(drawn(found["error"])[0][:, 1], 5)
+    assert found["y"].yaxis_inverted() and not found["x"].yaxis_inverted()
+    assert found["confidence"].get_ylim() == pytest.approx((-0.03, 1.06))
+    assert len({tuple(axes.get_xlim()) for axes in found.values()}) == 1
+
+
+def test_page_shades_what_is_lost_and_hidden():
+    status = np.where(np.isin(np.arange(60), range(20, 30)), "lost", "tracked")
+    table = track(status=status)
+    pairs = pairs_of(table)
+    pairs[0] = pairs[0]._replace(truth=replace(pairs[0].truth, status=np.where(np.arange(60) < 5, "hidden", "visible")))
+    figure = plots.page_figure(table, pairs)
+    found = panels(figure)
+    spans = [(p.get_x(), p.get_x() + p.get_width()) for p in found["confidence"].patches]
+    assert spans == [(19.5, 29.5), (19.5, 29.5)], "pale where any is lost, darker where all are"
+    assert [(p.get_x(), p.get_width()) for p in found["error"].patches] == [(-0.5, 5.0)]
+    texts, labels = said(figure)
+    assert labels == ["part 0", "part 1", "part 2", "truth", "lost", "hidden in truth"]
+    assert "lost in 17 % of rows, 3 of 3 parts" in texts[1] and "median error 5.00 px" in texts[1]
+
+
+def test_absent_parts_have_no_error():
+    table = track(parts=1)
+    assert "error" not in panels(plots.page_figure(table, pairs_of(table, status="absent")))
+
+
+def test_page_names_itself():
+    assert said(plots.page_figure(track()))[0][0] == "clip-sir"
+    named = replace(
+        track(), header={"source": {"path": "a/b.mp4"}, "recipe": {"name": "sir"}, "seed": 4, "complete": False}
+    )
+    texts, _ = said(plots.page_figure(named))
+    assert texts[0] == "b.mp4, sir"
+    assert texts[1].split("   ·   ") == ["60 frames", "seed 4", "never lost", "the run was cut short"]
+    assert said(plots.page_figure(named, title="$x_1$\nmine"))[0][0] == "$x_1$?mine"
+
+
+@pytest.mark.parametrize(
+    ("frames", "parts", "targets"),
+    [(1, 5, ("face",)), (2, 1, ("",)), (40, 68, ("face",)), (40, 3, ("a", "b", "c")), (9, 9, ("_a", "b_", "漢"))],
+)
+def test_page_of_any_shape(frames, parts, targets):
+    table = track(frames, parts, targets)
+    pages = [plots.page_figure(table), plots.page_figure(table, pairs_of(table, status="hidden"), width=4.6)]
+    for figure in pages:
+        assert plots.render(figure, "png", dpi=50).startswith(b"\x89PNG")
+        assert len(panels(figure)) >= 7
+
+
+def test_lines_of_one_target_differ_by_colour_and_of_several_by_their_target():
+    one = lines_of(track(parts=5), [])
+    assert len({line.colour for line in one}) == 5 and one[0].name == "part 0"
+    several = lines_of(track(parts=2, targets=("a", "b")), [])
+    assert [line.colour for line in several] == [plot_style.COLOURS[i] for i in (0, 0, 1, 1)]
+    assert len({str(line.look) for line in several}) == 4
+    assert [line.name for line in lines_of(track(parts=1, targets=("head", "left_hand")), [])] == ["head", "left hand"]
+    ramp = lines_of(track(parts=MANY + 1), [])
+    assert len({line.colour for line in ramp}) == MANY + 1
+
+
+def test_many_parts_are_drawn_as_bands():
+    table = track(40, 20)
+    figure = plots.page_figure(table, pairs_of(table))
+    found = panels(figure)
+    assert len(drawn(found["x"])) == 20
+    assert len(found["confidence"].collections) == 2
+    values = np.stack([s.confidence for s in table.series])
+    assert np.allclose(drawn(found["confidence"])[0][:, 1], np.median(values, axis=0))
+    assert said(figure)[1] == ["20 parts, part_0 to part_19"]
+
+
+def test_lost_from_start_to_end_and_nonsense_numbers():
+    gone = track(status=np.full(60, "lost"), confidence=np.zeros(60))
+    assert "lost in 100 %" in said(plots.page_figure(gone))[0][1]
+    wild = np.r_[np.full(59, -1e300), 1e300]
+    assert plots.render(plots.page_figure(track(x=wild, w=wild, ess=wild, std_x=wild)), dpi=50)
+
+
+def test_a_run_away_for_a_moment_does_not_press_the_others_flat():
+    x = 100 + np.sin(np.arange(300.0))
+    x[150] = 9000
+    axes = panels(plots.page_figure(track(300, 1, x=x)))["x"]
+    assert axes.get_ylim()[1] < 120
+    assert [line.get_marker() for line in axes.lines if line.get_marker() != "None"] == ["^"], "a wedge says where"
