@@ -15,7 +15,7 @@ from facetrack_cli.evaluation.plot_style import need_matplotlib
 from facetrack_cli.evaluation.report_content import Content, Plot, Truth
 from facetrack_cli.evaluation.report_events import Clock, key_frames, tell
 from facetrack_cli.evaluation.report_frames import Clip, Report, pictures
-from facetrack_cli.evaluation.report_header import Header, command, read_header
+from facetrack_cli.evaluation.report_header import command, read_header
 from facetrack_cli.evaluation.report_html import Image
 from facetrack_cli.evaluation.report_measures import about, measures
 from facetrack_cli.evaluation.report_page import render
@@ -59,7 +59,7 @@ def make_report(
     clock = Clock(table, header.source.fps)
     story = tell(table, clock)
     pairs, measured = _measured(table, truth, truth_format)
-    title = _title(header) if title is None else title
+    title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
     keys = key_frames(story, int(clock.frames[0]), int(clock.frames[-1]))
     found = pictures(
         table,
@@ -114,10 +114,6 @@ def _measured(table: Table, truth: Path | None, form: str) -> tuple[list[Pair], 
     pairs = match(table, read_truth(truth, form), partial=False, select=None, check_shift=True)
     found = evaluate(pairs)
     return pairs, Truth(str(truth), about(found), measures(found), found.notes)
-
-
-def _title(header: Header) -> str:
-    return f"{Path(header.source.path).name or header.source.path}, {header.recipe_name}"
 
 
 def _plot(table: Table, pairs: list[Pair], title: str) -> Plot:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 from facetrack_cli.evaluation.report_events import Clock, KeyFrame, Story
@@ -46,8 +45,3 @@ class Content:
     plot: Plot
     command: str
     truth: Truth | None = None
-
-    @property
-    def clip(self) -> str:
-        """The clip's name without its folder."""
-        return Path(self.header.source.path).name or self.header.source.path

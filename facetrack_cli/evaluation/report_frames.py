@@ -243,7 +243,7 @@ def _row(series: Series, frame: int) -> int | None:
 
 
 def _part(series: Series, at: int, view: View, zoom: float) -> PartResult:
-    sx, sy = (float(np.nan_to_num(std[at])) * zoom for std in (series.std_x, series.std_y))
+    sx, sy = (float(std[at]) * zoom for std in (series.std_x, series.std_y))
     return PartResult(
         name=series.part,
         x=(float(series.x[at]) - view[0] + 0.5) * zoom - 0.5,
@@ -251,11 +251,14 @@ def _part(series: Series, at: int, view: View, zoom: float) -> PartResult:
         w=float(np.nan_to_num(series.w[at])) * zoom,
         h=float(np.nan_to_num(series.h[at])) * zoom,
         status=cast(Status, str(series.status[at]) or "tracked"),
-        confidence=float(series.confidence[at]),
-        cov=(sx * sx, 0.0, sy * sy),  # rows hold no covariance of x with y
-        ess=float(series.ess[at]),
-        angle=float(series.angle[at]) if math.isfinite(series.angle[at]) else None,
+        confidence=_known(series.confidence[at]),
+        cov=(sx * sx, 0.0, sy * sy) if math.isfinite(sx * sy) else None,  # rows hold no covariance of x with y
+        angle=_known(series.angle[at]),
     )
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
 
 
 def _fit(size: tuple[int, int]) -> tuple[int, int]:

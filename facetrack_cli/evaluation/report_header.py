@@ -58,6 +58,13 @@ class Header(BaseModel):
     warnings: tuple[str, ...] = ()
 
     @property
+    def clip_name(self) -> str:
+        """The clip's name without its folder; a folder of images with the one above, since many are called `img`."""
+        path = Path(self.source.path)
+        names = [path.name] if path.suffix else [path.parent.name, path.name]
+        return "/".join(filter(None, names)) or self.source.path
+
+    @property
     def recipe_name(self) -> str:
         return str(self.recipe.get("name", "recipe"))
 

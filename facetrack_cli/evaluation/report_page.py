@@ -49,7 +49,7 @@ def _head(content: Content) -> Html:
     links += [("lost", "Lost and found")] if content.story.spans else []
     links += [("making", "How it was made")]
     facts = (
-        f"{content.clip} · {source.size[0]} × {source.size[1]} pixels, {rate(content.header)} · "
+        f"{content.header.clip_name} · {source.size[0]} × {source.size[1]} pixels, {rate(content.header)} · "
         f"recipe {content.header.recipe_name} · seed {content.header.seed}"
     )
     return tag(
@@ -69,15 +69,16 @@ def _key_frames(content: Content) -> Html:
         )
         return section("key-frames", "Key frames", tag("p", text))
     origin = {
-        "clip": f"Frames of {content.clip}, drawn on as in annotated.mp4.",
+        "clip": f"Frames of {content.header.clip_name}, with what facetrack run draws on them.",
         "annotated": "Frames of annotated.mp4, since the clip itself could not be had.",
     }[found.origin]
     some = len({key.frame for key in content.keys}) < _events(content.story)
+    ends = "Start, end, lowest confidence" if content.story.worst is not None else "Start, end"
     chosen = (
-        "Start, end, lowest confidence, and where the longest stretches began and ended in which a part was lost, with "
-        "others spread over the rest."
+        f"{ends}, and where the longest stretches began and ended in which a part was lost, with others spread over "
+        "the rest."
         if some
-        else "Start, end, lowest confidence, and every frame in which a part was called lost or tracked again."
+        else f"{ends}, and every frame in which a part was called lost or tracked again."
     )
     shown = [_figure(content, key) for key in content.keys if key.frame in found.found]
     return section(

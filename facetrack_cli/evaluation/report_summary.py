@@ -21,13 +21,14 @@ def summary(content: Content) -> Html:
     frames = len(clock.frames)
     gone = story.lost_at_end
     longest = max((part.longest for part in story.parts), default=0.0)
-    mean = np.nanmean([p.mean for p in story.parts]) if any(p.mean == p.mean for p in story.parts) else np.nan
+    known = [part.mean for part in story.parts if np.isfinite(part.mean)]
+    mean = float(np.mean(known)) if known else np.nan
     figures = [
         ("Frames", f"{frames:,}", f"{clock.frames[0]} to {clock.frames[-1]}"),
         ("Duration", lasting(clock.duration), f"from {at_clock(clock.times[0])}"),
         ("All parts tracked", percent(1 - story.frames_lost / frames), f"{count(frames - story.frames_lost, 'frame')}"),
         ("Lost spans", f"{len(story.spans):,}", f"longest {lasting(longest)}" if story.spans else "none"),
-        ("Mean confidence", number(float(mean)), "over all parts and frames"),
+        *([("Mean confidence", number(mean), "over all parts and frames")] if np.isfinite(mean) else []),
         ("At the end", f"{len(gone)} lost" if gone else "tracked", names(gone, 3) if gone else "no part is lost"),
     ]
     cells = [tag("div", tag("dt", name), tag("dd", value, tag("small", note))) for name, value, note in figures]
@@ -41,7 +42,7 @@ def summary(content: Content) -> Html:
     return section(
         "summary",
         "Summary",
-        tag("p", sentences(content.table, header, clock, story, content.clip), class_="lead"),
+        tag("p", sentences(content.table, header, clock, story), class_="lead"),
         tag("p", how, class_=f"ended {'good' if good else 'bad'}"),
         tag("dl", *cells, class_="figures"),
         *([box] if warnings else []),

@@ -63,14 +63,14 @@ def ended(header: Header) -> tuple[str, bool]:
     return "The run is complete.", True
 
 
-def sentences(table: Table, header: Header, clock: Clock, story: Story, clip: str) -> str:
+def sentences(table: Table, header: Header, clock: Clock, story: Story) -> str:
     """The run in words: what was tracked, for how long, how often it was lost."""
     frames, one = len(clock.frames), len(story.parts) == 1
     targets = table.targets
     whose = targets[0] if len(targets) == 1 else count(len(targets), "target")
     what = whose if one else f"{count(len(story.parts), 'part')} of {whose}"
     told = [
-        f"The recipe {header.recipe_name} followed {what} in {clip} over {count(frames, 'frame')}, "
+        f"The recipe {header.recipe_name} followed {what} in {header.clip_name} over {count(frames, 'frame')}, "
         f"{lasting(clock.duration)}."
     ]
     lost = [part.name for part in story.parts if part.spans]
