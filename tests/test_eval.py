@@ -310,6 +310,9 @@ def test_options_change_what_they_say(folder, capsys):
     found = measured(capsys, "--target", "face/left")
     assert [one["part"] for one in found["parts"]] == ["left"]
     assert "12.0 px" in found["units"]["face"], "the size is still that of the whole truth"
+    Path("truth.csv").write_text(TRUTH.replace("face", "anna"))
+    assert "12.0 px" in measured(capsys, "--target", "face/left")["units"]["face"], "whatever the target's name there"
+    assert "anna of the truth is taken for face: both have one target" in measured(capsys)["notes"]
 
 
 def test_the_truth_beside_the_clip(folder, capsys):

@@ -128,9 +128,10 @@ def command(
     for option, path in files.items():
         if any(path.exists() and path.samefile(read) for read in (ours.path, theirs.path)):
             raise OutputError(f"{path}: is what is to be measured; name another file with {option}")
-    pairs = match(ours, theirs, partial=partial, select=target, check_shift=shift is None)
+    notes: list[str] = []
+    pairs = match(ours, theirs, partial=partial, select=target, check_shift=shift is None, note=notes.append)
     options = Options(normalise, failure, _picture(ours))
-    evaluation = evaluate(pairs, options=options, reference=theirs.series)
+    evaluation = evaluate(pairs, notes, options, reference=theirs.series)
     about = About(ours.path, theirs.path, str(theirs.header.get("read_as", truth_format)), shift or 0)
 
     data = {"--json": to_json, "--csv": to_csv}

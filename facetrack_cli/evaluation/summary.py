@@ -145,7 +145,10 @@ def units_of(pairs: Sequence[Pair], normalise: str = "size", reference: Sequence
         truth = {pair.truth.part: pair.truth for pair in own}
         # the size is that of the parts which are tracked; what else the truth knows serves where a length needs it
         if len(truth) == 1 or normalise != "size":
-            truth = {**{s.part: s for s in reference if s.target == own[0].truth.target}, **truth}
+            # one target may go by another name in the truth than in the trajectory
+            named = [s for s in reference if s.target == own[0].truth.target]
+            alone = reference if len({s.target for s in reference}) == 1 else []
+            truth = {**{s.part: s for s in named or alone}, **truth}
         frames = np.unique(np.concatenate([pair.ours.frame for pair in own]))
         box = says_box(own[0].ours, own[0].truth) and bool(np.any(own[0].truth.w > 0))
         series = [own[0].truth] if box and normalise == "size" else list(truth.values())
