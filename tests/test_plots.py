@@ -178,10 +178,18 @@ def test_labels_of_ticks_have_equal_decimals():
     assert numbers([-0.0, 1000, -2000]) == ["0", "1,000", "−2,000"]
 
 
-@given(st.lists(st.text("abc", min_size=1, max_size=30), min_size=1, max_size=20), st.floats(4, 20))
-def test_legends_fit(labels, width):
-    columns, rows = columns_for(labels, width)
-    assert columns * rows >= len(labels) > columns * (rows - 1) - columns
+@pytest.mark.parametrize("names", [12, 15, 31])
+def test_legends_stand_in_the_page(names):
+    labels = ["a name of some length", *(f"part {i}" for i in range(names))]
+    columns, rows = columns_for(labels, 10.0)
+    assert 1 < rows <= 4 and columns * rows >= len(labels)
+    table = track(4, names)
+    figure = plots.page_figure(replace(table, series=table.series[:MANY]), pairs_of(table, status="hidden"))
+    plots.render(figure, dpi=50)
+    head = figure.subfigs[0]
+    box = head.legends[0].get_window_extent()
+    assert head.bbox.x0 <= box.x0 and box.x1 <= head.bbox.x1
+    assert box.y0 > head.bbox.y0 - 8, "but for the legend's own padding"
 
 
 # --- style -------------------------------------------------------------------------------------------------------

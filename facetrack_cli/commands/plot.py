@@ -131,4 +131,11 @@ def _pairs(table: Table, truth: Path, form: str, shift: int | None, partial: boo
     from facetrack_cli.formats.read import read_truth
 
     theirs = read_truth(truth, form, shift=shift or 0)
-    return match(table, theirs, partial=partial, select=target, check_shift=shift is None)
+    return match(
+        table,
+        theirs,
+        partial=partial,
+        select=target,
+        check_shift=shift is None,
+        note=lambda line: click.echo(line, err=True),
+    )

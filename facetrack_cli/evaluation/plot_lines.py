@@ -212,9 +212,11 @@ def _pairwise(y: Array, pick: np.ufunc) -> Array:
 
 def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
     """(columns, rows) of a legend of these labels, filled column by column, over `width` inches."""
-    for columns in range(len(labels), 1, -1):
-        rows = math.ceil(len(labels) / columns)
-        widest = [max(map(len, labels[at : at + rows])) for at in range(0, len(labels), rows)]
+    lengths = [len(label) for label in labels]
+    for rows in range(1, len(labels)):
+        columns = math.ceil(len(labels) / rows)
+        # as matplotlib deals them out: the first columns have one more
+        widest = [max(column) for column in np.array_split(lengths, columns)]
         if sum(0.068 * most + 0.56 for most in widest) <= width - 0.2:
             return columns, rows
     return 1, len(labels)

@@ -283,11 +283,17 @@ class _Page:
             axes.set_yticks([0, 0.5, 1])
 
     def _particles(self, axes: Axes) -> None:
+        from matplotlib.ticker import LogLocator
+
         counts = [_particles(line.ours) for line in self.lines]
         ess = [_ess(line.ours) for line in self.lines]
-        if self._known(_ess):  # what matters lies between one and a tenth of them
+        if self._known(_ess):  # what matters is whether a few are left, or many
+            every = np.concatenate([*counts, *ess])
+            high = 1.4 * max(2.0, float(np.nanmax(every)))
+            low = max(0.8, min(0.7 * float(np.nanmin(every)), high / 15))
             axes.set_yscale("log")
-            axes.set_ylim(0.8, 1.4 * max(2.0, float(np.nanmax(np.concatenate([*counts, *ess])))))
+            axes.set_ylim(low, high)
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 120 * low else (1,)))
             axes.yaxis.set_major_formatter(lambda value, _: numbers([value])[0])
             axes.yaxis.minorticks_off()
         else:
