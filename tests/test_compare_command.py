@@ -182,3 +182,18 @@ def test_repeat_says_that_a_deterministic_tracker_repeats_itself(facetrack):
 def test_repeat_refuses_an_empty_span(facetrack):
     code, _, err = facetrack("repeat", CLIP, "--start", "5", "--stop", "5")
     assert code == ExitCode.USAGE and "--stop 5" in err
+
+
+def test_a_truth_that_all_runs_fit_better_elsewhere_is_refused(facetrack):
+    lines = (SAMPLES / "expressions.truth.csv").read_text(encoding="utf-8").splitlines()
+    moved = [",".join([str(int(frame) - 6), *rest]) for frame, *rest in (line.split(",") for line in lines[1:])]
+    kept = [line for line in moved if not line.startswith("-")]
+    Path("moved.csv").write_text("\n".join([lines[0], *kept]) + "\n", encoding="utf-8")
+    clip = SAMPLES / "expressions.mp4"
+    arguments = ["compare", clip, "--truth", "moved.csv", "--partial", "--config", "factorized:filter.particles=50"]
+    arguments += ["--seeds", "1", "--stop", "120", "--no-plots", "-q"]
+    code, out, err = facetrack(*arguments)
+    assert code == ExitCode.INPUT and "--shift 6" in err and not out
+    code, out, _ = facetrack(*arguments, "--shift", "6", "--json")
+    assert code == 0 and json.loads(out)["recipes"][0]["mean"]["points.mean_px"] < 2
+    assert facetrack(*arguments, "--shift", "0", "--overwrite")[0] == 0, "asked for as it is"

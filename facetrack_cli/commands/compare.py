@@ -49,7 +49,13 @@ TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "p
 @click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of all; repeatable.")
 @click.option("--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip.")
 @click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face in the first frame, in pixels.")
-@click.option("--truth-format", type=click.Choice(TRUTH_FORMATS), default="auto", show_default=True, help="Its kind.")
+@click.option(
+    "--truth-format",
+    metavar="FORMAT",
+    type=click.Choice(TRUTH_FORMATS),
+    default="auto",
+    help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
+)
 @click.option("--target", metavar="NAME[/PART]", help="Measure this target, or this part of it, alone.")
 @click.option(
     "--shift",
@@ -66,7 +72,9 @@ TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "p
 @click.option("--csv", "form", flag_value="csv", help="Print CSV, a row a recipe and seed, instead of the table.")
 @click.option("--no-plots", is_flag=True, help="Draw nothing.")
 @click.option("--overwrite", is_flag=True, help="Replace results that are there already.")
-@click.option("-j", "--jobs", "workers", metavar="N", type=Whole(min=1), default=1, help="Recipes at a time.")
+@click.option(
+    "-j", "--jobs", "workers", metavar="N", type=Whole(min=1), default=1, help="Processes that share the runs."
+)
 @click.option("--quiet", "-q", is_flag=True, help="Print the table, and nothing else but errors.")
 @click.pass_context
 def command(
@@ -180,10 +188,12 @@ def _run(
     """Every recipe with its scores, or with what kept it from running. Raises the error if all fail of one."""
     from facetrack_cli.evaluation.compare import Entry, score_run, shifted
     from facetrack_cli.evaluation.runs import Failure, run_plans
+    from facetrack_cli.evaluation.sheet import clip_name
 
     refused: dict[str, FacetrackError] = {}
     scores: dict[str, list[Score]] = {label: [] for label in named}
     moved: dict[str, InputError | None] = {}
+    noted: list[str] = []
     plans = []
     for label, recipe in named.items():
         try:
@@ -193,12 +203,12 @@ def _run(
             if stop():
                 return []
             refused[label] = e
-    shown.begin(begin.clip.name, "frames", None)
+    shown.begin(clip_name(begin.clip), "frames", None)
     for run in run_plans(plans, workers, stop, lambda done, of: shown.update(done, of or None)):
         try:
             if isinstance(run, Failure):
                 raise run.error
-            scores[run.label].append(score_run(run, truth, options))
+            scores[run.label].append(score_run(run, truth, options, noted.append))
             if check_shift and run.label not in moved:
                 moved[run.label] = shifted(run, truth, options)
         except FacetrackError as e:
@@ -206,8 +216,11 @@ def _run(
     if refused and not any(scores.values()) and stop.code is None:
         first, *others = refused.items()
         for label, error in others:
-            shown.error(f"facetrack: error: {label}: {error}")
+            if str(error) != str(first[1]):
+                shown.error(f"facetrack: error: {label}: {error}")
         raise first[1]
+    for line in dict.fromkeys(noted):
+        shown.say(f"facetrack: note: {line}")
     # one recipe that trails behind is a bad tracker; all of them are a truth that counts otherwise
     if moved and (wrong := next(iter(moved.values()))) is not None and all(moved.values()):
         raise wrong

@@ -50,7 +50,9 @@ PLOTS = ("spread.png",)
 @click.option("--csv", "form", flag_value="csv", help="Print CSV, a row a frame and part, instead of the table.")
 @click.option("--no-plots", is_flag=True, help="Draw nothing.")
 @click.option("--overwrite", is_flag=True, help="Replace results that are there already.")
-@click.option("-j", "--jobs", "workers", metavar="N", type=Whole(min=1), default=1, help="Processes.")
+@click.option(
+    "-j", "--jobs", "workers", metavar="N", type=Whole(min=1), default=1, help="Processes that share the runs."
+)
 @click.option("--quiet", "-q", is_flag=True, help="Print the table, and nothing else but errors.")
 @click.pass_context
 def command(
@@ -99,6 +101,7 @@ def command(
     from facetrack_cli.evaluation.repeat import spreads
     from facetrack_cli.evaluation.repeat_text import Repetition
     from facetrack_cli.evaluation.runs import Failure, run_plans
+    from facetrack_cli.evaluation.sheet import clip_name
     from facetrack_cli.formats.read import read_truth
     from facetrack_cli.progress import progress
     from facetrack_cli.recipe import load_recipe
@@ -116,7 +119,7 @@ def command(
         Folder.of(out, f"{title(clip)}-{recipe.name}-repeat", names, overwrite=overwrite, inputs=[clip]) as folder,
     ):
         plan = begin.plan(recipe.name, recipe, seeds, known, ending)
-        shown.begin(clip.name, "frames", None)
+        shown.begin(clip_name(clip), "frames", None)
         runs = []
         for run in run_plans([plan], workers, ending, lambda done, of: shown.update(done, of or None)):
             if isinstance(run, Failure):
@@ -156,7 +159,7 @@ def _matched(table: Table, truth: Table | None) -> list[Series]:
 def _write(found: Repetition, folder: Folder, shown: Progress, plots: bool) -> None:
     """All files; without matplotlib all but the plot, and a line that says so."""
     from facetrack_cli.evaluation.repeat_text import as_csv, as_json, sheet
-    from facetrack_cli.evaluation.sheet import markdown
+    from facetrack_cli.evaluation.sheet import clip_name, markdown
 
     folder.write("repeat.json", as_json(found))
     folder.write("repeat.csv", as_csv(found))
@@ -176,7 +179,7 @@ def _write(found: Repetition, folder: Folder, shown: Progress, plots: bool) -> N
             {name: one.from_median for name, one in zip(found.names, found.spreads, strict=True)},
             found.parting,
             {name: one.limit for name, one in zip(found.names, found.spreads, strict=True)},
-            title=f"{len(found.seeds)} runs of {found.label} on {found.clip.name}",
+            title=f"{len(found.seeds)} runs of {found.label} on {clip_name(found.clip)}",
         )
         folder.write("spread.png", render(figure))
 

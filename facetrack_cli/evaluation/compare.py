@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -169,10 +169,15 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
 # --- one run -----------------------------------------------------------------------------------------------------
 
 
-def score_run(run: SeedRun, truth: Table, options: Options) -> Score:
-    """Measure one run. Raises InputError where the truth does not fit it."""
+def score_run(run: SeedRun, truth: Table, options: Options, note: Callable[[str], None] = lambda _: None) -> Score:
+    """Measure one run; `note` is told what was paired how (see `match`). InputError where the truth does not fit it."""
     pairs = match(
-        run.table, within(truth, run.table, options), partial=options.partial, select=options.select, check_shift=False
+        run.table,
+        within(truth, run.table, options),
+        partial=options.partial,
+        select=options.select,
+        check_shift=False,
+        note=note,
     )
     evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.series)
     units = units_of(pairs, reference=truth.series)

@@ -11,6 +11,7 @@ from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Entry, Score, aligne
 from facetrack_cli.evaluation.compare_text import Comparison
 from facetrack_cli.evaluation.plot_style import need_matplotlib, render
 from facetrack_cli.evaluation.points import FAILURE
+from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.types import Array
 
 
@@ -24,7 +25,7 @@ def figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     def curves(at: Array, of: Callable[[Score], Array | None]) -> dict[str, tuple[Array, Array]]:
         return {entry.label: (at, values) for entry in entries if (values := _stacked(entry, of)) is not None}
 
-    clip = comparison.clip.name
+    clip = clip_name(comparison.clip)
     if success := curves(SUCCESS_THRESHOLDS, lambda score: score.success):
         yield "success.png", render(plots.success_figure(success, title=f"Success on {clip}"))
     if precision := curves(PRECISION_THRESHOLDS, lambda score: score.precision):

@@ -14,7 +14,7 @@ import numpy as np
 
 from facetrack_cli import __version__
 from facetrack_cli.evaluation.compare import Entry, Place, kind_of, less_is_better, rank
-from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet
+from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name
 from facetrack_cli.evaluation.summary import names
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class Comparison:
     def title(self) -> str:
         frames = np.concatenate([score.frame for entry in self.entries for score in entry.scores])
         return (
-            f"{self.clip.name}: {len(self.entries)} recipes on frames {frames.min()} to {frames.max()}, "
+            f"{clip_name(self.clip)}: {len(self.entries)} recipes on frames {frames.min()} to {frames.max()}, "
             f"truth {self.truth.name}"
         )
 

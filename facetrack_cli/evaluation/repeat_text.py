@@ -13,7 +13,7 @@ import numpy as np
 
 from facetrack_cli import __version__
 from facetrack_cli.evaluation.repeat import HOLD, Group, Spread
-from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet
+from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name
 from facetrack_cli.types import Array
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Repetition:
     @property
     def title(self) -> str:
         first, last = self.spreads[0].frame[[0, -1]]
-        return f"{self.clip.name}: {len(self.seeds)} runs of {self.label} on frames {first} to {last}"
+        return f"{clip_name(self.clip)}: {len(self.seeds)} runs of {self.label} on frames {first} to {last}"
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 WIDE: Final = 100  # columns of a table that is not printed on a terminal
@@ -22,6 +24,12 @@ class Sheet:
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...] = ()
     left: tuple[int, ...] = (1,)
+
+
+def clip_name(clip: Path) -> str:
+    """A clip in titles: a file's name; a folder with the one above it, since so many are called img."""
+    place = Path(os.path.abspath(clip))  # noqa: PTH100 -- Path.resolve follows links
+    return f"{place.parent.name}/{place.name}" if place.is_dir() and place.parent.name else place.name
 
 
 def markdown(given: Sheet, title: str) -> str:
