@@ -102,7 +102,7 @@ def _points(path: Path) -> Array:
 
 
 def _line_by_line(path: Path, text: str, before: int, count: int) -> Array:
-    """The points again, with their lines: to allow nan, and to say what is wrong. The brace opens after `before` lines."""
+    """The points again, line by line: to allow nan, and to say what is wrong. The brace opens after `before` lines."""
     found: list[list[float]] = []
     closed = False
     for number, line in enumerate(text.split("\n")[before:], before + 1):

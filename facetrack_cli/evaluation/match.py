@@ -1,0 +1,191 @@
+"""Which rows of a trajectory are measured against which rows of the truth: names, frames, and whether they fit at all.
+
+    pairs = match(read_trajectory(run), read_truth(file), partial=False, select=None, check_shift=True)
+
+A truth that is empty, shorter, counted from another frame or of another clip gives an error that says so, not a number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from facetrack_cli.errors import InputError
+from facetrack_cli.evaluation.rows import is_box
+from facetrack_cli.evaluation.shift import find_shift
+from facetrack_cli.formats.table import Mask, Series, Table, Whole
+from facetrack_cli.formats.targets import choose
+
+NOT_SEEN = ("hidden", "absent")
+
+
+class Pair(NamedTuple):
+    """One part and its truth, row by row: `ours.frame` and `truth.frame` are equal."""
+
+    name: str
+    ours: Series
+    truth: Series
+
+    @property
+    def kind(self) -> str:
+        """`boxes` if it is measured as such: one says that it is a box, and both have sizes; else `points`."""
+        return "boxes" if is_box(self.ours, self.truth) else "points"
+
+
+def match(
+    trajectory: Table,
+    truth: Table,
+    *,
+    partial: bool,
+    select: str | None,
+    check_shift: bool,
+    note: Callable[[str], None] = lambda _: None,
+) -> list[Pair]:
+    """The pairs of what both tables have, on the frames that both have, in the order of the trajectory.
+
+    `select` (`face` or `face/nose`) takes a target or part of the trajectory alone. Truth without names goes to the
+    only series there with boxes; truth of one target, to the one target there, whatever its name. `note` is told of
+    what was paired under other names, and of what has no counterpart. Without `partial` both must begin and end
+    together, as far as the truth is dense enough to tell, and no frame of the truth may be missing.
+
+    Raises InputError for tables that do not belong together, with the remedy: no name or frame in common, frames of one
+    that the other lacks, truth outside of the picture, and with `check_shift` rows that fit another frame of the truth
+    much better. UsageError for a `select` that names nothing.
+    """
+    named = _pair_names(choose(trajectory, select), truth, select, note)
+    _check_frames(trajectory, truth, named, partial)
+    _check_picture(trajectory, truth, named)
+    if check_shift and (found := find_shift([(one.ours, one.truth) for one in named])):
+        raise InputError(
+            f"{truth.path}: fits {trajectory.path} with {-found.lag:+d} added to its frames (median error "
+            f"{found.error_at_lag:.1f} px, as it is {found.error:.1f} px): was either file cut and renumbered? "
+            f"--shift {-found.lag} --partial moves the truth, --shift 0 measures it as it is"
+        )
+    pairs = []
+    for one in named:
+        _, mine, theirs = np.intersect1d(one.ours.frame, one.truth.frame, assume_unique=True, return_indices=True)
+        if mine.size:
+            pairs.append(Pair(one.name, one.ours.take(mine), one.truth.take(theirs)))
+        else:
+            note(f"{one.name}: no frame in common, and left out")
+    return pairs
+
+
+# --- names -----------------------------------------------------------------------------------------------------------
+
+
+def _pair_names(ours: Table, truth: Table, select: str | None, note: Callable[[str], None]) -> list[Pair]:
+    theirs = truth.series
+    if truth.targets == ("",):
+        return [_nameless(ours, truth, select, note)]
+    found = [Pair(one.name, one, other) for one in ours.series if (other := truth.find(one.target, one.part))]
+    if not found and len(ours.targets) == len(truth.targets) == 1:
+        renamed = replace(truth, series=tuple(replace(one, target=ours.targets[0]) for one in theirs))
+        found = [Pair(one.name, one, other) for one in ours.series if (other := renamed.find(one.target, one.part))]
+        if found:
+            note(f"{truth.targets[0]} of the truth is taken for {ours.targets[0]}: both have one target")
+            theirs = renamed.series
+    if not found:
+        raise InputError(
+            f"{truth.path}: no part in common with {ours.path}; it has {_names(theirs)}, the trajectory "
+            f"{_names(ours.series)}: name targets and parts alike"
+        )
+    paired = {one.name for one in found}
+    alone = [one for one in theirs if one.name not in paired]
+    if alone and select is None:
+        note(f"{truth.path}: {_names(alone)} {'are' if len(alone) > 1 else 'is'} not in the trajectory, and left out")
+    unknown = [one for one in ours.series if one.name not in paired]
+    if unknown:
+        note(f"{truth.path}: says nothing of {_names(unknown)}")
+    return found
+
+
+def _nameless(ours: Table, truth: Table, select: str | None, note: Callable[[str], None]) -> Pair:
+    boxed = [one for one in ours.series if np.any(np.isfinite(one.w) & np.isfinite(one.h))]
+    if len(boxed) > 1:
+        raise InputError(
+            f"{truth.path}: its boxes have no names, and {ours.path} has {_names(boxed)}; "
+            "choose the one that they belong to with --target NAME/PART"
+        )
+    if not boxed:
+        raise InputError(f"{truth.path}: holds boxes, and no part of {ours.path} has w and h; give truth of its points")
+    if boxed[0].part != "box":
+        note(f"{truth.path}: its boxes are taken for {boxed[0].name}, the only part with a size")
+    return Pair(boxed[0].name, boxed[0], truth.series[0])
+
+
+def _names(those: Sequence[Series], most: int = 6) -> str:
+    names = [one.name if one.target else f"{one.part} without a name" for one in those]
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+# --- frames ----------------------------------------------------------------------------------------------------------
+
+
+def _check_frames(trajectory: Table, truth: Table, named: Sequence[Pair], partial: bool) -> None:
+    ours = np.unique(np.concatenate([one.ours.frame for one in named]))
+    theirs = np.unique(np.concatenate([one.truth.frame for one in named]))
+    both = len(np.intersect1d(ours, theirs))
+    first, last = int(theirs[0] - ours[0]), int(theirs[-1] - ours[-1])
+    spans = f"the truth has frames {_span(theirs)}, the trajectory {_span(ours)}"
+    moved = f"--shift {-first}" if first == last != 0 else ""
+    if not both:
+        remedy = (
+            f"if it counts from another frame, {moved}" if moved else "move the truth by --shift N, or name its own"
+        )
+        raise InputError(f"{truth.path}: {spans}: no frame in common; {remedy}")
+    if partial:
+        return
+    rest = f"--partial measures the {both} that both have"
+    stride = int(np.median(np.diff(theirs))) if len(theirs) > 1 else 1
+    if moved and abs(first) >= (stride if first > 0 else 1):
+        by = "one" if abs(first) == 1 else str(abs(first))
+        raise InputError(f"{truth.path}: {spans}: shifted by {by}? {moved}; if not, {rest}")
+    if not 0 <= first < stride:
+        raise InputError(
+            f"{truth.path}: begins at frame {theirs[0]}, the trajectory at {ours[0]}: {rest}, --shift N moves the truth"
+        )
+    if not -stride < last <= 0:
+        goes = "goes on to" if last < 0 else "ends at"
+        raise InputError(
+            f"{truth.path}: ends at frame {theirs[-1]}, the trajectory {goes} {ours[-1]}: {rest}, "
+            "--shift N moves the truth"
+        )
+    for one in named:
+        missing = np.setdiff1d(one.truth.frame, one.ours.frame)
+        if missing.size:
+            more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+            raise InputError(
+                f"{trajectory.path}: no row of {one.ours.name} in frame {missing[0]}{more}, where the truth has one; "
+                f"was it cut? {rest}"
+            )
+
+
+def _span(frames: Whole) -> str:
+    return f"{frames[0]}..{frames[-1]}" if len(frames) > 1 else f"{frames[0]} alone"
+
+
+# --- places ----------------------------------------------------------------------------------------------------------
+
+
+def _check_picture(trajectory: Table, truth: Table, named: Sequence[Pair]) -> None:
+    """Truth that is seen lies in the picture; most of it outside is of another clip, or of the clip in another size."""
+    source = trajectory.header.get("source")
+    size = source.get("size") if isinstance(source, dict) else None
+    if not isinstance(size, list) or len(size) != 2 or not all(isinstance(side, int) and side > 0 for side in size):
+        return
+    outside: list[Mask] = []
+    for one in named:
+        seen = np.isfinite(one.truth.x) & ~np.isin(one.truth.status, NOT_SEEN)
+        x, y = one.truth.x[seen], one.truth.y[seen]
+        outside.append((x < -0.5) | (y < -0.5) | (x > size[0] - 0.5) | (y > size[1] - 0.5))
+    where = np.concatenate(outside)
+    if where.size and where.mean() > 0.5:
+        raise InputError(
+            f"{truth.path}: {where.sum()} of its {where.size} places are outside of the picture of {size[0]}x{size[1]} "
+            f"pixels that {trajectory.path} was made from; it is of another clip or size: name the right one"
+        )
