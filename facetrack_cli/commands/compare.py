@@ -110,16 +110,20 @@ def command(
     overlap share their ranks: the runs do not tell them apart.
 
     \b
-    The folder gets compare.json, compare.csv (a row a recipe and seed), compare.md, and
-      boxes   success.png, precision.png     points   cumulative.png
-      both    error.png: over time, median and 10-90 % of the seeds, hidden spans shaded
+    The folder gets compare.json, compare.csv (a row a recipe and seed),
+    compare.md, and
+      success.png, precision.png    of boxes
+      cumulative.png                of points
+      error.png                     over time: median and 10-90 % of the
+                                    seeds, hidden spans shaded
 
     \b
     Examples:
-      facetrack compare clip.mp4 --config factorized --config sir --config mil
-      facetrack compare clip.mp4 --truth clip.csv --config a.yaml --config b.yaml --seeds 20 -j 2
-      facetrack compare frames/ --config sir:filter.particles=100 --config sir:filter.particles=500
-      facetrack compare clip.mp4 --config factorized --config sir --csv -q > runs.csv
+      facetrack compare clip.mp4 --config factorized --config sir
+      facetrack compare clip.mp4 --config mil --config csrt --seeds 20 -j 2
+      facetrack compare frames/ --truth groundtruth.txt \\
+        --config sir:filter.particles=100 --config sir:filter.particles=500
+      facetrack compare clip.mp4 --config a.yaml --config b.yaml --csv -q
 
     \b
     Exit codes: 0 done, 2 usage, recipe or output, 3 input,

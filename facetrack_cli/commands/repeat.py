@@ -75,7 +75,7 @@ def command(
     workers: int,
     quiet: bool,
 ) -> None:
-    """Run a recipe with many seeds, and show how far the runs differ.
+    """Show how far the runs of a recipe differ from seed to seed.
 
     For each part: the spread over seeds, the run farthest from the median of all, and the frame at which the runs
     part ways, which is the first of 5 frames in a row in which a run is farther from the median of most than a
@@ -88,7 +88,7 @@ def command(
     \b
     Examples:
       facetrack repeat clip.mp4 --config factorized
-      facetrack repeat clip.mp4 --config sir --seeds 50 -j 2 --truth clip.truth.csv
+      facetrack repeat clip.mp4 --seeds 50 -j 2 --truth clip.truth.csv
       facetrack repeat frames/ --config sir --stop 200 --csv -q > spread.csv
 
     \b
