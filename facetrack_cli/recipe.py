@@ -236,6 +236,11 @@ class Recipe(Section):
         """Number of particles, None for a tracker without."""
         return None
 
+    @property
+    def random(self) -> bool:
+        """Whether another seed may give another track."""
+        return True
+
     def error(self, key: str, message: str) -> RecipeError:
         """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
         if self._root is None:
@@ -251,6 +256,10 @@ class OpenCvRecipe(Recipe):
     """One of OpenCV's own trackers, which follows a box."""
     tracker: Literal["mil", "csrt", "kcf", "mosse"]
     """Which one; all but `mil` need opencv-contrib-python-headless in place of opencv-python-headless."""
+
+    @property
+    def random(self) -> bool:
+        return self.tracker == "mil"  # its features are drawn
 
 
 class ParticleRecipe(Recipe):

@@ -122,6 +122,7 @@ def test_recipes_of_opencv_name_their_tracker(name):
     recipe = load_recipe(name, ["seed=4"])
     assert isinstance(recipe, OpenCvRecipe)
     assert (recipe.tracker, recipe.seed, recipe.points, recipe.particles) == (name, 4, (), None)
+    assert recipe.random == (name == "mil") and load_recipe("sir").random
 
 
 def test_the_type_of_a_recipe_says_which_keys_it_has(write):

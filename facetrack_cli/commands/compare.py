@@ -202,7 +202,7 @@ def _run(
     for label, recipe in named.items():
         try:
             # what draws no random numbers has one run to show
-            plans.append(begin.plan(label, recipe, 1 if recipe.particles is None else seeds, truth, stop))
+            plans.append(begin.plan(label, recipe, seeds if recipe.random else 1, truth, stop))
         except FacetrackError as e:
             if stop():
                 return []
@@ -233,7 +233,7 @@ def _run(
             label,
             tuple(sorted(scores[label], key=lambda score: score.seed)),
             str(refused[label]) if label in refused else "",
-            deterministic=recipe.particles is None,
+            deterministic=not recipe.random,
         )
         for label, recipe in named.items()
     ]
