@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from facetrack_cli.errors import InputError
+from facetrack_cli.evaluation.boxes import iou
 from facetrack_cli.evaluation.plot_data import frames_of, quantiles
 from facetrack_cli.evaluation.plot_lines import MANY, Line, Pen, columns_for, limit, lines_of, numbers
 from facetrack_cli.evaluation.plot_style import (
@@ -26,6 +28,7 @@ from facetrack_cli.evaluation.plot_style import (
     style,
 )
 from facetrack_cli.evaluation.plot_time import set_time
+from facetrack_cli.evaluation.rows import is_box
 from facetrack_cli.formats.table import Series, Table
 from facetrack_cli.types import Array
 
@@ -39,6 +42,7 @@ BINS = 1000  # about the pixels across a panel
 _TRUTH: dict[str, Any] = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 1.6)), "zorder": 3}
 
 Of = Callable[[Series], Array]
+_x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angle", "confidence", "particles", "ess"))
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,12 @@ def error(pair: Pair) -> Array:
     """(T,) distance from the true centre in pixels; nan where either is not known, and where the part is absent."""
     wrong = np.hypot(pair.ours.x - pair.truth.x, pair.ours.y - pair.truth.y)
     return np.where(pair.truth.status == "absent", np.nan, wrong)
+
+
+def overlap(pair: Pair) -> Array:
+    """(T,) intersection over union with the true box; nan where either is not known, and where the part is absent."""
+    found = iou(pair.ours.boxes, pair.truth.boxes)
+    return np.where(pair.truth.status == "absent", np.nan, found)
 
 
 def _title(table: Table) -> str:
@@ -213,7 +223,8 @@ class _Page:
         truth = "dotted: truth" if self.pairs and not self.many else ""
         bands = "median, middle 80 % and range of the parts" if self.many else ""
         lost = self._shaded("lost") if self.ever_lost else ""
-        still = all(_reach(size(line.ours)) < 0.01 for line in self.lines)
+        sizes = [line.ours for line in self.lines] + [pair.truth for pair in self.pairs if not self.many]
+        still = all(_reach(size(s)) < 0.01 for s in sizes)
         turns = any(_reach(line.ours.angle) > 0 for line in self.lines)
         add(self._known(_x), "x (px)", [truth], 1.15, lambda axes: self._values(axes, _x))
         add(self._known(_y), "y (px)", ["up is up in the picture", truth], 1.15, self._y)
@@ -221,8 +232,9 @@ class _Page:
         add(self._known(size), "size (px)", notes, 0.45 if still else 0.85, lambda axes: self._values(axes, size, 0.0))
         add(turns, "angle (°)", [truth], 0.85, lambda axes: self._values(axes, _angle))
         add(self._known(_confidence), "confidence", [bands, lost], 0.95, self._confidence)
+        covered = any(np.isin(pair.truth.status, ("hidden", "absent")).any() for pair in self.pairs)
         tall = max(0.2, min(0.165 * len(self.lines), 1.5))
-        said = "a row a part, from first to last" if self.many else "below each row: truth" if self.pairs else ""
+        said = "a row a part, from first to last" if self.many else "below each row: truth" if covered else ""
         add(self.ours_told, "status", [said], tall, lambda axes: self.pen.status(axes, self.lines))
         counted, ess = self._known(_particles), self._known(_ess)
         add(
@@ -237,6 +249,8 @@ class _Page:
         add(self._known(spread), "spread (px)", notes, 0.95, lambda axes: self._positive(axes, spread))
         measured = any(np.isfinite(wrong).any() for wrong in self.errors)
         add(measured, "error (px)", [bands, *self._said_of_error()], 1.15, self._error)
+        boxes = [is_box(pair.ours, pair.truth) for pair in self.pairs]
+        add(any(boxes), "overlap (IoU)", [bands, "with the true box"], 0.85, self._overlap)
         return found
 
     def _known(self, of: Of) -> bool:
@@ -319,6 +333,12 @@ class _Page:
                 self.pen.band(axes, line.ours.frame, 0 * sigma, reach * sigma, line.colour, alpha)
         self._strokes(axes, shown)
 
+    def _overlap(self, axes: Axes) -> None:
+        axes.set_ylim(-0.03, 1.06)
+        axes.set_yticks([0, 0.5, 1])
+        paired = ((line, line.pair) for line in self.lines if line.pair is not None)
+        self._strokes(axes, [(line, p.ours, overlap(p)) for line, p in paired if is_box(p.ours, p.truth)])
+
     def _belief(self) -> tuple[Line, Array] | None:
         """Of a single part with truth: its spread along one axis."""
         if len(self.lines) != 1 or not self.pairs or not self._known(spread):
@@ -366,27 +386,3 @@ def _reach(value: Array) -> float:
     """Greatest minus least, of what is known."""
     known = value[np.isfinite(value)]
     return float(np.ptp(known)) if known.size else 0.0
-
-
-def _x(s: Series) -> Array:
-    return s.x
-
-
-def _y(s: Series) -> Array:
-    return s.y
-
-
-def _angle(s: Series) -> Array:
-    return s.angle
-
-
-def _confidence(s: Series) -> Array:
-    return s.confidence
-
-
-def _particles(s: Series) -> Array:
-    return s.particles
-
-
-def _ess(s: Series) -> Array:
-    return s.ess
