@@ -132,6 +132,12 @@ def test_frames_that_do_not_agree(given: range, message: str) -> None:
     assert "\n" not in str(said.value)
 
 
+def test_the_remedy_counts_from_the_file() -> None:
+    moved = replace(truth(range(3, 103)), header={"shift": 4})
+    with pytest.raises(InputError, match=r"shifted by 3\? --shift 1;"):
+        pairs(table(box(range(100))), moved)
+
+
 @pytest.mark.parametrize("given", [range(0, 100, 10), range(5, 100, 10), range(9, 100, 10), range(3, 96, 7)])
 def test_sparse_truth_need_not_touch_both_ends(given: range) -> None:
     (pair,) = pairs(table(box(range(100))), truth(given))

@@ -62,7 +62,7 @@ def match(
         raise InputError(
             f"{truth.path}: fits {trajectory.path} with {-found.lag:+d} added to its frames (median error "
             f"{found.error_at_lag:.1f} px, as it is {found.error:.1f} px): was either file cut and renumbered? "
-            f"--shift {-found.lag} --partial moves the truth, --shift 0 measures it as it is"
+            f"--shift {_shift(truth, -found.lag)} --partial moves the truth, --shift 0 measures it as it is"
         )
     pairs = []
     for one in named:
@@ -132,7 +132,7 @@ def _check_frames(trajectory: Table, truth: Table, named: Sequence[Pair], partia
     both = len(np.intersect1d(ours, theirs))
     first, last = int(theirs[0] - ours[0]), int(theirs[-1] - ours[-1])
     spans = f"the truth has frames {_span(theirs)}, the trajectory {_span(ours)}"
-    moved = f"--shift {-first}" if first == last != 0 else ""
+    moved = f"--shift {_shift(truth, -first)}" if first == last != 0 else ""
     if not both:
         remedy = (
             f"if it counts from another frame, {moved}" if moved else "move the truth by --shift N, or name its own"
@@ -163,6 +163,11 @@ def _check_frames(trajectory: Table, truth: Table, named: Sequence[Pair], partia
                 f"{trajectory.path}: no row of {one.ours.name} in frame {missing[0]}{more}, where the truth has one; "
                 f"was it cut? {rest}"
             )
+
+
+def _shift(truth: Table, more: int) -> int:
+    """What --shift has to be for `more` frames than the truth was moved already."""
+    return int(truth.header.get("shift", 0)) + more
 
 
 def _span(frames: Whole) -> str:

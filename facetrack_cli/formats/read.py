@@ -49,12 +49,14 @@ _READERS: Final[dict[str, _Reader]] = {
 def read_truth(path: Path, form: str = "auto", *, shift: int = 0) -> Table:
     """The truth in a file or folder, read as `form`, one of FORMATS; `auto` goes by the shape.
 
-    `shift` is added to every frame number. `header["read_as"]` of the table says in words how it was read. Raises
-    InputError, one line with file and line, for a file that is broken or of no known shape.
+    `shift` is added to every frame number. Of the table, `header["read_as"]` says in words how it was read, and
+    `header["shift"]` is the shift. Raises InputError, one line with file and line, for a file that is broken or of no
+    known shape.
     """
     if form == "auto":
         path, form = recognise(path)
-    return _READERS[form](path, shift=shift)
+    table = _READERS[form](path, shift=shift)
+    return replace(table, header={**table.header, "shift": shift})
 
 
 def recognise(path: Path) -> tuple[Path, str]:
