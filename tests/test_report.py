@@ -17,50 +17,18 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.errors import ExitCode, InputError
-from facetrack_cli.evaluation import plot_style, report
+from facetrack_cli.evaluation import plot_style, report, report_measures
 from facetrack_cli.evaluation.report import make_report
 from facetrack_cli.evaluation.report_content import Plot
-from facetrack_cli.evaluation.report_events import Clock, key_frames, tell
 from facetrack_cli.evaluation.report_frames import MOST_BYTES, Clip, _jpeg, pictures
 from facetrack_cli.evaluation.report_html import Html, Image, tag
+from facetrack_cli.evaluation.summary import names
 from facetrack_cli.formats.table import read_trajectory
-from facetrack_cli.sinks import FileSink
-from facetrack_cli.trajectory import Footer, JsonWriter
-from facetrack_cli.types import Frame, PartResult, Result, TargetResult
-from tests.media import SIZE, number, numbered, write_pictures, write_video
+from facetrack_cli.trajectory import Footer
+from tests.media import number, numbered, write_pictures, write_video
+from tests.report_run import KEYS, LOST, write_run
 
 PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII=")
-# part a is lost in frames 8 to 11, part b from 14 to the end
-LOST = {"a": range(8, 12), "b": range(14, 99)}
-KEYS = [5, 8, 12, 14, 24]
-
-
-def write_run(
-    out: Path, clip: Path, *, size=SIZE, start=5, frames=20, times=None, recipe=None, targets=("face",), footer=None
-) -> Path:
-    """A run's folder with a trajectory of two parts; they keep to the lowest lines, clear of the pictures' numbers."""
-    out.mkdir(parents=True, exist_ok=True)
-    header = {
-        "source": {"path": str(clip), "size": list(size), "fps": 25.0},
-        "recipe": recipe or {"name": "mine", "description": "a test", "filter": {"type": "sir", "particles": 10}},
-        "seed": 3,
-        "init": {"from": "haar", "frame": start, "targets": {t: {"points": {"a": [9, 44]}} for t in targets}},
-    }
-    writer = JsonWriter(FileSink(out / "trajectory.json"), header)
-    still = np.zeros((1, 1, 3), np.uint8)
-    for index in range(start, start + frames):
-        found = []
-        for k, name in enumerate("ab"):
-            lost = index in LOST[name]
-            status = "init" if index == start else "lost" if lost else "tracked"
-            sure = 0.05 + k / 100 if lost else 0.75
-            found.append(PartResult(name, 12.0 + 30 * k, 44.0, 4.0, 4.0, status, sure, (0.01, 0.0, 0.01), 5.0))
-        time_s = index / 25 if times is None else times[index]
-        cloud = np.empty((0, 2, 2))
-        shown = [TargetResult(t, tuple(found), 10, cloud) for t in targets]
-        writer.write(Result(Frame(index, time_s, still), tuple(shown)))
-    writer.close(footer or Footer())
-    return out
 
 
 @pytest.fixture
@@ -196,48 +164,6 @@ def test_pictures_stay_small_whatever_they_show():
     assert len(_jpeg(noise)) <= MOST_BYTES
 
 
-# --- what happened -----------------------------------------------------------------------------------------------
-
-
-def test_parts_are_told_as_they_fared(tmp_path):
-    table = read_trajectory(write_run(tmp_path, Path("clip.mp4")))
-    clock = Clock(table, 25.0)
-    story = tell(table, clock)
-    a, b = story.parts
-    assert [(s.first, s.last, s.back, s.frames) for s in a.spans] == [(8, 11, 12, 4)]
-    assert [(s.first, s.last, s.back, s.frames) for s in b.spans] == [(14, 24, None, 11)]
-    assert a.seconds_lost == pytest.approx(0.16)
-    assert b.seconds_lost == pytest.approx(0.44)  # until the last frame ends
-    assert clock.duration == pytest.approx(0.8)
-    assert a.mean == pytest.approx((15 * 0.75 + 4 * 0.05) / 19)  # without the first frame
-    assert (story.frames_lost, story.episodes, story.lost_at_end) == (15, ((8, 11), (14, 24)), ("b",))
-    assert story.worst == 8
-    kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(story, 5, 24)}
-    assert kinds == {5: ["start"], 8: ["lost", "worst"], 12: ["back"], 14: ["lost"], 24: ["end"]}
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_key_frames_are_few_and_far_apart(tmp_path, monkeypatch, seed):
-    rng = np.random.default_rng(seed)
-    lost = {name: set(np.flatnonzero(np.repeat(rng.random(100) < 0.4, 20)).tolist()) for name in "ab"}
-    monkeypatch.setitem(LOST, "a", lost["a"])
-    monkeypatch.setitem(LOST, "b", lost["b"])
-    table = read_trajectory(write_run(tmp_path, Path("clip.mp4"), start=0, frames=2000))
-    story = tell(table, Clock(table, 25.0))
-    keys = key_frames(story, 0, 1999)
-    at = [key.frame for key in keys]
-    assert len(at) == 12
-    assert at == sorted(set(at))
-    assert {0, 1999, story.worst} <= set(at)
-    longest = max(story.episodes, key=lambda e: e[1] - e[0])
-    assert longest[0] in at
-    assert max(np.diff(at)) < 700
-    for key in keys:
-        for event in key.events:
-            for span in event.spans:
-                assert key.frame == (span.first if event.kind == "lost" else span.back)
-
-
 # --- the page ----------------------------------------------------------------------------------------------------
 
 
@@ -300,6 +226,35 @@ def test_many_spans_are_cut_with_a_note(tmp_path, monkeypatch):
     assert len(page.html) < 200_000
 
 
+def test_all_figures_of_the_tables_exist():
+    known = set(names())
+    groups = {"points": report_measures._POINTS, "boxes": report_measures._BOXES}
+    used = [f"{group}.{name}" for group, columns in groups.items() for _, name, _ in columns]
+    used += [name for _, name, _ in report_measures._TRUST]
+    assert set(used) <= known
+
+
+def test_the_truth_brings_its_measures(tmp_path, no_plot):
+    run = write_run(tmp_path / "run", tmp_path / "gone.mp4")
+    lines = ["frame,target,part,x,y,status"]
+    for frame in range(5, 25):
+        lines += [f"{frame},face,a,{12 + 3 * (frame % 2)},44,visible"]
+        lines += [f"{frame},face,b,42,48,{'hidden' if frame >= 14 else 'visible'}"]
+    truth = tmp_path / "truth<&>.csv"
+    truth.write_text("\n".join(lines) + "\n")
+    assert main(["report", str(run), "--truth", str(truth), "--overwrite"]) == 0
+    read = Reader((run / "report.html").read_bytes())
+    assert "truth<&>.csv" in read.text
+    assert "29 visible, 11 hidden" in read.text
+    rows = re.findall(r"\n?(all|a|b)((?:\d[\d.]*| %|\u00a0%)+)", read.text)
+    assert ("a", "1.50") in [(part, figures[:4]) for part, figures in rows]  # every other frame is off by 3 px
+    assert ("b", "4.00") in [(part, figures[:4]) for part, figures in rows]
+    assert "called lost (recall)100" in read.text
+    truth.write_text("\n".join(lines[:-8]) + "\n")
+    assert main(["report", str(run), "--truth", str(truth), "--overwrite"]) == ExitCode.INPUT
+    assert main(["report", str(run), "--truth", str(truth), "--overwrite", "--partial"]) == 0
+
+
 # --- the command line, and what is wrong -------------------------------------------------------------------------
 
 
@@ -337,8 +292,8 @@ def test_bad_input_gets_one_line(tmp_path, capsys):
     assert "no trajectory.json" in refused(capsys, tmp_path)
     assert "no folder" in refused(capsys, run, "-o", tmp_path / "no" / "x.html", code=ExitCode.USAGE)
     assert "is a folder" in refused(capsys, run, "-o", tmp_path, code=ExitCode.USAGE)
-    assert "choose among auto," in refused(capsys, run, "--truth-format", "xml", code=ExitCode.USAGE)
-    assert "give --truth" in refused(capsys, run, "--truth-format", "otb", code=ExitCode.USAGE)
+    assert "is not one of" in refused(capsys, run, "--truth-format", "xml", code=ExitCode.USAGE)
+    assert "give one with --truth" in refused(capsys, run, "--truth-format", "otb", code=ExitCode.USAGE)
     assert "no such file" in refused(capsys, run, "--clip", tmp_path / "none.mp4")
     small = write_video(tmp_path / "small.mp4", frames=30, size=(32, 24))
     assert "is 32x24, not 64x48" in refused(capsys, run, "--clip", small)

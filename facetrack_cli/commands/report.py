@@ -10,11 +10,27 @@ import click
 
 from facetrack_cli.errors import OutputError, UsageError
 
+TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")  # those of formats/read.py
+
 
 @click.command()
 @click.argument("run", metavar="RUN_DIR", type=click.Path(path_type=Path))
 @click.option("--truth", metavar="FILE", type=click.Path(path_type=Path), help="Measure against this truth file.")
-@click.option("--truth-format", metavar="FORMAT", default="auto", show_default=True, help="How to read --truth.")
+@click.option(
+    "--truth-format",
+    metavar="FORMAT",
+    type=click.Choice(TRUTH_FORMATS),
+    default="auto",
+    help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
+)
+@click.option(
+    "--shift",
+    metavar="N",
+    type=int,
+    help="Add N to the frame numbers of the truth; 0 takes them as they are even if another shift would fit better.",
+)
+@click.option("--partial", is_flag=True, help="Measure what both have, though one has less than the other.")
+@click.option("--target", metavar="NAME[/PART]", help="Measure this target, or this part of it, alone.")
 @click.option(
     "-o", "--out", metavar="FILE", type=click.Path(path_type=Path), help="The page [default: RUN_DIR/report.html]."
 )
@@ -28,6 +44,9 @@ def command(
     run: Path,
     truth: Path | None,
     truth_format: str,
+    shift: int | None,
+    partial: bool,
+    target: str | None,
     out: Path | None,
     clip: Path | None,
     title: str | None,
@@ -52,16 +71,20 @@ def command(
     Exit codes: 0 done, 2 usage, output, or matplotlib is missing,
     3 input, 130 interrupted, 143 terminated.
     """
-    from facetrack_cli.evaluation.report import NAME, make_report, trajectory_of
-    from facetrack_cli.formats.read import FORMATS
+    from facetrack_cli.evaluation.report import NAME, TruthFile, make_report, trajectory_of
     from facetrack_cli.progress import progress
     from facetrack_cli.start.files import write_new
     from facetrack_cli.stopping import Stop
 
-    if truth_format not in FORMATS:
-        raise UsageError(f"--truth-format {truth_format}: choose among {', '.join(FORMATS)}")
-    if truth_format != "auto" and truth is None:
-        raise UsageError("--truth-format says how to read --truth; give --truth too")
+    told = {
+        "--truth-format": truth_format != "auto",
+        "--shift": shift is not None,
+        "--partial": partial,
+        "--target": target,
+    }
+    if truth is None and (idle := [option for option, given in told.items() if given]):
+        raise UsageError(f"{idle[0]} says how to use a truth file; give one with --truth")
+    against = None if truth is None else TruthFile(truth, truth_format, shift, partial, target)
     trajectory_of(run)
     to = run / NAME if out is None else out
     for what, given in (("--truth", truth), ("--clip", clip)):
@@ -75,9 +98,7 @@ def command(
         raise OutputError(f"{to}: there is no folder {to.parent}; make it first, or write elsewhere with -o")
     with Stop().listening() as stop, contextlib.closing(progress(quiet)) as shown:
         shown.begin(run.name or str(run), "frames", None)
-        page = make_report(
-            run, truth=truth, truth_format=truth_format, clip=clip, title=title, stopped=stop, report=shown.update
-        )
+        page = make_report(run, truth=against, clip=clip, title=title, stopped=stop, report=shown.update)
         if page is not None and stop.code is None:
             write_new(to, page.html, overwrite=overwrite)
             for note in page.notes:

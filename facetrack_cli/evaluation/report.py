@@ -8,27 +8,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.evaluation.plot_style import need_matplotlib
+from facetrack_cli.evaluation import plots
+from facetrack_cli.evaluation.match import Pair, match
 from facetrack_cli.evaluation.report_content import Content, Plot, Truth
 from facetrack_cli.evaluation.report_events import Clock, key_frames, tell
 from facetrack_cli.evaluation.report_frames import Clip, Report, pictures
-from facetrack_cli.evaluation.report_header import command, read_header
+from facetrack_cli.evaluation.report_header import Header, command, read_header
 from facetrack_cli.evaluation.report_html import Image
 from facetrack_cli.evaluation.report_measures import about, measures
 from facetrack_cli.evaluation.report_page import render
+from facetrack_cli.evaluation.summary import Options, evaluate
 from facetrack_cli.formats.read import read_truth
 from facetrack_cli.formats.table import Table, read_trajectory
-
-if TYPE_CHECKING:
-    from facetrack_cli.evaluation.match import Pair
 
 NAME: Final = "report.html"
 _VIDEO: Final = "annotated.mp4"
 _MOST_SVG: Final = 400_000  # bytes; a larger drawing becomes a PNG
 _WIDE, _NARROW = 10.0, 4.6  # inches
+
+
+class TruthFile(NamedTuple):
+    """The truth to measure against, and how: as `facetrack eval` takes them."""
+
+    path: Path
+    form: str = "auto"
+    shift: int | None = None
+    partial: bool = False
+    target: str | None = None
 
 
 class Page(NamedTuple):
@@ -41,8 +50,7 @@ class Page(NamedTuple):
 def make_report(
     run: Path,
     *,
-    truth: Path | None = None,
-    truth_format: str = "auto",
+    truth: TruthFile | None = None,
     clip: Path | None = None,
     title: str | None = None,
     stopped: Callable[[], bool] = lambda: False,
@@ -53,12 +61,12 @@ def make_report(
     Raises InputError for a folder without a JSON trajectory, a broken one, a `clip` that is not the run's, and truth
     that does not fit; UsageError without matplotlib.
     """
-    need_matplotlib()
+    plots.need_matplotlib()
     table = read_trajectory(trajectory_of(run))
     header = read_header(table)
     clock = Clock(table, header.source.fps)
     story = tell(table, clock)
-    pairs, measured = _measured(table, truth, truth_format)
+    pairs, measured = _measured(table, header, truth)
     title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
     keys = key_frames(story, int(clock.frames[0]), int(clock.frames[-1]))
     found = pictures(
@@ -105,29 +113,33 @@ def trajectory_of(run: Path) -> Path:
     raise InputError(f"{run}: has no trajectory.json; name the folder of a run, which facetrack run wrote")
 
 
-def _measured(table: Table, truth: Path | None, form: str) -> tuple[list[Pair], Truth | None]:
+def _measured(table: Table, header: Header, truth: TruthFile | None) -> tuple[list[Pair], Truth | None]:
     if truth is None:
         return [], None
-    from facetrack_cli.evaluation.match import match
-    from facetrack_cli.evaluation.summary import evaluate
-
-    pairs = match(table, read_truth(truth, form), partial=False, select=None, check_shift=True)
-    found = evaluate(pairs)
-    return pairs, Truth(str(truth), about(found), measures(found), found.notes)
+    theirs = read_truth(truth.path, truth.form, shift=truth.shift or 0)
+    notes: list[str] = []
+    pairs = match(
+        table,
+        theirs,
+        partial=truth.partial,
+        select=truth.target,
+        check_shift=truth.shift is None,
+        note=notes.append,
+    )
+    found = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.series)
+    read_as = str(theirs.header.get("read_as", truth.form)) + (f", {truth.shift:+d} frames" if truth.shift else "")
+    return pairs, Truth(str(theirs.path), f"Read as {read_as}. {about(found)}", measures(found), found.notes)
 
 
 def _plot(table: Table, pairs: list[Pair], title: str) -> Plot:
     """The plots, as a drawing that scales if it is small, and a narrow picture for phones."""
-    from facetrack_cli.evaluation.plot_page import page_figure
-    from facetrack_cli.evaluation.plot_style import render as rendered
-
-    figure = page_figure(table, pairs, title=title, width=_WIDE)
+    figure = plots.page_figure(table, pairs, title=title, width=_WIDE)
     width, height = figure.get_size_inches()
     size = (round(96 * width), round(96 * height))
-    drawing = rendered(figure, "svg")
+    drawing = plots.render(figure, "svg")
     if len(drawing) <= _MOST_SVG:
         wide = Image(drawing, "image/svg+xml", size)
     else:
-        wide = Image(rendered(figure, "png", dpi=150), "image/png", size)
-    narrow = rendered(page_figure(table, pairs, title=title, width=_NARROW), "png", dpi=180)
+        wide = Image(plots.render(figure, "png", dpi=150), "image/png", size)
+    narrow = plots.render(plots.page_figure(table, pairs, title=title, width=_NARROW), "png", dpi=180)
     return Plot(wide, Image(narrow, "image/png", (442, 0)))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from facetrack_cli.evaluation.report_text import count, number, percent
-
-if TYPE_CHECKING:
-    from facetrack_cli.evaluation.summary import Evaluation, Value
+from facetrack_cli.evaluation.rows import NEAR_IOU
+from facetrack_cli.evaluation.summary import Evaluation, Value, figures
 
 
 class Measures(NamedTuple):
@@ -28,7 +27,7 @@ _POINTS: Final = (
     ("AUC", "auc", 3),
 )
 _BOXES: Final = (
-    ("success AUC", "auc", 3),
+    ("success AUC", "success_auc", 3),
     ("precision, 20 px", "precision_20", 3),
     ("normalised precision AUC", "normalised_auc", 3),
     ("AO", "ao", 3),
@@ -53,16 +52,14 @@ _TRUST: Final = (
 
 def measures(evaluation: Evaluation) -> list[Measures]:
     """Tables of the errors of points, of boxes, and of how far the tracker can be trusted; empty ones are left out."""
-    from facetrack_cli.evaluation.summary import figures
-
     whole = figures(evaluation.all, evaluation.recovery)
     several = len({part.target for part in evaluation.parts}) > 1
     rows = [(part.name if several else part.part, figures(part)) for part in evaluation.parts]
     if len(rows) > 1:
         rows.insert(0, ("all", whole))
     found = [
-        _by_part("Error of points, over the frames in which they are visible", "points", _POINTS, rows),
-        _by_part("Boxes", "boxes", _BOXES, rows),
+        _by_part("Error of points while they are visible", "points", _POINTS, rows),
+        _by_part("Overlap and place of boxes", "boxes", _BOXES, rows),
         Measures(
             "How far the tracker's own word can be trusted",
             ("all parts together", "value"),
@@ -79,10 +76,18 @@ def about(evaluation: Evaluation) -> str:
         for n, word in ((evaluation.visible, "visible"), (evaluation.hidden, "hidden"), (evaluation.absent, "absent"))
         if n
     ]
-    units = "; ".join(dict.fromkeys(evaluation.units))
+    several = len(evaluation.units) > 1
+    units = "; ".join(f"{text}{f' ({name})' if several else ''}" for name, text in evaluation.units.items())
+    near = []
+    if evaluation.all.points is not None:
+        failure = f"{100 * evaluation.options.failure:g}\u00a0%"
+        near.append(f"A point has failed if it is off by more than {failure} of that, and is near if by less than 1/6.")
+    if evaluation.all.boxes is not None:
+        near.append(f"A box is near if it overlaps the truth by more than {NEAR_IOU:g}.")
     return (
         f"{count(evaluation.frames, 'frame')} that the run and the truth share, {evaluation.first} to "
-        f"{evaluation.last}; rows in truth: {', '.join(rows) or 'none'}. Normalised errors are divided by: {units}."
+        f"{evaluation.last}; rows in truth: {', '.join(rows) or 'none'}. Normalised errors are divided by {units}. "
+        f"{' '.join(near)}"
     )
 
 

@@ -154,8 +154,7 @@ def _against_truth(truth: Truth) -> Html:
         "Against the truth",
         tag("p", "Truth: ", tag("code", truth.path), f". {truth.about}"),
         *(table(m.caption, m.head, m.rows[: MOST_PARTS + 1]) for m in truth.tables),
-        *(tag("p", note, class_="note") for note in truth.notes),
-        tag("p", "facetrack eval prints all measures, and says what they mean.", class_="note"),
+        tag("ul", *(tag("li", note) for note in (*truth.notes, "facetrack eval prints all measures")), class_="note"),
     )
 
 

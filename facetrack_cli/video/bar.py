@@ -46,6 +46,8 @@ class StatusBar:
             "percent": font.width("100%") + gap,
         }
         shown, saying, spare = self._fit(sayings, room, self._width - 2 * gap - icon)
+        if not sure:  # 0 % would be a lie of a tracker that does not say
+            shown = tuple(item for item in shown if item not in ("gauge", "percent"))
         title = self._title if "title" in shown else self._cut_title(spare - gap)
         row, middle = (self.height - cap) // 2 - font.top, (self.height - cap) // 2 + (cap - 1) / 2
         left, right = gap, self._width - gap
