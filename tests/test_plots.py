@@ -231,16 +231,18 @@ def test_boxes_have_their_overlap_with_the_truth():
 def test_page_shades_what_is_lost_and_hidden():
     status = np.where(np.isin(np.arange(60), range(20, 30)), "lost", "tracked")
     table = track(status=status)
+    tracked = replace(table.series[2], status=np.where(np.arange(60) < 25, "tracked", status))
+    table = replace(table, series=(*table.series[:2], tracked))
     pairs = pairs_of(table)
     pairs[0] = pairs[0]._replace(truth=replace(pairs[0].truth, status=np.where(np.arange(60) < 5, "hidden", "visible")))
     figure = plots.page_figure(table, pairs)
     found = panels(figure)
     spans = [(p.get_x(), p.get_x() + p.get_width()) for p in found["confidence"].patches]
-    assert spans == [(19.5, 29.5), (19.5, 29.5)], "pale where any is lost, darker where all are"
+    assert spans == [(19.5, 29.5), (24.5, 29.5)], "pale where any is lost, darker where all are"
     assert [(p.get_x(), p.get_width()) for p in found["error"].patches] == [(-0.5, 5.0)]
     texts, labels = said(figure)
     assert labels == ["part 0", "part 1", "part 2", "truth", "lost", "hidden in truth"]
-    assert "lost in 17 % of rows, 3 of 3 parts" in texts[1] and "median error 5.00 px" in texts[1]
+    assert "lost in 14 % of rows, 3 of 3 parts" in texts[1] and "median error 5.00 px" in texts[1]
 
 
 def test_absent_parts_have_no_error():
