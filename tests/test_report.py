@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.errors import ExitCode, InputError
-from facetrack_cli.evaluation import plot_style, report, report_measures
+from facetrack_cli.errors import ExitCode
+from facetrack_cli.evaluation import plot_style, report, report_frames, report_measures
 from facetrack_cli.evaluation.report import make_report
 from facetrack_cli.evaluation.report_content import Plot
 from facetrack_cli.evaluation.report_frames import MOST_BYTES, Clip, _jpeg, pictures
@@ -327,9 +327,14 @@ def test_without_matplotlib_one_line_says_what_to_install(tmp_path, capsys, monk
     assert "pip install 'facetrack[plot]'" in refused(capsys, run, code=ExitCode.USAGE)
 
 
-def test_an_interrupt_leaves_nothing(tmp_path, no_plot):
+def test_an_interrupt_leaves_nothing(tmp_path, capsys, monkeypatch, no_plot):
     clip = write_video(tmp_path / "clip.mp4", frames=30)
     run = write_run(tmp_path / "run", clip)
-    assert make_report(run, stopped=lambda: True) is None
-    with pytest.raises(InputError, match="no trajectory"):
-        make_report(tmp_path)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(report_frames._Maker, "draw", interrupted)
+    assert main(["report", str(run)]) == ExitCode.INTERRUPTED
+    assert capsys.readouterr().err.split() == ["facetrack:", "interrupted"]
+    assert [path.name for path in run.iterdir()] == ["trajectory.json"]

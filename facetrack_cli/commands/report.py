@@ -96,12 +96,12 @@ def command(
         raise OutputError(f"{to}: is there already; --overwrite replaces it, -o names another file")
     if not to.parent.is_dir():
         raise OutputError(f"{to}: there is no folder {to.parent}; make it first, or write elsewhere with -o")
-    with Stop().listening() as stop, contextlib.closing(progress(quiet)) as shown:
+    with contextlib.closing(progress(quiet)) as shown:
         shown.begin(run.name or str(run), "frames", None)
-        page = make_report(run, truth=against, clip=clip, title=title, stopped=stop, report=shown.update)
-        if page is not None and stop.code is None:
+        page = make_report(run, truth=against, clip=clip, title=title, report=shown.update)
+        with Stop().listening() as stop:  # a Ctrl-C before this ends us with nothing written, from here on with all
             write_new(to, page.html, overwrite=overwrite)
-            for note in page.notes:
-                shown.say(f"facetrack: warning: {note}")
-            shown.say(f"{run} -> {to} ({len(page.html) / 1e6:.1f} MB)")
+        for note in page.notes:
+            shown.say(f"facetrack: warning: {note}")
+        shown.say(f"{run} -> {to} ({len(page.html) / 1e6:.1f} MB)")
     ctx.exit(stop.code or 0)

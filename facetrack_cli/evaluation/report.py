@@ -6,7 +6,6 @@ Path("report.html").write_bytes(page.html)
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -53,10 +52,9 @@ def make_report(
     truth: TruthFile | None = None,
     clip: Path | None = None,
     title: str | None = None,
-    stopped: Callable[[], bool] = lambda: False,
     report: Report = lambda done, total: None,
-) -> Page | None:
-    """The report of the run in the folder `run`, None when stopped; `report` is told the frames read of how many.
+) -> Page:
+    """The report of the run in the folder `run`; `report` is told the frames read of how many.
 
     Raises InputError for a folder without a JSON trajectory, a broken one, a `clip` that is not the run's, and truth
     that does not fit; UsageError without matplotlib.
@@ -77,11 +75,8 @@ def make_report(
         annotated=run / _VIDEO if (run / _VIDEO).is_file() else None,
         title=header.recipe_name,
         unit=max((max(t.box[2:]) for t in header.init.targets.values() if t.box), default=None),
-        stopped=stopped,
         report=report,
     )
-    if stopped():
-        return None
     content = Content(
         title=title,
         table=table,

@@ -70,7 +70,6 @@ def pictures(
     annotated: Path | None = None,
     title: str = "",
     unit: float | None = None,
-    stopped: Callable[[], bool] = lambda: False,
     report: Report = lambda done, total: None,
 ) -> Pictures:
     """Pictures of the `wanted` frames: from the clip `given` or the header's, else from the MP4 `annotated`.
@@ -80,27 +79,25 @@ def pictures(
     """
     maker = _Maker(table, clip, title, unit)
     if given is not None:
-        done = _attempt(_clip_frames, maker, clip._replace(path=given), wanted, stopped, report)
-        if len(done.found) < len(wanted) and not stopped():
+        done = _attempt(_clip_frames, maker, clip._replace(path=given), wanted, report)
+        if len(done.found) < len(wanted):
             raise InputError(done.notes[-1])
         return done
-    best = _attempt(_clip_frames, maker, clip, wanted, stopped, report)
+    best = _attempt(_clip_frames, maker, clip, wanted, report)
     if len(best.found) == len(wanted) or annotated is None:
         return best
-    other = _attempt(_annotated_frames, maker, clip._replace(path=annotated), wanted, stopped, report)
+    other = _attempt(_annotated_frames, maker, clip._replace(path=annotated), wanted, report)
     first, second = (best, other) if len(best.found) > len(other.found) else (other, best)
     return Pictures(first.found, first.origin, second.notes + first.notes)
 
 
-def _attempt(
-    fill: _Fill, maker: _Maker, clip: Clip, wanted: Sequence[int], stopped: Callable[[], bool], report: Report
-) -> Pictures:
+def _attempt(fill: _Fill, maker: _Maker, clip: Clip, wanted: Sequence[int], report: Report) -> Pictures:
     """What one source gives; what is wrong with it is in the notes."""
     done = Pictures(origin="clip" if fill is _clip_frames else "annotated")
     try:
-        fill(done, maker, clip, wanted, lambda c, w: _frames(c, w, stopped, report))
+        fill(done, maker, clip, wanted, lambda c, w: _frames(c, w, report))
         missing = [frame for frame in wanted if frame not in done.found]
-        if missing and not stopped():
+        if missing:
             done.notes.append(f"{clip.path}: has no frame {missing[0]}, which the run has; name its clip with --clip")
     except InputError as e:
         done.notes.append(str(e))
@@ -129,7 +126,7 @@ def _annotated_frames(done: Pictures, maker: _Maker, clip: Clip, wanted: Sequenc
         done.found[index] = maker.cut(frame.bgr[:height, :width], index)
 
 
-def _frames(clip: Clip, wanted: Sequence[int], stopped: Callable[[], bool], report: Report) -> Iterator[Frame]:
+def _frames(clip: Clip, wanted: Sequence[int], report: Report) -> Iterator[Frame]:
     """The wanted frames, in their order, in one pass. InputError if the clip is of another size."""
     path = clip.path
     try:
@@ -150,8 +147,6 @@ def _frames(clip: Clip, wanted: Sequence[int], stopped: Callable[[], bool], repo
                     "run; name its clip with --clip"
                 )
             for frame in source:
-                if stopped():
-                    return
                 done += 1
                 report(done, total)
                 if frame.index in picked:
