@@ -184,7 +184,7 @@ def runs_to_test(statistics: Sequence[Statistic], recorded: Array) -> int:
 
     One, where all runs are the same. A change of the spread is judged by the part whose runs differ least.
     """
-    if len(recorded) < 2 or _alike(recorded):
+    if len(recorded) < 2 or alike(recorded):
         return 1
     seen = []
     for quantities, limit in SEEN.items():
@@ -200,7 +200,7 @@ def runs_to_test(statistics: Sequence[Statistic], recorded: Array) -> int:
     return next(enough, 12)
 
 
-def _alike(recorded: Array) -> bool:
+def alike(recorded: Array) -> bool:
     """Whether every run has the same statistics: a tracker without chance."""
     return bool((np.nan_to_num(recorded) == np.nan_to_num(recorded[0])).all())
 
@@ -244,7 +244,7 @@ def judge(statistics: Sequence[Statistic], recorded: Array, tested: Array) -> Ve
     """Whether the runs `tested` (K, F) belong with those `recorded` (S, F); both as `measure` gives them."""
     units = np.array([QUANTITIES[s.quantity].unit for s in statistics])
     least = np.array([QUANTITIES[s.quantity].least for s in statistics])
-    if _alike(recorded):
+    if alike(recorded):
         return _judge_repeatable(statistics, recorded[0] * units, tested.mean(axis=0) * units, least)
     placed = exchange.place(np.vstack([tested, recorded]) * units, least)
     counted = exchange.bend(placed.z)

@@ -1,0 +1,169 @@
+"""Whether `facetrack regress` sees what it should, and nothing else: the table in docs/results.md.
+
+    python benchmarks/bands.py sample_videos -j 2
+
+For each golden, groups of as many seeds as a check runs, none of which was recorded or is used by a check:
+
+- unseen seeds of the recipe as it is must pass, also with noise of one grey level on every frame, as another decoder
+  may give;
+- `motion.sigma` and `likelihood.sigma` changed by 30 % must fail, and so must a likelihood that scores x + (1.5, 0).
+
+A cell tells how many groups failed, and the farthest statistic in units of its band: the largest of groups that must
+pass, the smallest of those that must fail.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from facetrack_cli.build import build_tracker
+from facetrack_cli.evaluation.bands import judge, measure
+from facetrack_cli.evaluation.goldens import Golden, find_goldens, read_golden
+from facetrack_cli.formats.table import Table, from_rows
+from facetrack_cli.recipe import ParticleRecipe, load_recipe
+from facetrack_cli.track import Likelihood, ParticleTarget, Tracker, track
+from facetrack_cli.trajectory import rows
+from facetrack_cli.types import Array, Frame
+from facetrack_cli.video.source import open_source
+
+FIRST_SEED = 20_000
+SHIFT = np.array([1.5, 0.0])
+
+
+class Case(NamedTuple):
+    """What is disturbed: factors of the two sigmas, the shift of the likelihood, noise in grey levels."""
+
+    name: str
+    must_fail: bool
+    motion: float = 1.0
+    likelihood: float = 1.0
+    shift: bool = False
+    noise: int = 0
+
+
+CASES = (
+    Case("unseen seeds", False),
+    Case("noise of 1", False, noise=1),
+    Case("motion -30 %", True, motion=0.7),
+    Case("motion +30 %", True, motion=1.3),
+    Case("likelihood -30 %", True, likelihood=0.7),
+    Case("likelihood +30 %", True, likelihood=1.3),
+    Case("shift 1.5 px", True, shift=True),
+)
+
+
+@dataclass(frozen=True)
+class Shifted:
+    """A likelihood that looks 1.5 pixels to the right of where it is asked to."""
+
+    within: Likelihood
+
+    @property
+    def windows(self) -> Array:
+        return self.within.windows
+
+    def init(self, frame: Frame, x0: Array) -> Any:
+        return self.within.init(frame, x0)
+
+    def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array:
+        return self.within.score(learned, frame, x + SHIFT, parents)
+
+    def distances(self, learned: Any, frame: Frame, x: Array) -> Array:
+        return self.within.distances(learned, frame, x + SHIFT)
+
+
+def tracker_of(golden: Golden, case: Case) -> Tracker | None:
+    """None where there is nothing to disturb."""
+    recipe = load_recipe(golden.recipe)
+    if isinstance(recipe, ParticleRecipe):
+        sigma = recipe.motion.sigma.of(recipe.points[0]).value
+        changes = [f"motion.sigma={sigma * case.motion:.6g}"] if case.motion != 1 else []
+        changes += [f"likelihood.sigma={recipe.likelihood.sigma * case.likelihood:.6g}"] if case.likelihood != 1 else []
+        recipe = load_recipe(golden.recipe, changes)
+    elif case.must_fail:
+        return None
+    tracker = build_tracker(recipe, golden.start)
+    if not case.shift:
+        return tracker
+    return tuple(replace(t, likelihood=Shifted(t.likelihood)) if isinstance(t, ParticleTarget) else t for t in tracker)
+
+
+def frames_of(clip: Path, golden: Golden, noise: int, seed: int) -> Iterator[Frame]:
+    rng = np.random.default_rng(seed)
+    with open_source(clip, start=golden.start.frame, stop=golden.stop) as source:
+        for frame in source:
+            if not noise:
+                yield frame
+                continue
+            moved = frame.bgr.astype(np.int16) + rng.integers(-noise, noise + 1, frame.bgr.shape, dtype=np.int16)
+            yield Frame(frame.index, frame.time_s, np.clip(moved, 0, 255).astype(np.uint8))
+
+
+def one_run(folder: Path, path: Path, case: Case, seed: int) -> Array | None:
+    """The statistics of one run, (1, F)."""
+    cv2.setNumThreads(1)
+    golden = read_golden(path)
+    tracker = tracker_of(golden, case)
+    if tracker is None:
+        return None
+    clip = folder / golden.clip
+    results = track(tracker, frames_of(clip, golden, case.noise, seed), seed)
+    table: Table = from_rows(clip, (row for result in results for row in rows(result)))
+    return measure([table], golden.statistics)
+
+
+def cell(golden: Golden, case: Case, runs: Array) -> tuple[str, int, bool]:
+    """What to print, how many groups were judged, and whether they were as they must be."""
+    k = golden.tested
+    groups = [runs[i : i + k] for i in range(0, len(runs) - k + 1, k)]
+    verdicts = [judge(golden.statistics, golden.recorded, group) for group in groups]
+    failed = sum(not v.passed for v in verdicts)
+    far = [v.closest for v in verdicts]
+    told = min(far) if case.must_fail else max(far)
+    return f"{failed}/{len(groups)} ({told:.2f})", len(groups), failed == (len(groups) if case.must_fail else 0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--groups", type=int, default=12, help="of unseen seeds; of each disturbance a quarter")
+    parser.add_argument("--only", default="", help="goldens whose file name has this in it")
+    parser.add_argument("-j", dest="jobs", type=int, default=2)
+    given = parser.parse_args()
+    print("| clip | recipe | seeds |" + "".join(f" {case.name} |" for case in CASES))
+    print("|---" * (3 + len(CASES)) + "|")
+    good, passed = True, 0
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for path in find_goldens(given.folder):
+            if given.only not in path.name:
+                continue
+            golden = read_golden(path)
+            cells = []
+            for case in CASES:
+                count = golden.tested * (given.groups if case is CASES[0] else max(given.groups // 4, 1))
+                seeds = range(FIRST_SEED, FIRST_SEED + count)
+                runs = [r for r in pool.map(partial(one_run, given.folder, path, case), seeds) if r is not None]
+                if not runs:
+                    cells.append("")
+                    continue
+                text, groups, right = cell(golden, case, np.vstack(runs))
+                cells.append(text)
+                good &= right
+                passed += 0 if case.must_fail else groups
+            name = Path(golden.recipe).stem
+            print(f"| {Path(golden.clip).stem} | {name} | {golden.tested} | " + " | ".join(cells) + " |", flush=True)
+    print(f"\n{'as it must be' if good else 'NOT as it must be'}; {passed} groups that must pass")
+    raise SystemExit(0 if good else 1)
+
+
+if __name__ == "__main__":
+    main()

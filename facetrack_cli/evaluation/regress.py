@@ -1,0 +1,305 @@
+"""Clips checked against their goldens, and goldens recorded: what `facetrack regress` does, a result at a time."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from facetrack_cli.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.evaluation.bands import Deviation, Verdict, judge, measure
+from facetrack_cli.evaluation.goldens import (
+    FIRST_SEED,
+    Golden,
+    checksum,
+    differences,
+    find_goldens,
+    golden_path,
+    read_golden,
+    record,
+    versions,
+    write_golden,
+)
+from facetrack_cli.evaluation.paths import Leave, first_leave
+from facetrack_cli.evaluation.runs import Failure, Plan, Report, SeedRun, find_plan_start, run_plans
+from facetrack_cli.opencv import find as find_opencv
+from facetrack_cli.recipe import OpenCvRecipe, Recipe, load_recipe, shipped_folder, to_dict
+from facetrack_cli.start import find_init
+from facetrack_cli.stopping import Stop
+
+Status: TypeAlias = Literal["ok", "fails", "skipped"]
+NO_CLIPS = (".csv", ".json", ".md", ".txt", ".yaml", ".yml")
+UPDATE = "record anew with --update if that is meant"
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What came of one golden: `message` is one line, `details` more of them. `seconds` of the trackers alone."""
+
+    golden: Path
+    clip: str
+    recipe: str
+    status: Status
+    message: str
+    details: tuple[str, ...] = ()
+    seconds: float = 0.0
+    seeds: int = 0
+    verdict: Verdict | None = None
+    leave: Leave | None = None
+
+
+@dataclass(frozen=True)
+class Updated:
+    """What came of recording one golden: a file, or why not. `skipped`: it cannot be made here; nothing is wrong."""
+
+    clip: str
+    recipe: str
+    path: Path | None
+    message: str
+    skipped: bool = False
+
+
+def select(folder: Path, recipes: Sequence[Recipe]) -> list[tuple[Path, Golden]]:
+    """The goldens of a folder, only those of these recipes if any are given.
+
+    Raises InputError where there are none, or where one cannot be read.
+    """
+    found = find_goldens(folder)
+    if not found:
+        raise InputError(
+            f"{folder}: has no goldens; record some with facetrack regress {folder} --config RECIPE --update"
+        )
+    goldens = [(path, read_golden(path)) for path in found]
+    names = {_name(golden) for _, golden in goldens}
+    for recipe in recipes:
+        if recipe.name not in names:
+            raise InputError(
+                f"{folder}: has no golden of {recipe.name}, only of {', '.join(sorted(names))}; record it with --update"
+            )
+    wanted = {recipe.name for recipe in recipes} or names
+    return [(path, golden) for path, golden in goldens if _name(golden) in wanted]
+
+
+def _name(golden: Golden) -> str:
+    return Path(golden.recipe).name.removesuffix(".yaml")
+
+
+# --- checking ------------------------------------------------------------------------------------------------------
+
+
+def check(
+    folder: Path,
+    goldens: Sequence[tuple[Path, Golden]],
+    recipes: Sequence[Recipe] = (),
+    overrides: Sequence[str] = (),
+    *,
+    first_seed: int = 0,
+    workers: int = 1,
+    stopped: Stop | None = None,
+    report: Report = lambda done, total: None,
+) -> Iterator[Checked]:
+    """Run every golden's clip and judge what comes out, in their order; fewer results once `stopped` says so.
+
+    `recipes` are taken in place of the goldens' own of the same name, `overrides` are set in these. Seeds count from
+    `first_seed`.
+    """
+    stopped = stopped or Stop()
+    given = {recipe.name: recipe for recipe in recipes}
+    prepared = [_prepare(folder, path, golden, given, overrides, first_seed) for path, golden in goldens]
+    plans = [one for one in prepared if isinstance(one, Plan)]
+    runs = run_plans(plans, workers, stopped, report)
+    for (path, golden), one in zip(goldens, prepared, strict=True):
+        if stopped():
+            break
+        if isinstance(one, Checked):
+            yield one
+            continue
+        found = list(itertools.islice(runs, 1))
+        if found and isinstance(found[0], SeedRun):
+            found += itertools.islice(runs, golden.tested - 1)
+        failures = [run for run in found if isinstance(run, Failure)]
+        if failures:
+            yield _checked(path, golden, "fails", str(failures[0].error))
+        elif len(found) == golden.tested:
+            yield _compare(path, golden, one, [run for run in found if isinstance(run, SeedRun)])
+    getattr(runs, "close", lambda: None)()
+
+
+def _prepare(
+    folder: Path, path: Path, golden: Golden, given: Mapping[str, Recipe], overrides: Sequence[str], first_seed: int
+) -> Plan | Checked:
+    clip = folder / golden.clip
+    if not clip.exists():
+        return _checked(path, golden, "fails", f"the clip {clip} is not there; put it back, or remove {path}")
+    try:
+        if checksum(clip) != golden.sha256:
+            return _checked(path, golden, "fails", f"the clip {clip} is not the one recorded; restore it, or {UPDATE}")
+        recipe = given.get(_name(golden)) or _load(folder, golden, overrides)
+    except FacetrackError as e:
+        return _checked(path, golden, "fails", str(e))
+    if reason := _cannot_run(recipe):
+        return _checked(path, golden, "skipped", reason)
+    seeds = tuple(range(first_seed, first_seed + golden.tested))
+    return Plan(path.stem, clip, recipe, golden.start, seeds, golden.stop)
+
+
+def _load(folder: Path, golden: Golden, overrides: Sequence[str] = ()) -> Recipe:
+    beside = folder / golden.recipe
+    return load_recipe(str(beside) if golden.recipe.endswith(".yaml") else golden.recipe, overrides)
+
+
+def _cannot_run(recipe: Recipe) -> str:
+    """Why this installation cannot run a recipe, if so."""
+    if isinstance(recipe, OpenCvRecipe) and find_opencv(recipe.tracker) is None:
+        return f"the installed OpenCV has no {recipe.tracker.upper()} tracker; opencv-contrib-python-headless has"
+    return ""
+
+
+def _checked(path: Path, golden: Golden, status: Status, message: str) -> Checked:
+    return Checked(path, golden.clip, _name(golden), status, message)
+
+
+def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) -> Checked:
+    tables = [run.table for run in runs]
+    seconds = sum(len(run.table.frames) / run.frames_per_s for run in runs)
+    changed = differences(golden.settings, to_dict(plan.recipe))
+    notes = [f"recipe differs from the golden's: {', '.join(changed)}; {UPDATE}"] if changed else []
+    name, seeds = _name(golden), len(runs)
+    if shape := _other_shape(golden, tables[0].frames.tolist(), [one.name for one in tables[0].series]):
+        return Checked(path, golden.clip, name, "fails", shape, tuple(notes), seconds, seeds)
+    verdict = judge(golden.statistics, golden.recorded, measure(tables, golden.statistics))
+    if verdict.passed:
+        message = f"the farthest statistic is at {100 * verdict.closest:.0f} % of its band"
+        return Checked(path, golden.clip, name, "ok", message, tuple(notes), seconds, seeds, verdict)
+    leave = first_leave(golden.paths, tables)
+    lines = [f"{_where(golden, d.statistic.series, d.statistic.first, d.statistic.last)}: {d}" for d in _told(verdict)]
+    if leave is not None:
+        lines.insert(1, f"{golden.short(leave.series)} {leave}")
+    elif not any(d.statistic.quantity in ("x", "y") for d in verdict.deviations):
+        lines.insert(1, "no part leaves its path; positions are as recorded")
+    now = versions()
+    other = [f"{key} {was} -> {now.get(key, 'none')}" for key, was in golden.versions.items() if now.get(key) != was]
+    if other:
+        notes.append(f"other versions than recorded with: {', '.join(other)}")
+    message = f"{lines[0]} (from {len(golden.recorded)} seeds)"
+    return Checked(
+        path, golden.clip, name, "fails", message, (*lines[1:], *notes), seconds, seeds, verdict, leave
+    )  # fmt: skip
+
+
+def _told(verdict: Verdict) -> list[Deviation]:
+    """The deviations to tell: the farthest of a span, the farthest overall, and the joint one if it stands alone."""
+    local = [d for d in verdict.deviations if not (d.relative or d.together)]
+    overall = [d for d in verdict.deviations if d.relative]
+    return [*local[:1], *overall[:1]] or list(verdict.deviations[:1])
+
+
+def _where(golden: Golden, series: str, first: int, last: int) -> str:
+    return f"frames {first}-{last}, {golden.short(series) if series else 'all parts'}"
+
+
+def _other_shape(golden: Golden, frames: list[int], series: list[str]) -> str:
+    first, last = golden.frames
+    if frames != list(range(first, last + 1)):
+        return f"tracked frames {frames[0]}-{frames[-1]}, recorded were {first}-{last}; {UPDATE}"
+    if series != list(golden.series):
+        return f"tracks {', '.join(series)}, recorded were {', '.join(golden.series)}; {UPDATE}"
+    return ""
+
+
+# --- recording -----------------------------------------------------------------------------------------------------
+
+
+def update(
+    folder: Path,
+    configs: Sequence[str],
+    seeds: int,
+    stop: int | None = None,
+    *,
+    workers: int = 1,
+    stopped: Stop | None = None,
+    report: Report = lambda done, total: None,
+) -> Iterator[Updated]:
+    """Record goldens: of every clip with an init file and these recipes, or of those that are there if none is given.
+
+    Each file is written when its runs have ended, and replaces the one before. Raises InputError where there is nothing
+    to record.
+    """
+    stopped = stopped or Stop()
+    prepared: list[tuple[str, Updated | Plan]] = []  # with the recipe's name or path, as the golden keeps it
+    for clip, config, last in _asked(folder, configs, stop):
+        recipe = load_recipe(config)
+        one = _plan(clip, recipe, seeds, last, stopped)
+        if stopped():
+            return
+        prepared.append((_reference(folder, recipe), one))
+    runs = run_plans([one for _, one in prepared if isinstance(one, Plan)], workers, stopped, report)
+    for reference, one in prepared:
+        if isinstance(one, Updated):
+            yield one
+            continue
+        found = list(itertools.islice(runs, 1))
+        if found and isinstance(found[0], SeedRun):
+            found += itertools.islice(runs, len(one.seeds) - 1)
+        tables = [run.table for run in found if isinstance(run, SeedRun)]
+        name = one.recipe.name
+        if found and isinstance(found[0], Failure):
+            yield Updated(one.clip.name, name, None, str(found[0].error))
+        elif len(tables) == len(one.seeds):
+            golden = record(
+                tables, clip=one.clip, recipe=reference, settings=to_dict(one.recipe), start=one.start, stop=one.stop
+            )
+            path = golden_path(folder, one.clip.name, name)
+            write_golden(path, golden)
+            yield Updated(one.clip.name, name, path, f"{len(tables)} seeds, {golden.tested} to test")
+
+
+def _asked(folder: Path, configs: Sequence[str], stop: int | None) -> list[tuple[Path, str, int | None]]:
+    """Clip, recipe and last frame of each golden to record."""
+    present = [read_golden(path) for path in find_goldens(folder)] if not configs else []
+    if configs:
+        clips = [
+            path for path in sorted(folder.iterdir()) if path.suffix.lower() not in NO_CLIPS and find_init(path)
+        ] if folder.is_dir() else []  # fmt: skip
+        if not folder.is_dir():
+            find_goldens(folder)
+        if not clips:
+            raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
+        twice = [name for name, count in Counter(clip.stem for clip in clips).items() if count > 1]
+        if twice:
+            raise UsageError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
+        return [(clip, config, stop) for clip in clips for config in configs]
+    if not present:
+        raise InputError(f"{folder}: has no goldens to record anew; name recipes with --config")
+    beside = [str(folder / g.recipe) if g.recipe.endswith(".yaml") else g.recipe for g in present]
+    return [
+        (folder / golden.clip, recipe, golden.stop if stop is None else stop)
+        for golden, recipe in zip(present, beside, strict=True)
+    ]
+
+
+def _plan(clip: Path, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> Plan | Updated:
+    if reason := _cannot_run(recipe):
+        return Updated(clip.name, recipe.name, None, reason, skipped=True)
+    try:
+        start = find_plan_start(clip, recipe, stop=stop, stopped=stopped)
+    except InputError as e:
+        return Updated(clip.name, recipe.name, None, str(e))
+    missing = [part for target in start.targets.values() for part in recipe.points if part not in target.points]
+    if missing:
+        message = f"{start.origin}: has no point for {', '.join(missing)}, which the recipe follows"
+        return Updated(clip.name, recipe.name, None, message, skipped=True)
+    return Plan(
+        f"{clip.stem}.{recipe.name}", clip, recipe, start, tuple(range(FIRST_SEED, FIRST_SEED + seeds)), stop
+    )  # fmt: skip
+
+
+def _reference(folder: Path, recipe: Recipe) -> str:
+    """A shipped recipe's name, or the path of any other from the folder of clips."""
+    if recipe.path.resolve().parent == shipped_folder().resolve():
+        return recipe.name
+    return Path(os.path.relpath(recipe.path.resolve(), folder.resolve())).as_posix()
