@@ -212,6 +212,7 @@ def trackers(x: np.ndarray) -> dict[str, np.ndarray]:
         "lost half of the time": lost,
         "still": x[:1].repeat(t, axis=0),
         "off": x + np.array([9, -6]),
+        "ahead along a straight path": x + np.array([8, 2]),
         "jumpy": jumpy,
         "drifting": x + np.cumsum(rng.normal(0, 1, x.shape), axis=0),
     }
@@ -240,6 +241,11 @@ def test_bad_trackers_are_not_taken_for_a_cut(path: str, tracker: str) -> None:
     theirs = series("", "box", frames, x=x[:, 0], y=x[:, 1], w=size, h=size)
     ours = series("head", "box", frames, x=found[:, 0], y=found[:, 1], w=size, h=size)
     assert len(pairs(table(ours), table(theirs))) == 1
+
+
+@pytest.mark.parametrize("lag", [-1, -3, 1])
+def test_so_small_a_lag_may_be_the_tracker_itself(lag: int) -> None:
+    assert pairs(*cut(lag, 0.1))
 
 
 @pytest.mark.parametrize("clip", ["expressions", "occlusion"])
