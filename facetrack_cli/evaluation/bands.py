@@ -39,8 +39,8 @@ from facetrack_cli.types import Array
 
 Name: TypeAlias = Literal["x", "y", "w", "h", "std_x", "std_y", "ess", "step", "confidence", "lost"]
 
-# changes of mean logarithms that must be seen; see `runs_to_test`
-SEEN: Final[dict[tuple[Name, ...], float]] = {("std_x", "std_y"): 0.22, ("step",): 0.13}
+SEEN_SPREAD: Final = 0.22  # changes of mean logarithms that must be seen; see `runs_to_test`
+SEEN_STEP: Final = 0.13
 REPEATABLE: Final = 10  # bands of trackers without chance, in units of `least`
 
 
@@ -182,22 +182,28 @@ def measure(tables: Sequence[Table], statistics: Sequence[Statistic]) -> Array:
 def runs_to_test(statistics: Sequence[Statistic], recorded: Array) -> int:
     """How many runs to test: 4, or up to 12 where seeds differ so much that four could not see small changes.
 
-    One, where all runs are the same. A change of the spread is judged by the part whose runs differ least.
+    A change of the spread is judged by the part whose runs differ least. One where all runs are the same; four where
+    there is no spread, and so no sigma that could change.
     """
     if len(recorded) < 2 or alike(recorded):
         return 1
-    seen = []
-    for quantities, limit in SEEN.items():
-        noise = []
-        for name in dict.fromkeys(s.series for s in statistics) if quantities == ("std_x", "std_y") else ("",):
-            columns = [i for i, s in enumerate(statistics) if s.quantity in quantities and name in ("", s.series)]
-            if columns:
-                unit = QUANTITIES[quantities[0]].unit
-                noise.append(float(np.nanmean(recorded[:, columns], axis=1).std(ddof=1)) * unit)
-        if noise:
-            seen.append((min(noise), limit))
-    enough = (k for k in (4, 6, 8) if all(FAR * n * math.sqrt(1 / k + 1 / len(recorded)) <= m for n, m in seen))
-    return next(enough, 12)
+    noise = [_noise(statistics, recorded, ("std_x", "std_y"), s) for s in dict.fromkeys(s.series for s in statistics)]
+    if not any(noise):
+        return 4
+    spread, step = min(n for n in noise if n), _noise(statistics, recorded, ("step",), "")
+    for k in (4, 6, 8):
+        error = FAR * math.sqrt(1 / k + 1 / len(recorded))
+        if error * spread <= SEEN_SPREAD and error * step <= SEEN_STEP:
+            return k
+    return 12
+
+
+def _noise(statistics: Sequence[Statistic], recorded: Array, quantities: tuple[Name, ...], series: str) -> float:
+    """Standard deviation over runs of the mean logarithm over a series, or over all of them; 0 if there is none."""
+    columns = [i for i, s in enumerate(statistics) if s.quantity in quantities and series in ("", s.series)]
+    if not columns:
+        return 0.0
+    return float(np.nanmean(recorded[:, columns], axis=1).std(ddof=1)) * QUANTITIES[quantities[0]].unit
 
 
 def alike(recorded: Array) -> bool:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from facetrack_cli.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.errors import FacetrackError, InputError, RecipeError, UsageError
 from facetrack_cli.evaluation.bands import Deviation, Verdict, judge, measure
 from facetrack_cli.evaluation.goldens import (
     FIRST_SEED,
@@ -231,8 +231,14 @@ def update(
     """
     stopped = stopped or Stop()
     prepared: list[tuple[str, Updated | Plan]] = []  # with the recipe's name or path, as the golden keeps it
+    for config in configs:
+        load_recipe(config)  # a wrong one is refused before anything runs
     for clip, config, last in _asked(folder, configs, stop):
-        recipe = load_recipe(config)
+        try:
+            recipe = load_recipe(config)
+        except RecipeError as e:
+            prepared.append((config, Updated(clip.name, Path(config).name, None, str(e))))
+            continue
         one = _plan(clip, recipe, seeds, last, stopped)
         if stopped():
             return
