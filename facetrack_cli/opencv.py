@@ -92,9 +92,9 @@ class OpenCvTarget:
     def _whole(self, frame: Frame) -> tuple[int, int, int, int]:
         """The start's box over whole pixels, inside the picture and off its right and lower edge."""
         width, height = frame.size
-        left, top = (max(round(side), 0) for side in self.box[:2])
-        right = min(round(self.box[0] + self.box[2]), width - 1)
-        bottom = min(round(self.box[1] + self.box[3]), height - 1)
+        # corner and size each on their own: a square stays one
+        x, y, w, h = (round(side) for side in self.box)
+        left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width - 1), min(y + h, height - 1)
         if right - left < LEAST or bottom - top < LEAST:
             raise InputError(
                 f"{self.origin}: the box of {self.name} covers less than {LEAST}x{LEAST} pixels of the picture; "
