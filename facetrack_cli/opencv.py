@@ -24,7 +24,7 @@ FACTORIES: Final = {
     "kcf": "TrackerKCF_create",
     "mosse": "legacy.TrackerMOSSE_create",
 }
-LEAST: Final = 4  # pixels: of smaller boxes some of them never return
+LEAST: Final = 6  # pixels: MIL looks for ever for features in a box of 4x4
 NO_CLOUD: Final = np.zeros((0, 1, 2))
 
 

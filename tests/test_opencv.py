@@ -92,7 +92,7 @@ def test_a_lost_box_stays_where_it_was(monkeypatch):
 
 @pytest.mark.parametrize("name", THERE)
 @pytest.mark.parametrize(
-    "box", [(-20.0, -20.0, 60.0, 60.0), (120.0, 90.0, 60.0, 60.0), (0.0, 0.0, 160.0, 120.0), (70.4, 50.6, 4.2, 4.2)]
+    "box", [(-20.0, -20.0, 60.0, 60.0), (120.0, 90.0, 60.0, 60.0), (0.0, 0.0, 160.0, 120.0), (70.4, 50.6, 6.2, 6.2)]
 )
 def test_boxes_at_the_edge_run_or_are_refused(name, box):
     try:
@@ -109,8 +109,8 @@ def test_a_square_between_pixels_stays_a_square():
 
 
 def test_a_box_that_is_too_small_or_outside_is_refused():
-    for box in [(10.0, 10.0, 3.0, 40.0), (158.0, 10.0, 30.0, 30.0), (-40.0, 10.0, 41.0, 30.0)]:
-        with pytest.raises(InputError, match=r"clip.init.yaml: the box of face covers less than 4x4 pixels"):
+    for box in [(10.0, 10.0, 5.0, 40.0), (155.0, 10.0, 30.0, 30.0), (-40.0, 10.0, 41.0, 30.0)]:
+        with pytest.raises(InputError, match=r"clip.init.yaml: the box of face covers less than 6x6 pixels"):
             run("mil", frames(2), box)
 
 
