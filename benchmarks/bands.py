@@ -136,7 +136,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--groups", type=int, default=12, help="of unseen seeds; of each disturbance a quarter")
-    parser.add_argument("--only", default="", help="goldens whose file name has this in it")
+    parser.add_argument("--only", action="append", help="goldens whose file name has this in it; repeatable")
     parser.add_argument("-j", dest="jobs", type=int, default=2)
     given = parser.parse_args()
     print("| clip | recipe | seeds |" + "".join(f" {case.name} |" for case in CASES))
@@ -144,7 +144,7 @@ def main() -> None:
     good, passed = True, 0
     with ProcessPoolExecutor(given.jobs) as pool:
         for path in find_goldens(given.folder):
-            if given.only not in path.name:
+            if given.only and not any(name in path.name for name in given.only):
                 continue
             golden = read_golden(path)
             cells = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import platform
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -149,10 +150,25 @@ class Outputs:
                 folder.rmdir()
 
 
+def _versions() -> dict[str, str]:
+    """Of what the numbers may depend on beside facetrack itself."""
+    import cv2
+    import numba
+    import numpy
+
+    return {
+        "python": platform.python_version(),
+        "numpy": numpy.__version__,
+        "opencv": cv2.__version__,
+        "numba": numba.__version__,
+    }
+
+
 def _header(job: Job, source: Source, start: Start) -> Header:
     from facetrack_cli.recipe import to_dict
 
     return {
+        "versions": _versions(),
         "source": {
             "path": str(job.clip),
             "size": list(source.size),

@@ -48,6 +48,7 @@ class Header(BaseModel):
     """The JSON around the frames; what only its end says is None where a file of lines was cut off."""
 
     facetrack: str = "unknown"
+    versions: dict[str, str] = {}
     source: ClipHeader
     recipe: dict[str, Any]
     seed: int

@@ -186,6 +186,10 @@ def _spans(content: Content) -> Html:
     )
 
 
+def _versions(header: Header) -> list[str]:
+    return [f"{name} {version}" for name, version in {"facetrack": header.facetrack, **header.versions}.items()]
+
+
 def _making(content: Content) -> Html:
     header = content.header
     source, init = header.source, header.init
@@ -196,7 +200,7 @@ def _making(content: Content) -> Html:
         ("Began", f"in frame {init.frame}, placed by {_began(init.origin)}"),
         *_places(init.targets),
         ("Seed", header.seed),
-        ("Versions", f"run by facetrack {header.facetrack}; this page by facetrack {__version__}"),
+        ("Versions", f"run by {', '.join(_versions(header))}; this page by facetrack {__version__}"),
     ]
     where = "" if Path(source.path).is_absolute() else " Paths are as given then: call it in the same folder."
     file = f" Save the recipe above as {header.recipe_name}.yaml first." if needs_file(header) else ""
