@@ -28,7 +28,7 @@ from facetrack_cli.video.source import open_source
 
 def detections(path: Path, every: int) -> tuple[Start, dict[int, Array]]:
     """The start of the clip, and the points (K, 2) found anew in every so many frames that show a face."""
-    parts = load_recipe("factorized").target.parts
+    parts = load_recipe("factorized").points
     found: dict[int, Array] = {}
     start: Start | None = None
     with open_source(path) as source:

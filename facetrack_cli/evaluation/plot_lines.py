@@ -98,7 +98,7 @@ class Pen:
         """
         drawn = envelope(frame, value, self.bins)
         x, y = drawn.x, drawn.y
-        if drawn.mean_x is None:
+        if drawn.mean_x is None or drawn.mean_y is None:
             axes.plot(x, y, solid_joinstyle="round", **look)
         else:
             axes.plot(x, y, **{**look, "linewidth": 0.7, "alpha": 0.4, "linestyle": "-"})
@@ -106,7 +106,7 @@ class Pen:
         lonely = alone(y)
         colour, order = look["color"], look.get("zorder", 2)
         if lonely.any():
-            fill = {} if dot == "." else {"markerfacecolor": "none", "markeredgewidth": 0.8}
+            fill: dict[str, Any] = {} if dot == "." else {"markerfacecolor": "none", "markeredgewidth": 0.8}
             axes.plot(x[lonely], y[lonely], dot, color=colour, markersize=6, zorder=order, **fill)
         low, high = sorted(axes.get_ylim())
         for outside, place, wedge in zip(beyond(y, low, high), (low, high), "v^", strict=True):

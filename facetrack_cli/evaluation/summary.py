@@ -200,7 +200,7 @@ def _boxes(pair: Pair, rows: Rows, options: Options) -> BoxMeasures:
 
 def _hidden(boxed: Sequence[tuple[Pair, Rows]]) -> HiddenBoxes:
     overlap = np.concatenate([iou(pair.ours.boxes, pair.truth.boxes)[rows.hidden] for pair, rows in boxed])
-    known = np.concatenate([np.isfinite(pair.truth.boxes).all(axis=1)[rows.hidden] for pair, rows in boxed])
+    known = np.concatenate([~np.isnan(pair.truth.boxes[rows.hidden]).any(axis=1) for pair, rows in boxed])
     overlap = np.nan_to_num(overlap[known])  # without a box of ours nothing overlaps
     return HiddenBoxes(len(overlap), float(np.mean(overlap)) if len(overlap) else None)
 

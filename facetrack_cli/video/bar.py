@@ -34,7 +34,12 @@ class StatusBar:
         strip = image[: self.height]
         cv2.convertScaleAbs(strip, strip, 0.28)
         status, sayings = summary(result.targets)
-        sure = [p.confidence for t in result.targets for p in t.parts if p.confidence is not None and math.isfinite(p.confidence)]
+        sure = [
+            p.confidence
+            for t in result.targets
+            for p in t.parts
+            if p.confidence is not None and math.isfinite(p.confidence)
+        ]
         mean = min(max(sum(sure) / len(sure), 0.0), 1.0) if sure else 0.0
         texts = {"frame": f"#{result.frame.index}", "clock": clock(result.frame.time_s)}
         gap, gauge, icon = round(0.8 * cap), round(3.5 * cap), round(1.5 * cap)
