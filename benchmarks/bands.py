@@ -26,10 +26,10 @@ import cv2
 import numpy as np
 
 from facetrack_cli.build import build_tracker
-from facetrack_cli.evaluation.bands import judge, measure
-from facetrack_cli.evaluation.goldens import Golden, find_goldens, read_golden
 from facetrack_cli.formats.table import Table, from_rows
 from facetrack_cli.recipe import ParticleRecipe, load_recipe
+from facetrack_cli.regression.bands import judge, measure
+from facetrack_cli.regression.goldens import Golden, find_goldens, read_golden
 from facetrack_cli.track import Likelihood, ParticleTarget, Tracker, track
 from facetrack_cli.trajectory import rows
 from facetrack_cli.types import Array, Frame

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.evaluation import bands, exchange, paths
-from facetrack_cli.evaluation.bands import Statistic
 from facetrack_cli.formats.table import Table, series
+from facetrack_cli.regression import bands, exchange, paths
+from facetrack_cli.regression.bands import Statistic
 
 PARTS = ("nose", "mouth_left")
 

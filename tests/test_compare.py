@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.commands.compare import TRUTH_FORMATS
 from facetrack_cli.errors import InputError, UsageError
-from facetrack_cli.evaluation.compare import (
+from facetrack_cli.experiments.compare import (
     CUMULATIVE_AT,
     Entry,
     Options,
@@ -30,8 +30,8 @@ from facetrack_cli.evaluation.compare import (
     tail_overlap,
     variant,
 )
-from facetrack_cli.evaluation.compare_text import Comparison, as_csv, as_json, sheet
-from facetrack_cli.evaluation.sheet import markdown
+from facetrack_cli.experiments.compare_text import Comparison, as_csv, as_json, sheet
+from facetrack_cli.experiments.sheet import markdown
 from facetrack_cli.formats.read import FORMATS
 from facetrack_cli.formats.table import Table, series
 

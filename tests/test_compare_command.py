@@ -10,7 +10,8 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.errors import ExitCode, UsageError
-from facetrack_cli.evaluation import plot_style, runs
+from facetrack_cli.experiments import runs
+from facetrack_cli.plots import style as plot_style
 
 SAMPLES = Path(__file__).parent.parent / "sample_videos"
 CLIP = SAMPLES / "occlusion.mp4"
@@ -115,7 +116,7 @@ def test_without_matplotlib_the_table_is_there(facetrack, monkeypatch):
         raise UsageError("figures need matplotlib, which is not installed: pip install 'facetrack[plot]'")
 
     monkeypatch.setattr(plot_style, "need_matplotlib", missing)
-    monkeypatch.setattr("facetrack_cli.evaluation.compare_plots.need_matplotlib", missing)
+    monkeypatch.setattr("facetrack_cli.experiments.compare_plots.need_matplotlib", missing)
     for command in (["compare", CLIP, *TWO], ["repeat", CLIP, "--config", "sir"]):
         code, out, err = facetrack(*command, *SHORT)
         assert code == 0 and "facetrack[plot]" in err and out

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.evaluation.bands import QUANTITIES
-from facetrack_cli.evaluation.goldens import (
+from facetrack_cli.recipe import load_recipe, shipped_recipes, to_dict
+from facetrack_cli.regression.bands import QUANTITIES
+from facetrack_cli.regression.goldens import (
     Golden,
     checksum,
     differences,
@@ -22,8 +23,7 @@ from facetrack_cli.evaluation.goldens import (
     record,
     write_golden,
 )
-from facetrack_cli.evaluation.paths import EVERY
-from facetrack_cli.recipe import load_recipe, shipped_recipes, to_dict
+from facetrack_cli.regression.paths import EVERY
 from facetrack_cli.types import Start, TargetStart
 from tests.test_bands import RECORDED
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from facetrack_cli import plots
 from facetrack_cli.__main__ import main
 from facetrack_cli.commands import plot as command
-from facetrack_cli.evaluation import plots
 from facetrack_cli.formats import read
 from facetrack_cli.trajectory import COLUMNS
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from facetrack_cli import plots
 from facetrack_cli.errors import UsageError
-from facetrack_cli.evaluation import plot_style, plots
+from facetrack_cli.plots import style as plot_style
 from facetrack_cli.video.marks import PALETTE
 from tests.test_plots import track
 
@@ -94,7 +95,7 @@ def test_the_first_import_says_nothing_and_no_pyplot(tmp_path):
     home = str(tmp_path / "file" / "home")
     script = (
         "import numpy as np, sys\n"
-        "from facetrack_cli.evaluation import plots\n"
+        "from facetrack_cli import plots\n"
         "assert 'matplotlib' not in sys.modules\n"
         "plots.render(plots.success_figure({'a': (np.arange(2.0), np.ones((1, 2)))}))\n"
         "assert 'matplotlib.pyplot' not in sys.modules"

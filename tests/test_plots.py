@@ -10,10 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from facetrack_cli import plots
 from facetrack_cli.errors import InputError
-from facetrack_cli.evaluation import plot_data, plot_style, plot_time, plots
-from facetrack_cli.evaluation.plot_lines import MANY, columns_for, lines_of, numbers, shares
 from facetrack_cli.formats.table import Series, Table, series
+from facetrack_cli.plots import data as plot_data
+from facetrack_cli.plots import style as plot_style
+from facetrack_cli.plots import timeline as plot_time
+from facetrack_cli.plots.lines import MANY, columns_for, lines_of, numbers, shares
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from facetrack_cli.evaluation import plots
+from facetrack_cli import plots
 from facetrack_cli.evaluation.trust import ConfidenceMeasures, Trust, calibration
 from tests.test_plots import drawn
 

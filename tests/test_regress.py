@@ -15,10 +15,10 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.errors import ExitCode
-from facetrack_cli.evaluation import regress
-from facetrack_cli.evaluation.goldens import find_goldens, read_golden
-from facetrack_cli.evaluation.junit import Case, junit
 from facetrack_cli.likelihoods.colour_ratio import ColourRatio
+from facetrack_cli.regression import check as regress
+from facetrack_cli.regression.goldens import find_goldens, read_golden
+from facetrack_cli.regression.junit import Case, junit
 
 SAMPLES = Path(__file__).parent.parent / "sample_videos"
 Runner = Callable[..., tuple[int, str, str]]

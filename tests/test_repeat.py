@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from facetrack_cli.evaluation.repeat import HOLD, spread_of, spreads, stretches, target_size
+from facetrack_cli.experiments.repeat import HOLD, spread_of, spreads, stretches, target_size
 from facetrack_cli.formats.table import Table, series
 
 

@@ -17,13 +17,16 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.errors import ExitCode
-from facetrack_cli.evaluation import plot_style, report, report_frames, report_measures
-from facetrack_cli.evaluation.report import make_report
-from facetrack_cli.evaluation.report_content import Plot
-from facetrack_cli.evaluation.report_frames import MOST_BYTES, Clip, _jpeg, pictures
-from facetrack_cli.evaluation.report_html import Html, Image, tag
 from facetrack_cli.evaluation.summary import names
 from facetrack_cli.formats.table import read_trajectory
+from facetrack_cli.plots import style as plot_style
+from facetrack_cli.report import frames as report_frames
+from facetrack_cli.report import make as report
+from facetrack_cli.report import measures as report_measures
+from facetrack_cli.report.content import Plot
+from facetrack_cli.report.frames import MOST_BYTES, Clip, _jpeg, pictures
+from facetrack_cli.report.html import Html, Image, tag
+from facetrack_cli.report.make import make_report
 from facetrack_cli.trajectory import Footer
 from tests.media import number, numbered, write_pictures, write_video
 from tests.report_run import KEYS, LOST, write_run

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facetrack_cli.evaluation.report_events import Clock, key_frames, tell
 from facetrack_cli.formats.table import read_trajectory
+from facetrack_cli.report.events import Clock, key_frames, tell
 from tests.report_run import LOST, write_run
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.evaluation.report_header import command, read_header, recipe_yaml
 from facetrack_cli.formats.table import Table, read_trajectory
 from facetrack_cli.recipe import load_recipe, shipped_recipes, to_dict
+from facetrack_cli.report.header import command, read_header, recipe_yaml
 
 SAMPLE = Path(__file__).parent.parent / "sample_videos" / "occlusion.mp4"
 

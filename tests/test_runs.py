@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.errors import ExitCode, InputError, RecipeError
-from facetrack_cli.evaluation.runs import Failure, Plan, SeedRun, find_plan_start, run_plans, truth_start
+from facetrack_cli.experiments.runs import Failure, Plan, SeedRun, find_plan_start, run_plans, truth_start
 from facetrack_cli.formats.table import Table, read_trajectory, series
 from facetrack_cli.job import Job, run
 from facetrack_cli.recipe import load_recipe

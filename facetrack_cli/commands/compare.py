@@ -14,10 +14,10 @@ from facetrack_cli.options import FRAME, Whole, rate
 from facetrack_cli.options import box as box_of
 
 if TYPE_CHECKING:
-    from facetrack_cli.evaluation.begin import Begin
-    from facetrack_cli.evaluation.compare import Entry, Options, Score
-    from facetrack_cli.evaluation.compare_text import Comparison
-    from facetrack_cli.evaluation.folder import Folder
+    from facetrack_cli.experiments.begin import Begin
+    from facetrack_cli.experiments.compare import Entry, Options, Score
+    from facetrack_cli.experiments.compare_text import Comparison
+    from facetrack_cli.experiments.folder import Folder
     from facetrack_cli.formats.table import Table
     from facetrack_cli.progress import Progress
     from facetrack_cli.recipe import Recipe
@@ -130,8 +130,8 @@ def command(
     5 some of the recipes could not run, 130 interrupted, 143 terminated.
     """
     from facetrack_cli.batch import title
-    from facetrack_cli.evaluation.begin import Begin
-    from facetrack_cli.evaluation.compare import (
+    from facetrack_cli.experiments.begin import Begin
+    from facetrack_cli.experiments.compare import (
         PRIMARY,
         Options,
         check_measure,
@@ -140,8 +140,8 @@ def command(
         labels,
         variant,
     )
-    from facetrack_cli.evaluation.compare_text import Comparison
-    from facetrack_cli.evaluation.folder import Folder
+    from facetrack_cli.experiments.compare_text import Comparison
+    from facetrack_cli.experiments.folder import Folder
     from facetrack_cli.formats.read import read_truth
     from facetrack_cli.progress import progress
     from facetrack_cli.recipe import load_recipe
@@ -190,9 +190,9 @@ def _run(
     shown: Progress,
 ) -> list[Entry]:
     """Every recipe with its scores, or with what kept it from running. Raises the error if all fail of one."""
-    from facetrack_cli.evaluation.compare import Entry, score_run, shifted
-    from facetrack_cli.evaluation.runs import Failure, run_plans
-    from facetrack_cli.evaluation.sheet import clip_name
+    from facetrack_cli.experiments.compare import Entry, score_run, shifted
+    from facetrack_cli.experiments.runs import Failure, run_plans
+    from facetrack_cli.experiments.sheet import clip_name
 
     refused: dict[str, FacetrackError] = {}
     scores: dict[str, list[Score]] = {label: [] for label in named}
@@ -241,8 +241,8 @@ def _run(
 
 def _show(found: Comparison, form: str | None) -> None:
     """The table, or the data, on standard output."""
-    from facetrack_cli.evaluation.compare_text import as_csv, as_json, sheet
-    from facetrack_cli.evaluation.sheet import show
+    from facetrack_cli.experiments.compare_text import as_csv, as_json, sheet
+    from facetrack_cli.experiments.sheet import show
 
     if form is not None:
         click.echo(as_json(found) if form == "json" else as_csv(found), nl=False)
@@ -252,9 +252,9 @@ def _show(found: Comparison, form: str | None) -> None:
 
 def _write(found: Comparison, folder: Folder, shown: Progress, plots: bool) -> None:
     """All files; without matplotlib all but the plots, and a line that says so."""
-    from facetrack_cli.evaluation.compare_plots import figures
-    from facetrack_cli.evaluation.compare_text import as_csv, as_json, sheet
-    from facetrack_cli.evaluation.sheet import markdown
+    from facetrack_cli.experiments.compare_plots import figures
+    from facetrack_cli.experiments.compare_text import as_csv, as_json, sheet
+    from facetrack_cli.experiments.sheet import markdown
 
     folder.write("compare.json", as_json(found))
     folder.write("compare.csv", as_csv(found))

@@ -110,7 +110,7 @@ def command(
     outputs = {"--json": json_to, "--csv": csv_to, "--plot": plot_to}
     files = _check_outputs(outputs, overwrite)
     if plot_to is not None:
-        from facetrack_cli.evaluation.plot_style import need_matplotlib
+        from facetrack_cli.plots.style import need_matplotlib
 
         need_matplotlib()
 
@@ -190,8 +190,8 @@ def _picture(ours: Table) -> tuple[int, int] | None:
 
 
 def _plot(evaluation: Evaluation, path: Path) -> bytes:
-    from facetrack_cli.evaluation.plot_compare import calibration_figure
-    from facetrack_cli.evaluation.plot_style import render
+    from facetrack_cli.plots.compare import calibration_figure
+    from facetrack_cli.plots.style import render
 
     confidence = evaluation.all.trust.confidence
     if confidence is None or not confidence.bins:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from facetrack_cli.evaluation.match import Pair
     from facetrack_cli.formats.table import Table
 
-# as formats/read.py and evaluation/plot_style.py have them, which would load numpy
+# as formats/read.py and plots/style.py have them, which would load numpy
 TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
 FORMS = ("png", "svg", "pdf")
 
@@ -97,12 +97,12 @@ def command(
     if form not in FORMS:
         raise UsageError(f"{path}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
     _check_output(path, overwrite)
-    from facetrack_cli.evaluation.plot_style import need_matplotlib
+    from facetrack_cli.plots.style import need_matplotlib
 
     need_matplotlib()
-    from facetrack_cli.evaluation.plots import page_figure, render
     from facetrack_cli.formats.table import read_trajectory
     from facetrack_cli.formats.targets import choose
+    from facetrack_cli.plots import page_figure, render
     from facetrack_cli.start.files import write_new
 
     table = read_trajectory(trajectory)

@@ -14,8 +14,8 @@ from facetrack_cli.errors import ExitCode, OutputError, UsageError
 from facetrack_cli.options import Whole
 
 if TYPE_CHECKING:
-    from facetrack_cli.evaluation.regress import Checked
     from facetrack_cli.progress import Progress
+    from facetrack_cli.regression.check import Checked
     from facetrack_cli.stopping import Stop
 
 
@@ -104,9 +104,9 @@ def _check(
     ending: Stop,
     shown: Progress,
 ) -> ExitCode:
-    from facetrack_cli.evaluation.regress import check, select
-    from facetrack_cli.evaluation.regress_text import as_json, as_junit, line, summary
     from facetrack_cli.recipe import load_recipe
+    from facetrack_cli.regression.check import check, select
+    from facetrack_cli.regression.text import as_json, as_junit, line, summary
     from facetrack_cli.start.files import write_new
 
     began = time.monotonic()
@@ -145,7 +145,7 @@ def _update(
     ending: Stop,
     shown: Progress,
 ) -> ExitCode:
-    from facetrack_cli.evaluation.regress import update
+    from facetrack_cli.regression.check import update
 
     failed = False
     for one in update(

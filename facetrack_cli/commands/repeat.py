@@ -14,8 +14,8 @@ from facetrack_cli.options import FRAME, Whole, rate
 from facetrack_cli.options import box as box_of
 
 if TYPE_CHECKING:
-    from facetrack_cli.evaluation.folder import Folder
-    from facetrack_cli.evaluation.repeat_text import Repetition
+    from facetrack_cli.experiments.folder import Folder
+    from facetrack_cli.experiments.repeat_text import Repetition
     from facetrack_cli.formats.table import Series, Table
     from facetrack_cli.progress import Progress
     from facetrack_cli.types import Box
@@ -96,12 +96,12 @@ def command(
     143 terminated.
     """
     from facetrack_cli.batch import title
-    from facetrack_cli.evaluation.begin import Begin
-    from facetrack_cli.evaluation.folder import Folder
-    from facetrack_cli.evaluation.repeat import spreads
-    from facetrack_cli.evaluation.repeat_text import Repetition
-    from facetrack_cli.evaluation.runs import Failure, run_plans
-    from facetrack_cli.evaluation.sheet import clip_name
+    from facetrack_cli.experiments.begin import Begin
+    from facetrack_cli.experiments.folder import Folder
+    from facetrack_cli.experiments.repeat import spreads
+    from facetrack_cli.experiments.repeat_text import Repetition
+    from facetrack_cli.experiments.runs import Failure, run_plans
+    from facetrack_cli.experiments.sheet import clip_name
     from facetrack_cli.formats.read import read_truth
     from facetrack_cli.progress import progress
     from facetrack_cli.recipe import load_recipe
@@ -158,21 +158,21 @@ def _matched(table: Table, truth: Table | None) -> list[Series]:
 
 def _write(found: Repetition, folder: Folder, shown: Progress, plots: bool) -> None:
     """All files; without matplotlib all but the plot, and a line that says so."""
-    from facetrack_cli.evaluation.repeat_text import as_csv, as_json, sheet
-    from facetrack_cli.evaluation.sheet import clip_name, markdown
+    from facetrack_cli.experiments.repeat_text import as_csv, as_json, sheet
+    from facetrack_cli.experiments.sheet import clip_name, markdown
 
     folder.write("repeat.json", as_json(found))
     folder.write("repeat.csv", as_csv(found))
     folder.write("repeat.md", markdown(sheet(found), found.title))
     if plots:
-        from facetrack_cli.evaluation.plot_style import need_matplotlib, render
+        from facetrack_cli.plots.style import need_matplotlib, render
 
         try:
             need_matplotlib()
         except UsageError as e:
             shown.say(f"facetrack: warning: no plot: {e}")
             return
-        from facetrack_cli.evaluation.plots import spread_figure
+        from facetrack_cli.plots import spread_figure
 
         figure = spread_figure(
             found.spreads[0].frame,
@@ -186,8 +186,8 @@ def _write(found: Repetition, folder: Folder, shown: Progress, plots: bool) -> N
 
 def _show(found: Repetition, form: str | None) -> None:
     """The table, or the data, on standard output."""
-    from facetrack_cli.evaluation.repeat_text import as_csv, as_json, sheet
-    from facetrack_cli.evaluation.sheet import show
+    from facetrack_cli.experiments.repeat_text import as_csv, as_json, sheet
+    from facetrack_cli.experiments.sheet import show
 
     if form is not None:
         click.echo(as_json(found) if form == "json" else as_csv(found), nl=False)

@@ -71,8 +71,8 @@ def command(
     Exit codes: 0 done, 2 usage, output, or matplotlib is missing,
     3 input, 130 interrupted, 143 terminated.
     """
-    from facetrack_cli.evaluation.report import NAME, TruthFile, make_report, trajectory_of
     from facetrack_cli.progress import progress
+    from facetrack_cli.report.make import NAME, TruthFile, make_report, trajectory_of
     from facetrack_cli.start.files import write_new
     from facetrack_cli.stopping import Stop
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from facetrack_cli.errors import UsageError
-from facetrack_cli.evaluation.runs import Plan, find_plan_start
+from facetrack_cli.experiments.runs import Plan, find_plan_start
 from facetrack_cli.formats.table import Table
 from facetrack_cli.job import HAAR
 from facetrack_cli.recipe import Recipe

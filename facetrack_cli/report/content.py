@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from facetrack_cli.evaluation.report_events import Clock, KeyFrame, Story
-from facetrack_cli.evaluation.report_frames import Pictures
-from facetrack_cli.evaluation.report_header import Header
-from facetrack_cli.evaluation.report_html import Image
-from facetrack_cli.evaluation.report_measures import Measures
 from facetrack_cli.formats.table import Table
+from facetrack_cli.report.events import Clock, KeyFrame, Story
+from facetrack_cli.report.frames import Pictures
+from facetrack_cli.report.header import Header
+from facetrack_cli.report.html import Image
+from facetrack_cli.report.measures import Measures
 
 
 @dataclass(frozen=True)

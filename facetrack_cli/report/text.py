@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from facetrack_cli.evaluation.report_events import Clock, Event, Story
-from facetrack_cli.evaluation.report_header import Header
 from facetrack_cli.formats.table import Table
+from facetrack_cli.report.events import Clock, Event, Story
+from facetrack_cli.report.header import Header
 from facetrack_cli.video.bar import clock as at_clock
 
 __all__ = ["at_clock", "count", "ended", "lasting", "names", "number", "percent", "rate", "sentences", "why"]

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facetrack_cli.evaluation.plot_data import alone, beyond, envelope, frames_of, limits, spans
-from facetrack_cli.evaluation.plot_style import ABSENT, COLOURS, DASHES, HIDDEN, INK, LOST, clean, line_style
 from facetrack_cli.formats.table import Mask, Series, Table, Whole
+from facetrack_cli.plots.data import alone, beyond, envelope, frames_of, limits, spans
+from facetrack_cli.plots.style import ABSENT, COLOURS, DASHES, HIDDEN, INK, LOST, clean, line_style
 from facetrack_cli.types import Array
 
 if TYPE_CHECKING:

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facetrack_cli.evaluation.plot_data import envelope, quantiles, spans
-from facetrack_cli.evaluation.plot_lines import columns_for, limit
-from facetrack_cli.evaluation.plot_style import (
+from facetrack_cli.evaluation.trust import Trust
+from facetrack_cli.formats.table import Mask, Whole
+from facetrack_cli.plots.data import envelope, quantiles, spans
+from facetrack_cli.plots.lines import columns_for, limit
+from facetrack_cli.plots.style import (
     COLOURS,
     FAINT,
     HIDDEN,
@@ -21,8 +23,6 @@ from facetrack_cli.evaluation.plot_style import (
     new_figure,
     style,
 )
-from facetrack_cli.evaluation.trust import Trust
-from facetrack_cli.formats.table import Mask, Whole
 from facetrack_cli.types import Array
 
 if TYPE_CHECKING:

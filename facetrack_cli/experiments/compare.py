@@ -27,13 +27,13 @@ from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Rows, joined, rows_of
-from facetrack_cli.evaluation.sheet import OVERRIDES
 from facetrack_cli.evaluation.summary import Evaluation, evaluate, higher_is_better, names, scalars, units_of
+from facetrack_cli.experiments.sheet import OVERRIDES
 from facetrack_cli.formats.table import Table, Whole
 from facetrack_cli.types import Array
 
 if TYPE_CHECKING:
-    from facetrack_cli.evaluation.runs import SeedRun
+    from facetrack_cli.experiments.runs import SeedRun
 
 TAIL: Final = 0.1  # of the rows with a true box: those that tell whether the target is lost at the end
 TAIL_IOU: Final = 0.1

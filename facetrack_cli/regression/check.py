@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from facetrack_cli.errors import FacetrackError, InputError, RecipeError, UsageError
-from facetrack_cli.evaluation.bands import Deviation, Verdict, judge, measure
-from facetrack_cli.evaluation.goldens import (
+from facetrack_cli.experiments.runs import Failure, Plan, Report, SeedRun, find_plan_start, run_plans
+from facetrack_cli.opencv import find as find_opencv
+from facetrack_cli.recipe import OpenCvRecipe, Recipe, load_recipe, shipped_folder, to_dict
+from facetrack_cli.regression.bands import Deviation, Verdict, judge, measure
+from facetrack_cli.regression.goldens import (
     FIRST_SEED,
     Golden,
     checksum,
@@ -24,10 +27,7 @@ from facetrack_cli.evaluation.goldens import (
     versions,
     write_golden,
 )
-from facetrack_cli.evaluation.paths import Leave, first_leave
-from facetrack_cli.evaluation.runs import Failure, Plan, Report, SeedRun, find_plan_start, run_plans
-from facetrack_cli.opencv import find as find_opencv
-from facetrack_cli.recipe import OpenCvRecipe, Recipe, load_recipe, shipped_folder, to_dict
+from facetrack_cli.regression.paths import Leave, first_leave
 from facetrack_cli.start import find_init
 from facetrack_cli.stopping import Stop
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli import __version__
-from facetrack_cli.evaluation.report_content import Content, Truth
-from facetrack_cli.evaluation.report_events import KeyFrame, Story
-from facetrack_cli.evaluation.report_header import Header, TargetHeader, needs_file, recipe_yaml
-from facetrack_cli.evaluation.report_html import Html, Image, join, page, pairs, section, table, tag, void
-from facetrack_cli.evaluation.report_summary import MOST_PARTS, summary
-from facetrack_cli.evaluation.report_text import (
+from facetrack_cli.report.content import Content, Truth
+from facetrack_cli.report.events import KeyFrame, Story
+from facetrack_cli.report.header import Header, TargetHeader, needs_file, recipe_yaml
+from facetrack_cli.report.html import Html, Image, join, page, pairs, section, table, tag, void
+from facetrack_cli.report.summary import MOST_PARTS, summary
+from facetrack_cli.report.text import (
     at_clock,
     lasting,
     number,

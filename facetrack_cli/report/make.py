@@ -9,19 +9,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from facetrack_cli import plots
 from facetrack_cli.errors import InputError
-from facetrack_cli.evaluation import plots
 from facetrack_cli.evaluation.match import Pair, match
-from facetrack_cli.evaluation.report_content import Content, Plot, Truth
-from facetrack_cli.evaluation.report_events import Clock, key_frames, tell
-from facetrack_cli.evaluation.report_frames import Clip, Report, pictures
-from facetrack_cli.evaluation.report_header import Header, command, read_header
-from facetrack_cli.evaluation.report_html import Image
-from facetrack_cli.evaluation.report_measures import about, measures
-from facetrack_cli.evaluation.report_page import render
 from facetrack_cli.evaluation.summary import Options, evaluate
 from facetrack_cli.formats.read import read_truth
 from facetrack_cli.formats.table import Table, read_trajectory
+from facetrack_cli.report.content import Content, Plot, Truth
+from facetrack_cli.report.events import Clock, key_frames, tell
+from facetrack_cli.report.frames import Clip, Report, pictures
+from facetrack_cli.report.header import Header, command, read_header
+from facetrack_cli.report.html import Image
+from facetrack_cli.report.measures import about, measures
+from facetrack_cli.report.page import render
 
 NAME: Final = "report.html"
 _VIDEO: Final = "annotated.mp4"

@@ -13,9 +13,11 @@ import numpy as np
 
 from facetrack_cli.errors import InputError
 from facetrack_cli.evaluation.boxes import iou
-from facetrack_cli.evaluation.plot_data import frames_of, quantiles
-from facetrack_cli.evaluation.plot_lines import MANY, Line, Pen, columns_for, limit, lines_of, numbers
-from facetrack_cli.evaluation.plot_style import (
+from facetrack_cli.evaluation.rows import is_box
+from facetrack_cli.formats.table import Series, Table
+from facetrack_cli.plots.data import frames_of, quantiles
+from facetrack_cli.plots.lines import MANY, Line, Pen, columns_for, limit, lines_of, numbers
+from facetrack_cli.plots.style import (
     ABSENT,
     FAINT,
     HIDDEN,
@@ -27,9 +29,7 @@ from facetrack_cli.evaluation.plot_style import (
     new_figure,
     style,
 )
-from facetrack_cli.evaluation.plot_time import set_time
-from facetrack_cli.evaluation.rows import is_box
-from facetrack_cli.formats.table import Series, Table
+from facetrack_cli.plots.timeline import set_time
 from facetrack_cli.types import Array
 
 if TYPE_CHECKING:

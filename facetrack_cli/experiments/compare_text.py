@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from facetrack_cli import __version__
-from facetrack_cli.evaluation.compare import Entry, Place, kind_of, less_is_better, rank
-from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name
 from facetrack_cli.evaluation.summary import names
+from facetrack_cli.experiments.compare import Entry, Place, kind_of, less_is_better, rank
+from facetrack_cli.experiments.sheet import NO_FIGURE, Sheet, clip_name
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe import Recipe

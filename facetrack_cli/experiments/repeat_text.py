@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from facetrack_cli import __version__
-from facetrack_cli.evaluation.repeat import HOLD, Group, Spread
-from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name
+from facetrack_cli.experiments.repeat import HOLD, Group, Spread
+from facetrack_cli.experiments.sheet import NO_FIGURE, Sheet, clip_name
 from facetrack_cli.types import Array
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from datetime import datetime, timezone
 from typing import Any
 
-from facetrack_cli.evaluation.bands import Deviation
-from facetrack_cli.evaluation.junit import Case, junit
-from facetrack_cli.evaluation.regress import Checked
+from facetrack_cli.regression.bands import Deviation
+from facetrack_cli.regression.check import Checked
+from facetrack_cli.regression.junit import Case, junit
 
 SUITE = "facetrack regress"
 

@@ -6,7 +6,7 @@
 matplotlib is the extra `plot`; it is imported when the first figure is made, and missing it is a UsageError.
 """
 
-from facetrack_cli.evaluation.plot_compare import (
+from facetrack_cli.plots.compare import (
     calibration_figure,
     cumulative_error_figure,
     error_over_time_figure,
@@ -14,8 +14,8 @@ from facetrack_cli.evaluation.plot_compare import (
     spread_figure,
     success_figure,
 )
-from facetrack_cli.evaluation.plot_page import page_figure
-from facetrack_cli.evaluation.plot_style import FORMS, need_matplotlib, render
+from facetrack_cli.plots.page import page_figure
+from facetrack_cli.plots.style import FORMS, need_matplotlib, render
 
 __all__ = [
     "FORMS",

@@ -32,9 +32,9 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.evaluation import exchange
-from facetrack_cli.evaluation.exchange import FAR
 from facetrack_cli.formats.table import Mask, Series, Table
+from facetrack_cli.regression import exchange
+from facetrack_cli.regression.exchange import FAR
 from facetrack_cli.types import Array
 
 Name: TypeAlias = Literal["x", "y", "w", "h", "std_x", "std_y", "ess", "step", "confidence", "lost"]

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from facetrack_cli.evaluation.report_content import Content
-from facetrack_cli.evaluation.report_events import LostSpan
-from facetrack_cli.evaluation.report_html import Html, join, section, table, tag
-from facetrack_cli.evaluation.report_text import at_clock, count, ended, lasting, names, number, percent, sentences
+from facetrack_cli.report.content import Content
+from facetrack_cli.report.events import LostSpan
+from facetrack_cli.report.html import Html, join, section, table, tag
+from facetrack_cli.report.text import at_clock, count, ended, lasting, names, number, percent, sentences
 
 MOST_PARTS = 100  # rows of a table by part
 _BINS = 1000  # of the bar that shows when a part was lost

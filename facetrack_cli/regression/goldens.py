@@ -26,9 +26,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from facetrack_cli import __version__
 from facetrack_cli.errors import InputError
-from facetrack_cli.evaluation import bands, paths
-from facetrack_cli.evaluation.bands import QUANTITIES, Name, Statistic
 from facetrack_cli.formats.table import Table
+from facetrack_cli.regression import bands, paths
+from facetrack_cli.regression.bands import QUANTITIES, Name, Statistic
 from facetrack_cli.start.files import write_new
 from facetrack_cli.types import Array, Start, TargetStart
 from facetrack_cli.video.images import listing

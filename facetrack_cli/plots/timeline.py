@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facetrack_cli.evaluation.plot_data import frames_of
 from facetrack_cli.formats.table import Table
+from facetrack_cli.plots.data import frames_of
 from facetrack_cli.types import Array
 
 if TYPE_CHECKING:

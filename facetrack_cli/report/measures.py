@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-from facetrack_cli.evaluation.report_text import count, number, percent
 from facetrack_cli.evaluation.rows import NEAR_IOU
 from facetrack_cli.evaluation.summary import Evaluation, Value, figures
+from facetrack_cli.report.text import count, number, percent
 
 
 class Measures(NamedTuple):
