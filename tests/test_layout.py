@@ -17,7 +17,8 @@ LAYERS = [
     {"resampling", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
     {"confidence", "filters", "formats", "likelihoods", "motion", "priors", "recipe_messages", "start"},
     {"evaluation", "lengths", "opencv", "prior_fit", "prior_picture", "track"},
-    {"pipeline", "plots", "recipe"},
+    {"pipeline", "plots", "recipe_sections"},
+    {"recipe"},
     {"build"},
     {"outputs", "progress"},
     {"job"},
@@ -28,7 +29,7 @@ LAYERS = [
     {"cli"},
     {"__main__"},
 ]
-RECIPE = {"recipe", "recipe_messages", "lengths", "yaml_text"}
+RECIPE = {"recipe", "recipe_sections", "recipe_messages", "lengths", "yaml_text"}
 PARTS = {"filters", "likelihoods", "motion", "priors"}
 NUMERICS = {"numpy", "numba", "cv2", "scipy", "imageio", "imageio_ffmpeg"}
 
