@@ -2,140 +2,89 @@
 
     python benchmarks/accuracy.py sample_videos/occlusion.mp4 --config factorized --config independent --seeds 20
 
-All lengths are pixels. A part is *lost for good* in a run when its median error over the last 25 frames in which it is
-visible exceeds a quarter of the target's initial size. After each span in which parts are hidden, the run is *back* at
-the first of 5 frames in a row in which every part that was hidden is off by less than a sixth of that size.
+All lengths are pixels. What is measured is what `facetrack eval` measures; beside the mean error stands its standard
+deviation over seeds. A run counts as *lost for good* if one of its parts is, and as *back* if after every span in which
+parts are hidden they return within so many frames.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from facetrack_cli.build import build_tracker
-from facetrack_cli.recipe import load_recipe
-from facetrack_cli.spaces import size_of_points
-from facetrack_cli.start import find_init, read_init
-from facetrack_cli.track import track
-from facetrack_cli.trajectory import read_csv
-from facetrack_cli.types import Array, Frame, Start
-from facetrack_cli.video.source import open_source
+from facetrack_cli.errors import FacetrackError
+from facetrack_cli.evaluation.match import Pair, match
+from facetrack_cli.evaluation.points import Occlusion, measure_recovery
+from facetrack_cli.evaluation.summary import Evaluation, Value, evaluate, figures
+from facetrack_cli.experiments.compare import Options, default_truth, within
+from facetrack_cli.experiments.runs import Failure, Plan, SeedRun, find_plan_start, run_plans
+from facetrack_cli.formats.read import read_truth
+from facetrack_cli.recipe import Recipe, load_recipe
 
 WITHIN = 35
 
 
-class Clip(NamedTuple):
-    """A clip in memory with its truth: (T, K, 2) positions and (T, K) whether each part is visible."""
-
-    name: str
-    frames: list[Frame]
-    start: Start
-    parts: tuple[str, ...]
-    truth: Array
-    visible: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
-
-    @property
-    def size(self) -> float:
-        return size_of_points(self.truth[0])
-
-
-class Run(NamedTuple):
-    """One seed: errors (T, K), confidence (T, K), whether lost (T, K), and seconds spent a frame."""
-
-    errors: Array
-    confidence: Array
-    lost: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
-    seconds: float
-
-
-def load_clip(path: Path) -> Clip:
-    init = find_init(path)
-    if init is None:
-        raise SystemExit(f"{path}: there is no init file beside the clip")
-    start = read_init(init)
-    rows = read_csv(path.with_name(path.stem + ".truth.csv"))
-    parts = tuple(dict.fromkeys(row.part for row in rows))
-    with open_source(path, start=start.frame) as source:
-        frames = list(source)
-    place = {(row.frame, row.part): row for row in rows}
-    truth = [[place[f.index, p] for p in parts] for f in frames]
-    return Clip(
-        path.stem,
-        frames,
-        start,
-        parts,
-        np.array([[(row.x, row.y) for row in line] for line in truth], dtype=float),
-        np.array([[row.status == "visible" for row in line] for line in truth]),
-    )
-
-
-def run(clip: Clip, config: str, overrides: tuple[str, ...], seed: int) -> Run:
-    tracker = build_tracker(load_recipe(config, overrides), clip.start)
-    order = [tracker[0].parts.index(part) for part in clip.parts]
-    x, confidence, lost = [], [], []
-    began = time.perf_counter()
-    for result in track(tracker, iter(clip.frames), seed):
-        parts = [result.targets[0].parts[i] for i in order]
-        x.append([(p.x, p.y) for p in parts])
-        confidence.append([p.confidence for p in parts])
-        lost.append([p.status == "lost" for p in parts])
-    seconds = (time.perf_counter() - began) / len(clip.frames)
-    errors = np.hypot(*np.moveaxis(np.array(x) - clip.truth, 2, 0))
-    return Run(errors, np.array(confidence), np.array(lost), seconds)
-
-
-def hidden_spans(clip: Clip) -> list[tuple[int, int, list[int]]]:
-    """Spans (first, last + 1, parts) of frames in which some part is hidden."""
-    covered = ~clip.visible.all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], covered, [False]]).astype(int)))
-    return [
-        (int(a), int(b), np.flatnonzero((~clip.visible[a:b]).any(axis=0)).tolist())
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
+def runs_of(
+    clip: Path, recipes: Mapping[str, Recipe], seeds: int, jobs: int
+) -> Iterator[tuple[str, list[SeedRun], list[list[Pair]]]]:
+    """Of each recipe in turn its label and its runs, one a seed, each with its pairs with the clip's truth."""
+    truth = read_truth(default_truth(clip))
+    plans = [
+        Plan(label, clip, recipe, find_plan_start(clip, recipe, truth=truth), tuple(range(seeds)))
+        for label, recipe in recipes.items()
     ]
+    for label, group in itertools.groupby(run_plans(plans, jobs), key=lambda run: run.label):
+        runs: list[SeedRun] = []
+        for run in group:
+            if isinstance(run, Failure):
+                raise run.error
+            runs.append(run)
+        known = within(truth, runs[0].table, Options())
+        yield label, runs, [match(run.table, known, partial=False, select=None, check_shift=False) for run in runs]
 
 
-def frames_to_return(clip: Clip, one: Run) -> list[float]:
-    """For each hidden span, frames from its end until the run is back; inf if it is not before the next or the end."""
-    spans = hidden_spans(clip)
-    ends = [*[a for a, _, _ in spans], len(clip.frames)][1:]
-    out = []
-    for (_, begin, parts), end in zip(spans, ends, strict=True):
-        good = (one.errors[begin:end, parts] < clip.size / 6).all(axis=1)
-        runs = np.flatnonzero(np.convolve(good, np.ones(5), "valid") == 5) if end - begin >= 5 else np.array([])
-        out.append(float(runs[0]) if runs.size else float("inf"))
-    return out
+def back(occlusion: Occlusion) -> bool:
+    return occlusion.frames_to_return is not None and occlusion.frames_to_return <= WITHIN
 
 
-def lost_for_good(clip: Clip, one: Run) -> Array:
-    """(K,) bool."""
-    tail = [one.errors[np.flatnonzero(clip.visible[:, k])[-25:], k] for k in range(len(clip.parts))]
-    return np.array([np.median(t) > clip.size / 4 for t in tail])
+def mean(values: Iterable[Value], decimals: int) -> str:
+    known = [value for value in values if value is not None]
+    return f"{np.mean(known):.{decimals}f}" if known else ""
 
 
-def summarise(clip: Clip, config: str, runs: list[Run]) -> str:
-    errors = np.array([one.errors for one in runs])
-    visible = [float(e[clip.visible].mean()) for e in errors]
-    cells = [f"{np.mean(visible):.2f} ± {np.std(visible):.2f}"]
-    for k in range(len(clip.parts)):
-        cells.append(f"{errors[:, clip.visible[:, k], k].mean():.2f}")
-    cells.append(f"{errors[:, ~clip.visible].mean():.1f}" if not clip.visible.all() else "")
-    cells.append(f"{sum(lost_for_good(clip, one).any() for one in runs)}/{len(runs)}")
-    returns = np.array([frames_to_return(clip, one) for one in runs])
-    if returns.size:
-        back = (returns <= WITHIN).all(axis=1)
-        finite = returns[np.isfinite(returns)]
-        cells.append(f"{100 * back.mean():.0f} %")
-        cells.append(f"{np.median(finite):.0f} / {finite.max():.0f}" if finite.size else "never")
-    else:
+def row(label: str, runs: Sequence[SeedRun], each: Sequence[Evaluation]) -> str:
+    over_all = [figures(one.all) for one in each]
+    visible = [error for one in over_all if (error := one["points.mean_px"]) is not None]
+    cells = [label, f"{np.mean(visible):.2f} ± {np.std(visible):.2f}" if visible else ""]
+    for parts in zip(*(one.parts for one in each), strict=True):
+        cells.append(mean((figures(part)["points.mean_px"] for part in parts), 2))
+    cells.append(mean((one["points.hidden_mean_px"] for one in over_all), 1))
+    cells.append(f"{sum(bool(one['points.lost_for_good']) for one in over_all)}/{len(each)}")
+    recovery = measure_recovery([occlusion for one in each for occlusion in one.occlusions])
+    if recovery is None:
         cells += ["", ""]
-    cells.append(f"{1000 * np.median([one.seconds for one in runs]):.2f}")
-    return f"| {config} | " + " | ".join(cells) + " |"
+    else:
+        cells.append(f"{100 * np.mean([all(map(back, one.occlusions)) for one in each]):.0f} %")
+        some = recovery.frames_median is not None
+        cells.append(f"{recovery.frames_median:.0f} / {recovery.frames_worst:.0f}" if some else "never")
+    cells.append(f"{1000 / np.median([run.frames_per_s for run in runs]):.2f}")
+    return f"| {' | '.join(cells)} |"
+
+
+def heading(clip: Path, one: Evaluation, seeds: int) -> str:
+    spans = ", ".join(f"{o.first}-{o.last} ({', '.join(o.parts)})" for o in one.occlusions)
+    columns = (
+        *("recipe", "visible points", *(part.part for part in one.parts), "hidden points", "lost for good"),
+        *(f"back within {WITHIN}", "frames to return, median / worst", "ms a frame"),
+    )
+    return (
+        f"\n{clip.stem}: {one.frames} frames; {', '.join(one.units.values())}; {seeds} seeds; hidden: {spans}\n\n"
+        f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|"
+    )
 
 
 def main() -> None:
@@ -146,23 +95,17 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("-j", dest="jobs", type=int, default=2)
     given = parser.parse_args()
-    for path in given.clips:
-        clip = load_clip(path)
-        spans = ", ".join(f"{a}-{b - 1} ({', '.join(clip.parts[k] for k in p)})" for a, b, p in hidden_spans(clip))
-        print(
-            f"\n{clip.name}: {len(clip.frames)} frames, size {clip.size:.1f} px, {given.seeds} seeds; hidden: {spans}\n"
-        )
-        names = " | ".join(clip.parts)
-        print(
-            f"| recipe | visible points | {names} | hidden points | lost for good | back within {WITHIN} |"
-            " frames to return, median / worst | ms a frame |"
-        )
-        print("|---" * (8 + len(clip.parts) - 1) + "|")
-        for config in given.config:
-            with ProcessPoolExecutor(given.jobs) as pool:
-                runs = list(pool.map(partial(run, clip, config, tuple(given.overrides)), range(given.seeds)))
-            print(summarise(clip, config, runs), flush=True)
+    recipes = {config: load_recipe(config, given.overrides) for config in given.config}
+    for clip in given.clips:
+        for i, (label, runs, pairs) in enumerate(runs_of(clip, recipes, given.seeds, given.jobs)):
+            each = [evaluate(those) for those in pairs]
+            if i == 0:
+                print(heading(clip, each[0], given.seeds))
+            print(row(label, runs, each), flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except FacetrackError as e:
+        raise SystemExit(str(e)) from None

@@ -2,14 +2,15 @@
 
     python benchmarks/lost.py sample_videos/*.mp4 --config factorized --config factorized_robust --seeds 10
 
-Counted are rows, one a frame and part, without the first frame. A row is *hidden* if truth says so, *near* if it is off
-by less than a sixth of the target's initial size, *gone* if it is hidden or not near.
+What is measured is what `facetrack eval` measures, over the rows of all seeds together, one a frame and part, without
+the first frame. A row is *hidden* if truth says so, *near* if it is off by less than a sixth of the target's initial
+size, *gone* if it is hidden or not near.
 
     precision     of the rows called lost, those hidden; in brackets, those gone
     recall        of the hidden rows, those called lost
     false alarms  of the rows visible and near, those called lost
     tracked near  of the rows called tracked, those near; in brackets, of those that are visible as well
-    within 2 std  of the x and y of the visible rows, those within two of the row's std of the truth
+    in ellipses   of the visible rows, those whose true position lies within the 50 and the 90 % ellipse of std_x, std_y
     delay         frames from a part's being hidden until it is called lost, and from its return until it is tracked
                   and near; medians over the spans in which that came about
 """
@@ -18,77 +19,38 @@ from __future__ import annotations
 
 import argparse
 import itertools
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
 
-import numpy as np
-from accuracy import Clip, load_clip
+from accuracy import runs_of
 
-from facetrack_cli.build import build_tracker
+from facetrack_cli.errors import FacetrackError
+from facetrack_cli.evaluation.summary import Value, evaluate, figures
 from facetrack_cli.recipe import load_recipe
-from facetrack_cli.track import track
 
-NEAR = 1 / 6  # of the target's size
 COLUMNS = (
     *("recipe", "lost_below", "patience", "precision (gone)", "recall", "false alarms"),
-    *("tracked near (visible)", "within 2 std", "delay: lost, back"),
+    *("tracked near (visible)", "in ellipses of 50, 90 %", "delay: lost, back"),
 )
-Bools: TypeAlias = "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"
 
 
-class Run(NamedTuple):
-    """One seed, without the first frame: whether lost and whether near (T, K), and whether within 2 std (T, K, 2)."""
+def row(label: str, found: Mapping[str, Value]) -> str:
+    def share(name: str) -> str:
+        return "–" if (value := found[name]) is None else f"{100 * value:.1f} %"
 
-    lost: Bools
-    near: Bools
-    within: Bools
+    def frames(name: str) -> str:
+        return "–" if (value := found[name]) is None else f"{value:.0f}"
 
-
-def run(clip: Clip, config: str, overrides: tuple[str, ...], seed: int) -> Run:
-    tracker = build_tracker(load_recipe(config, overrides), clip.start)
-    order = [tracker[0].parts.index(part) for part in clip.parts]
-    results = [result.targets[0].parts for result in track(tracker, iter(clip.frames), seed)][1:]
-    rows = [[parts[i] for i in order] for parts in results]
-    off = np.abs(np.array([[(p.x, p.y) for p in row] for row in rows]) - clip.truth[1:])
-    std = np.sqrt(np.array([[(p.cov[0], p.cov[2]) for p in row] for row in rows]))
-    lost = np.array([[p.status == "lost" for p in row] for row in rows])
-    return Run(lost, np.hypot(off[..., 0], off[..., 1]) < NEAR * clip.size, off <= 2 * std)
-
-
-def share(of: Bools, those: Bools) -> str:
-    """How much of `of` is also `those`; a dash if there is nothing to count."""
-    return f"{100 * np.sum(of & those) / np.sum(of):.1f} %" if of.any() else "–"
-
-
-def delays(clip: Clip, lost: Bools, near: Bools) -> str:
-    """Medians over all seeds and spans; `lost` and `near` are (seeds, T, K)."""
-    until_lost: list[int] = []
-    until_back: list[int] = []
-    for k in range(len(clip.parts)):
-        edges = np.diff(np.concatenate([[1], clip.visible[:, k].astype(int), [1]]))
-        begins, ends = np.flatnonzero(edges == -1), np.flatnonzero(edges == 1)
-        for (begin, end), one in itertools.product(zip(begins, ends, strict=True), range(len(lost))):
-            called = np.flatnonzero(lost[one, begin:end, k])
-            back = np.flatnonzero(~lost[one, end:, k] & near[one, end:, k])
-            until_lost += called[:1].tolist()
-            until_back += back[:1].tolist()
-    return ", ".join(f"{np.median(v):.0f}" if v else "–" for v in (until_lost, until_back))
-
-
-def summarise(clip: Clip, labels: tuple[str, ...], runs: list[Run]) -> str:
-    lost, near, within = (np.array(of_all) for of_all in zip(*runs, strict=True))
-    visible = np.broadcast_to(clip.visible[1:], lost.shape)
     cells = (
-        f"{share(lost, ~visible)} ({share(lost, ~visible | ~near)})",
-        share(~visible, lost),
-        share(visible & near, lost),
-        f"{share(~lost, near)} ({share(~lost & visible, near)})",
-        share(np.repeat(visible[..., None], 2, axis=3), within),
-        delays(clip._replace(visible=clip.visible[1:]), lost, near),
+        label,
+        f"{share('lost.precision')} ({share('lost.precision_gone')})",
+        share("lost.recall"),
+        share("lost.false_alarms"),
+        f"{share('lost.tracked_near')} ({share('lost.tracked_visible_near')})",
+        f"{share('coverage.within_50')}, {share('coverage.within_90')}",
+        f"{frames('lost.delay_lost')}, {frames('lost.delay_back')}",
     )
-    return f"| {' | '.join((*labels, *cells))} |"
+    return f"| {' | '.join(cells)} |"
 
 
 def main() -> None:
@@ -101,18 +63,27 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("-j", dest="jobs", type=int, default=2)
     given = parser.parse_args()
-    settings = list(itertools.product(given.lost_below.split(","), given.patience.split(",")))
-    with ProcessPoolExecutor(given.jobs) as pool:
-        for path in given.clips:
-            clip = load_clip(path)
-            hidden = int((~clip.visible).sum())
-            print(f"\n{clip.name}: {clip.visible.size} rows a run, {hidden} hidden; {given.seeds} seeds\n")
-            print(f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|")
-            for config, (below, patience) in itertools.product(given.config, settings):
-                overrides = (*given.overrides, f"confidence.lost_below={below}", f"confidence.patience={patience}")
-                runs = list(pool.map(partial(run, clip, config, overrides), range(given.seeds)))
-                print(summarise(clip, (config, below, patience), runs), flush=True)
+    recipes = {
+        f"{config} | {below} | {patience}": load_recipe(
+            config, (*given.overrides, f"confidence.lost_below={below}", f"confidence.patience={patience}")
+        )
+        for config, below, patience in itertools.product(
+            given.config, given.lost_below.split(","), given.patience.split(",")
+        )
+    }
+    for clip in given.clips:
+        for i, (label, _, pairs) in enumerate(runs_of(clip, recipes, given.seeds, given.jobs)):
+            # the rows of all seeds count together, as those of several parts do
+            together = evaluate([pair for those in pairs for pair in those])
+            if i == 0:
+                rows, hidden = sum(len(pair.ours) for pair in pairs[0]), together.hidden // given.seeds
+                print(f"\n{clip.stem}: {rows} rows a run, {hidden} hidden; {given.seeds} seeds\n")
+                print(f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|")
+            print(row(label, figures(together.all)), flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except FacetrackError as e:
+        raise SystemExit(str(e)) from None
