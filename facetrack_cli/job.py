@@ -195,12 +195,6 @@ class _Tally:
 def _open(job: Job, first: int) -> Source:
     from facetrack_cli.video.source import open_source
 
-    try:
-        str(job.clip).encode()
-    except UnicodeEncodeError:
-        # OpenCV would end the process over it
-        if not job.clip.is_dir():
-            raise InputError(f"{job.clip}: the name holds bytes that are no UTF-8 text; rename the file") from None
     return open_source(job.clip, fps=job.fps, start=first, stop=job.stop)
 
 

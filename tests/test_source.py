@@ -444,3 +444,9 @@ def test_what_to_do_about_a_picture(tmp_path: Path) -> None:
     cv2.imwrite(str(deep / "0.tif"), np.zeros((4, 4), np.float32))
     with pytest.raises(InputError, match=r"which has no agreed range; convert it to 8 or 16 bits$"):
         open_source(deep)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names are text")
+def test_a_name_that_is_no_text_is_refused_before_opencv_ends_the_process(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no UTF-8 text; rename the file"):
+        open_source(tmp_path / os.fsdecode(b"caf\xe9.mp4"))

@@ -129,11 +129,6 @@ def _annotated_frames(done: Pictures, maker: _Maker, clip: Clip, wanted: Sequenc
 def _frames(clip: Clip, wanted: Sequence[int], report: Report) -> Iterator[Frame]:
     """The wanted frames, in their order, in one pass. InputError if the clip is of another size."""
     path = clip.path
-    try:
-        str(path).encode()
-    except UnicodeEncodeError:  # OpenCV would end the process over it
-        if not path.is_dir():
-            raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
     folder = listing(path) is not None
     fps = Fraction(clip.fps).limit_denominator(1001) if folder else None
     runs = [(n, n + 1) for n in wanted] if folder else [(wanted[0], wanted[-1] + 1)]

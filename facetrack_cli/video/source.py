@@ -283,6 +283,10 @@ def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop
 def _check_file(path: Path) -> None:
     """Raise InputError for what can be told without looking for a video in it."""
     try:
+        str(path).encode()
+    except UnicodeEncodeError:  # OpenCV would end the process over it
+        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
+    try:
         if not path.exists():
             hint = "; a pipe cannot be read, save the clip to a file" if str(path) == "-" else "; check the name"
             raise InputError(f"{path}: no such file or folder{hint}")
