@@ -64,11 +64,17 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def _open_streams() -> None:
-    """Where the shell closed a stream (`>&-`): what goes to stdout is refused, what goes to stderr is dropped."""
+    """Streams that can be written to, whatever the shell closed (`>&-`) and whatever their encoding lacks.
+
+    What goes to a closed stdout is refused, what goes to a closed stderr is dropped.
+    """
     if sys.stdout is None:
         sys.stdout = open(os.devnull)  # noqa: SIM115, PTH123 -- for as long as the process lives
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115, PTH123
+    # as stderr does: a name that is no text, or an arrow on a pipe of Windows, must not end a command
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _run(argv: Sequence[str] | None) -> int:

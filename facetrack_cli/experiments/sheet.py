@@ -10,7 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import click
+
 WIDE: Final = 100  # columns of a table that is not printed on a terminal
+ENDLESS: Final = 10_000
 LEAST_NAME: Final = 20  # columns that a name has at least before it is broken
 NO_FIGURE: Final = "\N{EN DASH}"
 OVERRIDES: Final = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
@@ -75,14 +78,21 @@ def show(given: Sheet, title: str) -> None:
         table.add_row(*(Text(broken(cell) if i in given.left else cell) for i, cell in enumerate(row)))
 
     console = Console(width=None if sys.stdout.isatty() else WIDE, emoji=False, highlight=False, markup=False)
-    needed = console.measure(table).minimum
-    wide = console if needed <= console.width else Console(width=needed, emoji=False, highlight=False, markup=False)
-    console.print(Text(title, style="bold"), soft_wrap=True)
-    console.print()
-    wide.print(table)
-    console.print()
-    for note in given.notes:
-        console.print(Text(note))
+    room = console.width
+    needed = console.measure(table, options=console.options.update(width=ENDLESS)).minimum
+    # rich would leave with a code of its own where nobody reads any more, so it prints nothing itself
+    with console.capture() as text:
+        console.print(Text(title, style="bold"), soft_wrap=True)
+        console.print()
+        console.width = max(room, needed)
+        console.print(table)
+        console.width = room
+        console.print()
+        for note in given.notes:
+            console.print(Text(note))
+    lines = "\n".join(line.rstrip() for line in text.get().splitlines())
+    encoding = sys.stdout.encoding or "utf-8"
+    click.echo(lines.encode(encoding, "replace").decode(encoding))  # a ? where there is no arrow keeps columns straight
 
 
 def broken(label: str) -> str:
