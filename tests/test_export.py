@@ -275,9 +275,9 @@ def test_tables_that_a_format_has_no_room_for(track, tmp_path):
     assert f"{timeless}: frame 0 has no time_s" in refused(
         timeless, "--to", "eaf", "--media", tmp_path / "clip.mp4", code=3
     )
-    assert "is the trajectory itself" in refused(two, "--to", "dlc", "-o", two, "--overwrite", code=2)
+    assert "is read here, and would be replaced" in refused(two, "--to", "dlc", "-o", two, "--overwrite", code=2)
     assert "is a folder" in refused(two, "--to", "dlc", "-o", tmp_path, code=2)
-    assert "cannot be written" in refused(two, "--to", "dlc", "-o", tmp_path / "no/such/file.csv", code=2)
+    assert "there is no folder" in refused(two, "--to", "dlc", "-o", tmp_path / "no/such/file.csv", code=2)
     folder = track(header={"source": {"path": str(tmp_path)}})
     assert "is a folder of images, which ELAN cannot play" in refused(folder, "--to", "eaf", code=3)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from facetrack_cli.errors import InputError, OutputError, UsageError
+from facetrack_cli.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.summary import Evaluation
@@ -120,17 +120,18 @@ def command(
     from facetrack_cli.evaluation.summary_table import to_text
     from facetrack_cli.evaluation.units import check_normalise
     from facetrack_cli.formats.read import read_truth
+    from facetrack_cli.formats.source import clip_of, picture_of
     from facetrack_cli.formats.table import read_trajectory
+    from facetrack_cli.start.files import check_new
 
     check_normalise(normalise)
     ours = read_trajectory(trajectory)
     theirs = read_truth(truth or _truth_beside(ours), truth_format, shift=shift or 0)
-    for option, path in files.items():
-        if any(path.exists() and path.samefile(read) for read in (ours.path, theirs.path)):
-            raise OutputError(f"{path}: is what is to be measured; name another file with {option}")
+    for path in files.values():
+        check_new(path, overwrite=overwrite, inputs=(ours.path, theirs.path, clip_of(ours)))
     notes: list[str] = []
     pairs = match(ours, theirs, partial=partial, select=target, check_shift=shift is None, note=notes.append)
-    options = Options(normalise, failure, _picture(ours))
+    options = Options(normalise, failure, picture_of(ours))
     evaluation = evaluate(pairs, notes, options, reference=theirs.series)
     about = About(ours.path, theirs.path, str(theirs.header.get("read_as", truth_format)), shift or 0)
 
@@ -149,19 +150,16 @@ def command(
 
 def _check_outputs(outputs: dict[str, str | None], overwrite: bool) -> dict[str, Path]:
     """The files to write by their options; refused before anything is read if they cannot be."""
+    from facetrack_cli.start.files import check_new
+
     if outputs["--json"] == outputs["--csv"] == "-":
         raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
     files = {option: Path(name) for option, name in outputs.items() if name is not None and name != "-"}
     for option, path in files.items():
         if not str(outputs[option]):
             raise UsageError(f"{option} is empty; name a file")
-        if path.is_dir():
-            raise OutputError(f"{path}: is a folder, where {option} is to be a file; name a file in it")
-        if os.path.lexists(path) and not overwrite:
-            raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
-        if not path.parent.is_dir():
-            raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file with {option}")
-    if len({path.absolute() for path in files.values()}) < len(files):
+        check_new(path, overwrite=overwrite)
+    if len({os.path.realpath(path) for path in files.values()}) < len(files):
         raise UsageError(f"{' and '.join(files)} name the same file; name one for each")
     if outputs["--plot"] is not None and Path(outputs["--plot"]).suffix.lower() != ".png":
         raise UsageError(f"--plot {outputs['--plot']}: the picture is a PNG; let its name end in .png")
@@ -170,23 +168,15 @@ def _check_outputs(outputs: dict[str, str | None], overwrite: bool) -> dict[str,
 
 def _truth_beside(ours: Table) -> Path:
     """The truth file beside the clip of a JSON trajectory."""
-    source: Any = ours.header.get("source")
-    clip = source.get("path") if isinstance(source, dict) else None
-    if not isinstance(clip, str) or not clip:
+    from facetrack_cli.formats.source import clip_of
+
+    clip = clip_of(ours)
+    if clip is None:
         raise UsageError(f"{ours.path}: does not name its clip, beside which the truth might be; give --truth FILE")
-    beside = Path(clip).with_name(Path(clip).stem + ".truth.csv") if Path(clip).name else Path(clip)
+    beside = clip.with_name(clip.stem + ".truth.csv") if clip.name else clip
     if not beside.is_file():
         raise UsageError(f"{ours.path}: beside its clip there is no {beside}; give --truth FILE")
     return beside
-
-
-def _picture(ours: Table) -> tuple[int, int] | None:
-    """Width and height of the pictures, where a JSON trajectory tells them."""
-    source: Any = ours.header.get("source")
-    size = source.get("size") if isinstance(source, dict) else None
-    if isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size):
-        return size[0], size[1]
-    return None
 
 
 def _plot(evaluation: Evaluation, path: Path) -> bytes:

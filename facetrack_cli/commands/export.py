@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -89,8 +89,10 @@ def command(
     \b
     Exit codes: 0 done, 2 usage or output, 3 input.
     """
+    from facetrack_cli.formats.source import clip_of
     from facetrack_cli.formats.table import read_trajectory
     from facetrack_cli.formats.targets import blank_lost, choose
+    from facetrack_cli.start.files import check_new
 
     if media is not None and form not in OF_MEDIA:
         raise UsageError(f"--media is for {' and '.join(OF_MEDIA)}; {form} does not name the clip")
@@ -102,7 +104,8 @@ def command(
         raise OutputError("--out is empty; name a file, or - for standard output")
     table = choose(read_trajectory(trajectory), select)
     path = None if out == "-" else Path(out) if out else table.path.with_name(table.path.stem + ENDINGS[form])
-    _check_output(path, table.path, overwrite)
+    if path is not None:
+        check_new(path, overwrite=overwrite, inputs=(table.path, media, clip_of(table)))
     try:
         text = _text(blank_lost(table) if drop_lost else table, form, path, media, around or "windows")
     except InputError as e:
@@ -113,30 +116,19 @@ def command(
         click.echo(f"{path}: {_summary(table, form)}", err=True)
 
 
-def _check_output(path: Path | None, trajectory: Path, overwrite: bool) -> None:
-    """Refuse before the work what would be refused after it."""
-    if path is None:
-        return
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder; name a file")
-    if path.exists() and path.samefile(trajectory):
-        raise OutputError(f"{path}: is the trajectory itself; name another file")
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
-
-
 def _text(table: Table, form: str, path: Path | None, media: Path | None, around: Around) -> str:
     from datetime import datetime
 
     import numpy as np
 
     from facetrack_cli.formats import coco, dlc, eaf, mot, plain, vot
+    from facetrack_cli.formats.source import said
     from facetrack_cli.formats.targets import by_target, enclose
 
     if not any(np.isfinite(one.x).any() for one in table.series):
         raise InputError("no row has a place, x and y; there is nothing to export")
     if form == "dlc":
-        recipe = _said(table, "recipe", "name")
+        recipe = said(table, "recipe", "name")
         return dlc.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack")
     if form == "eaf":
         clip = _clip(table, media)
@@ -152,24 +144,11 @@ def _text(table: Table, form: str, path: Path | None, media: Path | None, around
     return {"otb": plain.write_otb, "got10k": plain.write_got10k, "vot": vot.write_vot}[form](boxes[0])
 
 
-def _said(table: Table, group: str, key: str) -> Any:
-    """What the header of a JSON trajectory says; None where it says nothing, as in a CSV."""
-    found = table.header.get(group)
-    return found.get(key) if isinstance(found, dict) else None
-
-
-def _source(table: Table) -> Path | None:
-    """The clip that a JSON trajectory names, looked for where the run was started and beside the trajectory."""
-    named = _said(table, "source", "path")
-    if not isinstance(named, str):
-        return None
-    beside = table.path.absolute().parent
-    return next((p for p in (Path(named), beside / named, beside.parent / named) if p.exists()), Path(named))
-
-
 def _clip(table: Table, media: Path | None) -> Path:
     """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""
-    clip = media or _source(table)
+    from facetrack_cli.formats.source import clip_of
+
+    clip = media or clip_of(table)
     if clip is None:
         raise InputError("does not name its video, only a trajectory.json does; give it with --media")
     if clip.is_dir():
@@ -183,15 +162,16 @@ def _clip(table: Table, media: Path | None) -> Path:
 
 def _pictures(table: Table, media: Path | None) -> tuple[tuple[int, int], Callable[[int], str]]:
     """The size of the frames, and the names of their images."""
+    from facetrack_cli.formats.source import clip_of, picture_of
     from facetrack_cli.video import images
     from facetrack_cli.video.source import open_source
 
-    clip = media or _source(table)
-    size = _said(table, "source", "size")
+    clip = media or clip_of(table)
+    size = picture_of(table)
     if media is not None:
         with open_source(media) as opened:
             found = opened.size
-        if size and tuple(size) != found:
+        if size and size != found:
             raise InputError(
                 f"{media}: is {found[0]}x{found[1]}, but the track is of a clip of {size[0]}x{size[1]}; correct --media"
             )
@@ -203,7 +183,7 @@ def _pictures(table: Table, media: Path | None) -> tuple[tuple[int, int], Callab
     if files is not None and last >= len(files):
         raise InputError(f"{clip}: has {len(files)} images, and the track a frame {last}; name its folder with --media")
     names = [file.name for file in files] if files is not None else None
-    return (size[0], size[1]), lambda frame: names[frame] if names is not None else f"{clip.stem}/{frame:06d}.png"
+    return size, lambda frame: names[frame] if names is not None else f"{clip.stem}/{frame:06d}.png"
 
 
 def _write(text: str, path: Path | None, overwrite: bool) -> None:

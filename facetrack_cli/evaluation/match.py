@@ -16,6 +16,7 @@ import numpy as np
 from facetrack_cli.errors import InputError
 from facetrack_cli.evaluation.rows import is_box
 from facetrack_cli.evaluation.shift import find_shift
+from facetrack_cli.formats.source import picture_of
 from facetrack_cli.formats.table import Mask, Series, Table, Whole
 from facetrack_cli.formats.targets import choose
 
@@ -179,9 +180,8 @@ def _span(frames: Whole) -> str:
 
 def _check_picture(trajectory: Table, truth: Table, named: Sequence[Pair]) -> None:
     """Truth that is seen lies in the picture; most of it outside is of another clip, or of the clip in another size."""
-    source = trajectory.header.get("source")
-    size = source.get("size") if isinstance(source, dict) else None
-    if not isinstance(size, list) or len(size) != 2 or not all(isinstance(side, int) and side > 0 for side in size):
+    size = picture_of(trajectory)
+    if size is None:
         return
     outside: list[Mask] = []
     for one in named:

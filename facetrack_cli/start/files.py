@@ -16,7 +16,7 @@ import contextlib
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -242,18 +242,50 @@ def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bo
     write_new(to, text.encode(), overwrite=overwrite)
 
 
-def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
-    """All of a small file or nothing. OutputError if it exists and `overwrite` is not set, or cannot be written."""
-    if not overwrite and os.path.lexists(path):
-        raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
-    part = path.with_name(f".{path.name}.part")
+def check_new(path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = ()) -> None:
+    """Refuse before the work what `write_new` would refuse after it, and a file that the work is made from.
+
+    Raises OutputError. Of `inputs`, those that are None or not there are passed over.
+    """
     try:
-        part.write_bytes(data)
-        part.replace(path)
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; name a file in it")
+        if path.exists() and any(given.exists() and path.samefile(given) for given in inputs if given is not None):
+            raise OutputError(f"{path}: is read here, and would be replaced; name another file")
+        if os.path.lexists(path) and not overwrite and not _is_stream(path):
+            raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
+        if not path.parent.is_dir():
+            raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file")
     except OSError as e:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
+        raise OutputError(f"{path}: cannot be written: {e.strerror or e}; name another file") from None
+
+
+def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
+    """All of a small file or nothing. OutputError if it exists and `overwrite` is not set, or cannot be written.
+
+    A link stays one: the file that it leads to is replaced. A device or a pipe is written to, never replaced.
+    """
+    try:
+        if _is_stream(path):
+            path.write_bytes(data)
+            return
+        if not overwrite and os.path.lexists(path):
+            raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
+        whole = Path(os.path.realpath(path))
+        part = whole.with_name(f".{whole.name}.{os.getpid()}.part")
+        try:
+            part.write_bytes(data)
+            part.replace(whole)
+        finally:  # also on Ctrl-C
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+    except OSError as e:
         raise OutputError(f"{path}: cannot be written: {e.strerror or e}; write it elsewhere") from None
+
+
+def _is_stream(path: Path) -> bool:
+    """Whether there is a device or a pipe: to put a file in the place of /dev/null would break the whole machine."""
+    return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def _json(start: Start) -> str:
