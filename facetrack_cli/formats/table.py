@@ -9,17 +9,19 @@ Axes: T rows of one part, in the order of their frames. A number that is not kno
 
 from __future__ import annotations
 
+import csv
+import itertools
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.trajectory import SCHEMA, Row, read_csv
+from facetrack_cli.trajectory import REQUIRED, SCHEMA, Row, read_csv
 from facetrack_cli.types import Array
 
 Whole: TypeAlias = NDArray[np.int64]
@@ -122,21 +124,46 @@ _NOT_FLOAT = ("target", "part", "frame", "status", "corners")
 _FLOATS = tuple(f.name for f in fields(Series) if f.name not in _NOT_FLOAT)
 
 
+class _Columns(NamedTuple):
+    """R rows of any parts, in any order: `names[which[r]]` is the (target, part) of row r."""
+
+    names: Sequence[tuple[str, str]]
+    which: Whole
+    frame: Whole
+    status: Texts
+    floats: Mapping[str, Array]
+
+
 def from_rows(path: Path, rows: Iterable[Row], header: Mapping[str, Any] | None = None) -> Table:
     """Rows in any order as a table; series in the order of their first rows.
 
     Raises InputError when there are no rows, or two of one frame, target and part.
     """
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row.target, row.part), []).append(row)
-    if not groups:
+    columns = dict(zip(Row._fields, zip(*rows, strict=True), strict=False))
+    if not columns:
+        return _grouped(path, None, header)
+    numbers: dict[tuple[str, str], int] = {}
+    which = _numbered(numbers, columns["target"], columns["part"])
+    floats = {name: np.array(columns[name], dtype=np.float64) for name in _FLOATS}  # None becomes nan
+    frame = np.array(columns["frame"], dtype=np.int64)
+    return _grouped(path, _Columns(list(numbers), which, frame, np.array(columns["status"]), floats), header)
+
+
+def _numbered(numbers: dict[tuple[str, str], int], targets: Iterable[str], parts: Iterable[str]) -> Whole:
+    """(R,) the number of each pair of names; new ones are added to `numbers`."""
+    pairs = zip(targets, parts, strict=True)
+    return np.array([numbers.setdefault(pair, len(numbers)) for pair in pairs], dtype=np.int64)
+
+
+def _grouped(path: Path, columns: _Columns | None, header: Mapping[str, Any] | None) -> Table:
+    if columns is None or not len(columns.which):
         raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
     found = []
-    for (target, part), members in groups.items():
-        columns = dict(zip(Row._fields, zip(*members, strict=True), strict=True))
-        values = {name: np.array(columns[name], dtype=np.float64) for name in _FLOATS}  # None becomes nan
-        one = series(target, part, columns["frame"], status=columns["status"], **values)
+    counts = np.bincount(columns.which, minlength=len(columns.names))
+    groups = np.split(np.argsort(columns.which, kind="stable"), np.cumsum(counts)[:-1])
+    for (target, part), at in zip(columns.names, groups, strict=True):
+        values = {name: column[at] for name, column in columns.floats.items()}
+        one = series(target, part, columns.frame[at], status=columns.status[at], **values)
         twice = np.flatnonzero(np.diff(one.frame) == 0)
         if twice.size:
             raise InputError(
@@ -153,10 +180,13 @@ def read_trajectory(path: Path) -> Table:
     """
     if path.is_dir() and (inside := next((p for p in _inside(path) if p.is_file()), None)):
         path = inside
+    # columns as a whole are quick; what they refuse is read once more row by row, to allow it or to say what is wrong
     if _first_byte(path) != b"{":
-        return from_rows(path, read_csv(path))
+        columns = _csv_columns(path)
+        return from_rows(path, read_csv(path)) if columns is None else _grouped(path, columns, None)
     header, frames = _read_json(path)
-    return from_rows(path, _json_rows(path, frames), header)
+    columns = _json_columns(frames)
+    return from_rows(path, _json_rows(path, frames), header) if columns is None else _grouped(path, columns, header)
 
 
 def _inside(folder: Path) -> Iterator[Path]:
@@ -171,6 +201,66 @@ def _first_byte(path: Path) -> bytes:
         raise InputError(f"{path}: is a folder without a trajectory.csv or .json; name the file") from None
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or truth file") from e
+
+
+_BLOCK = 1_000  # lines or frames that become columns at a time: few enough to stay in the processor's cache
+_Block: TypeAlias = dict[str, NDArray[Any]]  # the columns of `_Columns` by name
+
+
+def _csv_columns(path: Path) -> _Columns | None:
+    numbers: dict[tuple[str, str], int] = {}
+    blocks: list[_Block] = []
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = csv.reader(file)
+            header = [name.strip() for name in next(lines, [])]
+            if len(set(header)) < len(header) or not set(REQUIRED) <= set(header):
+                return None
+            while block := list(itertools.islice(lines, _BLOCK)):
+                cells = dict(zip(header, zip(*block, strict=True), strict=True))
+                blocks.append(_csv_block(cells, len(block), numbers))
+    except (OSError, ValueError, csv.Error):
+        return None
+    return _joined(numbers, blocks)
+
+
+def _csv_block(cells: Mapping[str, Sequence[str]], rows: int, numbers: dict[tuple[str, str], int]) -> _Block:
+    blank = ("",) * rows
+    targets, parts = ([name.strip() for name in cells[column]] for column in ("target", "part"))
+    if any("" in column for column in (targets, parts, cells["frame"])):
+        raise ValueError
+    _floats(cells.get("identity_prob", blank))  # is not kept, and is to be a number all the same
+    return {
+        "which": _numbered(numbers, targets, parts),
+        "frame": np.array(list(map(int, _digits(cells["frame"]))), dtype=np.int64),
+        "status": np.array([status.strip() for status in cells.get("status", blank)]),
+        **{name: _floats(cells.get(name, blank)) for name in _FLOATS},
+        "particles": _floats(_digits(cells.get("particles", blank))),
+    }
+
+
+def _joined(numbers: Mapping[tuple[str, str], int], blocks: Sequence[_Block]) -> _Columns | None:
+    """The blocks end to end; None if there are none."""
+    if not blocks:
+        return None
+    whole: dict[str, Any] = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    return _Columns(list(numbers), whole.pop("which"), whole.pop("frame"), whole.pop("status"), whole)
+
+
+def _floats(cells: Sequence[str]) -> Array:
+    """(R,) with nan for empty cells; ValueError for what is no finite number."""
+    values = np.array([float(cell) if cell else np.nan for cell in cells])
+    if np.count_nonzero(np.isfinite(values)) != len(cells) - cells.count(""):
+        raise ValueError
+    return values
+
+
+def _digits(cells: Sequence[str]) -> Sequence[str]:
+    """The cells, if they are whole numbers of at most 18 digits or empty; else ValueError."""
+    text = "".join(cells)
+    if text and (not (text.isascii() and text.isdigit()) or max(map(len, cells)) > 18):
+        raise ValueError
+    return cells
 
 
 def _read_json(path: Path) -> tuple[dict[str, Any], list[Any]]:
@@ -218,6 +308,49 @@ def _check_schema(path: Path, header: Any) -> None:
         raise InputError(f'{path}: does not say "schema": "{SCHEMA}"; it is no trajectory of facetrack')
 
 
+def _json_columns(frames: list[Any]) -> _Columns | None:
+    numbers: dict[tuple[str, str], int] = {}
+    try:
+        blocks = [_json_block(frames[i : i + _BLOCK], numbers) for i in range(0, len(frames), _BLOCK)]
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        return None
+    return _joined(numbers, blocks)
+
+
+def _json_block(frames: list[Any], numbers: dict[tuple[str, str], int]) -> _Block:
+    parts: list[dict[str, Any]] = []
+    columns: dict[str, list[Any]] = {name: [] for name in ("frame", "time_s", "target", "particles")}
+    for frame in frames:
+        number, time_s = frame["frame"], frame.get("time_s")
+        for target in frame["targets"]:
+            those = target["parts"]
+            parts += those
+            for name, value in zip(columns, (number, time_s, target["target"], target.get("particles")), strict=True):
+                columns[name] += [value] * len(those)
+    if not _PART_KEYS.issuperset(itertools.chain.from_iterable(parts)):
+        raise ValueError
+    columns |= {name: [part.get(name) for part in parts] for name in _PART_KEYS}
+    columns["status"] = [part.get("status", "") for part in parts]
+    if not all(set(map(type, column)) <= _JSON_TYPES.get(name, _NUMBER) for name, column in columns.items()):
+        raise ValueError
+    if min(columns["frame"], default=0) < 0:
+        raise ValueError
+    return {
+        "which": _numbered(numbers, columns["target"], columns["part"]),
+        "frame": np.array(columns["frame"], dtype=np.int64),
+        "status": np.array(columns["status"], dtype=np.str_),
+        **{name: np.array(columns[name], dtype=np.float64) for name in _FLOATS},
+    }
+
+
+_PART_KEYS = frozenset(("part", "status", *_FLOATS)) - {"time_s", "particles"}
+_NUMBER = frozenset((int, float, type(None)))
+_JSON_TYPES: Mapping[str, frozenset[type]] = {
+    "frame": frozenset((int,)),
+    **dict.fromkeys(("target", "part", "status"), frozenset((str,))),
+}
+
+
 def _json_rows(path: Path, frames: list[Any]) -> Iterator[Row]:
     for at, frame in enumerate(frames):
         try:
@@ -236,14 +369,15 @@ def _json_rows(path: Path, frames: list[Any]) -> Iterator[Row]:
                     )
                     _check_row(row)
                     yield row
-        except (KeyError, TypeError, ValueError, AttributeError) as e:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as e:
             raise InputError(f"{path}: record {at} of frames is not as facetrack writes it: {e}") from None
 
 
 def _check_row(row: Row) -> None:
-    if not isinstance(row.frame, int) or isinstance(row.frame, bool) or row.frame < 0:
+    if not isinstance(row.frame, int) or isinstance(row.frame, bool) or not 0 <= row.frame < 10**18:
         raise ValueError(f"frame {row.frame!r} is no whole number from 0 up")
     for name in _FLOATS:
         value = getattr(row, name)
         if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
             raise ValueError(f"{name} {value!r} is no number")
+        float(value or 0)  # may be too large
