@@ -25,6 +25,7 @@ FACTORIES: Final = {
     "mosse": "legacy.TrackerMOSSE_create",
 }
 LEAST: Final = 6  # pixels: MIL looks for ever for features in a box of 4x4
+PART: Final = "box"
 NO_CLOUD: Final = np.zeros((0, 1, 2))
 
 
@@ -58,6 +59,10 @@ class OpenCvTarget:
     box: Box
     tracker: str
     origin: str
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return (PART,)
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
@@ -104,7 +109,7 @@ class OpenCvTarget:
 
     def _result(self, box: tuple[float, ...], status: Status) -> TargetResult:
         left, top, w, h = (float(side) for side in box)
-        part = PartResult(name="box", x=left + (w - 1) / 2, y=top + (h - 1) / 2, w=w, h=h, status=status)
+        part = PartResult(name=PART, x=left + (w - 1) / 2, y=top + (h - 1) / 2, w=w, h=h, status=status)
         return TargetResult(self.name, (part,), None, NO_CLOUD)
 
 

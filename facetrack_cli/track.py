@@ -42,6 +42,13 @@ class Target(Protocol):
     """One target of a recipe, ready to track. `state` is a value that the loop keeps for it from frame to frame."""
 
     @property
+    def name(self) -> str: ...
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What its results have a row of."""
+
+    @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
         """Width and height in pixels of the picture that each part is compared by, of those that have one."""
 

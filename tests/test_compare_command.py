@@ -41,7 +41,7 @@ def test_compare_writes_a_table_data_and_plots(facetrack):
     assert {path.name for path in folder.iterdir()} == names
     assert all((folder / name).read_bytes()[:4] == PNG for name in names if name.endswith("png"))
     assert max(map(len, out.splitlines())) <= 100 and "\x1b" not in out
-    for expected in ("sir: ", " filter.particles=30 ", "±", "0 of 2", "per s", "×1.00", "frames 0 to 11"):
+    for expected in ("sir: ", " filter.particles=30", "±", "0 of 2", "per s", "×1.00", "frames 0 to 11"):
         assert expected in out, expected
     assert "frames 0 to 11" in (folder / "compare.md").read_text(encoding="utf-8")
     assert "error.png" in err and "occlusion-compare" in err
@@ -116,7 +116,6 @@ def test_without_matplotlib_the_table_is_there(facetrack, monkeypatch):
         raise UsageError("figures need matplotlib, which is not installed: pip install 'facetrack[plot]'")
 
     monkeypatch.setattr(plot_style, "need_matplotlib", missing)
-    monkeypatch.setattr("facetrack_cli.experiments.compare_plots.need_matplotlib", missing)
     for command in (["compare", CLIP, *TWO], ["repeat", CLIP, "--config", "sir"]):
         code, out, err = facetrack(*command, *SHORT)
         assert code == 0 and "facetrack[plot]" in err and out
@@ -136,11 +135,75 @@ def test_an_interrupt_keeps_what_is_complete(facetrack, monkeypatch):
     found = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))
     assert not found["complete"] and [len(one["runs"]) for one in found["recipes"]] == [2, 0]
 
-    monkeypatch.setattr(runs, "run_plans", lambda plans, workers, stop, report: setattr(stop, "code", 130) or [])
+    def at_once(plans, workers, stop, report):
+        stop.code = ExitCode.INTERRUPTED
+        yield from ()
+
+    monkeypatch.setattr(runs, "run_plans", at_once)
     for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
         code, out, err = facetrack(*command, *SHORT, "-o", "none", "--no-plots")
-        assert code == ExitCode.INTERRUPTED and not out and "Traceback" not in err
+        assert code == ExitCode.INTERRUPTED and not out
+        assert err == "facetrack: interrupted before a run was complete; nothing was written\n"
         assert not Path("none").exists()
+
+
+def test_what_does_not_fit_the_truth_is_told_before_anything_runs(facetrack, monkeypatch):
+    boxes = "".join(f"{n},106,74,106,106\n" for n in range(4))
+    Path("boxes.csv").write_text("frame,x,y,w,h\n" + boxes, encoding="utf-8")
+    started = []
+    whole = runs.run_plans
+    monkeypatch.setattr(runs, "run_plans", lambda plans, *more: started.extend(plans) or whole(plans, *more))
+    arguments = ["compare", CLIP, "--truth", "boxes.csv", "--stop", "4", "--seeds", "1", "--no-plots"]
+    code, out, err = facetrack(*arguments, *TWO)
+    assert code == ExitCode.INPUT and "boxes.csv" in err and "face/nose" in err and not out and not started
+    code, out, _ = facetrack(*arguments, *TWO, "--config", "mil")
+    assert code == ExitCode.BATCH and out.count("not run: boxes.csv") == 2 and [one.label for one in started] == ["mil"]
+    started.clear()
+    code, _, err = facetrack(*arguments, "--config", "mil", "--rank-by", "points.mean_px", "-o", "other")
+    assert code == ExitCode.USAGE and "measures boxes of mil" in err and not started and not Path("other").exists()
+
+    far = "".join(f"{n},1106,74,106,106\n" for n in range(4))
+    Path("boxes.csv").write_text("frame,x,y,w,h\n" + far, encoding="utf-8")
+    code, _, err = facetrack(*arguments, "--config", "mil", "-o", "other")
+    assert code == ExitCode.INPUT and "outside of the picture of 320x240" in err and not started
+
+
+def test_a_truth_of_other_frames_is_told_after_the_first_recipe(facetrack):
+    Path("cut.mp4").write_bytes((SAMPLES / "expressions.mp4").read_bytes()[:30000])
+    given = ["--truth", SAMPLES / "expressions.truth.csv", "--init", SAMPLES / "expressions.init.yaml", "--no-plots"]
+    seen = []
+    original = runs._run
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runs, "_run", lambda plan, *more: seen.append(plan.label) or original(plan, *more))
+        code, _, err = facetrack("compare", "cut.mp4", *TWO, *given, "--seeds", "1")
+    assert code == ExitCode.INPUT and "--partial" in err and err.count("\n") == 1 and len(seen) == 1
+
+    code, _, err = facetrack("compare", "cut.mp4", *TWO, *given, "--seeds", "1", "--partial")
+    assert code == 0 and err.count("warning: cut.mp4: cut short or damaged") == 1
+    code, _, err = facetrack("repeat", "cut.mp4", *given[2:], "--seeds", "2")
+    assert code == 0 and err.count("warning: cut.mp4: cut short or damaged") == 1
+
+
+def test_a_disk_that_fills_up_costs_files_not_the_table(facetrack, monkeypatch):
+    original = Path.write_bytes
+
+    def full(self, data):
+        if self.name.startswith((".error.png", ".spread.png")):
+            raise OSError(28, "No space left on device")
+        return original(self, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
+        code, out, err = facetrack(*command, *SHORT)
+        assert code == ExitCode.USAGE and "No space left" in err and "frames 0 to 11" in out
+
+
+def test_a_folder_in_the_way_of_a_file_is_refused_beforehand(facetrack):
+    Path("out/compare.csv").mkdir(parents=True)
+    code, out, err = facetrack("compare", CLIP, *TWO, *SHORT, "-o", "out", "--overwrite")
+    assert code == ExitCode.USAGE and "compare.csv: is a folder" in err and not out
+    assert [path.name for path in Path("out").iterdir()] == ["compare.csv"]
 
 
 # --- repeat ------------------------------------------------------------------------------------------------------
@@ -172,10 +235,10 @@ def test_repeat_writes_the_spread_of_each_frame(facetrack):
         assert far.max() == max(float(row["from_median"]) for row in rows if row["part"] == part["part"])
 
 
-def test_repeat_says_that_a_deterministic_tracker_repeats_itself(facetrack):
+def test_repeat_says_that_runs_are_identical(facetrack):
     code, out, err = facetrack("repeat", CLIP, "--config", "mil", "--seeds", "2", "--stop", "3", "--no-plots")
     assert code == 0, err
-    assert "All 2 runs are identical: this tracker draws no random numbers." in out
+    assert "All 2 runs are identical.\n" in out, "MIL draws random numbers, which make no difference so soon"
     found = json.loads(Path("occlusion-mil-repeat/repeat.json").read_text(encoding="utf-8"))
     assert found["identical"] and found["parting"] is None
 

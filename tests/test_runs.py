@@ -1,11 +1,15 @@
 """Recipes over many seeds: the same numbers however they are shared out, and a start where one can be had."""
 
+import os
+import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from facetrack_cli.errors import ExitCode, InputError, RecipeError
+from facetrack_cli.experiments import runs
 from facetrack_cli.experiments.runs import Failure, Plan, SeedRun, find_plan_start, run_plans, truth_start
 from facetrack_cli.formats.table import Table, read_trajectory, series
 from facetrack_cli.job import Job, run
@@ -98,6 +102,31 @@ def test_a_start_beyond_the_clip_is_told():
     late = Start(9999, plan().start.targets, "late.yaml")
     [ended] = run_plans([Plan("late", CLIP, load_recipe("factorized"), late, (0,))])
     assert isinstance(ended, Failure) and isinstance(ended.error, InputError)
+
+
+def _ends_itself(plan, seeds):
+    if plan.label == "bad":
+        os._exit(9)
+    return runs._run(plan, seeds, lambda: False, lambda frames: None)
+
+
+def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch):
+    monkeypatch.setattr(runs, "_work", _ends_itself)
+    one, bad = plan(seeds=(0,)), replace(plan(), label="bad")
+    # the first share of the bad plan begins when a process is free
+    ended = list(run_plans([one, one, replace(one, seeds=(0,)), bad], 2))
+    assert isinstance(ended[0], SeedRun)
+    assert isinstance(ended[-1], Failure) and "ended by itself" in str(ended[-1].error)
+
+    stop = Stop()
+    monkeypatch.setattr(runs, "_LOOK_S", 0.5)
+    signalled = threading.Timer(0.2, lambda: setattr(stop, "code", ExitCode.TERMINATED))
+
+    def report(done, total):
+        if not signalled.is_alive() and not signalled.finished.is_set():
+            signalled.start()
+
+    assert all(isinstance(run, SeedRun) for run in run_plans([bad, bad], 2, stop, report))
 
 
 # where it begins

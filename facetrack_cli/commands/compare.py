@@ -163,14 +163,17 @@ def command(
         Folder.of(out, f"{title(clip)}-compare", FILES + plots, overwrite=overwrite, inputs=[clip]) as folder,
     ):
         options = Options(target, partial, stop, begin.picture_size())
-        entries = _run(named, begin, known, seeds, workers, options, shift is None, ending, shown)
+        entries = _run(named, begin, known, seeds, workers, options, rank_by, shift is None, ending, shown)
         shown.close()
         if not any(entry.scores for entry in entries):
+            shown.say(f"facetrack: {ending.reason} before a run was complete; nothing was written")
             ctx.exit(ending.code or ExitCode.FAULT)
         measure = rank_by or PRIMARY[kind_of(entries)]
         found = Comparison(clip, file, seeds, tuple(entries), measure, workers, ending.code is None, named)
-        _write(found, folder, shown, plots=not no_plots)
-        _show(found, form)
+        try:
+            _write(found, folder, shown, plots=not no_plots)
+        finally:  # what took long is not lost for a full disk
+            _show(found, form)
         shown.say(f"{clip} -> {folder.summary()}")
         failed = sum(bool(entry.why) for entry in entries)
         if failed:
@@ -185,44 +188,60 @@ def _run(
     seeds: int,
     workers: int,
     options: Options,
+    rank_by: str | None,
     check_shift: bool,
     stop: Stop,
     shown: Progress,
 ) -> list[Entry]:
     """Every recipe with its scores, or with what kept it from running. Raises the error if all fail of one."""
-    from facetrack_cli.experiments.compare import Entry, score_run, shifted
-    from facetrack_cli.experiments.runs import Failure, run_plans
+    from facetrack_cli.experiments.compare import Entry, kinds_of, score_run, shifted
+    from facetrack_cli.experiments.runs import Failure, SeedRun, run_plans
     from facetrack_cli.experiments.sheet import clip_name
 
     refused: dict[str, FacetrackError] = {}
     scores: dict[str, list[Score]] = {label: [] for label in named}
     moved: dict[str, InputError | None] = {}
     noted: list[str] = []
+    warned: list[str] = []
     plans = []
+    size = begin.picture_size()
+    family = (rank_by or "").partition(".")[0]
     for label, recipe in named.items():
         try:
             # what draws no random numbers has one run to show
-            plans.append(begin.plan(label, recipe, seeds if recipe.random else 1, truth, stop))
+            plan = begin.plan(label, recipe, seeds if recipe.random else 1, truth, stop)
+            kinds = kinds_of(plan, truth, options, size)
+            if family in ("boxes", "points") and family not in kinds:
+                measured = " and ".join(sorted(kinds))
+                raise UsageError(f"--rank-by {rank_by}: this truth measures {measured} of {label}; rank by these")
+            plans.append(plan)
         except FacetrackError as e:
             if stop():
                 return []
             refused[label] = e
+    alike = len({(plan.start.frame, plan.recipe.points) for plan in plans}) == 1
     shown.begin(clip_name(begin.clip), "frames", None)
-    for run in run_plans(plans, workers, stop, lambda done, of: shown.update(done, of or None)):
-        try:
-            if isinstance(run, Failure):
-                raise run.error
-            scores[run.label].append(score_run(run, truth, options, noted.append))
-            if check_shift and run.label not in moved:
-                moved[run.label] = shifted(run, truth, options)
-        except FacetrackError as e:
-            refused[run.label] = e
+    with contextlib.closing(run_plans(plans, workers, stop, lambda done, of: shown.update(done, of or None))) as runs:
+        for run in runs:
+            try:
+                if isinstance(run, Failure):
+                    raise run.error
+                warned += run.warnings
+                scores[run.label].append(score_run(run, truth, options, noted.append))
+                if check_shift and run.label not in moved:
+                    moved[run.label] = shifted(run, truth, options)
+            except FacetrackError as e:
+                refused[run.label] = e
+                if alike and isinstance(run, SeedRun) and not any(scores.values()):
+                    break  # what is wrong with the truth is wrong for every other run too
     if refused and not any(scores.values()) and stop.code is None:
         first, *others = refused.items()
         for label, error in others:
             if str(error) != str(first[1]):
                 shown.error(f"facetrack: error: {label}: {error}")
         raise first[1]
+    for line in dict.fromkeys(warned):
+        shown.say(f"facetrack: warning: {line}")
     for line in dict.fromkeys(noted):
         shown.say(f"facetrack: note: {line}")
     # one recipe that trails behind is a bad tracker; all of them are a truth that counts otherwise
@@ -255,13 +274,16 @@ def _write(found: Comparison, folder: Folder, shown: Progress, plots: bool) -> N
     from facetrack_cli.experiments.compare_plots import figures
     from facetrack_cli.experiments.compare_text import as_csv, as_json, sheet
     from facetrack_cli.experiments.sheet import markdown
+    from facetrack_cli.plots.style import need_matplotlib
 
     folder.write("compare.json", as_json(found))
     folder.write("compare.csv", as_csv(found))
     folder.write("compare.md", markdown(sheet(found), found.title))
     if plots:
         try:
-            for name, png in figures(found):
-                folder.write(name, png)
-        except UsageError as e:  # matplotlib is missing
+            need_matplotlib()
+        except UsageError as e:
             shown.say(f"facetrack: warning: no plots: {e}")
+            return
+        for name, png in figures(found):
+            folder.write(name, png)

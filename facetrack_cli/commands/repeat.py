@@ -126,7 +126,10 @@ def command(
                 raise run.error
             runs.append(run)
         shown.close()
+        for line in dict.fromkeys(line for run in runs for line in run.warnings):
+            shown.say(f"facetrack: warning: {line}")
         if len(runs) < seeds:  # they end together, so that none is whole
+            shown.say(f"facetrack: {ending.reason} before a run was complete; nothing was written")
             ctx.exit(ending.code or 1)
         tables = [run.table for run in runs]
         found = Repetition(
@@ -138,8 +141,10 @@ def command(
             fraction=apart,
             truth=truth,
         )
-        _write(found, folder, shown, plots=not no_plots)
-        _show(found, form)
+        try:
+            _write(found, folder, shown, plots=not no_plots)
+        finally:  # what took long is not lost for a full disk
+            _show(found, form)
         shown.say(f"{clip} -> {folder.summary()}")
     ctx.exit(ending.code or 0)
 

@@ -28,12 +28,13 @@ from facetrack_cli.evaluation.boxes import share_up_to
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Rows, joined, rows_of
 from facetrack_cli.evaluation.summary import Evaluation, evaluate, higher_is_better, names, scalars, units_of
+from facetrack_cli.experiments.runs import outline
 from facetrack_cli.experiments.sheet import OVERRIDES
 from facetrack_cli.formats.table import Table, Whole
 from facetrack_cli.types import Array
 
 if TYPE_CHECKING:
-    from facetrack_cli.experiments.runs import SeedRun
+    from facetrack_cli.experiments.runs import Plan, SeedRun
 
 TAIL: Final = 0.1  # of the rows with a true box: those that tell whether the target is lost at the end
 TAIL_IOU: Final = 0.1
@@ -212,6 +213,17 @@ def shifted(run: SeedRun, truth: Table, options: Options) -> InputError | None:
     except InputError as e:
         return e
     return None
+
+
+def kinds_of(plan: Plan, truth: Table, options: Options, size: tuple[int, int]) -> set[str]:
+    """What the runs of a plan on pictures of that (width, height) will be measured as, `boxes` or `points`.
+
+    Raises, before anything runs, what recipe, start and the names in the truth are refused for.
+    """
+    frames = truth.frames[truth.frames > plan.start.frame]
+    table = outline(plan, np.array([plan.start.frame, *frames]), size)
+    pairs = match(table, within(truth, table, options), partial=True, select=options.select, check_shift=False)
+    return {pair.kind for pair in pairs}
 
 
 def within(truth: Table, trajectory: Table, options: Options) -> Table:

@@ -11,13 +11,12 @@ from facetrack_cli.evaluation.points import FAILURE
 from facetrack_cli.experiments.compare import CUMULATIVE_AT, Entry, Score, aligned
 from facetrack_cli.experiments.compare_text import Comparison
 from facetrack_cli.experiments.sheet import clip_name
-from facetrack_cli.plots.style import need_matplotlib, render
+from facetrack_cli.plots.style import render
 from facetrack_cli.types import Array
 
 
 def figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
-    """Names and bytes of the files, recipes in their order. UsageError where matplotlib is missing."""
-    need_matplotlib()
+    """Names and bytes of the files, recipes in their order. Wants matplotlib."""
     from facetrack_cli import plots
 
     entries = [place.entry for place in comparison.places if place.entry.scores]

@@ -47,6 +47,10 @@ class Folder:
                 if path.is_dir() and given.is_dir() and path.samefile(given):
                     raise OutputError(f"{path}: the results would go among the input's frames; name another with --out")
             for name in self._names:
+                if (path / name).is_dir():
+                    raise OutputError(
+                        f"{path / name}: is a folder, where a file of results is to be; name another folder with --out"
+                    )
                 if os.path.lexists(path / name) and not self._overwrite:
                     raise OutputError(
                         f"{path / name}: is there already; --overwrite replaces it, --out names another folder"

@@ -96,7 +96,7 @@ def notes(found: Repetition) -> list[str]:
     limits = dict.fromkeys(f"{one.limit:.1f}" for one in found.spreads)
     lines = []
     if found.identical:
-        draws = "" if found.recipe.particles is not None else ": this tracker draws no random numbers"
+        draws = "" if found.recipe.random else ": this tracker draws no random numbers"
         lines.append(f"All {len(found.seeds)} runs are identical{draws}.")
         return lines
     lines += [

@@ -13,7 +13,7 @@ import multiprocessing
 import signal
 import time
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
 from concurrent.futures.process import BrokenProcessPool
@@ -21,14 +21,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from facetrack_cli.batch import cores, use_threads, worker_context
 from facetrack_cli.build import build_tracker
 from facetrack_cli.errors import FacetrackError, InputError
-from facetrack_cli.formats.table import Table, series
+from facetrack_cli.formats.table import Table, Whole, series
 from facetrack_cli.job import Job, check_windows, find_start, place_start
 from facetrack_cli.recipe import Recipe
 from facetrack_cli.start import check_start, find_init
@@ -36,11 +36,13 @@ from facetrack_cli.stopping import Stop
 from facetrack_cli.track import track
 from facetrack_cli.trajectory import Row, rows
 from facetrack_cli.types import Box, Frame, Result, Start, TargetStart
-from facetrack_cli.video.source import open_source
+from facetrack_cli.video.source import Source, open_source
 
 Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
 
+Ended: TypeAlias = "Generator[SeedRun | Failure, None, None]"
 _Shared: TypeAlias = "Synchronized[int]"
+_ENDED = "a process of -j ended by itself (too little memory?); run without -j"
 _LOOK_S = 0.2  # between two looks at the signals and at how far the processes are
 
 
@@ -59,12 +61,16 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class SeedRun:
-    """One seed's trajectory. `frames_per_s` is the tracker's alone: decoding is not counted, nor the first frame."""
+    """One seed's trajectory. `frames_per_s` is the tracker's alone: decoding is not counted, nor the first frame.
+
+    `warnings` says what was wrong with the clip, a line each.
+    """
 
     label: str
     seed: int
     table: Table
     frames_per_s: float
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,7 +86,7 @@ def run_plans(
     workers: int = 1,
     stopped: Stop | None = None,
     report: Report = lambda done, total: None,
-) -> Iterator[SeedRun | Failure]:
+) -> Ended:
     """Run all plans, in `workers` processes: their runs in the order of plans and seeds, or one failure for a plan.
 
     Once `stopped` says so, nothing more is yielded.
@@ -186,12 +192,30 @@ class _Log:
                 column.append(np.nan if value is None else value)
             self._status[key].append(row.status)
 
-    def table(self, clip: Path) -> Table:
+    def table(self, source: Source) -> Table:
         found = []
         for (target, part), columns in self._columns.items():
             values = {name: np.array(column) for name, column in columns.items()}
             found.append(series(target, part, values.pop("frame"), status=self._status[target, part], **values))
-        return Table(clip, tuple(found))
+        return Table(source.path, tuple(found), _header(source.size))
+
+
+def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Table:
+    """What is known of a run of this plan before it: the names of its rows, in these frames, and no place.
+
+    Raises what the plan's recipe and start are refused for without a look at the picture of that (width, height).
+    """
+    check_start(plan.start, size, plan.recipe.points)
+    tracker = build_tracker(plan.recipe, plan.start)
+    check_windows(plan.recipe, tracker, size)
+    one = np.ones(len(frames))  # every part of every tracker has a size
+    rows = [series(target.name, part, frames, w=one, h=one) for target in tracker for part in target.parts]
+    return Table(plan.clip, tuple(rows), _header(size))
+
+
+def _header(size: tuple[int, int]) -> dict[str, Any]:
+    """As a trajectory's JSON says it; see `evaluation.match`."""
+    return {"source": {"size": list(size)}}
 
 
 def _run(plan: Plan, seeds: Sequence[int], stopped: Callable[[], bool], tell: Callable[[int], None]) -> list[SeedRun]:
@@ -219,7 +243,7 @@ def _run(plan: Plan, seeds: Sequence[int], stopped: Callable[[], bool], tell: Ca
         if count == 0:
             raise InputError(f"{plan.clip}: frame {plan.start.frame}, where {plan.start.origin} begins, cannot be read")
     return [
-        SeedRun(plan.label, seed, log.table(plan.clip), (count - 1) / max(spent, 1e-9))
+        SeedRun(plan.label, seed, log.table(source), (count - 1) / max(spent, 1e-9), tuple(source.warnings))
         for seed, log, spent in zip(seeds, logs, seconds, strict=True)
     ]
 
@@ -227,7 +251,7 @@ def _run(plan: Plan, seeds: Sequence[int], stopped: Callable[[], bool], tell: Ca
 # --- all plans -----------------------------------------------------------------------------------------------------
 
 
-def _in_turn(plans: Sequence[Plan], stopped: Stop, report: Report) -> Iterator[SeedRun | Failure]:
+def _in_turn(plans: Sequence[Plan], stopped: Stop, report: Report) -> Ended:
     done, total = 0, _total(plans)
 
     def tell(frames: int) -> None:
@@ -246,7 +270,7 @@ def _in_turn(plans: Sequence[Plan], stopped: Stop, report: Report) -> Iterator[S
         yield from found
 
 
-def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Report) -> Iterator[SeedRun | Failure]:
+def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Report) -> Ended:
     total = _total(plans)
 
     def tell() -> None:
@@ -265,8 +289,12 @@ def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Re
             except FacetrackError as e:
                 yield Failure(plan.label, e)
                 continue
-            except BrokenProcessPool as e:
-                raise FacetrackError("a process of -j ended by itself (too little memory?); run without -j") from e
+            except BrokenProcessPool:
+                time.sleep(_LOOK_S)  # a signal to the whole group ends the processes too, perhaps before we hear of it
+                if stopped():
+                    return
+                yield Failure(plan.label, FacetrackError(_ENDED))  # what is whole already is kept
+                continue
             if stopped():
                 return
             yield from found
