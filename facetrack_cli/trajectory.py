@@ -310,8 +310,13 @@ def _read(path: Path, lines: Any) -> Iterator[Row]:
             if not cells:
                 continue
             if len(cells) != len(header):
+                at = lines.line_num
+                if len(cells) < len(header) and not any(lines):
+                    raise InputError(
+                        f"{path}:{at}: is no whole line, and the last; was the run cut short? remove this line"
+                    )
                 raise InputError(
-                    f"{path}:{lines.line_num}: {len(cells)} values under {len(header)} columns; "
+                    f"{path}:{at}: {len(cells)} values under {len(header)} columns; "
                     "give every column a value, or leave it empty between its commas"
                 )
             cells.append("")
@@ -330,7 +335,7 @@ def _float(cell: str) -> float | None:
     if not cell:
         return None
     number = float(cell)
-    if number - number != 0:  # nan or inf
+    if number - number != 0 or "_" in cell:  # nan, inf, or 1_0, which float() takes for 10
         raise ValueError
     return number
 
@@ -367,7 +372,7 @@ def _value(place: str, column: str, cell: str) -> Any:
         if not cell:
             return None
         try:
-            number = float(cell)
+            number = math.nan if "_" in cell else float(cell)
         except ValueError:
             number = math.nan
         if not math.isfinite(number):

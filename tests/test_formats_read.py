@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -113,15 +114,19 @@ def test_shift_is_added_to_every_frame(tmp_path: Path, form: str) -> None:
         ("auto", "", "is empty"),
         ("auto", "\ufeff\r\n \r\n", "is empty"),
         ("auto", b"\x00\x00\x01\xba mpeg", "is binary"),
-        ("auto", b"1,2,3,4\n\xff\xfe", "byte 8 is not UTF-8"),
+        ("auto", b"1,2,3,4\n\xff\xfe", ":2: is not UTF-8 text; save the file as UTF-8"),
+        ("auto", "1,2,3,4\n".encode("utf-16"), "is UTF-16 text; save it as UTF-8"),
+        ("auto", "frame;x;y;w;h\n", ":1: semicolons between the columns; write commas"),
+        ("auto", "frame\ttarget\tpart\tx\ty\n", ":1: tabs between the columns; write commas"),
         ("auto", "1,2,3,4,5\n", ":1: five numbers a line; put the header frame,x,y,w,h on top"),
         ("auto", "1,2,3\n", ":1: 3 values a line"),
         ("auto", "hello world\n", ":1: 'hello world' begins no truth file"),
         ("auto", "1,5 2,5 3,5 4,5\n", ":1: .* write decimals with a point"),
-        ("auto", "1,5;2,5;3,5;4,5\n", ":1: .* write decimals with a point"),
+        ("auto", "1,5;2,5;3,5;4,5\n", ":1: semicolons .* decimals with a point"),
         ("auto", "1,2,3,4\n5,6,7\n", ":2: 3 values instead of 4; a line holds left,top,width,height"),
         ("auto", "1,2,3,4\n1 2 3 4\n", ":2: '1 2 3 4' is no number"),
         ("auto", "1,2,3,4\n1,2,x,4\n", ":2: 'x' is no number"),
+        ("auto", "1,2,3,4\n1,2,3_0,4\n", ":2: '3_0' is no number"),
         ("auto", "1,2,3,4\n\n1,2,3,4\n", ":2: is blank"),
         ("auto", "1,2,3,4\n1,nan,3,4\n", ":2: nan in a box that is known by half"),
         ("auto", "1,2,3,4\n1,,3,4\n", ":2: nan in a box that is known by half"),
@@ -129,7 +134,8 @@ def test_shift_is_added_to_every_frame(tmp_path: Path, form: str) -> None:
         ("auto", "1,2,3,4\n1,2,0,4\n", ":2: the box has no area"),
         ("auto", "1,2,3,4\n1,2,3e9,4\n", ":2: the box is farther out than any picture"),
         ("auto", "1,2,3,4\n1,2,inf,4\n", ":2: inf is no number"),
-        ("otb", "frame,x,y,w,h\n0,1,2,3,4\n", ":1: 5 values instead of 4"),
+        ("otb", "frame,x,y,w,h\n0,1,2,3,4\n", ":1: 5 values instead of 4.* that of boxes: leave --truth-format out"),
+        ("boxes", "frame,target,part,x,y,w,h\n0,a,box,1,2,3,4\n", ":1: .* and with them x, y are centres"),
         ("boxes", "1,2,3,4\n", ":1: the header has no column frame, x, y, w, h"),
         ("boxes", "frame,x,y,w,h\n", "has a header and no rows"),
         ("boxes", "frame,x,y,w,h\n1,1,2,3,4\n\n1,1,2,3,4\n", ":4: the same frame as in line 2"),
@@ -173,6 +179,16 @@ def test_folders_and_missing_files(tmp_path: Path, form: str) -> None:
         with pytest.raises(InputError, match=r"folder|no such file|cannot be read") as said:
             read_truth(path, form)
         assert str(said.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_names_that_the_system_refuses_and_pipes(tmp_path: Path, form: str) -> None:
+    with pytest.raises(InputError, match=r"a{300}: .*; .*"):
+        read_truth(tmp_path / ("a" * 300), form)
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe")
+        with pytest.raises(InputError, match="pipe: is a pipe, and can be read only once; save it in a file"):
+            read_truth(tmp_path / "pipe", form)
 
 
 @pytest.mark.parametrize("between", ["\n", "\r\n", "\r"])

@@ -105,6 +105,13 @@ def test_json_gives_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         ({"target": "other", "parts": [{**PART, "x": True}]}, {}, "x True is no number"),
         ({"target": "other", "parts": [{**PART, "x": 10**400}]}, {}, "too large"),
         ({"target": "other", "parts": [{**PART, "mine": 1}]}, {}, "'mine'"),
+        ({"target": "other", "parts": [{**PART, "x": float("inf")}]}, {}, "frame 0, other/nose: x inf is no finite"),
+        ({"target": "other", "parts": [{**PART, "y": -1e7}]}, {}, "frame 0, other/nose: y -10000000 is farther out"),
+        ({"target": "other", "parts": [{**PART, "w": -1}]}, {}, "frame 0, other/nose: w -1 is negative; correct it"),
+        ({"target": "other", "parts": [{**PART, "part": ["a"]}]}, {}, r"part \['a'\] is no name"),
+        ({"target": "other", "parts": [{**PART, "part": ""}]}, {}, "part '' is no name"),
+        ({"target": None, "parts": [PART]}, {}, "target None is no name"),
+        ({"target": "other", "parts": [{**PART, "status": 5}]}, {}, "status 5 is no name"),
         ({"target": "other", "parts": [{"x": 1, "y": 2}]}, {}, "'part'"),
         ({"target": "other", "parts": "nose"}, {}, "is not as facetrack writes it"),
         ({"target": "other"}, {}, "'parts'"),
@@ -136,3 +143,23 @@ def test_json_by_columns_is_json_by_rows(
     ):
         path = write(tmp_path, other)
         assert_same(outcome(path, monkeypatch, True), outcome(path, monkeypatch, False))
+
+
+def test_a_run_that_was_killed_says_how_to_read_it(tmp_path: Path) -> None:
+    frames = [{"type": "frame", "frame": i, "time_s": 0, "targets": [TARGET]} for i in range(3)]
+    lines = [json.dumps(record) for record in ({"type": "header", "schema": SCHEMA, "version": 1}, *frames)]
+    path = tmp_path / "cut.jsonl"
+    path.write_text("\n".join(lines)[:-9])
+    with pytest.raises(
+        InputError, match=r"cut\.jsonl:4: is not JSON: is no whole record; remove this line: .*cut short"
+    ):
+        read_trajectory(path)
+    path.write_text("\n".join(lines[:-1]))
+    assert read_trajectory(path).frames.tolist() == [0, 1]
+
+
+def test_files_of_a_newer_facetrack_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "new.json"
+    path.write_text(json.dumps({"schema": SCHEMA, "version": 2, "frames": []}))
+    with pytest.raises(InputError, match="is of version 2, and this facetrack reads 1; update facetrack"):
+        read_trajectory(path)

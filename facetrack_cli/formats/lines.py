@@ -12,11 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from facetrack_cli.errors import InputError
+from facetrack_cli.formats.limits import MAX_FRAME, MAX_PIXELS, refuse_pipe
 from facetrack_cli.formats.table import Series, Whole, series
 from facetrack_cli.types import Array
 
-MAX_PIXELS = 1e6  # no picture is larger; what is beyond is a slip, or no pixel
-MAX_FRAME = 10**9
 FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # what boxes (..., 4) that are counted from 1 have too much
 
 
@@ -30,9 +29,10 @@ class Line(NamedTuple):
 def read_text(path: Path) -> str:
     """The text of a file, without a byte order mark and with `\\n` at the ends of its lines.
 
-    Raises InputError for a file that is missing, a folder, empty, or no text.
+    Raises InputError for a file that is missing, a folder, a pipe, empty, or no text.
     """
     try:
+        refuse_pipe(path)
         raw = path.read_bytes()
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder; name the truth file in it") from None
@@ -40,12 +40,15 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: no such file; name a truth file") from None
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or name another") from e
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(f"{path}: is UTF-16 text; save it as UTF-8")
     if b"\0" in raw[:8192]:
-        raise InputError(f"{path}: is binary; name a truth file in text")
+        raise InputError(f"{path}: is binary; name a truth file in UTF-8 text")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as e:
-        raise InputError(f"{path}: byte {e.start} is not UTF-8 text; name a truth file in text") from e
+        line = raw.count(b"\n", 0, e.start) + 1
+        raise InputError(f"{path}:{line}: is not UTF-8 text; save the file as UTF-8, or name a truth file") from e
     if not text.strip():
         raise InputError(f"{path}: is empty; a truth file has a line a frame")
     return text.replace("\r\n", "\n").replace("\r", "\n")
@@ -84,7 +87,7 @@ def numbers(path: Path, lines: Iterable[Line], columns: int, wanted: str, use: l
             between = delimiter(text)
         cells = text.split(between)
         try:
-            if len(cells) != columns:
+            if len(cells) != columns or "_" in text:  # float() would take 1_0 for 10
                 raise ValueError
             found.append([float(cell) for cell in (cells if use is None else [cells[i] for i in use])])
         except ValueError:
@@ -110,6 +113,8 @@ def _carefully(place: str, cells: list[str], columns: int, wanted: str, use: lis
     values = []
     for cell in (cells[i].strip() for i in (use or range(columns))):
         try:
+            if "_" in cell:
+                raise ValueError
             values.append(float(cell) if cell else np.nan)
         except ValueError:
             raise InputError(f"{place}: {cell!r} is no number; a line holds {wanted}") from None

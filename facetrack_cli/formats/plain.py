@@ -38,6 +38,11 @@ def read_boxes(path: Path, *, shift: int = 0) -> Table:
     """CSV with the header frame,x,y,w,h: frames from 0, the left and top edges in pixels from 0."""
     header, *lines = lines_with_frame(read_text(path))
     names = [name.strip().strip('"').lower() for name in header.text.split(",")]
+    if {"target", "part"} <= set(names):
+        raise InputError(
+            f"{path}:{header.number}: has the columns target and part, and with them x, y are centres; "
+            "read it as facetrack's own table"
+        )
     missing = [name for name in BOX_COLUMNS if name not in names]
     if missing:
         raise InputError(

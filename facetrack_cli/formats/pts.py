@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.formats.lines import MAX_FRAME, MAX_PIXELS, read_text
+from facetrack_cli.formats.limits import MAX_FRAME, MAX_PIXELS
+from facetrack_cli.formats.lines import read_text
 from facetrack_cli.formats.table import Table, series
 from facetrack_cli.types import Array
 

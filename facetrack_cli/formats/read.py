@@ -53,10 +53,25 @@ def read_truth(path: Path, form: str = "auto", *, shift: int = 0) -> Table:
     `header["shift"]` is the shift. Raises InputError, one line with file and line, for a file that is broken or of no
     known shape.
     """
-    if form == "auto":
-        path, form = recognise(path)
-    table = _READERS[form](path, shift=shift)
+    try:
+        found, known = recognise(path) if form == "auto" else (path, form)
+        table = _READERS[known](found, shift=shift)
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or name another") from None
+    except InputError as e:
+        raise InputError(f"{e}{_rather(path, form)}") from None
     return replace(table, header={**table.header, "shift": shift})
+
+
+def _rather(path: Path, form: str) -> str:
+    """What to do about a file that cannot be read as the user's own `form`, if its shape says another."""
+    if form == "auto":
+        return ""
+    try:
+        shape = recognise(path)[1]
+    except (InputError, OSError):
+        return ""
+    return f" (its shape is that of {shape}: leave --truth-format out)" if shape != form else ""
 
 
 def recognise(path: Path) -> tuple[Path, str]:
@@ -96,6 +111,10 @@ def _inside(folder: Path) -> tuple[Path, str]:
 
 def _by_header(place: str, first: str) -> str:
     names = {name.strip().lower() for name in next(csv.reader([first]))}
+    for mark, word in ((";", "semicolons"), ("\t", "tabs")):
+        columns = [name.strip().lower() for name in first.split(mark)]
+        if "frame" in columns or (mark == ";" in first and first[0].isdigit()):
+            raise InputError(f"{place}: {word} between the columns; write commas there, and decimals with a point")
     if {"target", "part"} <= names:
         return "facetrack"
     if set(BOX_COLUMNS) <= names:

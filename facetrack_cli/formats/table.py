@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.trajectory import REQUIRED, SCHEMA, Row, read_csv
+from facetrack_cli.formats.limits import check_columns, refuse_pipe
+from facetrack_cli.trajectory import REQUIRED, SCHEMA, VERSION, Row, read_csv
 from facetrack_cli.types import Array
 
 Whole: TypeAlias = NDArray[np.int64]
@@ -158,6 +159,9 @@ def _numbered(numbers: dict[tuple[str, str], int], targets: Iterable[str], parts
 def _grouped(path: Path, columns: _Columns | None, header: Mapping[str, Any] | None) -> Table:
     if columns is None or not len(columns.which):
         raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
+    check_columns(
+        path, columns.floats, lambda row: f"frame {columns.frame[row]}, {'/'.join(columns.names[columns.which[row]])}"
+    )
     found = []
     counts = np.bincount(columns.which, minlength=len(columns.names))
     groups = np.split(np.argsort(columns.which, kind="stable"), np.cumsum(counts)[:-1])
@@ -178,10 +182,9 @@ def read_trajectory(path: Path) -> Table:
 
     Raises InputError, with the line where there is one, for a file that is none of them.
     """
-    if path.is_dir() and (inside := next((p for p in _inside(path) if p.is_file()), None)):
-        path = inside
+    path, first = _begins(path)
     # columns as a whole are quick; what they refuse is read once more row by row, to allow it or to say what is wrong
-    if _first_byte(path) != b"{":
+    if first != b"{":
         columns = _csv_columns(path)
         return from_rows(path, read_csv(path)) if columns is None else _grouped(path, columns, None)
     header, frames = _read_json(path)
@@ -193,10 +196,14 @@ def _inside(folder: Path) -> Iterator[Path]:
     return (folder / f"trajectory.{form}" for form in ("json", "csv", "jsonl"))
 
 
-def _first_byte(path: Path) -> bytes:
+def _begins(path: Path) -> tuple[Path, bytes]:
+    """The file, inside of `path` if that is a folder, and its first character."""
     try:
+        if path.is_dir():
+            path = next((inside for inside in _inside(path) if inside.is_file()), path)
+        refuse_pipe(path)
         with path.open("rb") as file:
-            return file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
+            return path, file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder without a trajectory.csv or .json; name the file") from None
     except OSError as e:
@@ -250,6 +257,8 @@ def _joined(numbers: Mapping[tuple[str, str], int], blocks: Sequence[_Block]) ->
 def _floats(cells: Sequence[str]) -> Array:
     """(R,) with nan for empty cells; ValueError for what is no finite number."""
     values = np.array([float(cell) if cell else np.nan for cell in cells])
+    if "_" in "".join(cells):  # float() takes 1_0 for 10
+        raise ValueError
     if np.count_nonzero(np.isfinite(values)) != len(cells) - cells.count(""):
         raise ValueError
     return values
@@ -285,8 +294,8 @@ def _read_json(path: Path) -> tuple[dict[str, Any], list[Any]]:
             except (json.JSONDecodeError, RecursionError):
                 # the first line of a JSON object is no record: then the error of the whole says more
                 place = f"{whole_error.lineno}" if number == 1 else str(number)
-                why = whole_error.msg if number == 1 else "is no whole record"
-                raise InputError(f"{path}:{place}: is not JSON: {why}; was the run cut short?") from None
+                why = f"{whole_error.msg}; " if number == 1 else "is no whole record; remove this line: "
+                raise InputError(f"{path}:{place}: is not JSON: {why}was the run cut short?") from None
             kind = record.get("type") if isinstance(record, dict) else None
             if kind == "frame":
                 frames.append(record)
@@ -306,6 +315,9 @@ def _read_json(path: Path) -> tuple[dict[str, Any], list[Any]]:
 def _check_schema(path: Path, header: Any) -> None:
     if not isinstance(header, dict) or header.get("schema") != SCHEMA:
         raise InputError(f'{path}: does not say "schema": "{SCHEMA}"; it is no trajectory of facetrack')
+    version = header.get("version", VERSION)
+    if type(version) is not int or version > VERSION:
+        raise InputError(f"{path}: is of version {version!r}, and this facetrack reads {VERSION}; update facetrack")
 
 
 def _json_columns(frames: list[Any]) -> _Columns | None:
@@ -333,7 +345,7 @@ def _json_block(frames: list[Any], numbers: dict[tuple[str, str], int]) -> _Bloc
     columns["status"] = [part.get("status", "") for part in parts]
     if not all(set(map(type, column)) <= _JSON_TYPES.get(name, _NUMBER) for name, column in columns.items()):
         raise ValueError
-    if min(columns["frame"], default=0) < 0:
+    if min(columns["frame"], default=0) < 0 or "" in columns["target"] or "" in columns["part"]:
         raise ValueError
     return {
         "which": _numbered(numbers, columns["target"], columns["part"]),
@@ -376,6 +388,10 @@ def _json_rows(path: Path, frames: list[Any]) -> Iterator[Row]:
 def _check_row(row: Row) -> None:
     if not isinstance(row.frame, int) or isinstance(row.frame, bool) or not 0 <= row.frame < 10**18:
         raise ValueError(f"frame {row.frame!r} is no whole number from 0 up")
+    for name in ("target", "part", "status"):
+        value = getattr(row, name)
+        if not isinstance(value, str) or (not value and name != "status"):
+            raise ValueError(f"{name} {value!r} is no name")
     for name in _FLOATS:
         value = getattr(row, name)
         if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):

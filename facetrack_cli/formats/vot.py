@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.formats.lines import MAX_PIXELS, Line, boxes, decimal, delimiter, lines_by_frame, numbers, read_text
+from facetrack_cli.formats.limits import MAX_PIXELS
+from facetrack_cli.formats.lines import Line, boxes, decimal, delimiter, lines_by_frame, numbers, read_text
 from facetrack_cli.formats.plain import known_boxes
 from facetrack_cli.formats.table import Series, Table, Texts
 from facetrack_cli.types import Array
