@@ -75,6 +75,12 @@ def test_truth_without_names_and_several_boxes_needs_a_choice() -> None:
         pairs(ours, truth(range(50)), select="foot")
 
 
+def test_boxes_are_no_truth_of_points() -> None:
+    ours = table(*(box(range(9), "face", part) for part in ("nose", "chin")))
+    with pytest.raises(InputError, match=r"gt.txt: holds boxes, and run.csv points, face/nose, face/chin; give truth"):
+        pairs(ours, truth(range(9)))
+
+
 def test_truth_without_names_and_no_boxes() -> None:
     point = series("head", "nose", range(50), x=np.arange(50), y=np.arange(50))
     with pytest.raises(InputError, match=r"no part of run\.csv has w and h"):

@@ -106,6 +106,11 @@ def _pair_names(ours: Table, truth: Table, select: str | None, note: Callable[[s
 
 def _nameless(ours: Table, truth: Table, select: str | None, note: Callable[[str], None]) -> Pair:
     boxed = [one for one in ours.series if np.any(np.isfinite(one.w) & np.isfinite(one.h))]
+    if len(boxed) > 1 and len({one.target for one in boxed}) == 1:
+        raise InputError(
+            f"{truth.path}: holds boxes, and {ours.path} points, {_names(boxed)}; give truth of these points "
+            "(--target NAME/PART would measure the window around one of them)"
+        )
     if len(boxed) > 1:
         raise InputError(
             f"{truth.path}: its boxes have no names, and {ours.path} has {_names(boxed)}; "
