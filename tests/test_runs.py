@@ -98,13 +98,29 @@ def test_a_wish_to_stop_ends_it(workers):
     assert list(run_plans([plan(stop=200), plan(stop=200)], workers, stop, report)) == []
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_is_there_so_far_can_be_had(workers):
+    stop = Stop()
+
+    def report(done, total):
+        if done >= 12:
+            stop.code = ExitCode.INTERRUPTED
+
+    found = list(run_plans([plan(stop=None), plan(stop=None)], workers, stop, report, partial=True))
+    assert {run.seed for run in found} <= {0, 1} and len(found) >= 2
+    [whole] = run_plans([plan(seeds=(0,), stop=60)])
+    x = found[0].table.series[0].x
+    assert 1 < len(x) < 275
+    np.testing.assert_array_equal(x[:60], whole.table.series[0].x[: len(x)])
+
+
 def test_a_start_beyond_the_clip_is_told():
     late = Start(9999, plan().start.targets, "late.yaml")
     [ended] = run_plans([Plan("late", CLIP, load_recipe("factorized"), late, (0,))])
     assert isinstance(ended, Failure) and isinstance(ended.error, InputError)
 
 
-def _ends_itself(plan, seeds):
+def _ends_itself(plan, seeds, partial):
     if plan.label == "bad":
         os._exit(9)
     return runs._run(plan, seeds, lambda: False, lambda frames: None)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from facetrack_cli.errors import UsageError
+from facetrack_cli.errors import ExitCode, UsageError
 from facetrack_cli.options import FRAME, Whole, rate
 from facetrack_cli.options import box as box_of
 
@@ -81,6 +81,8 @@ def command(
     part ways, which is the first of 5 frames in a row in which a run is farther from the median of most than a
     quarter of the target's size (--apart). Then who leaves, how far, who comes back, and the groups at the end.
 
+    All runs advance together; after Ctrl-C the table holds the frames that they had reached.
+
     \b
     The folder gets repeat.csv (a row a frame and part: mean position,
     standard deviations, farthest run), repeat.json, repeat.md, spread.png.
@@ -121,32 +123,34 @@ def command(
         plan = begin.plan(recipe.name, recipe, seeds, known, ending)
         shown.begin(clip_name(clip), "frames", None)
         runs = []
-        for run in run_plans([plan], workers, ending, lambda done, of: shown.update(done, of or None)):
+        told = run_plans([plan], workers, ending, lambda done, of: shown.update(done, of or None), partial=True)
+        for run in told:
             if isinstance(run, Failure):
                 raise run.error
             runs.append(run)
         shown.close()
         for line in dict.fromkeys(line for run in runs for line in run.warnings):
             shown.say(f"facetrack: warning: {line}")
-        if len(runs) < seeds:  # they end together, so that none is whole
-            shown.say(f"facetrack: {ending.reason} before a run was complete; nothing was written")
-            ctx.exit(ending.code or 1)
-        tables = [run.table for run in runs]
+        if len(runs) < 2:
+            shown.say(f"facetrack: {ending.reason} before two runs had begun; nothing was written")
+            ctx.exit(ending.code or ExitCode.FAULT)
+        tables, ran = [run.table for run in runs], tuple(run.seed for run in runs)
         found = Repetition(
             clip=clip,
             label=recipe.name,
             recipe=recipe,
-            seeds=plan.seeds,
-            spreads=spreads(plan.seeds, tables, apart, _matched(tables[0], known)),
+            seeds=ran,
+            spreads=spreads(ran, tables, apart, _matched(tables[0], known)),
             fraction=apart,
             truth=truth,
+            complete=ending.code is None,
         )
         try:
             _write(found, folder, shown, plots=not no_plots)
         finally:  # what took long is not lost for a full disk
             _show(found, form)
         shown.say(f"{clip} -> {folder.summary()}")
-    ctx.exit(ending.code or 0)
+    ctx.exit(ending.code or ExitCode.DONE)
 
 
 def _matched(table: Table, truth: Table | None) -> list[Series]:

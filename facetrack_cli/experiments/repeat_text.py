@@ -27,7 +27,10 @@ MOST_NAMED: Final = 10  # seeds in one line of the table
 
 @dataclass(frozen=True)
 class Repetition:
-    """The runs of one recipe on a clip; `fraction` of the target's size is the limit beyond which runs part."""
+    """The runs of one recipe on a clip; `fraction` of the target's size is the limit beyond which runs part.
+
+    `complete` is False where they were interrupted: they are as long as the shortest then.
+    """
 
     clip: Path
     label: str
@@ -36,6 +39,7 @@ class Repetition:
     spreads: tuple[Spread, ...]
     fraction: float
     truth: Path | None = None
+    complete: bool = True
 
     @property
     def title(self) -> str:
@@ -94,7 +98,7 @@ def _row(name: str, one: Spread) -> tuple[str, ...]:
 def notes(found: Repetition) -> list[str]:
     """What one must know to read the table, who leaves, and where the runs end."""
     limits = dict.fromkeys(f"{one.limit:.1f}" for one in found.spreads)
-    lines = []
+    lines = [] if found.complete else [f"Interrupted: these are the frames that {len(found.seeds)} runs had reached."]
     if found.identical:
         draws = "" if found.recipe.random else ": this tracker draws no random numbers"
         lines.append(f"All {len(found.seeds)} runs are identical{draws}.")
@@ -169,6 +173,7 @@ def as_json(found: Repetition) -> str:
         "truth": None if found.truth is None else str(found.truth),
         "label": found.label,
         "seeds": list(found.seeds),
+        "complete": found.complete,
         "identical": found.identical,
         "parting": found.parting,
         "fraction": found.fraction,

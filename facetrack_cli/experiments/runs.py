@@ -86,16 +86,18 @@ def run_plans(
     workers: int = 1,
     stopped: Stop | None = None,
     report: Report = lambda done, total: None,
+    *,
+    partial: bool = False,
 ) -> Ended:
     """Run all plans, in `workers` processes: their runs in the order of plans and seeds, or one failure for a plan.
 
-    Once `stopped` says so, nothing more is yielded.
+    Once `stopped` says so, nothing more is yielded; with `partial` what the runs at work have so far still is.
     """
     stopped = stopped or Stop()
     if workers == 1:
-        yield from _in_turn(plans, stopped, report)
+        yield from _in_turn(plans, stopped, report, partial)
     else:
-        yield from _side_by_side(plans, workers, stopped, report)
+        yield from _side_by_side(plans, workers, stopped, report, partial)
 
 
 def find_plan_start(
@@ -218,8 +220,13 @@ def _header(size: tuple[int, int]) -> dict[str, Any]:
     return {"source": {"size": list(size)}}
 
 
-def _run(plan: Plan, seeds: Sequence[int], stopped: Callable[[], bool], tell: Callable[[int], None]) -> list[SeedRun]:
-    """The runs of some seeds of a plan; none if it is stopped. `tell` hears of each frame how many tracked it."""
+def _run(
+    plan: Plan, seeds: Sequence[int], stopped: Callable[[], bool], tell: Callable[[int], None], partial: bool = False
+) -> list[SeedRun]:
+    """The runs of some seeds of a plan; none if it is stopped, or, with `partial`, those up to the frame before.
+
+    `tell` hears of each frame how many tracked it.
+    """
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
         check_start(plan.start, source.size, plan.recipe.points)
         tracker = build_tracker(plan.recipe, plan.start)
@@ -231,6 +238,8 @@ def _run(plan: Plan, seeds: Sequence[int], stopped: Callable[[], bool], tell: Ca
         count = 0
         for frame in source:
             if stopped():
+                if partial and count:
+                    break
                 return []
             feed.frame = frame
             for i, run in enumerate(runs):
@@ -251,7 +260,7 @@ def _run(plan: Plan, seeds: Sequence[int], stopped: Callable[[], bool], tell: Ca
 # --- all plans -----------------------------------------------------------------------------------------------------
 
 
-def _in_turn(plans: Sequence[Plan], stopped: Stop, report: Report) -> Ended:
+def _in_turn(plans: Sequence[Plan], stopped: Stop, report: Report, partial: bool) -> Ended:
     done, total = 0, _total(plans)
 
     def tell(frames: int) -> None:
@@ -261,16 +270,16 @@ def _in_turn(plans: Sequence[Plan], stopped: Stop, report: Report) -> Ended:
 
     for plan in plans:
         try:
-            found = _run(plan, plan.seeds, stopped, tell)
+            found = _run(plan, plan.seeds, stopped, tell, partial)
         except FacetrackError as e:
             yield Failure(plan.label, e)
             continue
-        if stopped():
+        if stopped() and not partial:
             return
         yield from found
 
 
-def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Report) -> Ended:
+def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Report, partial: bool) -> Ended:
     total = _total(plans)
 
     def tell() -> None:
@@ -282,10 +291,12 @@ def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Re
     threads = max(1, cores() // workers)
     pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(ending, done, threads))
     try:
-        futures = [[pool.submit(_work, plan, share) for share in _shares(plan.seeds, pieces)] for plan in plans]
+        futures = [
+            [pool.submit(_work, plan, share, partial) for share in _shares(plan.seeds, pieces)] for plan in plans
+        ]
         for plan, shares in zip(plans, futures, strict=True):
             try:
-                found = [run for share in shares for run in _await(share, ending, stopped, tell)]
+                found = [run for share in pending for run in _await(share, ending, stopped, tell, partial)]
             except FacetrackError as e:
                 yield Failure(plan.label, e)
                 continue
@@ -295,7 +306,7 @@ def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Re
                     return
                 yield Failure(plan.label, FacetrackError(_ENDED))  # what is whole already is kept
                 continue
-            if stopped():
+            if stopped() and not partial:
                 return
             yield from found
     finally:
@@ -325,11 +336,13 @@ def _shares(seeds: Sequence[int], pieces: int) -> list[tuple[int, ...]]:
     return [tuple(seeds[a:b]) for a, b in itertools.pairwise(edges)]
 
 
-def _await(share: Future[list[SeedRun]], ending: _Shared, stopped: Stop, tell: Callable[[], None]) -> list[SeedRun]:
+def _await(
+    share: Future[list[SeedRun]], ending: _Shared, stopped: Stop, tell: Callable[[], None], partial: bool
+) -> list[SeedRun]:
     while True:
         if stopped():
             ending.value = 1
-            return []
+            return share.result() if partial and not share.cancel() else []
         tell()
         with contextlib.suppress(NotYet):
             return share.result(timeout=_LOOK_S)
@@ -349,7 +362,7 @@ def _begin(ending: _Shared, done: _Shared, threads: int) -> None:
     use_threads(threads)
 
 
-def _work(plan: Plan, seeds: tuple[int, ...]) -> list[SeedRun]:
+def _work(plan: Plan, seeds: tuple[int, ...], partial: bool) -> list[SeedRun]:
     parent = multiprocessing.parent_process()
 
     def tell(frames: int) -> None:
@@ -359,4 +372,4 @@ def _work(plan: Plan, seeds: tuple[int, ...]) -> list[SeedRun]:
     def stopped() -> bool:
         return bool(_Common.ending.value) or (parent is not None and not parent.is_alive())
 
-    return _run(plan, seeds, stopped, tell)
+    return _run(plan, seeds, stopped, tell, partial)
