@@ -331,13 +331,27 @@ def test_the_truth_beside_the_clip(folder, capsys):
 
 
 def test_no_confidence_no_plot(folder, capsys):
-    Path("ours.csv").write_text("frame,target,part,x,y\n0,face,left,1,1\n0,face,right,9,1\n")
-    Path("truth.csv").write_text("frame,target,part,x,y\n0,face,left,1,1\n0,face,right,9,1\n")
+    Path("ours.csv").write_text("frame,target,part,x,y\n0,face,left,1,1\n0,face,right,9,1\n1,face,left,1,1\n")
+    Path("truth.csv").write_text("frame,target,part,x,y\n0,face,left,1,1\n0,face,right,9,1\n1,face,left,1,1\n")
     said = run("ours.csv", "--truth", "truth.csv", "--plot", "a.png", code=3, capsys=capsys)
     assert "ours.csv: has no confidence" in said.err and not Path("a.png").exists()
     out = run("ours.csv", "--truth", "truth.csv", capsys=capsys).out
     assert "CONFIDENCE" not in out and "LOST" not in out and "SPREAD" not in out
     assert "the trajectory has no confidence, so confidence is not measured" in out
+
+
+def test_truth_of_another_size_is_told_by_the_start(folder, capsys):
+    said = "the track starts 30 px from the truth: is that of another clip, another size, or other frames?"
+    assert said not in run("ours.csv", "--truth", "truth.csv", capsys=capsys).out
+    Path("truth.csv").write_text(TRUTH.replace("left,10", "left,40").replace("right,22", "right,52"))
+    assert said in run("ours.csv", "--truth", "truth.csv", "--shift", "0", capsys=capsys).out
+
+
+def test_a_track_of_the_given_row_alone(folder, capsys):
+    Path("ours.csv").write_text(HEAD + "".join(OURS.splitlines(keepends=True)[:2]))
+    out = run("ours.csv", "--truth", "truth.csv", "--partial", capsys=capsys).out
+    assert "all rows were given to the tracker, so lost, confidence and coverage are not measured" in out
+    assert "has no status" not in out
 
 
 def test_as_a_process_in_another_encoding(folder):

@@ -211,3 +211,9 @@ def test_pts_of_other_sizes_and_nan(tmp_path: Path) -> None:
     write(tmp_path, "version: 1\nn_points: 2\n{\n1 1\n2 2\n}", "other_12.pts")
     with pytest.raises(InputError, match=r"other_12.pts: frame 12 is also in clip_12.pts"):
         read_pts(tmp_path)
+
+
+def test_vot_has_no_room_for_frames_far_on() -> None:
+    far = track([0, 10**9], [(9.0, 9.0, 3.0, 3.0, None)] * 2)
+    with pytest.raises(InputError, match="frame 1000000000 is too far on for VOT text, which has a line a frame"):
+        write_vot(far)

@@ -117,6 +117,13 @@ def test_recovery_ends_at_the_next_occlusion_and_knows_when_it_cannot_tell():
     assert measure_recovery(occlusions([rows([9] * 3, "vhh")])).recovered is None
 
 
+def test_recovery_is_not_known_where_the_truth_is_not():
+    unknown = rows([0, 9, *[0] * 8], "vhvvvvvvvv", unit=math.nan)
+    (one,) = occlusions([unknown])
+    assert (one.frames_to_return, one.decided) == (None, False)
+    assert measure_recovery([one]).recovered is None
+
+
 def test_targets_recover_apart_and_frames_are_counted_not_rows():
     anna = rows([0] * 9, "vh" + "v" * 7, target="anna", frame=np.arange(9) * 10)
     ben = rows([0, 9, 9, 0, 0, 0, 0, 0, 0], "vh" + "v" * 7, target="ben", frame=np.arange(9) * 10)

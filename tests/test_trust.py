@@ -148,3 +148,7 @@ def test_the_ellipses_hold_what_they_are_named_for():
     squared = mahalanobis_squared(offset, np.broadcast_to(std, offset.shape))
     assert np.mean(squared <= ELLIPSE_50) == pytest.approx(0.5, abs=0.01)
     assert np.mean(squared <= ELLIPSE_90) == pytest.approx(0.9, abs=0.006)
+
+
+def test_a_tiny_spread_is_infinitely_far_and_no_warning():
+    assert mahalanobis_squared(np.array([[1.0, 0.0]]), np.array([[1e-320, 1.0]])).tolist() == [math.inf]

@@ -62,7 +62,7 @@ class Occlusion:
 
     `first` and `last` are its frames. `frames_to_return`: from the first frame after it to the first of 5 rows in a row
     in which every part that was covered is near; None if there is none before the next occlusion or the end.
-    `decided` is False where fewer than 5 rows follow, so that it cannot be told.
+    `decided` is False where fewer than 5 rows follow of which it is known whether those parts are near.
     """
 
     target: str
@@ -145,11 +145,11 @@ def _of_target(target: str, parts: Sequence[Rows]) -> list[Occlusion]:
     frames = np.unique(joined(parts, "frame"))
     # a part without a row in a frame is not known to be covered there, nor to be near
     covered = np.zeros((len(frames), len(parts)), dtype=np.bool_)
-    near = np.zeros_like(covered)
+    near, judged = np.zeros_like(covered), np.zeros_like(covered)
     for k, part in enumerate(parts):
         at = np.searchsorted(frames, part.frame)
         covered[at, k] = part.covered
-        near[at, k] = part.near
+        near[at, k], judged[at, k] = part.near, part.judged
     stretches = list(spans(np.any(covered, axis=1)))
     nexts = [*[first for first, _ in stretches], len(frames)][1:]
     found = []
@@ -163,7 +163,7 @@ def _of_target(target: str, parts: Sequence[Rows]) -> list[Occlusion]:
                 first=int(frames[first]),
                 last=int(frames[end - 1]),
                 frames_to_return=int(frames[end + runs[0][0]] - frames[end]) if runs else None,
-                decided=until - end >= HELD,
+                decided=int(judged[end:until, those].all(axis=1).sum()) >= HELD,
             )
         )
     return found

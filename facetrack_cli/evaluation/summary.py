@@ -25,7 +25,7 @@ from facetrack_cli.evaluation.points import (
     measure_recovery,
     occlusions,
 )
-from facetrack_cli.evaluation.rows import Figure, Rows, is_box, rows_of, says_box
+from facetrack_cli.evaluation.rows import Figure, Rows, is_box, joined, rows_of, says_box
 from facetrack_cli.evaluation.trust import ConfidenceMeasures, CoverageMeasures, LostMeasures, Trust, measure_trust
 from facetrack_cli.evaluation.units import Unit, check_normalise, unit_of
 from facetrack_cli.formats.table import Series
@@ -133,7 +133,7 @@ def evaluate(
         recovery=measure_recovery(found),
         notes=(),
     )
-    return replace(evaluation, notes=(*notes, *_why_undefined(evaluation)))
+    return replace(evaluation, notes=(*notes, *_strange_start(rows), *_why_undefined(evaluation, rows)))
 
 
 def units_of(pairs: Sequence[Pair], normalise: str = "size", reference: Sequence[Series] = ()) -> dict[str, Unit]:
@@ -328,7 +328,11 @@ _WHY: Final = (  # a figure that is not defined although the other is, and why
     ("points.mean_px", "points.rows", "no visible row has a true position and one of ours, so there is no error"),
     ("boxes.success_auc", "boxes.rows", "no visible row has a true box, so there is no overlap"),
     ("boxes.ao", "boxes.success_auc", "only the given row has a true box: AO, SR and VOT's accuracy count none"),
-    ("occlusions.recovered", "occlusions.occlusions", "fewer than 5 rows follow each occlusion: recovery is not known"),
+    (
+        "occlusions.recovered",
+        "occlusions.occlusions",
+        "fewer than 5 rows of known truth follow each occlusion: recovery is not known",
+    ),
     ("lost.precision", "lost.rows", "no row is called lost, so lost has no precision"),
     ("lost.recall", "lost.rows", "the truth marks no row as hidden or absent, so lost has no recall"),
     ("confidence.auroc_near", "confidence.near", "AUROC compares near rows with others, and there is only one kind"),
@@ -338,12 +342,25 @@ _WHY: Final = (  # a figure that is not defined although the other is, and why
 )
 
 
-def _why_undefined(evaluation: Evaluation) -> list[str]:
+def _strange_start(rows: Sequence[Rows]) -> list[str]:
+    """Whether the rows that the tracker was given lie nowhere near the truth."""
+    given = [part.take(part.init & part.placed) for part in rows]
+    error, unit = joined(given, "error"), joined(given, "unit")
+    known = np.isfinite(error) & np.isfinite(unit)
+    if not known.any() or np.median(error[known] / unit[known]) <= 1:
+        return []
+    off = float(np.median(error[known]))
+    return [f"the track starts {off:.0f} px from the truth: is that of another clip, another size, or other frames?"]
+
+
+def _why_undefined(evaluation: Evaluation, rows: Sequence[Rows]) -> list[str]:
     found = figures(evaluation.all, evaluation.recovery)
     why = [text for name, other, text in _WHY if found[name] is None and found[other] is not None]
     if found["points.mean_px"] is not None and found["points.auc"] is None:
         texts = "; ".join(dict.fromkeys(evaluation.units.values()))
         why.append(f"errors are not normalised and nothing is near ({texts}): give --normalise PIXELS")
+    if all(part.init.all() for part in rows):
+        return [*why, "all rows were given to the tracker, so lost, confidence and coverage are not measured"]
     for group, column in (("lost", "status"), ("confidence", "confidence"), ("coverage", "std")):
         if getattr(evaluation.all.trust, group) is None:
             why.append(f"the trajectory has no {column}, so {group} is not measured")

@@ -227,7 +227,7 @@ def _occlusions(say: _Say, evaluation: Evaluation) -> None:
     )
     rows = []
     for one in evaluation.occlusions[:MOST]:
-        returned = "too short to tell" if not one.decided else "never"
+        returned = "cannot be told" if not one.decided else "never"
         rows.append(
             (
                 f"{one.first}-{one.last}",

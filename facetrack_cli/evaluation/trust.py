@@ -218,7 +218,8 @@ def mahalanobis_squared(offset: Array, std: Array) -> Array:
     Along an axis without spread it is 0 if the offset is, else infinite.
     """
     flat = std == 0
-    terms = (offset / np.where(flat, 1.0, std)) ** 2
+    with np.errstate(over="ignore"):  # of a tiny std: infinitely far is right
+        terms = (offset / np.where(flat, 1.0, std)) ** 2
     terms = np.where(flat, np.where(offset == 0, 0.0, np.inf), terms)
     return np.asarray(terms.sum(axis=1))
 

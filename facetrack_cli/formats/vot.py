@@ -28,6 +28,7 @@ from facetrack_cli.types import Array
 
 REGION = "left,top,width,height or x1,y1,...,x4,y4"
 UNKNOWN, INIT, FAILURE = 0, 1, 2
+MOST_LINES = 10**7  # four days of video
 
 
 def read_vot(path: Path, *, shift: int = 0) -> Table:
@@ -78,6 +79,10 @@ def write_vot(one: Series) -> str:
     """
     if one.frame[0] < 0:
         raise InputError(f"{one.name}: frame {one.frame[0]} is before the clip's first; VOT text begins at frame 0")
+    if one.frame[-1] >= MOST_LINES:
+        raise InputError(
+            f"{one.name}: frame {one.frame[-1]} is too far on for VOT text, which has a line a frame"
+        )
     lines = ["0"] * (int(one.frame[-1]) + 1)
     regions = known_boxes(one).tolist()
     corners = np.full((len(one), 8), np.nan) if one.corners is None else one.corners.reshape(-1, 8)
