@@ -24,7 +24,7 @@ ROWS_CLOSER = 0.7  # share of the rows that must be closer at the lag
 TWIN = 0.5  # the median error, of that at the lag of the other sign
 TRAILING, LEADING = 3, 1  # frames that a tracker may be behind or ahead: what differs so little is left to it
 LEAST_ROWS = 20
-MOST_ROWS = 2_000  # of a part; of more, evenly spaced ones are looked at, which find as many cuts as all do
+MOST_ROWS = 2_000  # of a part; of more, evenly spaced ones are looked at: they find nearly as many cuts as all do
 ROUNDING = 0.05  # pixels: what is smaller is not told apart
 
 
