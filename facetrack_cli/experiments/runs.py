@@ -296,7 +296,7 @@ def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Re
         ]
         for plan, shares in zip(plans, futures, strict=True):
             try:
-                found = [run for share in pending for run in _await(share, ending, stopped, tell, partial)]
+                found = [run for share in shares for run in _await(share, ending, stopped, tell, partial)]
             except FacetrackError as e:
                 yield Failure(plan.label, e)
                 continue
