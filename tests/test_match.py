@@ -54,6 +54,31 @@ def renumbered(one: Series, first: int) -> Series:
     return replace(one, frame=one.frame - one.frame[0] + first)
 
 
+# --- status ---
+
+
+def test_a_status_that_truth_cannot_have_is_named_with_its_place() -> None:
+    status = np.where(np.arange(50) == 7, "Hidden", "visible")
+    message = r"gt.txt: frame 7, head/box: status 'Hidden' is none of visible, hidden, absent; correct it"
+    with pytest.raises(InputError, match=message):
+        pairs(table(box(range(50))), truth(range(50), "head", status=status))
+
+
+def test_trajectory_and_truth_the_wrong_way_round() -> None:
+    track, true = (
+        box(range(50), status=np.where(np.arange(50) % 9, *words))
+        for words in (("tracked", "lost"), ("visible", "hidden"))
+    )
+    assert pairs(table(track), table(true, name="gt.txt")) and pairs(table(track), table(track, name="gt.txt"))
+    with pytest.raises(InputError, match=r"run.csv: is a trajectory, and gt.txt is truth.*the other way round"):
+        pairs(table(true, name="gt.txt"), table(track))
+
+
+def test_truth_that_is_lost_all_along() -> None:
+    with pytest.raises(InputError, match=r"gt.txt: calls every row lost.*name a truth file"):
+        pairs(table(box(range(50))), truth(range(50), "head", status=["lost"] * 50))
+
+
 # --- names ---
 
 

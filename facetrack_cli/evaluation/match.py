@@ -21,6 +21,8 @@ from facetrack_cli.formats.table import Mask, Series, Table, Whole
 from facetrack_cli.formats.targets import choose
 
 NOT_SEEN = ("hidden", "absent")
+OF_TRUTH = ("visible", *NOT_SEEN)
+OF_TRACK = ("init", "tracked", "lost")
 
 
 class Pair(NamedTuple):
@@ -52,11 +54,12 @@ def match(
     what was paired under other names, and of what has no counterpart. Without `partial` both must begin and end
     together, as far as the truth is dense enough to tell, and no frame of the truth may be missing.
 
-    Raises InputError for tables that do not belong together, with the remedy: no name or frame in common, frames of one
-    that the other lacks, truth outside of the picture, and with `check_shift` rows that fit another frame of the truth
-    much better. UsageError for a `select` that names nothing.
+    Raises InputError for tables that do not belong together, with the remedy: no name or frame in common, a status that
+    truth cannot have, frames of one that the other lacks, truth outside of the picture, and with `check_shift` rows that
+    fit another frame of the truth much better. UsageError for a `select` that names nothing.
     """
     named = _pair_names(choose(trajectory, select), truth, select, note)
+    _check_status(trajectory, truth, named)
     _check_frames(trajectory, truth, named, partial)
     _check_picture(trajectory, truth, named)
     if check_shift and (found := find_shift([(one.ours, one.truth) for one in named])):
@@ -127,6 +130,34 @@ def _names(those: Sequence[Series], most: int = 6) -> str:
     names = [one.name if one.target else f"{one.part} without a name" for one in those]
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
+
+
+# --- status ----------------------------------------------------------------------------------------------------------
+
+
+def _check_status(trajectory: Table, truth: Table, named: Sequence[Pair]) -> None:
+    theirs = [one.truth for one in named]
+    for one in theirs:
+        strange = np.flatnonzero(~np.isin(one.status, ("", *OF_TRUTH, *OF_TRACK)))
+        if strange.size:
+            row = int(strange[0])
+            raise InputError(
+                f"{truth.path}: frame {one.frame[row]}, {one.name}: status {str(one.status[row])!r} is none of "
+                f"{', '.join(OF_TRUTH)}; correct it"
+            )
+    if _says(theirs, OF_TRACK) and _says([one.ours for one in named], OF_TRUTH):
+        raise InputError(
+            f"{truth.path}: is a trajectory, and {trajectory.path} is truth, as their status says: "
+            "name them the other way round"
+        )
+    if all(bool(np.all(one.status == "lost")) for one in theirs):
+        raise InputError(
+            f"{truth.path}: calls every row lost, so there is nothing to measure against; name a truth file"
+        )
+
+
+def _says(those: Sequence[Series], words: Sequence[str]) -> bool:
+    return any(bool(np.isin(one.status, words).any()) for one in those)
 
 
 # --- frames ----------------------------------------------------------------------------------------------------------

@@ -156,20 +156,9 @@ def units_of(pairs: Sequence[Pair], normalise: str = "size", reference: Sequence
     return found
 
 
-_TELLS: Final = ("", "visible", "hidden", "absent", "init", "tracked")
-
-
 def _told(pair: Pair) -> Pair:
     """Without the rows that the truth itself calls lost, as a trajectory does that serves as truth."""
-    status = pair.truth.status
-    strange = np.flatnonzero(~np.isin(status, (*_TELLS, "lost")))
-    if strange.size:
-        row = int(strange[0])
-        raise InputError(
-            f"the truth of {pair.truth.name}, frame {pair.truth.frame[row]}: status {str(status[row])!r} is none of "
-            "visible, hidden, absent; correct it"
-        )
-    known = status != "lost"
+    known = pair.truth.status != "lost"
     return pair if known.all() else pair._replace(ours=pair.ours.take(known), truth=pair.truth.take(known))
 
 
