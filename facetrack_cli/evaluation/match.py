@@ -55,8 +55,8 @@ def match(
     together, as far as the truth is dense enough to tell, and no frame of the truth may be missing.
 
     Raises InputError for tables that do not belong together, with the remedy: no name or frame in common, a status that
-    truth cannot have, frames of one that the other lacks, truth outside of the picture, and with `check_shift` rows that
-    fit another frame of the truth much better. UsageError for a `select` that names nothing.
+    truth cannot have, frames of one that the other lacks, truth outside of the picture, and with `check_shift` rows
+    that fit another frame of the truth much better. UsageError for a `select` that names nothing.
     """
     named = _pair_names(choose(trajectory, select), truth, select, note)
     _check_status(trajectory, truth, named)
