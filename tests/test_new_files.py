@@ -86,3 +86,16 @@ def test_what_is_read_is_never_replaced(run, capsys, command):
     (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith(f"{Path(command[-1])}: is read here, and would be replaced; name another file")
     assert {path: path.read_bytes() for path in run.iterdir()} == before
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a\\u0000b", "a\\nb<&>\\u00fc.mp4"])
+def test_whatever_a_header_calls_its_clip(run, capsys, name):
+    Path("trajectory.json").write_text((HEADER + FRAME).replace("clip.mp4", name))
+    assert main(["eval", "trajectory.json"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("give --truth FILE")
+    assert main(["eval", "trajectory.json", "--truth", "clip.truth.csv", "--csv", "clip.csv"]) == 0
+    assert main(["export", "trajectory.json", "--to", "eaf"]) == 0
+    assert main(["export", "trajectory.json", "--to", "coco", "--box", "points"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 4  # what eval wrote, a clip that is not there, and two exports

@@ -168,13 +168,13 @@ def _check_outputs(outputs: dict[str, str | None], overwrite: bool) -> dict[str,
 
 def _truth_beside(ours: Table) -> Path:
     """The truth file beside the clip of a JSON trajectory."""
-    from facetrack_cli.formats.source import clip_of
+    from facetrack_cli.formats.source import clip_of, is_there
 
     clip = clip_of(ours)
     if clip is None:
         raise UsageError(f"{ours.path}: does not name its clip, beside which the truth might be; give --truth FILE")
     beside = clip.with_name(clip.stem + ".truth.csv") if clip.name else clip
-    if not beside.is_file():
+    if not is_there(beside):
         raise UsageError(f"{ours.path}: beside its clip there is no {beside}; give --truth FILE")
     return beside
 
@@ -194,7 +194,7 @@ def _write(whole: dict[str, bytes], files: dict[str, Path], overwrite: bool) -> 
 
     for option, content in whole.items():
         write_new(files[option], content, overwrite=overwrite)
-        click.echo(f"written: {files[option]}", err=True)
+        click.echo(" ".join(f"written: {files[option]}".splitlines()), err=True)
 
 
 def _print(text: str) -> None:

@@ -113,7 +113,7 @@ def command(
         raise e if str(e).startswith((str(table.path), str(media))) else InputError(f"{table.path}: {e}") from None
     _write(text, path, overwrite)
     if path is not None:
-        click.echo(f"{path}: {_summary(table, form)}", err=True)
+        _tell(f"{path}: {_summary(table, form)}")
 
 
 def _text(table: Table, form: str, path: Path | None, media: Path | None, around: Around) -> str:
@@ -146,23 +146,23 @@ def _text(table: Table, form: str, path: Path | None, media: Path | None, around
 
 def _clip(table: Table, media: Path | None) -> Path:
     """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""
-    from facetrack_cli.formats.source import clip_of
+    from facetrack_cli.formats.source import clip_of, is_there
 
     clip = media or clip_of(table)
     if clip is None:
         raise InputError("does not name its video, only a trajectory.json does; give it with --media")
-    if clip.is_dir():
+    if is_there(clip) and clip.is_dir():
         raise InputError(f"{clip} is a folder of images, which ELAN cannot play; name a video of it with --media")
-    if not clip.exists():
+    if not is_there(clip):
         if media is not None:
             raise InputError(f"{clip}: no such file; correct --media")
-        click.echo(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media", err=True)
+        _tell(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
     return clip
 
 
 def _pictures(table: Table, media: Path | None) -> tuple[tuple[int, int], Callable[[int], str]]:
     """The size of the frames, and the names of their images."""
-    from facetrack_cli.formats.source import clip_of, picture_of
+    from facetrack_cli.formats.source import clip_of, is_there, picture_of
     from facetrack_cli.video import images
     from facetrack_cli.video.source import open_source
 
@@ -178,7 +178,7 @@ def _pictures(table: Table, media: Path | None) -> tuple[tuple[int, int], Callab
         size = found
     if not size or clip is None:
         raise InputError("does not say how large its pictures are, only a trajectory.json does; name the clip: --media")
-    files = images.listing(clip) if clip.exists() else None
+    files = images.listing(clip) if is_there(clip) else None
     last = int(table.frames[-1])
     if files is not None and last >= len(files):
         raise InputError(f"{clip}: has {len(files)} images, and the track a frame {last}; name its folder with --media")
@@ -194,6 +194,11 @@ def _write(text: str, path: Path | None, overwrite: bool) -> None:
         StreamSink(sys.stdout.buffer).finish(lambda _: text)
     else:
         write_new(path, text.encode(errors="backslashreplace"), overwrite=overwrite)
+
+
+def _tell(message: str) -> None:
+    """A line on standard error, also where a name holds line breaks."""
+    click.echo(" ".join(message.splitlines()), err=True)
 
 
 def _summary(table: Table, form: str) -> str:

@@ -20,7 +20,7 @@ def clip_of(table: Table) -> Path | None:
     if not isinstance(named, str) or not named:
         return None
     beside = table.path.absolute().parent
-    return next((p for p in (Path(named), beside / named, beside.parent / named) if p.exists()), Path(named))
+    return next((p for p in (Path(named), beside / named, beside.parent / named) if is_there(p)), Path(named))
 
 
 def picture_of(table: Table) -> tuple[int, int] | None:
@@ -29,3 +29,11 @@ def picture_of(table: Table) -> tuple[int, int] | None:
     if isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size):
         return size[0], size[1]
     return None
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is such a file or folder, as far as the system lets us look."""
+    try:
+        return path.exists()
+    except OSError:  # no permission, or a name that is too long
+        return False

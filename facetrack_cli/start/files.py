@@ -250,7 +250,7 @@ def check_new(path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = ()
     try:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder; name a file in it")
-        if path.exists() and any(given.exists() and path.samefile(given) for given in inputs if given is not None):
+        if path.exists() and any(_is_same(path, given) for given in inputs if given is not None):
             raise OutputError(f"{path}: is read here, and would be replaced; name another file")
         if os.path.lexists(path) and not overwrite and not _is_stream(path):
             raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
@@ -281,6 +281,13 @@ def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
                 part.unlink(missing_ok=True)
     except OSError as e:
         raise OutputError(f"{path}: cannot be written: {e.strerror or e}; write it elsewhere") from None
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except (OSError, ValueError):  # it is not there, may not be looked at, or no name at all
+        return False
 
 
 def _is_stream(path: Path) -> bool:
