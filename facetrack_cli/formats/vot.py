@@ -80,9 +80,7 @@ def write_vot(one: Series) -> str:
     if one.frame[0] < 0:
         raise InputError(f"{one.name}: frame {one.frame[0]} is before the clip's first; VOT text begins at frame 0")
     if one.frame[-1] >= MOST_LINES:
-        raise InputError(
-            f"{one.name}: frame {one.frame[-1]} is too far on for VOT text, which has a line a frame"
-        )
+        raise InputError(f"{one.name}: frame {one.frame[-1]} is too far on for VOT text, which has a line a frame")
     lines = ["0"] * (int(one.frame[-1]) + 1)
     regions = known_boxes(one).tolist()
     corners = np.full((len(one), 8), np.nan) if one.corners is None else one.corners.reshape(-1, 8)
