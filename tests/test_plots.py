@@ -296,6 +296,8 @@ def test_many_parts_are_drawn_as_bands():
     values = np.stack([s.confidence for s in table.series])
     assert np.allclose(drawn(found["confidence"])[0][:, 1], np.median(values, axis=0))
     assert said(figure)[1] == ["20 parts, part_0 to part_19"]
+    crowd = plots.page_figure(track(9, 1, [f"person{n}" for n in range(20)]))
+    assert said(crowd)[1][:2] == ["person0", "person1"]
 
 
 def test_lost_from_start_to_end_and_nonsense_numbers():

@@ -171,7 +171,8 @@ class _Page:
                 picked = [group[round(i * (len(group) - 1) / 5)] for i in range(6)]
                 strokes = tuple(Line2D([], [], color=line.colour, linewidth=2) for line in picked)
                 of = f"{target}: " if len(self.table.targets) > 1 else ""
-                found[clean(f"{of}{len(group)} parts, {group[0].ours.part} to {group[-1].ours.part}", 60)] = strokes
+                what = f"{of}{len(group)} parts, {group[0].ours.part} to {group[-1].ours.part}"
+                found[clean(what if len(group) > 1 else target or group[0].name, 60)] = strokes
         if self.pairs and not self.many:
             found["truth"] = Line2D([], [], **_TRUTH)
         if self.ever_lost:
