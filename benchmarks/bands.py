@@ -1,4 +1,4 @@
-"""Whether `facetrack regress` sees what it should, and nothing else: the table in docs/results.md.
+"""Whether `facetrack regress` sees what it should, and nothing else: the table in docs/regress.md.
 
     python benchmarks/bands.py sample_videos -j 2
 

@@ -263,7 +263,7 @@ def test_a_row_for_a_shell_loop(folder, capsys):
 def test_files_are_written_beside_the_tables(folder, capsys):
     wanted = ["--json", "a.json", "--csv", "a.csv", "--plot", "a.png"]
     said = run("ours.csv", "--truth", "truth.csv", *wanted, capsys=capsys)
-    assert "POINTS" in said.out and said.err == "written: a.json\nwritten: a.csv\nwritten: a.png\n"
+    assert "POINTS" in said.out and said.err == "ours.csv -> a.json\nours.csv -> a.csv\nours.csv -> a.png\n"
     assert json.loads(Path("a.json").read_text())["all"]["points"]["rows"] == 5
     assert Path("a.csv").read_text().count("\n") == 4
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")

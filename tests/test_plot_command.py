@@ -75,7 +75,7 @@ def size(png):
 
 
 def test_the_page_lies_beside_the_trajectory_and_is_not_overwritten(capsys, run):
-    assert facetrack(capsys, run) == (0, f"{run / 'plot.png'}: written\n")
+    assert facetrack(capsys, run) == (0, f"{run} -> {run / 'plot.png'}\n")
     assert size(run / "plot.png")[0] == 1200
     before = (run / "plot.png").read_bytes()
     code, err = facetrack(capsys, run / "trajectory.csv", "--dpi", "60")

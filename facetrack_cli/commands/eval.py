@@ -143,7 +143,7 @@ def command(
     }
     if plot_to is not None:
         whole["--plot"] = _plot(evaluation, ours.path)
-    _write(whole, files, overwrite)
+    _write(trajectory, whole, files, overwrite)
     streamed = [make(evaluation, about) for option, make in data.items() if outputs[option] == "-"]
     _print(streamed[0] if streamed else to_text(evaluation, about, colour=_colour()))
 
@@ -189,12 +189,12 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
     return render(calibration_figure(evaluation.all.trust))
 
 
-def _write(whole: dict[str, bytes], files: dict[str, Path], overwrite: bool) -> None:
+def _write(trajectory: Path, whole: dict[str, bytes], files: dict[str, Path], overwrite: bool) -> None:
     from facetrack_cli.start.files import write_new
 
     for option, content in whole.items():
         write_new(files[option], content, overwrite=overwrite)
-        click.echo(" ".join(f"written: {files[option]}".splitlines()), err=True)
+        click.echo(" ".join(f"{trajectory} -> {files[option]}".splitlines()), err=True)
 
 
 def _print(text: str) -> None:

@@ -109,7 +109,7 @@ def command(
     pairs = None if truth is None else _pairs(table, truth, truth_format, shift, partial, target)
     figure = page_figure(choose(table, target), pairs, title=title, width=width)
     write_new(path, render(figure, form, dpi=dpi), overwrite=overwrite)
-    click.echo(f"{path}: written", err=True)
+    click.echo(" ".join(f"{trajectory} -> {path}".splitlines()), err=True)
 
 
 def _beside(trajectory: Path) -> Path:
