@@ -20,8 +20,9 @@ from facetrack_cli.errors import FacetrackError
 from facetrack_cli.evaluation.match import Pair, match
 from facetrack_cli.evaluation.points import Occlusion, measure_recovery
 from facetrack_cli.evaluation.summary import Evaluation, Value, evaluate, figures
+from facetrack_cli.experiments.begin import find_plan_start
 from facetrack_cli.experiments.compare import Options, default_truth, within
-from facetrack_cli.experiments.runs import Failure, Plan, SeedRun, find_plan_start, run_plans
+from facetrack_cli.experiments.runs import Failure, Plan, SeedRun, run_plans
 from facetrack_cli.formats.read import read_truth
 from facetrack_cli.recipe import Recipe, load_recipe
 

@@ -103,6 +103,7 @@ def test_nothing_is_left_behind_when_none_can_run(facetrack):
         (["--config", "sir", "-o", "-"], "names no folder"),
         (["--config", "sir:filter.particle=3"], "filter.particle"),
         (["--config", "sir", "--fps", "25"], "image folders"),
+        (["--config", "sir", "--stop", "0"], "--stop 0 leaves no frame at all"),
     ],
 )
 def test_what_contradicts_itself_is_refused(facetrack, arguments, said):

@@ -10,7 +10,8 @@ import pytest
 
 from facetrack_cli.errors import ExitCode, InputError, RecipeError
 from facetrack_cli.experiments import runs
-from facetrack_cli.experiments.runs import Failure, Plan, SeedRun, find_plan_start, run_plans, truth_start
+from facetrack_cli.experiments.begin import find_plan_start, truth_start
+from facetrack_cli.experiments.runs import Failure, Plan, SeedRun, run_plans
 from facetrack_cli.formats.table import Table, read_trajectory, series
 from facetrack_cli.job import Job, run
 from facetrack_cli.recipe import load_recipe
@@ -180,3 +181,15 @@ def test_the_init_file_beside_the_clip_goes_before_the_truth(tmp_path):
     assert find_plan_start(alone, recipe).origin == "haar"
     boxed = find_plan_start(alone, recipe, box=(106.0, 74.0, 106.0, 106.0), truth=known)
     assert boxed.origin == "--box" and set(boxed.targets["face"].points) == set(recipe.points)
+
+
+def test_a_start_outside_of_the_frames_asked_for_is_told_in_words_of_these_commands():
+    recipe = load_recipe("factorized")
+    with pytest.raises(InputError, match=r"begins at frame 0, before --start 3; leave --start out"):
+        find_plan_start(CLIP, recipe, first=3)
+    for stop in (1, 200):
+        assert find_plan_start(CLIP, recipe, stop=stop).frame == 0
+    boxed = (106.0, 74.0, 106.0, 106.0)
+    with pytest.raises(InputError, match=r"--box begins at frame 3, of which --stop 3 leaves nothing"):
+        find_plan_start(CLIP, recipe, box=boxed, first=3, stop=3)
+    assert find_plan_start(CLIP, recipe, box=boxed, first=3, stop=9).frame == 3

@@ -109,8 +109,6 @@ def command(
     from facetrack_cli.recipe import load_recipe
     from facetrack_cli.stopping import Stop
 
-    if stop is not None and stop <= start:
-        raise UsageError(f"--stop {stop} leaves no frame after --start {start}; it is the frame to stop before")
     begin = Begin.of(clip, init, box, stop, fps, start)
     recipe = load_recipe(config, overrides)
     known = None if truth is None else read_truth(truth)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from facetrack_cli.errors import UsageError
-from facetrack_cli.experiments.runs import Plan, find_plan_start
+import numpy as np
+
+from facetrack_cli.errors import InputError, UsageError
+from facetrack_cli.experiments.runs import Plan
 from facetrack_cli.formats.table import Table
-from facetrack_cli.job import HAAR
+from facetrack_cli.job import HAAR, Job, find_start, place_start
 from facetrack_cli.recipe import Recipe
+from facetrack_cli.start import find_init
 from facetrack_cli.stopping import Stop
-from facetrack_cli.types import Box
+from facetrack_cli.types import Box, Start, TargetStart
 from facetrack_cli.video.source import open_source
 
 
@@ -35,6 +40,9 @@ class Begin(NamedTuple):
             raise UsageError("--init and --box both say where the track starts; give one of them")
         if init == "":
             raise UsageError("--init is empty; name an init file, or haar to look for a face")
+        if stop is not None and stop <= start:
+            told = f"after --start {start}" if start else "at all"
+            raise UsageError(f"--stop {stop} leaves no frame {told}; it is the frame to stop before")
         if fps is not None and clip.is_file():
             raise UsageError("--fps is for image folders; a video brings its own rate")
         return cls(clip, None if init is None else HAAR if init == HAAR else Path(init), box, stop, fps, start)
@@ -58,3 +66,70 @@ class Begin(NamedTuple):
         """(width, height) of the clip's pictures."""
         with open_source(self.clip, fps=self.fps) as source:
             return source.size
+
+
+def find_plan_start(
+    clip: Path,
+    recipe: Recipe,
+    *,
+    init: Path | Literal["haar"] | None = None,
+    box: Box | None = None,
+    truth: Table | None = None,
+    fps: Fraction | None = None,
+    first: int = 0,
+    stop: int | None = None,
+    stopped: Stop | None = None,
+) -> Start:
+    """Where a recipe begins on a clip: the box or init file given, the init file beside the clip, else the truth.
+
+    The truth's start is its first frame in which all that the recipe follows is visible. Without a truth a face is
+    looked for. `first` is the frame of the box, or where the search begins. Raises InputError where there is no such
+    place from that frame on.
+    """
+    beside = init is None and box is None and find_init(clip) is None
+    searched = init == HAAR or (beside and truth is None)
+    job = Job(clip, recipe, None, init=init, box=box, fps=fps)
+    job = replace(job, start=first if searched or box else 0, stop=stop if searched else None)
+    if beside and truth is not None:
+        start = place_start(job, truth_start(truth, recipe.points))
+    else:
+        found = find_start(job, stopped or Stop())
+        if found is None:
+            raise InputError(f"{clip}: stopped before a start was found")
+        start = found
+    begins = f"{clip}: {start.origin} begins at frame {start.frame}"
+    if start.frame < first:
+        raise InputError(
+            f"{begins}, before --start {first}; leave --start out, or begin elsewhere with --init or --box"
+        )
+    if stop is not None and start.frame >= stop:
+        raise InputError(f"{begins}, of which --stop {stop} leaves nothing; give a larger one, or begin elsewhere")
+    return start
+
+
+def truth_start(truth: Table, points: Sequence[str]) -> Start:
+    """The first frame of the truth in which its targets' boxes, or all these points of them, are visible."""
+    for frame in truth.frames.tolist():
+        targets: dict[str, TargetStart] = {}
+        for target in truth.targets:
+            box: Box | None = None
+            found: dict[str, tuple[float, float]] = {}
+            for one in truth.series:
+                at = int(np.searchsorted(one.frame, frame))
+                if one.target != target or at == len(one) or one.frame[at] != frame or one.status[at] not in _SEEN:
+                    continue
+                if np.isfinite(one.boxes[at]).all():
+                    left, top, w, h = one.boxes[at].tolist()
+                    box = (left, top, w, h)
+                elif np.isfinite([one.x[at], one.y[at]]).all():
+                    found[one.part] = (float(one.x[at]), float(one.y[at]))
+            wanted = {part: found[part] for part in points if part in found}
+            if box is not None or (points and len(wanted) == len(points)):
+                targets[target or "face"] = TargetStart(box=box, points=wanted if len(wanted) == len(points) else {})
+        if len(targets) == len(truth.targets):
+            return Start(frame, targets, str(truth.path))
+    what = ", ".join(points) if points else "a box"
+    raise InputError(f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box")
+
+
+_SEEN = ("", "visible", "init", "tracked")

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -29,13 +29,13 @@ from facetrack_cli.batch import cores, use_threads, worker_context
 from facetrack_cli.build import build_tracker
 from facetrack_cli.errors import FacetrackError, InputError
 from facetrack_cli.formats.table import Table, Whole, series
-from facetrack_cli.job import Job, check_windows, find_start, place_start
+from facetrack_cli.job import check_windows
 from facetrack_cli.recipe import Recipe
-from facetrack_cli.start import check_start, find_init
+from facetrack_cli.start import check_start
 from facetrack_cli.stopping import Stop
 from facetrack_cli.track import track
 from facetrack_cli.trajectory import Row, rows
-from facetrack_cli.types import Box, Frame, Result, Start, TargetStart
+from facetrack_cli.types import Frame, Result, Start
 from facetrack_cli.video.source import Source, open_source
 
 Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
@@ -98,61 +98,6 @@ def run_plans(
         yield from _in_turn(plans, stopped, report, partial)
     else:
         yield from _side_by_side(plans, workers, stopped, report, partial)
-
-
-def find_plan_start(
-    clip: Path,
-    recipe: Recipe,
-    *,
-    init: Path | Literal["haar"] | None = None,
-    box: Box | None = None,
-    truth: Table | None = None,
-    fps: Fraction | None = None,
-    first: int = 0,
-    stop: int | None = None,
-    stopped: Stop | None = None,
-) -> Start:
-    """Where a recipe begins on a clip: the box or init file given, the init file beside the clip, else the truth.
-
-    The truth's start is its first frame in which all that the recipe follows is visible. Without a truth a face is
-    looked for. `first` is the frame of the box, or where the search begins. Raises InputError where there is no such
-    place from that frame on.
-    """
-    job = Job(clip, recipe, None, init=init, box=box, fps=fps, start=first, stop=stop)
-    if truth is not None and init is None and box is None and find_init(clip) is None:
-        return place_start(job, truth_start(truth, recipe.points))
-    start = find_start(job, stopped or Stop())
-    if start is None:
-        raise InputError(f"{clip}: stopped before a start was found")
-    return start
-
-
-def truth_start(truth: Table, points: Sequence[str]) -> Start:
-    """The first frame of the truth in which its targets' boxes, or all these points of them, are visible."""
-    for frame in truth.frames.tolist():
-        targets: dict[str, TargetStart] = {}
-        for target in truth.targets:
-            box: Box | None = None
-            found: dict[str, tuple[float, float]] = {}
-            for one in truth.series:
-                at = int(np.searchsorted(one.frame, frame))
-                if one.target != target or at == len(one) or one.frame[at] != frame or one.status[at] not in _SEEN:
-                    continue
-                if np.isfinite(one.boxes[at]).all():
-                    left, top, w, h = one.boxes[at].tolist()
-                    box = (left, top, w, h)
-                elif np.isfinite([one.x[at], one.y[at]]).all():
-                    found[one.part] = (float(one.x[at]), float(one.y[at]))
-            wanted = {part: found[part] for part in points if part in found}
-            if box is not None or (points and len(wanted) == len(points)):
-                targets[target or "face"] = TargetStart(box=box, points=wanted if len(wanted) == len(points) else {})
-        if len(targets) == len(truth.targets):
-            return Start(frame, targets, str(truth.path))
-    what = ", ".join(points) if points else "a box"
-    raise InputError(f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box")
-
-
-_SEEN = ("", "visible", "init", "tracked")
 
 
 # --- one plan ------------------------------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from facetrack_cli.errors import FacetrackError, InputError, RecipeError, UsageError
-from facetrack_cli.experiments.runs import Failure, Plan, Report, SeedRun, find_plan_start, run_plans
+from facetrack_cli.experiments.begin import find_plan_start
+from facetrack_cli.experiments.runs import Failure, Plan, Report, SeedRun, run_plans
 from facetrack_cli.opencv import find as find_opencv
 from facetrack_cli.recipe import OpenCvRecipe, Recipe, load_recipe, shipped_folder, to_dict
 from facetrack_cli.regression.bands import Deviation, Verdict, judge, measure
