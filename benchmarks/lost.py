@@ -77,7 +77,7 @@ def main() -> None:
             together = evaluate([pair for those in pairs for pair in those])
             if i == 0:
                 rows, hidden = sum(len(pair.ours) for pair in pairs[0]), together.hidden // given.seeds
-                print(f"\n{clip.stem}: {rows} rows a run, {hidden} hidden, the first frame among them; {given.seeds} seeds\n")
+                print(f"\n{clip.stem}: {rows} rows a run with the first frame, {hidden} hidden; {given.seeds} seeds\n")
                 print(f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|")
             print(row(label, figures(together.all)), flush=True)
 
