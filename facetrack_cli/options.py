@@ -18,6 +18,15 @@ class Whole(click.IntRange):
 
 
 FRAME = Whole(min=0)
+# those of formats/read.py, which is not imported, so that helps come at once
+TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
+truth_format = click.option(
+    "--truth-format",
+    metavar="FORMAT",
+    type=click.Choice(TRUTH_FORMATS),
+    default="auto",
+    help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
+)
 
 
 def box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | None:

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.commands.compare import TRUTH_FORMATS
 from facetrack_cli.errors import InputError, UsageError
 from facetrack_cli.experiments.compare import (
     CUMULATIVE_AT,
@@ -32,7 +31,6 @@ from facetrack_cli.experiments.compare import (
 )
 from facetrack_cli.experiments.compare_text import Comparison, as_csv, as_json, sheet
 from facetrack_cli.experiments.sheet import markdown
-from facetrack_cli.formats.read import FORMATS
 from facetrack_cli.formats.table import Table, series
 
 MEASURE = "points.mean_px"
@@ -253,10 +251,6 @@ def test_the_truth_is_found_beside_the_clip(tmp_path):
     assert default_truth(folder) == folder / "groundtruth.csv"
     (tmp_path / "clip.truth.csv").touch()
     assert default_truth(clip) == tmp_path / "clip.truth.csv"
-
-
-def test_the_formats_are_those_that_are_read():
-    assert TRUTH_FORMATS == FORMATS
 
 
 # --- texts -------------------------------------------------------------------------------------------------------

@@ -351,6 +351,27 @@ def test_a_track_of_the_given_row_alone(folder, capsys):
     assert "has no status" not in out
 
 
+def test_results_of_another_tracker_are_measured_as_ours(folder, capsys):
+    rows = [(i, 30 + 3 * i, 40 + i % 5, 20, 10) for i in range(30)]
+    lines = [f"{i},head,box,{x},{y},{w},{h},,{'tracked' if i else 'init'},,\n" for i, x, y, w, h in rows]
+    Path("box.csv").write_text(HEAD + "".join(lines))
+    true = "".join(f"{i},{x - 9.5 + i % 3},{y - 4.5},{w},{h}\n" for i, x, y, w, h in rows)
+    Path("boxes.csv").write_text("frame,x,y,w,h\n" + true)
+    expected = None
+    for form in (None, "otb", "got10k", "mot", "vot"):
+        if form is not None:
+            assert main(["export", "box.csv", "--to", form, "-o", f"{form}.txt"]) == 0
+        capsys.readouterr()
+        out = run(f"{form}.txt" if form else "box.csv", "--truth", "boxes.csv", "--json", "-", capsys=capsys).out
+        found = json.loads(out)
+        assert ("trajectory_read_as" in found) == (form is not None)
+        assert "--truth-format" not in found.get("trajectory_read_as", "")
+        expected = expected or found["all"]["boxes"]
+        assert found["all"]["boxes"] == expected
+    out = run("otb.txt", "--format", "vot", "--truth", "boxes.csv", "--json", "-", capsys=capsys).out
+    assert json.loads(out)["all"]["boxes"]["success_auc"] < expected["success_auc"]  # a pixel off
+
+
 def test_as_a_process_in_another_encoding(folder):
     done = subprocess.run(
         [sys.executable, "-m", "facetrack_cli", "eval", "ours.csv", "--truth", "truth.csv"],

@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.formats.read import FORMATS, read_truth, recognise
+from facetrack_cli.formats.read import FORMATS, read_results, read_truth, recognise
+from facetrack_cli.options import TRUTH_FORMATS
 from facetrack_cli.trajectory import COLUMNS
 
 PTS = "version: 1\nn_points:  2\n{\n1 1\n3 4.5\n}\n"
@@ -221,3 +222,37 @@ def test_whatever_it_is_there_is_a_table_or_one_line(tmp_path: Path, text: str, 
         assert (np.diff(one.frame) > 0).all()
         assert np.isnan(one.x).tolist() == np.isnan(one.y).tolist()
         assert not np.isinf([one.x, one.y, one.w, one.h]).any()
+
+
+def test_the_option_s_formats_are_those_that_are_read() -> None:
+    assert TRUTH_FORMATS == FORMATS
+
+
+@pytest.mark.parametrize(
+    ("text", "status", "left", "confidence"),
+    [
+        ("5,6,10,20\nnan,nan,nan,nan\n", ["", ""], 4, np.nan),
+        ("1\n5,6,10,20\n2\n", ["init", "tracked", "lost"], 5, np.nan),
+        ("frame,x,y,w,h\n0,5,6,10,20\n", [""], 5, np.nan),
+        ("1,3,5,6,10,20,0,-1,-1,-1\n2,3,5,6,10,20,1,-1,-1,-1\n", ["", ""], 4, 0),
+    ],
+)
+def test_results_of_others(tmp_path: Path, text: str, status: list[str], left: float, confidence: float) -> None:
+    table = read_results(write(tmp_path, text, "MIL.txt"))
+    (found,) = table.series
+    assert found.status.tolist() == status
+    first = int(np.flatnonzero(np.isfinite(found.x))[0])
+    assert found.boxes[first].tolist() == [left, left + 1, 10, 20]
+    np.testing.assert_equal(found.confidence[first], confidence)
+    assert table.header["read_as"]
+
+
+def test_results_are_read_as_told_and_ours_as_ever(tmp_path: Path) -> None:
+    path = write(tmp_path, "5,6,10,20\n")
+    assert read_results(path, "vot").series[0].boxes.tolist() == [[5, 6, 10, 20]]
+    ours = write(tmp_path, "frame,target,part,x,y,status\n0,face,nose,1,2,visible\n", "trajectory.csv")
+    assert read_results(tmp_path).path == ours and read_results(tmp_path).series[0].status.tolist() == ["visible"]
+    assert "read_as" not in read_results(ours).header
+    for broken in ("", "1,2,3\n"):
+        with pytest.raises(InputError, match=r"a trajectory begins with|it should read frame,time_s,target"):
+            read_results(write(tmp_path, broken))

@@ -10,7 +10,6 @@ import pytest
 from facetrack_cli import plots
 from facetrack_cli.__main__ import main
 from facetrack_cli.commands import plot as command
-from facetrack_cli.formats import read
 from facetrack_cli.trajectory import COLUMNS
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
@@ -165,7 +164,7 @@ def test_without_matplotlib(run):
 
 
 def test_lists_of_the_command_are_those_of_the_library():
-    assert command.TRUTH_FORMATS == read.FORMATS and command.FORMS == plots.FORMS
+    assert command.FORMS == plots.FORMS
 
 
 def test_a_truth_file_is_a_trajectory_too(capsys, tmp_path):

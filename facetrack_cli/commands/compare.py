@@ -12,6 +12,7 @@ import click
 from facetrack_cli.errors import ExitCode, FacetrackError, InputError, UsageError
 from facetrack_cli.options import FRAME, Whole, rate
 from facetrack_cli.options import box as box_of
+from facetrack_cli.options import truth_format as truth_format_option
 
 if TYPE_CHECKING:
     from facetrack_cli.experiments.begin import Begin
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 FILES = ("compare.json", "compare.csv", "compare.md")
 PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
-TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
 
 
 @click.command()
@@ -49,13 +49,7 @@ TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "p
 @click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of all; repeatable.")
 @click.option("--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip.")
 @click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face in the first frame, in pixels.")
-@click.option(
-    "--truth-format",
-    metavar="FORMAT",
-    type=click.Choice(TRUTH_FORMATS),
-    default="auto",
-    help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
-)
+@truth_format_option
 @click.option("--target", metavar="NAME[/PART]", help="Measure this target, or this part of it, alone.")
 @click.option(
     "--shift",

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.errors import InputError, UsageError
+from facetrack_cli.options import TRUTH_FORMATS
+from facetrack_cli.options import truth_format as truth_format_option
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.summary import Evaluation
     from facetrack_cli.formats.table import Table
-
-FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")  # those of formats/read.py
 
 
 def _failure(ctx: click.Context, param: click.Parameter, value: str) -> float:
@@ -36,12 +36,14 @@ def _failure(ctx: click.Context, param: click.Parameter, value: str) -> float:
     type=click.Path(path_type=Path),
     help="Truth file or folder [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
 )
+@truth_format_option
 @click.option(
-    "--truth-format",
+    "--format",
+    "results_format",
     metavar="FORMAT",
-    type=click.Choice(FORMATS),
+    type=click.Choice(TRUTH_FORMATS),
     default="auto",
-    help=f"How to read it: {', '.join(FORMATS[1:])} [default: by its shape].",
+    help="How to read TRAJECTORY if another tracker wrote it: one of the same [default: by its shape].",
 )
 @click.option("--target", metavar="NAME[/PART]", help="Measure this target, or this part of it, alone.")
 @click.option(
@@ -75,6 +77,7 @@ def command(
     trajectory: Path,
     truth: Path | None,
     truth_format: str,
+    results_format: str,
     target: str | None,
     shift: int | None,
     partial: bool,
@@ -87,11 +90,12 @@ def command(
 ) -> None:
     """Measure a trajectory against the truth.
 
-    TRAJECTORY is a trajectory.csv, .json or .jsonl, or the folder of a run.
-    Printed are the errors of points, or the overlaps of boxes; how long parts
-    take to come back after occlusions; and how far lost, confidence and the
-    spread can be trusted. With --json - or --csv - the data take the place of
-    the tables. The first frame, which the tracker is given, counts among the
+    TRAJECTORY is a trajectory.csv, .json or .jsonl, the folder of a run, or
+    what another tracker wrote, in any of the formats of truth. Printed are
+    the errors of points, or the overlaps of boxes; how long parts take to
+    come back after occlusions; and how far lost, confidence and the spread
+    can be trusted. With --json - or --csv - the data take the place of the
+    tables. The first frame, which the tracker is given, counts among the
     points; whatever measures trust leaves it out.
 
     \b
@@ -99,6 +103,7 @@ def command(
       facetrack eval out/ --truth clip.truth.csv
       facetrack eval out/ --truth groundtruth_rect.txt --json eval.json
       facetrack eval out/ --truth annot/ --partial --normalise eyes
+      facetrack eval results/MIL.txt --truth groundtruth_rect.txt
       for run in runs/*/; do
         facetrack eval "$run" --truth clip.truth.csv --csv - | tail -n 1
       done
@@ -119,13 +124,12 @@ def command(
     from facetrack_cli.evaluation.summary_data import About, to_csv, to_json
     from facetrack_cli.evaluation.summary_table import to_text
     from facetrack_cli.evaluation.units import check_normalise
-    from facetrack_cli.formats.read import read_truth
+    from facetrack_cli.formats.read import read_results, read_truth
     from facetrack_cli.formats.source import clip_of, picture_of
-    from facetrack_cli.formats.table import read_trajectory
     from facetrack_cli.start.files import check_new
 
     check_normalise(normalise)
-    ours = read_trajectory(trajectory)
+    ours = read_results(trajectory, results_format)
     theirs = read_truth(truth or _truth_beside(ours), truth_format, shift=shift or 0)
     for path in files.values():
         check_new(path, overwrite=overwrite, inputs=(ours.path, theirs.path, clip_of(ours)))
@@ -133,7 +137,9 @@ def command(
     pairs = match(ours, theirs, partial=partial, select=target, check_shift=shift is None, note=notes.append)
     options = Options(normalise, failure, picture_of(ours))
     evaluation = evaluate(pairs, notes, options, reference=theirs.series)
-    about = About(ours.path, theirs.path, str(theirs.header.get("read_as", truth_format)), shift or 0)
+    about = About(
+        ours.path, theirs.path, str(theirs.header.get("read_as", truth_format)), shift or 0, ours.header.get("read_as")
+    )
 
     data = {"--json": to_json, "--csv": to_csv}
     whole: dict[str, bytes] = {

@@ -9,26 +9,19 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.errors import OutputError, UsageError
+from facetrack_cli.options import truth_format as truth_format_option
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.match import Pair
     from facetrack_cli.formats.table import Table
 
-# as formats/read.py and plots/style.py have them, which would load numpy
-TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
-FORMS = ("png", "svg", "pdf")
+FORMS = ("png", "svg", "pdf")  # those of plots/style.py, which would load numpy
 
 
 @click.command()
 @click.argument("trajectory", metavar="TRAJECTORY", type=click.Path(path_type=Path))
 @click.option("--truth", metavar="FILE", type=click.Path(path_type=Path), help="Draw the truth too, and the error.")
-@click.option(
-    "--truth-format",
-    metavar="FORMAT",
-    type=click.Choice(TRUTH_FORMATS),
-    default="auto",
-    help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
-)
+@truth_format_option
 @click.option(
     "--shift",
     metavar="N",

@@ -9,20 +9,13 @@ from pathlib import Path
 import click
 
 from facetrack_cli.errors import OutputError, UsageError
-
-TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")  # those of formats/read.py
+from facetrack_cli.options import truth_format as truth_format_option
 
 
 @click.command()
 @click.argument("run", metavar="RUN_DIR", type=click.Path(path_type=Path))
 @click.option("--truth", metavar="FILE", type=click.Path(path_type=Path), help="Measure against this truth file.")
-@click.option(
-    "--truth-format",
-    metavar="FORMAT",
-    type=click.Choice(TRUTH_FORMATS),
-    default="auto",
-    help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
-)
+@truth_format_option
 @click.option(
     "--shift",
     metavar="N",

@@ -89,7 +89,7 @@ def _pair_names(ours: Table, truth: Table, select: str | None, note: Callable[[s
     if not found and len(ours.targets) == len(truth.targets) == 1:
         renamed = replace(truth, series=tuple(replace(one, target=ours.targets[0]) for one in theirs))
         found = [Pair(one.name, one, other) for one in ours.series if (other := renamed.find(one.target, one.part))]
-        if found:
+        if found and ours.targets[0]:
             note(f"{truth.targets[0]} of the truth is taken for {ours.targets[0]}: both have one target")
             theirs = renamed.series
     if not found:

@@ -25,12 +25,16 @@ CURVES: Final = ("success", "precision", "normalised_precision")
 
 @dataclass(frozen=True)
 class About:
-    """What was compared: the files, how the truth was read, and by how many frames it was shifted."""
+    """What was compared: the files, how the truth was read, and by how many frames it was shifted.
+
+    `results_read_as` says how a trajectory that is not facetrack's own was read.
+    """
 
     trajectory: Path
     truth: Path
     read_as: str
     shift: int = 0
+    results_read_as: str | None = None
 
 
 def to_dict(evaluation: Evaluation, about: About) -> dict[str, Any]:
@@ -41,6 +45,7 @@ def to_dict(evaluation: Evaluation, about: About) -> dict[str, Any]:
         "version": VERSION,
         "facetrack": __version__,
         "trajectory": str(about.trajectory),
+        **({"trajectory_read_as": about.results_read_as} if about.results_read_as else {}),
         "truth": {"path": str(about.truth), "read_as": about.read_as, "shift": about.shift},
         "options": {"normalise": options.normalise, "failure": options.failure},
         "frames": {"count": evaluation.frames, "first": evaluation.first, "last": evaluation.last},

@@ -200,7 +200,8 @@ def _cell(value: Value, write: Callable[[float], str]) -> str:
 
 def _begin(say: _Say, evaluation: Evaluation, about: About) -> None:
     shift = f", shifted by {about.shift:+d} frames" if about.shift else ""
-    say.line(f"{about.trajectory} against {about.truth} (read as {about.read_as}{shift})", "bold")
+    ours = f"{about.trajectory}" + (f" (read as {about.results_read_as})" if about.results_read_as else "")
+    say.line(f"{ours} against {about.truth} (read as {about.read_as}{shift})", "bold")
     counts = {"visible": evaluation.visible, "hidden": evaluation.hidden, "absent": evaluation.absent}
     rows = ", ".join(f"{count:,} {name}" for name, count in counts.items() if count or name == "visible")
     frames = f"{evaluation.frames:,} frame{'s' if evaluation.frames != 1 else ''}"

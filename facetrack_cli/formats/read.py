@@ -1,7 +1,8 @@
-"""Truth files of any kind that is read here, known by their shape or by name.
+"""Truth files and the results of others, of any kind that is read here, known by their shape or by name.
 
     truth = read_truth(Path("groundtruth_rect.txt"))
     truth.header["read_as"]         # "OTB text: left,top,width,height a line, pixels from 1 ..."
+    theirs = read_results(Path("MIL.txt"))
 
 Frames and pixels of the table are counted from 0 whatever the file's own counting is.
 """
@@ -9,9 +10,13 @@ Frames and pixels of the table are counted from 0 whatever the file's own counti
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Protocol
+
+import numpy as np
 
 from facetrack_cli.errors import InputError
 from facetrack_cli.formats.lines import delimiter, lines_with_frame, read_text
@@ -53,14 +58,44 @@ def read_truth(path: Path, form: str = "auto", *, shift: int = 0) -> Table:
     `header["shift"]` is the shift. Raises InputError, one line with file and line, for a file that is broken or of no
     known shape.
     """
+    with _looking_at(path):
+        try:
+            found, known = recognise(path) if form == "auto" else (path, form)
+            table = _READERS[known](found, shift=shift)
+        except InputError as e:
+            raise InputError(f"{e}{_rather(path, form)}") from None
+    return replace(table, header={**table.header, "shift": shift})
+
+
+def read_results(path: Path, form: str = "auto") -> Table:
+    """A trajectory of ours, or what another tracker wrote: a file in one of FORMATS, read as `form` or by its shape.
+
+    Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
+    Raises InputError as `read_truth` does.
+    """
+    with _looking_at(path):
+        shape = form
+        if form == "auto":
+            try:
+                shape = "facetrack" if path.is_dir() and not any(path.glob("*.pts")) else recognise(path)[1]
+            except InputError:
+                shape = "facetrack"  # whose reader says what a trajectory is
+        if shape == "facetrack":
+            return read_trajectory(path)
+        # its seventh column is a confidence, also where all are 0 or 1
+        table = read_mot(path, results=True) if shape == "mot" else _READERS[shape](path)
+    read_as = str(table.header["read_as"]).replace("--truth-format", "--format")
+    said = [np.where(np.isin(one.status, ("visible", "hidden", "absent")), "", one.status) for one in table.series]
+    series = tuple(replace(one, status=status) for one, status in zip(table.series, said, strict=True))
+    return replace(table, series=series, header={**table.header, "read_as": read_as})
+
+
+@contextmanager
+def _looking_at(path: Path) -> Iterator[None]:
     try:
-        found, known = recognise(path) if form == "auto" else (path, form)
-        table = _READERS[known](found, shift=shift)
+        yield
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or name another") from None
-    except InputError as e:
-        raise InputError(f"{e}{_rather(path, form)}") from None
-    return replace(table, header={**table.header, "shift": shift})
 
 
 def _rather(path: Path, form: str) -> str:
