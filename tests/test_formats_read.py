@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from facetrack_cli.errors import InputError
+from facetrack_cli.errors import InputError, UsageError
 from facetrack_cli.formats.read import FORMATS, read_results, read_truth, recognise
 from facetrack_cli.options import TRUTH_FORMATS
 from facetrack_cli.trajectory import COLUMNS
@@ -256,3 +256,8 @@ def test_results_are_read_as_told_and_ours_as_ever(tmp_path: Path) -> None:
     for broken in ("", "1,2,3\n"):
         with pytest.raises(InputError, match=r"a trajectory begins with|it should read frame,time_s,target"):
             read_results(write(tmp_path, broken))
+
+
+def test_a_shift_beyond_any_clip_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--shift -100000000000000000000: no clip has so many frames"):
+        read_truth(write(tmp_path, "1,2,3,4\n"), shift=-(10**20))

@@ -280,9 +280,9 @@ def names() -> tuple[str, ...]:
     return tuple(f"{group}.{figure}" for group, those in GROUPS.items() for figure in those)
 
 
-def figures(measured: Measured, recovery: RecoveryMeasures | None = None) -> dict[str, Value]:
-    """Every figure by its name, None where it is not defined or was not measured."""
-    holders = {
+def measured_groups(measured: Measured, recovery: RecoveryMeasures | None = None) -> dict[str, object]:
+    """What holds the figures of each of GROUPS; None where it was not measured."""
+    return {
         "points": measured.points,
         "boxes": measured.boxes,
         "occlusions": recovery,
@@ -290,6 +290,11 @@ def figures(measured: Measured, recovery: RecoveryMeasures | None = None) -> dic
         "confidence": measured.trust.confidence,
         "coverage": measured.trust.coverage,
     }
+
+
+def figures(measured: Measured, recovery: RecoveryMeasures | None = None) -> dict[str, Value]:
+    """Every figure by its name, None where it is not defined or was not measured."""
+    holders = measured_groups(measured, recovery)
     values = {
         f"{group}.{figure}": getattr(holders[group], field, None)
         for group, those in GROUPS.items()

@@ -16,7 +16,7 @@ import numpy as np
 from facetrack_cli import __version__
 from facetrack_cli.evaluation.boxes import BoxMeasures
 from facetrack_cli.evaluation.points import RecoveryMeasures
-from facetrack_cli.evaluation.summary import GROUPS, Evaluation, Measured, Value, figures, names
+from facetrack_cli.evaluation.summary import GROUPS, Evaluation, Measured, Value, figures, measured_groups, names
 
 SCHEMA: Final = "facetrack-evaluation"
 VERSION: Final = 1
@@ -80,14 +80,7 @@ def to_csv(evaluation: Evaluation, about: About) -> str:
 def _measured(one: Measured, recovery: RecoveryMeasures | None = None) -> dict[str, Any]:
     """What was measured, by the first words of the figures' names; what was not is left out."""
     found = figures(one, recovery)
-    there = {
-        "points": one.points,
-        "boxes": one.boxes,
-        "occlusions": recovery,
-        "lost": one.trust.lost,
-        "confidence": one.trust.confidence,
-        "coverage": one.trust.coverage,
-    }
+    there = measured_groups(one, recovery)
     out: dict[str, Any] = {
         group: {name: found[f"{group}.{name}"] for name in those} for group, those in GROUPS.items() if there[group]
     }

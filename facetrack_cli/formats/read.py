@@ -18,7 +18,8 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from facetrack_cli.errors import InputError
+from facetrack_cli.errors import InputError, UsageError
+from facetrack_cli.formats.limits import MAX_FRAME
 from facetrack_cli.formats.lines import delimiter, lines_with_frame, read_text
 from facetrack_cli.formats.mot import read_mot
 from facetrack_cli.formats.plain import BOX_COLUMNS, read_boxes, read_got10k, read_otb
@@ -56,8 +57,10 @@ def read_truth(path: Path, form: str = "auto", *, shift: int = 0) -> Table:
 
     `shift` is added to every frame number. Of the table, `header["read_as"]` says in words how it was read, and
     `header["shift"]` is the shift. Raises InputError, one line with file and line, for a file that is broken or of no
-    known shape.
+    known shape; UsageError for a shift that no clip is long enough for.
     """
+    if abs(shift) > MAX_FRAME:
+        raise UsageError(f"--shift {shift}: no clip has so many frames; correct it")
     with _looking_at(path):
         try:
             found, known = recognise(path) if form == "auto" else (path, form)
