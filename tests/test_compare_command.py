@@ -103,6 +103,8 @@ def test_nothing_is_left_behind_when_none_can_run(facetrack):
         (["--config", "sir", "-o", "-"], "names no folder"),
         (["--config", "sir:filter.particle=3"], "filter.particle"),
         (["--config", "sir", "--fps", "25"], "image folders"),
+        (["--config", "sir", "--set", "seed=3"], "seed has no effect here"),
+        (["--config", "sir:filter.particles=9,seed=3"], "seed has no effect here"),
         (["--config", "sir", "--stop", "0"], "--stop 0 leaves no frame at all"),
     ],
 )
@@ -247,6 +249,8 @@ def test_repeat_says_that_runs_are_identical(facetrack):
 def test_repeat_refuses_an_empty_span(facetrack):
     code, _, err = facetrack("repeat", CLIP, "--start", "5", "--stop", "5")
     assert code == ExitCode.USAGE and "--stop 5" in err
+    code, _, err = facetrack("repeat", CLIP, "--set", "seed=5")
+    assert code == ExitCode.USAGE and "seed has no effect here" in err
 
 
 def test_a_truth_that_all_runs_fit_better_elsewhere_is_refused(facetrack):
@@ -279,3 +283,13 @@ def test_repeat_shows_what_there_was_when_it_was_interrupted(facetrack, monkeypa
     assert "Interrupted: these are the frames that 3 runs had reached." in out
     found = json.loads(Path("occlusion-factorized-repeat/repeat.json").read_text(encoding="utf-8"))
     assert not found["complete"] and found["seeds"] == [0, 1, 2]
+
+
+def test_a_start_elsewhere_than_the_truth_is_told(facetrack):
+    Path("boxes.csv").write_text("frame,x,y,w,h\n0,10,10,30,30\n5,12,10,30,30\n")
+    code, _, err = facetrack(
+        *("compare", CLIP, "--truth", "boxes.csv", "--config", "mil", "--seeds", "1", "--stop", "6", "--no-plots")
+    )
+    assert code == 0 and "puts the box of face in frame 0 where it overlaps the truth's by 0.00 alone" in err
+    data = json.loads(Path("occlusion-compare/compare.json").read_text())
+    assert data["recipes"][0]["begins"].endswith(".init.yaml, frame 0")

@@ -124,7 +124,7 @@ def command(
     5 some of the recipes could not run, 130 interrupted, 143 terminated.
     """
     from facetrack_cli.batch import title
-    from facetrack_cli.experiments.begin import Begin
+    from facetrack_cli.experiments.begin import Begin, refuse_seed
     from facetrack_cli.experiments.compare import (
         PRIMARY,
         Options,
@@ -144,6 +144,7 @@ def command(
     begin = Begin.of(clip, init, box, stop, fps)
     if rank_by is not None:
         check_measure(rank_by)
+    refuse_seed([*overrides, *(one for _, own in map(variant, configs) for one in own)])
     named = {
         label: load_recipe(name, (*overrides, *own))
         for label, (name, own) in zip(labels(configs), map(variant, configs), strict=True)
@@ -188,6 +189,7 @@ def _run(
     shown: Progress,
 ) -> list[Entry]:
     """Every recipe with its scores, or with what kept it from running. Raises the error if all fail of one."""
+    from facetrack_cli.experiments.begin import far_from_truth
     from facetrack_cli.experiments.compare import Entry, kinds_of, score_run, shifted
     from facetrack_cli.experiments.runs import Failure, SeedRun, run_plans
     from facetrack_cli.experiments.sheet import clip_name
@@ -209,10 +211,13 @@ def _run(
                 measured = " and ".join(sorted(kinds))
                 raise UsageError(f"--rank-by {rank_by}: this truth measures {measured} of {label}; rank by these")
             plans.append(plan)
+            if (far := far_from_truth(plan.start, truth)) is not None:
+                warned.append(far)
         except FacetrackError as e:
             if stop():
                 return []
             refused[label] = e
+    begins = {plan.label: f"{plan.start.origin}, frame {plan.start.frame}" for plan in plans}
     alike = len({(plan.start.frame, plan.recipe.points) for plan in plans}) == 1
     shown.begin(clip_name(begin.clip), "frames", None)
     with contextlib.closing(run_plans(plans, workers, stop, lambda done, of: shown.update(done, of or None))) as runs:
@@ -247,6 +252,7 @@ def _run(
             tuple(sorted(scores[label], key=lambda score: score.seed)),
             str(refused[label]) if label in refused else "",
             deterministic=not recipe.random,
+            begins=begins.get(label, ""),
         )
         for label, recipe in named.items()
     ]

@@ -98,7 +98,7 @@ def command(
     143 terminated.
     """
     from facetrack_cli.batch import title
-    from facetrack_cli.experiments.begin import Begin
+    from facetrack_cli.experiments.begin import Begin, refuse_seed
     from facetrack_cli.experiments.folder import Folder
     from facetrack_cli.experiments.repeat import spreads
     from facetrack_cli.experiments.repeat_text import Repetition
@@ -110,6 +110,7 @@ def command(
     from facetrack_cli.stopping import Stop
 
     begin = Begin.of(clip, init, box, stop, fps, start)
+    refuse_seed(overrides)
     recipe = load_recipe(config, overrides)
     known = None if truth is None else read_truth(truth)
     names = FILES + (() if no_plots else PLOTS)

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from facetrack_cli.errors import InputError, UsageError
+from facetrack_cli.evaluation.boxes import iou
 from facetrack_cli.experiments.runs import Plan
 from facetrack_cli.formats.table import Table
 from facetrack_cli.job import HAAR, Job, find_start, place_start
@@ -19,6 +20,12 @@ from facetrack_cli.start import find_init
 from facetrack_cli.stopping import Stop
 from facetrack_cli.types import Box, Start, TargetStart
 from facetrack_cli.video.source import open_source
+
+
+def refuse_seed(overrides: Sequence[str]) -> None:
+    """UsageError for an override that would have no effect: a recipe's own seed gives way to those of --seeds."""
+    if any(one.partition("=")[0].strip() == "seed" for one in overrides):
+        raise UsageError("the recipe's seed has no effect here: every recipe runs with the seeds 0 to --seeds - 1")
 
 
 class Begin(NamedTuple):
@@ -132,4 +139,22 @@ def truth_start(truth: Table, points: Sequence[str]) -> Start:
     raise InputError(f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box")
 
 
+def far_from_truth(start: Start, truth: Table) -> str | None:
+    """A line if a start's box lies elsewhere than the truth's in its frame: then every figure measures that."""
+    if start.origin == str(truth.path):
+        return None
+    for name, target in start.targets.items():
+        known = [one for one in truth.series if one.target in (name, "") and start.frame in one.frame]
+        for one in known if target.box is not None else []:
+            true = one.boxes[one.frame == start.frame]
+            overlap = float(iou(np.array([target.box]), true)[0]) if np.isfinite(true).all() else 1.0
+            if overlap < FAR:
+                return (
+                    f"{start.origin} puts the box of {name} in frame {start.frame} where it overlaps the truth's "
+                    f"by {overlap:.2f} alone; all figures measure that too: begin with --box, or with another --init"
+                )
+    return None
+
+
+FAR = 0.5  # overlap of the boxes, as a region is held to be found
 _SEEN = ("", "visible", "init", "tracked")

@@ -85,6 +85,7 @@ class Entry:
     scores: tuple[Score, ...] = ()
     why: str = ""
     deterministic: bool = False
+    begins: str = ""  # who said where, and the frame
 
     def values(self, measure: str) -> Array:
         """(n,): the measure in the runs in which it is defined."""

@@ -145,7 +145,8 @@ def notes(comparison: Comparison) -> list[str]:
             + ("." if several else "; one seed tells nothing of a difference, give --seeds.")
         )
     lines.append(f"Failed: runs at whose end {failed}.")
-    shared = f" by {comparison.workers} processes" if comparison.workers > 1 else ""
+    many = comparison.workers > 1
+    shared = f" by {comparison.workers} processes, which slow each other down" if many else ""
     lines.append(
         f"Frames/s: the tracker alone, decoding apart, all timed in the same run{shared}; only ratios between rows "
         "mean anything. Time a frame: over that of the fastest."
@@ -205,6 +206,7 @@ def as_json(comparison: Comparison) -> str:
                 else [places[entry.label].first, places[entry.label].last],
                 "error": entry.why or None,
                 "deterministic": entry.deterministic,
+                "begins": entry.begins or None,
                 "failures": entry.failures,
                 "frames_per_s": _rounded(entry.frames_per_s, 2),
                 "mean": {n: _rounded(m) for n in names() if (m := entry.mean(n)) is not None},
