@@ -203,7 +203,9 @@ class _Page:
             over = "frames" if len(lost) == 1 else f"rows, {sum(map(bool, lost))} of {len(lost)} parts"
             said.append(f"lost in {share} of {over}" if any(lost) else "never lost")
         if self.pairs:
-            wrong = np.concatenate(self.errors)
+            # as eval counts: what is hidden stands apart
+            seen = [~np.isin(pair.truth.status, ("hidden", "absent")) for pair in self.pairs]
+            wrong = np.concatenate([e[rows] for e, rows in zip(self.errors, seen, strict=True)])
             if np.isfinite(wrong).any():
                 said.append(f"median error {np.nanmedian(wrong):.2f} px")
         if self.table.header.get("complete") is False:
