@@ -2,6 +2,7 @@
 
 import os
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -121,19 +122,25 @@ def test_a_start_beyond_the_clip_is_told():
     assert isinstance(ended, Failure) and isinstance(ended.error, InputError)
 
 
+WORK = runs._work
+
+
 def _ends_itself(plan, seeds, partial):
-    if plan.label == "bad":
+    if plan.label == "late":  # once the others are done
+        while runs._Common.done.value < 30:
+            time.sleep(0.05)
+        time.sleep(1)
+    if plan.label in ("late", "dead"):
         os._exit(9)
-    return runs._run(plan, seeds, lambda: False, lambda frames: None)
+    return WORK(plan, seeds, partial)
 
 
 def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch):
     monkeypatch.setattr(runs, "_work", _ends_itself)
-    one, bad = plan(seeds=(0,)), replace(plan(), label="bad")
-    # the first share of the bad plan begins when a process is free
-    ended = list(run_plans([one, one, replace(one, seeds=(0,)), bad], 2))
-    assert isinstance(ended[0], SeedRun)
-    assert isinstance(ended[-1], Failure) and "ended by itself" in str(ended[-1].error)
+    one, dead = plan(seeds=(0,)), replace(plan(), label="dead")
+    ended = list(run_plans([one, one, one, replace(dead, label="late")], 2))
+    assert [type(run) for run in ended] == [SeedRun, SeedRun, SeedRun, Failure]
+    assert "ended by itself" in str(ended[-1].error)
 
     stop = Stop()
     monkeypatch.setattr(runs, "_LOOK_S", 0.5)
@@ -143,7 +150,7 @@ def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch):
         if not signalled.is_alive() and not signalled.finished.is_set():
             signalled.start()
 
-    assert all(isinstance(run, SeedRun) for run in run_plans([bad, bad], 2, stop, report))
+    assert all(isinstance(run, SeedRun) for run in run_plans([dead, dead], 2, stop, report))
 
 
 # where it begins

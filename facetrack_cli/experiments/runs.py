@@ -236,9 +236,7 @@ def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Re
     threads = max(1, cores() // workers)
     pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(ending, done, threads))
     try:
-        futures = [
-            [pool.submit(_work, plan, share, partial) for share in _shares(plan.seeds, pieces)] for plan in plans
-        ]
+        futures = [[_submit(pool, plan, share, partial) for share in _shares(plan.seeds, pieces)] for plan in plans]
         for plan, shares in zip(plans, futures, strict=True):
             try:
                 found = [run for share in shares for run in _await(share, ending, stopped, tell, partial)]
@@ -279,6 +277,16 @@ def _shares(seeds: Sequence[int], pieces: int) -> list[tuple[int, ...]]:
     pieces = min(pieces, len(seeds))
     edges = [round(i * len(seeds) / pieces) for i in range(pieces + 1)]
     return [tuple(seeds[a:b]) for a, b in itertools.pairwise(edges)]
+
+
+def _submit(pool: ProcessPoolExecutor, plan: Plan, share: tuple[int, ...], partial: bool) -> Future[list[SeedRun]]:
+    """What a share of a plan will come to, also where a process has ended already and none will take it."""
+    try:
+        return pool.submit(_work, plan, share, partial)
+    except BrokenProcessPool as e:
+        broken: Future[list[SeedRun]] = Future()
+        broken.set_exception(e)
+        return broken
 
 
 def _await(
