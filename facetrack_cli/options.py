@@ -27,6 +27,16 @@ truth_format = click.option(
     default="auto",
     help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
 )
+shift = click.option(
+    "--shift",
+    metavar="N",
+    type=int,
+    help="Add N to the frame numbers of the truth; 0 takes them as they are even if another shift would fit better.",
+)
+partial = click.option(
+    "--partial", is_flag=True, help="Take the frames that both have, though truth or trajectory lacks some."
+)
+target = click.option("--target", metavar="NAME[/PART]", help="One target, or one part of it, alone.")
 
 
 def box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | None:
@@ -53,3 +63,9 @@ def rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fract
     if not 0 < found <= 100_000:
         raise click.BadParameter(f"{value!r}: give frames per second as 25, 29.97 or 30000/1001")
     return found
+
+
+init = click.option(
+    "--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip."
+)
+face_box = click.option("--box", metavar="X,Y,W,H", callback=box, help="The face in the first frame, in pixels.")

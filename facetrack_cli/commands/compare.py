@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from facetrack_cli import options
 from facetrack_cli.errors import ExitCode, FacetrackError, InputError, UsageError
 from facetrack_cli.options import FRAME, Whole, rate
-from facetrack_cli.options import box as box_of
-from facetrack_cli.options import truth_format as truth_format_option
 
 if TYPE_CHECKING:
     from facetrack_cli.experiments.begin import Begin
@@ -47,17 +46,12 @@ PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 )
 @click.option("--seeds", metavar="N", type=Whole(min=1), default=10, show_default=True, help="Runs of each, seed 0 on.")
 @click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of all; repeatable.")
-@click.option("--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip.")
-@click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face in the first frame, in pixels.")
-@truth_format_option
-@click.option("--target", metavar="NAME[/PART]", help="Measure this target, or this part of it, alone.")
-@click.option(
-    "--shift",
-    metavar="N",
-    type=int,
-    help="Add N to the frame numbers of the truth; 0 takes them as they are even if all runs fit another shift better.",
-)
-@click.option("--partial", is_flag=True, help="The truth may know fewer frames than the clip has.")
+@options.init
+@options.face_box
+@options.truth_format
+@options.target
+@options.shift
+@options.partial
 @click.option("--stop", metavar="N", type=FRAME, help="Frame to stop before.")
 @click.option("--fps", metavar="RATE", callback=rate, help="Frames per second of image folders.")
 @click.option("--rank-by", metavar="MEASURE", help="Rank by this, as points.median_px or boxes.precision_20.")
@@ -157,8 +151,8 @@ def command(
         contextlib.closing(progress(quiet)) as shown,
         Folder.of(out, f"{title(clip)}-compare", FILES + plots, overwrite=overwrite, inputs=[clip]) as folder,
     ):
-        options = Options(target, partial, stop, begin.picture_size())
-        entries = _run(named, begin, known, seeds, workers, options, rank_by, shift is None, ending, shown)
+        settings = Options(target, partial, stop, begin.picture_size())
+        entries = _run(named, begin, known, seeds, workers, settings, rank_by, shift is None, ending, shown)
         shown.close()
         if not any(entry.scores for entry in entries):
             shown.say(f"facetrack: {ending.reason} before a run was complete; nothing was written")
@@ -182,7 +176,7 @@ def _run(
     truth: Table,
     seeds: int,
     workers: int,
-    options: Options,
+    settings: Options,
     rank_by: str | None,
     check_shift: bool,
     stop: Stop,
@@ -206,7 +200,7 @@ def _run(
         try:
             # what draws no random numbers has one run to show
             plan = begin.plan(label, recipe, seeds if recipe.random else 1, truth, stop)
-            kinds = kinds_of(plan, truth, options, size)
+            kinds = kinds_of(plan, truth, settings, size)
             if family in ("boxes", "points") and family not in kinds:
                 measured = " and ".join(sorted(kinds))
                 raise UsageError(f"--rank-by {rank_by}: this truth measures {measured} of {label}; rank by these")
@@ -226,9 +220,9 @@ def _run(
                 if isinstance(run, Failure):
                     raise run.error
                 warned += run.warnings
-                scores[run.label].append(score_run(run, truth, options, noted.append))
+                scores[run.label].append(score_run(run, truth, settings, noted.append))
                 if check_shift and run.label not in moved:
-                    moved[run.label] = shifted(run, truth, options)
+                    moved[run.label] = shifted(run, truth, settings)
             except FacetrackError as e:
                 refused[run.label] = e
                 if alike and isinstance(run, SeedRun) and not any(scores.values()):

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from facetrack_cli import options
 from facetrack_cli.errors import InputError, UsageError
-from facetrack_cli.options import TRUTH_FORMATS
-from facetrack_cli.options import truth_format as truth_format_option
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.summary import Evaluation
@@ -36,23 +35,18 @@ def _failure(ctx: click.Context, param: click.Parameter, value: str) -> float:
     type=click.Path(path_type=Path),
     help="Truth file or folder [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
 )
-@truth_format_option
+@options.truth_format
 @click.option(
     "--format",
     "results_format",
     metavar="FORMAT",
-    type=click.Choice(TRUTH_FORMATS),
+    type=click.Choice(options.TRUTH_FORMATS),
     default="auto",
     help="How to read TRAJECTORY if another tracker wrote it: one of the same [default: by its shape].",
 )
-@click.option("--target", metavar="NAME[/PART]", help="Measure this target, or this part of it, alone.")
-@click.option(
-    "--shift",
-    metavar="N",
-    type=int,
-    help="Add N to the frame numbers of the truth; 0 takes them as they are even if another shift would fit better.",
-)
-@click.option("--partial", is_flag=True, help="Measure what both have, though the truth has less than the trajectory.")
+@options.target
+@options.shift
+@options.partial
 @click.option(
     "--normalise",
     metavar="LENGTH",
@@ -135,8 +129,8 @@ def command(
         check_new(path, overwrite=overwrite, inputs=(ours.path, theirs.path, clip_of(ours)))
     notes: list[str] = []
     pairs = match(ours, theirs, partial=partial, select=target, check_shift=shift is None, note=notes.append)
-    options = Options(normalise, failure, picture_of(ours))
-    evaluation = evaluate(pairs, notes, options, reference=theirs.series)
+    settings = Options(normalise, failure, picture_of(ours))
+    evaluation = evaluate(pairs, notes, settings, reference=theirs.series)
     about = About(
         ours.path, theirs.path, str(theirs.header.get("read_as", truth_format)), shift or 0, ours.header.get("read_as")
     )

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from facetrack_cli import options
 from facetrack_cli.errors import OutputError, UsageError
-from facetrack_cli.options import truth_format as truth_format_option
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.match import Pair
@@ -21,15 +21,10 @@ FORMS = ("png", "svg", "pdf")  # those of plots/style.py, which would load numpy
 @click.command()
 @click.argument("trajectory", metavar="TRAJECTORY", type=click.Path(path_type=Path))
 @click.option("--truth", metavar="FILE", type=click.Path(path_type=Path), help="Draw the truth too, and the error.")
-@truth_format_option
-@click.option(
-    "--shift",
-    metavar="N",
-    type=int,
-    help="Add N to the frame numbers of the truth; 0 takes them as they are even if another shift would fit better.",
-)
-@click.option("--partial", is_flag=True, help="Draw what both have, though the truth has less than the trajectory.")
-@click.option("--target", metavar="NAME[/PART]", help="One target, or one part of it, alone.")
+@options.truth_format
+@options.shift
+@options.partial
+@options.target
 @click.option(
     "-o",
     "--out",

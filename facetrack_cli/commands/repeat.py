@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from facetrack_cli import options
 from facetrack_cli.errors import ExitCode, UsageError
 from facetrack_cli.options import FRAME, Whole, rate
-from facetrack_cli.options import box as box_of
 
 if TYPE_CHECKING:
     from facetrack_cli.experiments.folder import Folder
@@ -31,8 +31,8 @@ PLOTS = ("spread.png",)
 @click.option(
     "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
 )
-@click.option("--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip.")
-@click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face in the first frame, in pixels.")
+@options.init
+@options.face_box
 @click.option("--start", metavar="N", type=FRAME, default=0, help="First frame, from 0, of --box or a face looked for.")
 @click.option("--stop", metavar="N", type=FRAME, help="Frame to stop before.")
 @click.option("--fps", metavar="RATE", callback=rate, help="Frames per second of image folders.")

@@ -8,22 +8,17 @@ from pathlib import Path
 
 import click
 
+from facetrack_cli import options
 from facetrack_cli.errors import OutputError, UsageError
-from facetrack_cli.options import truth_format as truth_format_option
 
 
 @click.command()
 @click.argument("run", metavar="RUN_DIR", type=click.Path(path_type=Path))
 @click.option("--truth", metavar="FILE", type=click.Path(path_type=Path), help="Measure against this truth file.")
-@truth_format_option
-@click.option(
-    "--shift",
-    metavar="N",
-    type=int,
-    help="Add N to the frame numbers of the truth; 0 takes them as they are even if another shift would fit better.",
-)
-@click.option("--partial", is_flag=True, help="Measure what both have, though one has less than the other.")
-@click.option("--target", metavar="NAME[/PART]", help="Measure this target, or this part of it, alone.")
+@options.truth_format
+@options.shift
+@options.partial
+@options.target
 @click.option(
     "-o", "--out", metavar="FILE", type=click.Path(path_type=Path), help="The page [default: RUN_DIR/report.html]."
 )

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from facetrack_cli import options
 from facetrack_cli.errors import ExitCode, OutputError, UsageError
 from facetrack_cli.options import FRAME, Whole, rate
-from facetrack_cli.options import box as box_of
 from facetrack_cli.trajectory import FORMATS, Format
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
 )
 @click.option("--seed", metavar="N", type=Whole(min=0), help="Seed of the random numbers, instead of the recipe's.")
-@click.option("--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip.")
-@click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face in the first frame, in pixels.")
+@options.init
+@options.face_box
 @click.option(
     "--init-frame", metavar="N", type=FRAME, help="Frame of --init or --box, or where the search for a face begins."
 )
