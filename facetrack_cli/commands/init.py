@@ -67,19 +67,15 @@ def command(
 
 def _check_outputs(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:
     """Refuse before the search what would be refused after it."""
+    from facetrack_cli.start.files import check_new
+
     if path is not None and path.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
     if preview is not None and preview.suffix.lower() != ".png":
         raise OutputError(f"{preview}: the preview is a PNG; let its name end in .png")
     for file in (path, preview):
-        if file is None:
-            continue
-        if file.is_dir():
-            raise OutputError(f"{file}: is a folder; name a file")
-        if file.exists() and not overwrite:
-            raise OutputError(f"{file}: exists already; replace it with --overwrite, or name another file")
-        if not file.parent.is_dir():
-            raise OutputError(f"{file}: there is no folder {file.parent}; make it, or name another file")
+        if file is not None:
+            check_new(file, overwrite=overwrite)
     if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():
         raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -84,14 +83,15 @@ def command(
     form = path.suffix[1:].lower()
     if form not in FORMS:
         raise UsageError(f"{path}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
-    _check_output(path, overwrite)
+    from facetrack_cli.start.files import check_new, write_new
+
+    check_new(path, overwrite=overwrite)
     from facetrack_cli.plots.style import need_matplotlib
 
     need_matplotlib()
     from facetrack_cli.formats.table import read_trajectory
     from facetrack_cli.formats.targets import choose
     from facetrack_cli.plots import page_figure, render
-    from facetrack_cli.start.files import write_new
 
     table = read_trajectory(trajectory)
     pairs = None if truth is None else _pairs(table, truth, truth_format, shift, partial, target)
@@ -102,16 +102,6 @@ def command(
 
 def _beside(trajectory: Path) -> Path:
     return (trajectory if trajectory.is_dir() else trajectory.parent) / "plot.png"
-
-
-def _check_output(path: Path, overwrite: bool) -> None:
-    """Refuse before the work what would be refused after it."""
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder; name a file")
-    if os.path.lexists(path) and not overwrite:
-        raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file with -o")
-    if not path.parent.is_dir():
-        raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file with -o")
 
 
 def _pairs(table: Table, truth: Path, form: str, shift: int | None, partial: bool, target: str | None) -> list[Pair]:

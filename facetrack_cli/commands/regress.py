@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from facetrack_cli.errors import ExitCode, OutputError, UsageError
+from facetrack_cli.errors import ExitCode, UsageError
 from facetrack_cli.options import Whole
 
 if TYPE_CHECKING:
@@ -73,6 +73,7 @@ def command(
     5 some could not be recorded, 6 a regression, 130 interrupted, 143 terminated.
     """
     from facetrack_cli.progress import progress
+    from facetrack_cli.start.files import check_new
     from facetrack_cli.stopping import Stop
 
     if update and (overrides or junit or json_file):
@@ -83,7 +84,7 @@ def command(
         raise UsageError("--junit and --json name the same file; give two names")
     for path in (junit, json_file):
         if path is not None:
-            _check_output(path, overwrite)
+            check_new(path, overwrite=overwrite)
     with Stop().listening() as ending, contextlib.closing(progress(quiet)) as shown:
         shown.begin(str(folder), "frames", None)
         if update:
@@ -172,13 +173,3 @@ def _print(lines: Sequence[str]) -> None:
     """Each as it comes, also into a pipe; a name may hold a line break, a line must not."""
     for text in lines:
         click.echo(" ".join(text.splitlines()))
-
-
-def _check_output(path: Path, overwrite: bool) -> None:
-    """Refuse before anything runs what could not be written after."""
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder; name a file")
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path}: is there already; --overwrite replaces it")
-    if not path.parent.is_dir():
-        raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another")

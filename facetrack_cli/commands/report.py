@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from pathlib import Path
 
 import click
@@ -61,7 +60,7 @@ def command(
     """
     from facetrack_cli.progress import progress
     from facetrack_cli.report.make import NAME, TruthFile, make_report, trajectory_of
-    from facetrack_cli.start.files import write_new
+    from facetrack_cli.start.files import check_new, write_new
     from facetrack_cli.stopping import Stop
 
     told = {
@@ -78,12 +77,7 @@ def command(
     for what, given in (("--truth", truth), ("--clip", clip)):
         if given is not None and given.exists() and to.exists() and given.samefile(to):
             raise OutputError(f"{to}: is what {what} names; write the page elsewhere with -o")
-    if to.is_dir():
-        raise OutputError(f"{to}: is a folder; name a file, as in -o {to / NAME}")
-    if os.path.lexists(to) and not overwrite:
-        raise OutputError(f"{to}: is there already; --overwrite replaces it, -o names another file")
-    if not to.parent.is_dir():
-        raise OutputError(f"{to}: there is no folder {to.parent}; make it first, or write elsewhere with -o")
+    check_new(to, overwrite=overwrite)
     with contextlib.closing(progress(quiet)) as shown:
         shown.begin(run.name or str(run), "frames", None)
         page = make_report(run, truth=against, clip=clip, title=title, report=shown.update)
