@@ -194,7 +194,7 @@ def _run(
     noted: list[str] = []
     warned: list[str] = []
     plans = []
-    size = begin.picture_size()
+    size = settings.size or begin.picture_size()
     family = (rank_by or "").partition(".")[0]
     for label, recipe in named.items():
         try:
