@@ -25,8 +25,8 @@ import cv2
 import imageio_ffmpeg
 import numpy as np
 
-from facetrack_cli import kernels
 from facetrack_cli.build import build_tracker
+from facetrack_cli.kernels import windows
 from facetrack_cli.recipe import load_recipe
 from facetrack_cli.start import find_init, read_init, write_init
 from facetrack_cli.track import track
@@ -67,15 +67,15 @@ def kernel() -> None:
     image = cv2.GaussianBlur(rng.integers(0, 256, (480, 640, 3), dtype=np.uint8), (0, 0), 2)
     side, n = 15, 1000
     centres = rng.uniform(40, 400, (n, 2))
-    rows, x, out = kernels.flat(image), centres[:, None], np.empty((n, 1))
-    padded = kernels.read_window(rows, 200.0, 200.0, side, side)
+    rows, x, out = windows.flat(image), centres[:, None], np.empty((n, 1))
+    padded = windows.read_window(rows, 200.0, 200.0, side, side)
     template = padded[:, :side].ravel() / padded[:, :side].mean()
     ratios, offsets = padded.ravel() / padded[:, :side].mean(), np.array([0, padded.size])
     sides, parts = np.array([[side, side]]), np.array([0])
 
     def ours() -> None:
-        kernels.colour_ratio_distances(
-            rows, ratios, offsets, sides, parts, x, 0.0, 0.0, 1, 1.0, kernels.L1, 1.0, out
+        windows.colour_ratio_distances(
+            rows, ratios, offsets, sides, parts, x, 0.0, 0.0, 1, 1.0, windows.L1, 1.0, out
         )  # fmt: skip
 
     def theirs() -> np.ndarray:

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.errors import InputError, OutputError, RecipeError
-from facetrack_cli.kernels_shape import LANES, PADDING, log_parzen, pick_shape
+from facetrack_cli.kernels.shape import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.types import Array
 
 FORMAT = "facetrack-shape-prior"

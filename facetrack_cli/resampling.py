@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.kernels import invert_cdf
+from facetrack_cli.kernels.resampling import invert_cdf
 from facetrack_cli.types import Array
 
 Indices: TypeAlias = NDArray[np.int64]

@@ -34,6 +34,7 @@ class Frame:
     time_s: float
     bgr: Image
     _reduced: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
+    _grey: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -52,9 +53,22 @@ class Frame:
         known = self._reduced.get(factor)
         if known is None or not _within(extent, known[3]):
             # some more all around, since the next call of this frame asks for nearly the same place
-            more = 6.0 * factor
-            asked = extent[0] - more, extent[1] - more, extent[2] + more, extent[3] + more
+            asked = _widened(extent, 6.0 * factor)
             known = self._reduced[factor] = (*self._reduce(factor, asked), asked)
+        return known[0], known[1], known[2]
+
+    def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
+        """The picture in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
+        known = self._grey.get(factor)
+        if known is None or not _within(extent, known[3]):
+            asked = _widened(extent, 6.0 * factor)
+            picture, left, top = self.reduced(factor, asked)
+            height, width = picture.shape[:2]
+            # what is reduced is already hardly more than the extent; the whole picture is much more
+            x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
+            y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
+            grey = np.asarray(cv2.cvtColor(picture[y0:y1, x0:x1], cv2.COLOR_BGR2GRAY), np.uint8)
+            known = self._grey[factor] = grey, left + x0 * factor, top + y0 * factor, asked
         return known[0], known[1], known[2]
 
     def _reduce(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
@@ -71,6 +85,10 @@ class Frame:
 
 def _within(inner: Extent, outer: Extent) -> bool:
     return inner[0] >= outer[0] and inner[1] >= outer[1] and inner[2] <= outer[2] and inner[3] <= outer[3]
+
+
+def _widened(extent: Extent, more: float) -> Extent:
+    return extent[0] - more, extent[1] - more, extent[2] + more, extent[3] + more
 
 
 def _blocks(low: float, high: float, factor: int, count: int) -> tuple[int, int]:

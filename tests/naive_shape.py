@@ -1,4 +1,4 @@
-"""Slow, plain twins of kernels_shape.py, in the words of the formulas. Imports nothing of ours."""
+"""Slow, plain twins of kernels/shape.py, in the words of the formulas. Imports nothing of ours."""
 
 import math
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facetrack_cli import kernels
+from facetrack_cli.kernels import resampling, windows
 from tests import naive
 
 
@@ -23,20 +23,20 @@ def picture(seed, height=24, width=31):
 )
 def test_window_is_bilinear_and_replicates_the_border(x, y, w, h, as_float):
     image = picture(1)
-    seen = kernels.read_window(kernels.flat(image.astype(np.float32) if as_float else image), x, y, w, h)
+    seen = windows.read_window(windows.flat(image.astype(np.float32) if as_float else image), x, y, w, h)
     np.testing.assert_allclose(seen[:, :w], naive.window(image, x, y, w, h), atol=2e-3)
     np.testing.assert_array_equal(seen[:, w], 0.0)
 
 
 def test_window_at_whole_pixels_is_the_crop():
     image = picture(2)
-    seen = kernels.read_window(kernels.flat(image), 10.0, 11.0, 5, 7)[:, :5]
+    seen = windows.read_window(windows.flat(image), 10.0, 11.0, 5, 7)[:, :5]
     np.testing.assert_array_equal(seen, image[8:15, 8:13])
 
 
 def test_window_that_touches_the_last_pixel_is_the_crop():
     image = picture(3)
-    seen = kernels.read_window(kernels.flat(image), 28.0, 21.0, 5, 5)[:, :5]
+    seen = windows.read_window(windows.flat(image), 28.0, 21.0, 5, 5)[:, :5]
     np.testing.assert_array_equal(seen, image[19:24, 26:31])
 
 
@@ -52,9 +52,9 @@ def distances(image, templates, x, robust="l1", scale=0.2, origin=(0, 0), factor
     out = np.full(x.shape[:2], np.nan)
     offsets = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     parts = np.arange(1, len(templates) + 1)
-    kernels.colour_ratio_distances(
-        kernels.flat(image), np.concatenate(rows), offsets, np.array(sides), parts, x, *origin, factor,
-        1.0, kernels.ROBUST[robust], scale, out,
+    windows.colour_ratio_distances(
+        windows.flat(image), np.concatenate(rows), offsets, np.array(sides), parts, x, *origin, factor,
+        1.0, windows.ROBUST[robust], scale, out,
     )  # fmt: skip
     assert np.all(np.isnan(out[:, 0]))
     return out[:, 1:]
@@ -62,7 +62,7 @@ def distances(image, templates, x, robust="l1", scale=0.2, origin=(0, 0), factor
 
 @settings(max_examples=60, deadline=None)
 @given(
-    robust=st.sampled_from(sorted(kernels.ROBUST)),
+    robust=st.sampled_from(sorted(windows.ROBUST)),
     scale=st.floats(0.02, 2.0),
     x=st.floats(-6, 36),
     y=st.floats(-6, 30),
@@ -117,5 +117,5 @@ def naive_inverse(weights, points):
 )
 def test_inverse_agrees_with_exact_fractions(weights, points):
     points = np.sort(points)
-    seen = kernels.invert_cdf(np.array(weights)[:, None].repeat(2, axis=1), points[:, None].repeat(2, axis=1))
+    seen = resampling.invert_cdf(np.array(weights)[:, None].repeat(2, axis=1), points[:, None].repeat(2, axis=1))
     assert seen[:, 0].tolist() == seen[:, 1].tolist() == naive_inverse(weights, points)

@@ -13,7 +13,7 @@ PACKAGE = Path(facetrack_cli.__file__).parent
 
 # lowest first; a unit imports only from the layers below its own. A folder is one unit.
 LAYERS = [
-    {"errors", "types", "kernels", "kernels_shape", "kernel_cache", "options"},
+    {"errors", "types", "kernels", "kernel_cache", "options"},
     {"resampling", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
     {"confidence", "filters", "formats", "likelihoods", "motion", "priors", "recipe_messages", "start"},
     {"evaluation", "lengths", "opencv", "prior_fit", "prior_picture", "track"},
@@ -140,9 +140,9 @@ def test_imports_point_down(module):
 
 
 def test_kernels_import_nothing_of_ours():
-    found = [(module, one.name) for module, one in imported("kernels", "kernels_shape") if one.unit]
-    assert not [pair for pair in found if pair[1].split(".")[1] not in ("kernels", "kernels_shape")]
-    libraries = {one.library for _, one in imported("kernels", "kernels_shape")} - set(sys.stdlib_module_names)
+    found = [(module, one.name) for module, one in imported("kernels") if one.unit]
+    assert not [pair for pair in found if pair[1].split(".")[1] != "kernels"]
+    libraries = {one.library for _, one in imported("kernels")} - set(sys.stdlib_module_names)
     assert libraries <= {"numba", "numpy", "facetrack_cli", "__future__"}
 
 

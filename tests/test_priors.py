@@ -11,7 +11,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.errors import InputError, OutputError, RecipeError, UsageError
-from facetrack_cli.kernels_shape import LANES, PADDING, log_parzen, pick_shape
+from facetrack_cli.kernels.shape import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.prior_fit import fit_prior
 from facetrack_cli.prior_picture import draw_prior
 from facetrack_cli.priors import ShapePrior, bind, default_prior_path, load_prior

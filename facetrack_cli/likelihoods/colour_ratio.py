@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli import kernels
+from facetrack_cli.kernels import windows
 from facetrack_cli.types import Array, Extent, Frame
 
 # a window darker than one grey level says nothing; dividing by less would only blow up its noise
@@ -68,7 +68,7 @@ class ColourRatio:
             excess = np.maximum(self.windows.max(axis=1) / self.max_samples, 1.0)
             factors = 2 ** np.ceil(np.log2(excess)).astype(np.int64)
         reach = float(self.windows.max()) / 2 + 3 * int(factors.max())
-        extent = kernels.extent(x0[None], reach)
+        extent = windows.extent(x0[None], reach)
         means = np.empty(len(x0))
         groups = []
         for factor in np.unique(factors).tolist():
@@ -85,12 +85,12 @@ class ColourRatio:
     def distances(self, learned: Templates, frame: Frame, x: Array) -> Array:
         """d(o_i, q_i) of eq. 9 for windows at x (N, K, 2) -> (N, K)."""
         out = np.empty(x.shape[:2])
-        robust = kernels.ROBUST[self.robust]
-        extent = kernels.extent(x, learned.reach)
+        robust = windows.ROBUST[self.robust]
+        extent = windows.extent(x, learned.reach)
         for g in learned.groups:
             picture, left, top = frame.reduced(g.factor, extent)
-            kernels.colour_ratio_distances(
-                kernels.flat(picture), g.ratios, g.offsets, g.sides, g.parts, x, left, top, g.factor,
+            windows.colour_ratio_distances(
+                windows.flat(picture), g.ratios, g.offsets, g.sides, g.parts, x, left, top, g.factor,
                 LEAST_MEAN, robust, self.scale, out,
             )  # fmt: skip
         return out
@@ -105,7 +105,7 @@ class ColourRatio:
         means: list[float] = []
         for k, (w, h) in zip(parts, sides, strict=True):
             x, y = (x0[k] - (left, top) - (factor - 1) / 2) / factor
-            o = kernels.read_window(kernels.flat(picture), x, y, w, h)
+            o = windows.read_window(windows.flat(picture), x, y, w, h)
             means.append(max(float(o[:, :w].mean()), LEAST_MEAN))
             ratios.append(o.ravel() / np.float32(means[-1]))
         offsets = np.concatenate([[0], np.cumsum([len(row) for row in ratios])]).astype(np.int64)

@@ -1,7 +1,4 @@
-"""The inner loops, compiled. Arrays in, arrays out; nothing of ours is imported here, and nothing random happens here.
-
-Each kernel has a slow plain twin in `tests/naive.py` that the tests hold it to.
-"""
+"""Windows read from a picture, and their colours compared (Patras & Pantic 2004, eq. 8 and 9)."""
 
 from __future__ import annotations
 
@@ -9,20 +6,15 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from facetrack_cli.kernels.compiled import exact, fast, inline
 
 L1, HUBER, TUKEY, GEMAN_MCCLURE = 0, 1, 2, 3
 ROBUST = {"l1": L1, "huber": HUBER, "tukey": TUKEY, "geman_mcclure": GEMAN_MCCLURE}
 
-_exact: Any = njit(cache=True, nogil=True, error_model="numpy")
-# sums may be reordered, which is what lets them vectorise; NaN and infinity keep their meaning
-_fast: Any = njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
-# as functions of their own these do not vectorise, and take five times as long
-_inline: Any = njit(inline="always", error_model="numpy")
 
-
-@_inline
+@inline
 def _read_window(image: Any, x: float, y: float, w: int, h: int, pixels: Any, out: Any) -> Any:
     """Bilinear window of w x h pixels centred at (x, y) into `out`; returns the sum of its values.
 
@@ -62,7 +54,7 @@ def _read_window(image: Any, x: float, y: float, w: int, h: int, pixels: Any, ou
     return total
 
 
-@_exact
+@exact
 def read_window(image: Any, x: float, y: float, w: int, h: int) -> Any:
     """The window of w x h pixels centred at (x, y), read bilinearly: (h, w + 1, 3) float32, its last column zero.
 
@@ -73,7 +65,7 @@ def read_window(image: Any, x: float, y: float, w: int, h: int) -> Any:
     return out.reshape(h, w + 1, 3)
 
 
-@_inline
+@inline
 def _mean_rho(template: Any, window: Any, gain: Any, robust: int, scale: float, n: int) -> Any:
     """Mean of a robust function of template - gain * window, two flat rows that hold n values and zeros."""
     one, two = np.float32(1.0), np.float32(2.0)
@@ -101,7 +93,7 @@ def _mean_rho(template: Any, window: Any, gain: Any, robust: int, scale: float, 
     return scale * d / n
 
 
-@_fast
+@fast
 def colour_ratio_distances(
     image: Any,
     ratios: Any,
@@ -144,7 +136,7 @@ def colour_ratio_distances(
             out[p, k] = _mean_rho(template, window, gain, robust, scale, n)
 
 
-@_exact
+@exact
 def extent(x: Any, reach: float) -> Any:
     """(x from, y from, x to, y to) of everything within `reach` of the places x (N, K, 2)."""
     x_low = x_high = x[0, 0, 0]
@@ -154,33 +146,6 @@ def extent(x: Any, reach: float) -> Any:
             x_low, x_high = min(x_low, x[n, k, 0]), max(x_high, x[n, k, 0])
             y_low, y_high = min(y_low, x[n, k, 1]), max(y_high, x[n, k, 1])
     return x_low - reach, y_low - reach, x_high + reach, y_high + reach
-
-
-@_exact
-def invert_cdf(weights: Any, points: Any) -> Any:
-    """For each column, the indices at which the cumulated weights first exceed each ascending point of [0, 1).
-
-    `weights` (N, K), not all zero in a column, need not sum to one; `points` (M, K) -> (M, K) int64. Never an index of
-    weight zero, and never N, however the sums are rounded.
-    """
-    n, columns = weights.shape
-    m = points.shape[0]
-    out = np.empty((m, columns), np.int64)
-    for k in range(columns):
-        total = 0.0
-        last = 0
-        for i in range(n):
-            total += weights[i, k]
-            if weights[i, k] > 0.0:
-                last = i
-        i = 0
-        cumulated = weights[0, k]
-        for j in range(m):
-            while i < last and cumulated <= points[j, k] * total:
-                i += 1
-                cumulated += weights[i, k]
-            out[j, k] = i
-    return out
 
 
 def flat(image: NDArray[Any]) -> NDArray[Any]:

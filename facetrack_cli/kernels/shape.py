@@ -1,4 +1,4 @@
-"""The inner loops of the Parzen shape prior, compiled. Arrays in, arrays out; nothing of ours is imported here.
+"""The inner loops of the Parzen shape prior.
 
 Each kernel has a slow plain twin in `tests/naive_shape.py`. A hypothesis is registered to q (P, 2), in kernel widths,
 over the P parts that are listed in `parts`:
@@ -16,9 +16,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-_compile: Any = njit(cache=True, nogil=True, error_model="numpy")
+from facetrack_cli.kernels.compiled import exact
 
 LANES = 16  # shapes are padded to a multiple of this, so that sums and maxima run in independent lanes
 PADDING = np.float32(-1e38)  # the bias of a shape that is none
@@ -34,7 +33,7 @@ _C3, _C4, _C5 = np.float32(1.6666665459e-1), np.float32(4.1665795894e-2), np.flo
 _C6, _C7 = np.float32(1.3981999507e-3), np.float32(1.9875691500e-4)
 
 
-@_compile
+@exact
 def _exp_below(v: Any, top: float, bits: Any, scale: Any) -> None:
     """v[j] <- exp(max(v[j] - top, -80)) for v <= top, to 2e-7 relative; `bits` and `scale` are one scratch array.
 
@@ -59,7 +58,7 @@ def _exp_below(v: Any, top: float, bits: Any, scale: Any) -> None:
         v[j] *= scale[j]
 
 
-@_compile
+@exact
 def _weigh(
     x: Any, parts: Any, first: Any, stable: int, width: float, h: Any, bias: Any, w: Any, bits: Any, scale: Any
 ) -> float:
@@ -103,7 +102,7 @@ def _weigh(
     return float(top) - 0.5 * norm
 
 
-@_compile
+@exact
 def _total(w: Any, scale: Any) -> float:
     for c in range(LANES):
         scale[c] = w[c]
@@ -116,7 +115,7 @@ def _total(w: Any, scale: Any) -> float:
     return total
 
 
-@_compile
+@exact
 def log_parzen(x: Any, parts: Any, first: Any, stable: int, width: float, h: Any, bias: Any) -> Any:
     """log sum_j exp(-|q_n - h_j|^2 / 2), (N,).
 
@@ -135,7 +134,7 @@ def log_parzen(x: Any, parts: Any, first: Any, stable: int, width: float, h: Any
     return out
 
 
-@_compile
+@exact
 def pick_shape(x: Any, parts: Any, first: Any, stable: int, width: float, h: Any, bias: Any, u: Any) -> Any:
     """The index j of a shape for each hypothesis, (N,) int64, drawn by the uniform u[n] in [0, 1).
 
