@@ -27,16 +27,16 @@ import numpy as np
 
 from facetrack_cli.build import build_tracker
 from facetrack_cli.formats.table import Table, from_rows
-from facetrack_cli.recipe import ParticleRecipe, load_recipe
+from facetrack_cli.recipe import ColourRatio, FirstOrder, ParticleRecipe, Product, RandomWalk, load_recipe
 from facetrack_cli.regression.bands import judge, measure
 from facetrack_cli.regression.goldens import Golden, find_goldens, read_golden
 from facetrack_cli.track import Likelihood, ParticleTarget, Tracker, track
 from facetrack_cli.trajectory import rows
-from facetrack_cli.types import Array, Frame
+from facetrack_cli.types import Array, Frame, Particles
 from facetrack_cli.video.source import open_source
 
 FIRST_SEED = 20_000
-SHIFT = np.array([1.5, 0.0])
+SHIFT = 1.5  # pixels
 
 
 class Case(NamedTuple):
@@ -67,28 +67,51 @@ class Shifted:
 
     within: Likelihood
 
-    @property
-    def windows(self) -> Array:
-        return self.within.windows
-
     def init(self, frame: Frame, x0: Array) -> Any:
         return self.within.init(frame, x0)
 
     def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array:
-        return self.within.score(learned, frame, x + SHIFT, parents)
+        return self.within.score(learned, frame, _shifted(x), parents)
+
+    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any:
+        return self.within.learn(learned, frame, state, particles)
 
     def distances(self, learned: Any, frame: Frame, x: Array) -> Array:
-        return self.within.distances(learned, frame, x + SHIFT)
+        return self.within.distances(learned, frame, _shifted(x))
+
+
+def _shifted(x: Array) -> Array:
+    moved = x.copy()
+    moved[..., 0] += SHIFT
+    return moved
+
+
+def _changes(recipe: ParticleRecipe, case: Case) -> list[str]:
+    """The overrides that disturb a recipe as the case says."""
+    motion, likelihood = recipe.motion, recipe.likelihood
+    found = []
+    if case.motion != 1 and isinstance(motion, RandomWalk):
+        found.append(f"motion.sigma={motion.sigma.of(recipe.points[0]).value * case.motion:.6g}")
+    if case.motion != 1 and isinstance(motion, FirstOrder):
+        rows = [[length.value * case.motion for length in row] for row in motion.position.B]
+        found.append(f"motion.position.B={rows}")
+    if case.likelihood != 1 and isinstance(likelihood, ColourRatio):
+        found.append(f"likelihood.sigma={likelihood.sigma * case.likelihood:.6g}")
+    if case.likelihood != 1 and isinstance(likelihood, Product):
+        if likelihood.contour is not None:
+            found.append(f"likelihood.contour.sigma={likelihood.contour.sigma.value * case.likelihood:.6g}")
+        if likelihood.histogram is not None:
+            found.append(f"likelihood.histogram.lambda_h={likelihood.histogram.lambda_h / case.likelihood:.6g}")
+        if likelihood.correlation is not None:
+            found.append(f"likelihood.correlation.sigma={likelihood.correlation.sigma * case.likelihood:.6g}")
+    return found
 
 
 def tracker_of(golden: Golden, case: Case) -> Tracker | None:
     """None where there is nothing to disturb."""
     recipe = load_recipe(golden.recipe)
     if isinstance(recipe, ParticleRecipe):
-        sigma = recipe.motion.sigma.of(recipe.points[0]).value
-        changes = [f"motion.sigma={sigma * case.motion:.6g}"] if case.motion != 1 else []
-        changes += [f"likelihood.sigma={recipe.likelihood.sigma * case.likelihood:.6g}"] if case.likelihood != 1 else []
-        recipe = load_recipe(golden.recipe, changes)
+        recipe = load_recipe(golden.recipe, _changes(recipe, case))
     elif case.must_fail:
         return None
     tracker = build_tracker(recipe, golden.start)

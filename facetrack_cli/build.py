@@ -9,16 +9,18 @@ import numpy as np
 from facetrack_cli import filters, recipe
 from facetrack_cli.confidence import Confidence
 from facetrack_cli.errors import InputError, RecipeError
+from facetrack_cli.lengths import Length
 from facetrack_cli.likelihoods.colour_ratio import ColourRatio
-from facetrack_cli.motion import RandomWalk
+from facetrack_cli.likelihoods.product import Factor, ObjectFactor, Product
+from facetrack_cli.motion import FirstOrder, RandomWalk
 from facetrack_cli.opencv import OpenCvTarget
 from facetrack_cli.opencv import check as check_opencv
 from facetrack_cli.priors import BoundPrior, bind, load_prior
 from facetrack_cli.recipe import OpenCvRecipe, ParticleRecipe, Recipe
 from facetrack_cli.resampling import SCHEMES
-from facetrack_cli.spaces import size_of_points
+from facetrack_cli.spaces import BoxSpace, PointSpace, size_of_points, state_of_box
 from facetrack_cli.track import ParticleTarget, Tracker
-from facetrack_cli.types import Array, Box, Start
+from facetrack_cli.types import BOX, Array, Box, Start
 
 
 def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
@@ -29,7 +31,8 @@ def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
     if isinstance(recipe_, OpenCvRecipe):
         return _opencv(recipe_, start)
     assert isinstance(recipe_, ParticleRecipe)
-    return tuple(_points_target(recipe_, name, start) for name in start.targets)
+    make = _region_target if isinstance(recipe_.target, recipe.Region) else _points_target
+    return tuple(make(recipe_, name, start) for name in start.targets)
 
 
 def _opencv(recipe_: OpenCvRecipe, start: Start) -> Tracker:
@@ -49,7 +52,82 @@ def _box(start: Start, name: str) -> Box:
     return box
 
 
+def _region_target(recipe_: ParticleRecipe, name: str, start: Start) -> ParticleTarget:
+    target, motion, likelihood = recipe_.target, recipe_.motion, recipe_.likelihood
+    assert isinstance(target, recipe.Region)
+    assert isinstance(motion, recipe.FirstOrder)
+    assert isinstance(likelihood, recipe.Product)
+    box = _box(start, name)
+    unit = _size_of_box(start, name)
+    product = _product(likelihood, (box[2], box[3]), unit)
+    return ParticleTarget(
+        name=name,
+        parts=(BOX,),
+        space=BoxSpace((box[2], box[3])),
+        x0=state_of_box(*box),
+        particles=recipe_.particles,
+        motion=FirstOrder(
+            position=(np.array(motion.position.A), _pixels(motion.position.B, unit)),
+            scale=(np.array(motion.scale.A), np.array(motion.scale.B)),
+            least=target.scale[0],
+            most=target.scale[1],
+        ),
+        likelihood=product,
+        prior=None,
+        step=_step(recipe_.filter),
+        # correlation alone cannot tell what it follows
+        confidence=Confidence(**recipe_.confidence.model_dump()) if product.objects else None,
+    )
+
+
+def _pixels(rows: Sequence[Sequence[Length]], unit: float) -> Array:
+    return np.array([[length.pixels(unit) for length in row] for row in rows])
+
+
+def _product(given: recipe.Product, size: tuple[float, float], unit: float) -> Product:
+    from facetrack_cli.likelihoods.contour import Contour
+    from facetrack_cli.likelihoods.correlation import Correlation
+    from facetrack_cli.likelihoods.histogram import Histogram
+
+    objects: list[ObjectFactor] = []
+    if (c := given.contour) is not None:
+        objects.append(
+            Contour(
+                size,
+                normals=c.normals,
+                sigma=c.sigma.pixels(unit),
+                search=c.search.pixels(unit),
+                threshold=c.threshold,
+                outlier=c.outlier,
+                max_size=c.max_size,
+            )
+        )
+    if (h := given.histogram) is not None:
+        objects.append(
+            Histogram(
+                size,
+                hue_bins=h.hue_bins,
+                saturation_bins=h.saturation_bins,
+                regions=h.regions,
+                lambda_=h.lambda_h,
+                value_bins=h.value_bins,
+                least_saturation=h.least_saturation,
+                least_value=h.least_value,
+                max_size=h.max_size,
+            )
+        )
+    motions: list[Factor] = []
+    if (k := given.correlation) is not None:
+        motions.append(
+            Correlation(size, grid=k.grid, distance=k.distance, sigma=k.sigma, saturation=k.saturation or 0.0)
+        )
+    return Product(tuple(objects), tuple(motions))
+
+
 def _points_target(recipe_: ParticleRecipe, name: str, start: Start) -> ParticleTarget:
+    assert isinstance(recipe_.target, recipe.Points)
+    assert isinstance(recipe_.motion, recipe.RandomWalk)
+    assert isinstance(recipe_.likelihood, recipe.ColourRatio)
     parts = tuple(recipe_.target.parts)
     given = start.targets[name]
     missing = [part for part in parts if part not in given.points]
@@ -64,6 +142,7 @@ def _points_target(recipe_: ParticleRecipe, name: str, start: Start) -> Particle
     return ParticleTarget(
         name=name,
         parts=parts,
+        space=PointSpace(windows),
         x0=x0,
         particles=recipe_.filter.particles,
         motion=RandomWalk(np.array([recipe_.motion.sigma.of(part).pixels(size) for part in parts])),
@@ -75,7 +154,7 @@ def _points_target(recipe_: ParticleRecipe, name: str, start: Start) -> Particle
 
 
 def _size_of_box(start: Start, name: str) -> float:
-    """The unit of length of a single point: the mean side of its box."""
+    """The unit of length of a region or a single point: the mean side of its box, in pixels."""
     box = start.targets[name].box
     if box is None:
         raise InputError(f"{start.origin}: {name} has a single point and no box to measure lengths by; add a box")

@@ -26,13 +26,10 @@ from facetrack_cli.types import Array, Frame, Status
 
 
 class Measures(Protocol):
-    """A likelihood that can say how badly a window matches; `windows` (K, 2) pixels."""
-
-    @property
-    def windows(self) -> Array: ...
+    """A likelihood that can say how badly a part matches what the first frame showed."""
 
     def distances(self, learned: Any, frame: Frame, x: Array) -> Array:
-        """(N, K) of x (N, K, 2): 0 for a perfect match."""
+        """(N, K) of x (N, K, D): 0 for a perfect match."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +50,12 @@ class Confidence:
     beside: float = 0.5
     memory: int = 50
 
-    def begin(self, measure: Measures, learned: Any, frame: Frame, x0: Array) -> Judgement:
+    def begin(self, measure: Measures, learned: Any, frame: Frame, x0: Array, windows: Array) -> Judgement:
+        """The judgement of the first frame, whose parts are at x0 (K, D) and `windows` (K, 2) pixels large."""
         k = len(x0)
         angles = np.arange(16) * (2 * np.pi / 16)
-        ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * measure.windows
+        ring = np.zeros((16, *x0.shape))
+        ring[..., :2] = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * windows
         near = np.median(measure.distances(learned, frame, x0 + ring / 13), axis=0)
         beside = np.quantile(measure.distances(learned, frame, x0 + ring), self.beside, axis=0)
         blank = Frame(frame.index, frame.time_s, np.full_like(frame.bgr, 128))

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Generic, TypeAlias, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from pydantic import ConfigDict, Discriminator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, RootModel, Tag
 from pydantic_core import PydanticCustomError, core_schema
@@ -24,6 +24,7 @@ class Length:
 
     value: float
     px: bool = False
+    least: ClassVar[float] = SHORTEST
 
     def pixels(self, size: float) -> float:
         """In pixels, for a target that was `size` pixels large at the start."""
@@ -38,6 +39,8 @@ class Length:
         """From what stands in a recipe; raises PydanticCustomError (a ValueError)."""
         if isinstance(given, Length):
             given = given.written()
+        if cls.least == 0 and isinstance(given, int | float) and given == 0 and not isinstance(given, bool):
+            return cls(0.0)
         if isinstance(given, str) and re.fullmatch(_NUMBER + " ?px", given):
             length = cls(float(given.removesuffix("px")), px=True)
         elif isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e300:
@@ -45,8 +48,9 @@ class Length:
         else:
             length = cls(math.nan)
         if not SHORTEST <= length.value <= LONGEST:  # also nan
+            bound = "a length above 0" if cls.least else "0 or a length"
             hint = (
-                "must be a length above 0 (and no more than a million): "
+                f"must be {bound} (and no more than a million): "
                 "a number in units of the target's size, or pixels as in 12px"
             )
             raise PydanticCustomError("length", hint)  # type: ignore[arg-type, unused-ignore]
@@ -64,12 +68,18 @@ class Length:
     ) -> dict[str, Any]:
         units = {
             "type": "number",
-            "minimum": SHORTEST,
+            "minimum": cls.least,
             "maximum": LONGEST,
             "description": "In units of the target's size at the start.",
         }
         pixels = {"type": "string", "pattern": f"^{_NUMBER} ?px$", "description": "In pixels, as in 12px."}
-        return {"title": "Length", "anyOf": [units, pixels]}
+        return {"title": cls.__name__, "anyOf": [units, pixels]}
+
+
+class LengthOrNone(Length):
+    """A length that may be 0."""
+
+    least: ClassVar[float] = 0.0
 
 
 Window: TypeAlias = Annotated[

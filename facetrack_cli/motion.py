@@ -28,3 +28,53 @@ class RandomWalk:
         squared = np.sum((x[:, None] - parents[None]) ** 2, axis=3)
         constant = -0.5 * d * np.log(2 * np.pi) - d * np.log(self.sigma)
         return np.asarray(-0.5 * squared / self.sigma**2 + constant)
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """Linear dynamics of values and speeds, c_k = A c_{k-1} + B w_k, w_k ~ N(0, I) (Odobez et al. 2003, section 3.2).
+
+    The state (x, y, s, and the speed of each) falls into pairs c = (value, speed), which move independently: x and y
+    by `position` (A, B), s by `scale`; A is (2, 2), B (2, M) with M sources of noise. `least` and `most` bound s, since
+    linear dynamics would lead to boxes of no or of negative size: there it stops, and its speed becomes 0.
+    """
+
+    position: tuple[Array, Array]
+    scale: tuple[Array, Array]
+    least: float
+    most: float
+
+    def propagate(self, rng: np.random.Generator, x: Array) -> Array:
+        """x (N, K, 6) moved by one frame."""
+        moved = np.empty_like(x)
+        for i, (a, b) in enumerate((self.position, self.position, self.scale)):
+            noise = rng.standard_normal((*x.shape[:2], b.shape[1])) @ b.T
+            moved[..., i::3] = x[..., i::3] @ a.T + noise
+        s = moved[..., 2]
+        beyond = (s < self.least) | (s > self.most)
+        moved[..., 5] = np.where(beyond, 0.0, moved[..., 5])
+        moved[..., 2] = np.clip(s, self.least, self.most)
+        return moved
+
+    def log_transition(self, x: Array, parents: Array) -> Array:
+        """log p(x_n | parents_m) of each part: x (N, K, 6), parents (M, K, 6) -> (N, M, K).
+
+        The bounds of s are left out. Where B has fewer sources of noise than c has numbers, the density is that on the
+        line that the noise spans, and -inf beside it.
+        """
+        total = np.zeros((len(x), len(parents), x.shape[1]))
+        for i, (a, b) in enumerate((self.position, self.position, self.scale)):
+            off = x[:, None, :, i::3] - parents[None, :, :, i::3] @ a.T
+            total += _log_normal(off, b @ b.T)
+        return total
+
+
+def _log_normal(off: Array, cov: Array) -> Array:
+    """log N(off; 0, cov) over the last axis; of a singular cov, the density on its support."""
+    values, vectors = np.linalg.eigh(cov)
+    along = off @ vectors
+    spread = values > 1e-12 * max(float(values[-1]), 1e-300)
+    z = along[..., spread] / np.sqrt(values[spread])
+    inside = (np.abs(along[..., ~spread]) <= 1e-9 * (1.0 + np.abs(off).max(axis=-1, keepdims=True))).all(axis=-1)
+    log_p = -0.5 * (z**2).sum(axis=-1) - 0.5 * float(np.sum(np.log(2 * np.pi * values[spread])))
+    return np.where(inside, log_p, -np.inf)

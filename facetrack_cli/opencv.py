@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.errors import InputError, RecipeError
-from facetrack_cli.types import Box, Frame, PartResult, Status, TargetResult
+from facetrack_cli.types import BOX, Box, Frame, PartResult, Status, TargetResult
 
 FACTORIES: Final = {
     "mil": "TrackerMIL_create",
@@ -25,7 +25,6 @@ FACTORIES: Final = {
     "mosse": "legacy.TrackerMOSSE_create",
 }
 LEAST: Final = 6  # pixels: MIL looks for ever for features in a box of 4x4
-PART: Final = "box"
 NO_CLOUD: Final = np.zeros((0, 1, 2))
 
 
@@ -62,7 +61,7 @@ class OpenCvTarget:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        return (PART,)
+        return (BOX,)
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
@@ -109,7 +108,7 @@ class OpenCvTarget:
 
     def _result(self, box: tuple[float, ...], status: Status) -> TargetResult:
         left, top, w, h = (float(side) for side in box)
-        part = PartResult(name=PART, x=left + (w - 1) / 2, y=top + (h - 1) / 2, w=w, h=h, status=status)
+        part = PartResult(name=BOX, x=left + (w - 1) / 2, y=top + (h - 1) / 2, w=w, h=h, status=status)
         return TargetResult(self.name, (part,), None, NO_CLOUD)
 
 

@@ -24,7 +24,9 @@ from pydantic import (
 
 from facetrack_cli.errors import RecipeError
 from facetrack_cli.lengths import Length, PerPart, Window
+from facetrack_cli.recipe_base import Section
 from facetrack_cli.recipe_messages import Refusal, locate, problems, refuse, suggest
+from facetrack_cli.recipe_regions import Contour, Correlation, FirstOrder, Histogram, Product, Region
 from facetrack_cli.recipe_sections import (
     Auxiliary,
     ColourRatio,
@@ -38,7 +40,6 @@ from facetrack_cli.recipe_sections import (
     Points,
     Prior,
     RandomWalk,
-    Section,
     Sir,
     Target,
 )
@@ -48,7 +49,11 @@ __all__ = [
     "Auxiliary",
     "ColourRatio",
     "Confidence",
+    "Contour",
+    "Correlation",
     "Factorized",
+    "FirstOrder",
+    "Histogram",
     "Independent",
     "Length",
     "OpenCvRecipe",
@@ -56,8 +61,10 @@ __all__ = [
     "Parzen",
     "PerPart",
     "Points",
+    "Product",
     "RandomWalk",
     "Recipe",
+    "Region",
     "Sir",
     "Window",
     "check_recipe",
@@ -166,9 +173,13 @@ class ParticleRecipe(Recipe):
 
     @model_validator(mode="after")
     def _check(self, info: ValidationInfo) -> ParticleRecipe:
-        found = self.target.windows.refusals(("target", "windows"), self.target.parts)
-        found += self.motion.sigma.refusals(("motion", "sigma"), self.target.parts)
-        hypotheses = self.filter.particles * len(self.target.parts)
+        refuse(self._mismatched())
+        found: list[Refusal] = []
+        if isinstance(self.target, Points):
+            assert isinstance(self.motion, RandomWalk)
+            found += self.target.windows.refusals(("target", "windows"), self.target.parts)
+            found += self.motion.sigma.refusals(("motion", "sigma"), self.target.parts)
+        hypotheses = self.filter.particles * max(len(self.target.parts), 1)
         if hypotheses > MOST_HYPOTHESES:
             message = f"particles times parts is {hypotheses:,}; no more than {MOST_HYPOTHESES:,} fit into memory"
             found.append(Refusal(("filter", "particles"), message))
@@ -195,7 +206,28 @@ class ParticleRecipe(Recipe):
         refuse(found)
         return self
 
+    def _mismatched(self) -> list[Refusal]:
+        """What does not go with the type of the target."""
+        name = self.target.type
+        wanted = _POINTS_GO_WITH if isinstance(self.target, Points) else _REGIONS_GO_WITH
+        found = []
+        for section, types in wanted.items():
+            given = getattr(self, section)
+            kind = None if given is None else given.type
+            if kind not in types:
+                remedy = " or ".join("null" if one is None else one for one in types)
+                message = f'{section} type "{kind}" does not go with target type "{name}"; write {remedy}'
+                found.append(Refusal((section,), message))
+        return found
 
+
+_POINTS_GO_WITH: Mapping[str, Sequence[str | None]] = {"motion": ["random_walk"], "likelihood": ["colour_ratio"]}
+_REGIONS_GO_WITH: Mapping[str, Sequence[str | None]] = {
+    "motion": ["first_order"],
+    "likelihood": ["product"],
+    "filter": ["sir", "auxiliary"],  # the others resample parts apart, and a region is one part
+    "prior": [None],
+}
 KINDS: Mapping[str, type[Recipe]] = {"particle_filter": ParticleRecipe, "opencv": OpenCvRecipe}
 
 

@@ -9,17 +9,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from facetrack_cli.lengths import Length, LengthPerPart, WindowPerPart
+from facetrack_cli.recipe_base import Section
 from facetrack_cli.recipe_messages import Refusal, refuse
-
-
-class Section(BaseModel):
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
+from facetrack_cli.recipe_regions import FirstOrder, Product, Region
 
 PartName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 
@@ -146,8 +141,8 @@ class Confidence(Section):
 
 
 # where later trackers join: another member of a union, told apart by its `type`
-Target: TypeAlias = Points
-Motion: TypeAlias = RandomWalk
-Likelihood: TypeAlias = ColourRatio
+Target: TypeAlias = Annotated[Points | Region, Field(discriminator="type")]
+Motion: TypeAlias = Annotated[RandomWalk | FirstOrder, Field(discriminator="type")]
+Likelihood: TypeAlias = Annotated[ColourRatio | Product, Field(discriminator="type")]
 Filter: TypeAlias = Annotated[Sir | Auxiliary | Factorized | Independent, Field(discriminator="type")]
 Prior: TypeAlias = Parzen

@@ -16,18 +16,21 @@ from facetrack_cli.confidence import Confidence, Judgement, Measures
 from facetrack_cli.filters import Step
 from facetrack_cli.priors import BoundPrior
 from facetrack_cli.resampling import uniform
-from facetrack_cli.spaces import Estimate, estimate_points
-from facetrack_cli.types import Array, Frame, Info, Particles, PartResult, Result, TargetResult
+from facetrack_cli.spaces import Estimate, Space, estimate
+from facetrack_cli.types import Array, Frame, Info, Particles, PartResult, Result, Status, TargetResult
 
 
 class Likelihood(Measures, Protocol):
     """An observation model; what it has learned of a clip so far is a value that it returns and is given back."""
 
     def init(self, frame: Frame, x0: Array) -> Any:
-        """What is learned from the first frame with the parts at x0 (K, 2)."""
+        """What is learned from the first frame with the parts at x0 (K, D)."""
 
     def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, K): log p(y | x) of each part, x and parents (N, K, D)."""
+
+    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any:
+        """What is known after a frame with the estimate `state` (K, D), for the next one."""
 
 
 class Motion(Protocol):
@@ -84,59 +87,75 @@ class State:
 
     particles: Particles
     learned: Any
-    judgement: Judgement
+    judgement: Judgement | None
 
 
 @dataclass(frozen=True)
 class ParticleTarget:
-    """A target followed by a particle filter. `x0` (K, 2) pixels: its parts in the first frame."""
+    """A target followed by a particle filter. `x0` (K, D): the state in the first frame.
+
+    `confidence` is None where the likelihood knows how the target moves and not what it looks like.
+    """
 
     name: str
     parts: tuple[str, ...]
+    space: Space
     x0: Array
     particles: int
     motion: Motion
     likelihood: Likelihood
     prior: BoundPrior | None
     step: Step
-    confidence: Confidence
+    confidence: Confidence | None
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
-        return {part: (float(w), float(h)) for part, (w, h) in zip(self.parts, self.likelihood.windows, strict=True)}
+        return {
+            part: (float(w), float(h)) for part, (w, h) in zip(self.parts, self.space.windows(self.x0), strict=True)
+        }
 
     def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[State, TargetResult]:
         learned = self.likelihood.init(frame, self.x0)
-        x = np.repeat(self.x0[None], self.particles, axis=0)
-        judgement = self.confidence.begin(self.likelihood, learned, frame, self.x0)
-        state = State(Particles(x, uniform(self.particles)), learned, judgement)
+        particles = Particles(np.repeat(self.x0[None], self.particles, axis=0), uniform(self.particles))
+        judgement = None
+        if self.confidence is not None:
+            windows = self.space.windows(self.x0)
+            judgement = self.confidence.begin(self.likelihood, learned, frame, self.x0, windows)
+        state = State(particles, learned, judgement)
         k = len(self.parts)
         still = Estimate(self.x0, np.zeros((k, 2, 2)))
-        return state, self._result(state, still, Info(np.full(k, float(self.particles))))
+        return state, self._result(state, still, Info(np.full(k, float(self.particles))), "init")
 
     def advance(self, rng: np.random.Generator, state: State, frame: Frame) -> tuple[State, TargetResult]:
         particles, info = self.step(rng, state.particles, Bound(self, state.learned, frame))
-        estimate = estimate_points(particles)
-        distance = self.likelihood.distances(state.learned, frame, estimate.mean[None])[0]
-        state = State(particles, state.learned, self.confidence.judge(state.judgement, distance))
-        return state, self._result(state, estimate, info)
+        estimated = estimate(particles)
+        judgement = state.judgement
+        if self.confidence is not None and judgement is not None:
+            distance = self.likelihood.distances(state.learned, frame, estimated.mean[None])[0]
+            judgement = self.confidence.judge(judgement, distance)
+        learned = self.likelihood.learn(state.learned, frame, estimated.mean, particles)
+        state = State(particles, learned, judgement)
+        return state, self._result(state, estimated, info, "tracked")
 
-    def _result(self, state: State, estimate: Estimate, info: Info) -> TargetResult:
+    def _result(self, state: State, estimated: Estimate, info: Info, otherwise: Status) -> TargetResult:
+        """`otherwise` is the status where nothing judges."""
+        judged = state.judgement
+        windows = self.space.windows(estimated.mean)
         parts = tuple(
             PartResult(
                 name=name,
-                x=float(estimate.mean[i, 0]),
-                y=float(estimate.mean[i, 1]),
-                w=float(self.likelihood.windows[i, 0]),
-                h=float(self.likelihood.windows[i, 1]),
-                status=state.judgement.status[i],
-                confidence=float(state.judgement.confidence[i]),
-                cov=(float(estimate.cov[i, 0, 0]), float(estimate.cov[i, 0, 1]), float(estimate.cov[i, 1, 1])),
+                x=float(estimated.mean[i, 0]),
+                y=float(estimated.mean[i, 1]),
+                w=float(windows[i, 0]),
+                h=float(windows[i, 1]),
+                status=otherwise if judged is None else judged.status[i],
+                confidence=None if judged is None else float(judged.confidence[i]),
+                cov=(float(estimated.cov[i, 0, 0]), float(estimated.cov[i, 0, 1]), float(estimated.cov[i, 1, 1])),
                 ess=float(info.ess[i]),
             )
             for i, name in enumerate(self.parts)
         )
-        return TargetResult(self.name, parts, len(state.particles.x), state.particles.x)
+        return TargetResult(self.name, parts, len(state.particles.x), state.particles.x[..., :2])
 
 
 @dataclass(frozen=True)

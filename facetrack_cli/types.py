@@ -110,6 +110,7 @@ class Info(NamedTuple):
     ess: Array
 
 
+BOX = "box"  # the one part of a target that is followed as a box
 Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 Point: TypeAlias = tuple[float, float]
 

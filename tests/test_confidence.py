@@ -11,18 +11,17 @@ from facetrack_cli.confidence import Confidence
 from facetrack_cli.types import Frame
 
 X0 = np.array([[50.0, 50.0], [80.0, 50.0]])
+WINDOWS = np.array([[10.0, 10.0], [20.0, 12.0]])
 
 
 class Ring:
     """A likelihood whose windows near the parts are off by 0.1, those beside by 0.4 and 0.2, and a blank by 0.3."""
 
-    windows = np.array([[10.0, 10.0], [20.0, 12.0]])
-
     def distances(self, learned, frame, x):
         if np.all(frame.bgr == frame.bgr[0, 0]):
             return np.full(x.shape[:2], 0.3)
         # how far off, in windows: the same in every direction
-        off = np.sqrt(np.sum(((x - X0) / self.windows) ** 2, axis=2))
+        off = np.sqrt(np.sum(((x - X0) / WINDOWS) ** 2, axis=2))
         assert np.allclose(off, 1.0) or np.allclose(off, 1 / 13)
         return np.full(x.shape[:2], [0.4, 0.2]) if off[0, 0] > 0.5 else np.full(x.shape[:2], 0.1)
 
@@ -30,7 +29,7 @@ class Ring:
 def begin(**options):
     confidence = Confidence(**options)
     frame = Frame(0, 0.0, np.arange(300, dtype=np.uint8).reshape(10, 10, 3))
-    return confidence, confidence.begin(Ring(), None, frame, X0)
+    return confidence, confidence.begin(Ring(), None, frame, X0, WINDOWS)
 
 
 def test_the_first_frame_is_init_and_sure_and_sets_the_levels():
@@ -60,7 +59,7 @@ def test_a_lower_quantile_of_the_windows_beside_is_stricter():
             return seen * np.linspace(0.5, 1.5, len(x))[:, None] if len(x) > 1 else seen
 
     frame = Frame(0, 0.0, np.arange(300, dtype=np.uint8).reshape(10, 10, 3))
-    low, median = (Confidence(beside=q).begin(Uneven(), None, frame, X0).bad for q in (0.125, 0.5))
+    low, median = (Confidence(beside=q).begin(Uneven(), None, frame, X0, WINDOWS).bad for q in (0.125, 0.5))
     assert np.all(low < median)
 
 

@@ -92,7 +92,7 @@ def test_a_stale_page_is_told(tmp_path, monkeypatch, capsys):
     assert tool.main([]) == 0
     assert tool.main(["--check"]) == 0
     text = (tmp_path / "recipes.md").read_text()
-    assert "old" not in text and text.endswith("kept\n") and "| `filter.particles` |" in text
+    assert "\nold\n" not in text and text.endswith("kept\n") and "| `filter.particles` |" in text
 
 
 def test_every_command_and_option_is_in_the_reference():

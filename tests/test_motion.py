@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.motion import RandomWalk
-from facetrack_cli.spaces import estimate_points, size_of_points
+from facetrack_cli.spaces import estimate, size_of_points
 from facetrack_cli.types import Particles
 
 SIGMA = np.array([0.5, 2.0, 4.0])
@@ -43,9 +43,9 @@ def test_every_pair_of_particle_and_parent_is_scored():
 
 def test_estimate_is_the_weighted_mean_and_covariance():
     x = np.array([[[0.0, 0.0]], [[4.0, 2.0]]])
-    estimate = estimate_points(Particles(x, np.log([0.25, 0.75])))
-    np.testing.assert_allclose(estimate.mean, [[3.0, 1.5]])
-    np.testing.assert_allclose(estimate.cov, [[[3.0, 1.5], [1.5, 0.75]]])
+    found = estimate(Particles(x, np.log([0.25, 0.75])))
+    np.testing.assert_allclose(found.mean, [[3.0, 1.5]])
+    np.testing.assert_allclose(found.cov, [[[3.0, 1.5], [1.5, 0.75]]])
 
 
 def test_size_of_points_is_the_largest_distance():

@@ -28,6 +28,14 @@ from facetrack_cli.recipe import (
 from facetrack_cli.yaml_text import MAX_BYTES, Source, YamlProblems, parse
 
 NAMES = ["auxiliary_prior", "factorized", "factorized_robust", "factorized_transition", "independent", "sir"]
+REGIONS = [
+    "contour",
+    "contour_correlation",
+    "contour_histogram",
+    "contour_histogram_correlation",
+    "histogram",
+    "histogram_correlation",
+]
 OPENCV = ["csrt", "kcf", "mil", "mosse"]
 
 GOOD = """\
@@ -79,7 +87,7 @@ def under_caret(excerpt):
 
 
 def test_the_shipped_recipes_are_all_there():
-    assert [path.stem for path in shipped_recipes()] == sorted(NAMES + OPENCV)
+    assert [path.stem for path in shipped_recipes()] == sorted(NAMES + OPENCV + REGIONS)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -153,7 +161,7 @@ def test_a_recipe_is_found_by_name_and_by_path(write, tmp_path, monkeypatch):
 
 
 def test_a_miss_names_the_nearest_and_all(tmp_path):
-    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*auxiliary_prior, csrt, factorized, .*sir$'):
+    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*auxiliary_prior, contour, .*sir$'):
         load_recipe("factorised.yaml")
     with pytest.raises(RecipeError, match="neither a file nor a shipped recipe; give a file or a name; shipped are "):
         load_recipe("zzzz")

@@ -151,7 +151,15 @@ def section_rows(schema: Schema, key: str, sections: Sequence[Schema]) -> Iterat
             if len(having) < len(sections):  # told apart by their types, then
                 only = ", ".join(f"`{other['properties']['type']['const']}`" for other in having)
                 note = f"For {only} only. "
-            yield row(schema, f"{key}.{name}", field, name in one.get("required", []), note)
+            required = name in one.get("required", [])
+            below = members(schema, field)
+            if below:
+                default = "required" if required else "none"
+                meaning = escape(field.get("description", ""))
+                yield f"| **`{key}.{name}`** | section | {default} | {note}{meaning} |"
+                yield from section_rows(schema, f"{key}.{name}", below)
+            else:
+                yield row(schema, f"{key}.{name}", field, required, note)
 
 
 def row(schema: Schema, key: str, field: Schema, required: bool, note: str = "") -> str:
@@ -179,14 +187,21 @@ def value(schema: Schema, field: Schema) -> str:
     """What may stand at a key, in a few words."""
     name = field.get("$ref", "").removeprefix("#/$defs/")
     if name:
-        return {
+        named = {
             "LengthPerPart": "length, or `{part: length}`",
             "WindowPerPart": "length or `[width, height]`, or `{part: ...}`",
-        }[name]
+        }
+        return named[name] if name in named else value(schema, schema["$defs"][name])
+    if field.get("title") in ("Length", "LengthOrNone"):
+        return "length"
     if "anyOf" in field:
         return " or ".join(value(schema, one) for one in field["anyOf"])
     if "const" in field:
         return f"`{field['const']}`"
+    if field.get("prefixItems"):
+        return f"[{', '.join(value(schema, one) for one in field['prefixItems'])}]"
+    if field.get("type") == "array" and field.get("maxItems", 100) < 100:
+        return f"[1 to {field['maxItems']} of {value(schema, field['items'])}]"
     if "enum" in field:
         return ", ".join(f"`{one}`" for one in field["enum"])
     words = {

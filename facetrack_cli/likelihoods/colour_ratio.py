@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.kernels import windows
-from facetrack_cli.types import Array, Extent, Frame
+from facetrack_cli.types import Array, Extent, Frame, Particles
 
 # a window darker than one grey level says nothing; dividing by less would only blow up its noise
 LEAST_MEAN = 1.0
@@ -94,6 +94,10 @@ class ColourRatio:
                 LEAST_MEAN, robust, self.scale, out,
             )  # fmt: skip
         return out
+
+    def learn(self, learned: Templates, frame: Frame, state: Array, particles: Particles) -> Templates:
+        """The templates stay as they are."""
+        return learned
 
     def _group(
         self, frame: Frame, extent: Extent, x0: Array, factor: int, parts: NDArray[np.int64]
