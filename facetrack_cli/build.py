@@ -22,6 +22,8 @@ from facetrack_cli.spaces import BoxSpace, PointSpace, size_of_points, state_of_
 from facetrack_cli.track import ParticleTarget, Tracker
 from facetrack_cli.types import BOX, Array, Box, Start
 
+LEAST_BOX = 6  # pixels of a side; in less there is nothing to see
+
 
 def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
     """The tracker of a recipe for a clip that begins at `start`, whose every point lies in the picture.
@@ -58,6 +60,9 @@ def _region_target(recipe_: ParticleRecipe, name: str, start: Start) -> Particle
     assert isinstance(motion, recipe.FirstOrder)
     assert isinstance(likelihood, recipe.Product)
     box = _box(start, name)
+    if min(box[2:]) < LEAST_BOX:
+        least = f"{LEAST_BOX}x{LEAST_BOX} pixels"
+        raise InputError(f"{start.origin}: the box of {name} is smaller than {least}; give a larger one")
     unit = _size_of_box(start, name)
     product = _product(likelihood, (box[2], box[3]), unit)
     return ParticleTarget(

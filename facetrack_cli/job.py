@@ -105,7 +105,7 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
         with _open(job, start.frame) as source:
             check_start(start, source.size, job.recipe.points)
             tracker = build_tracker(job.recipe, start)
-            check_windows(job.recipe, tracker, source.size)
+            check_windows(job.recipe, tracker, source.size, start.origin)
             return _track(job, source, start, tracker, outputs, stop, report)
 
 
@@ -267,16 +267,19 @@ def _origin(job: Job, start: Start) -> str:
     return start.origin if job.init_frame is None else "--init-frame"
 
 
-def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int]) -> None:
-    """Refuse windows beyond the picture, which compare hardly anything but its border, and take memory without end."""
+def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origin: str) -> None:
+    """Refuse windows and boxes beyond the picture: hardly anything but its border, and memory without end.
+
+    `origin` says who gave the boxes.
+    """
     for target in tracker:
         for part, (w, h) in target.windows.items():
-            if max(w / size[0], h / size[1]) > 1 and max(w, h) > LEAST_WINDOW:
-                raise recipe.error(
-                    "target.windows",
-                    f"the window of {part} would be {w:.0f}x{h:.0f} pixels, "
-                    f"larger than the picture of {size[0]}x{size[1]}; make it smaller",
-                )
+            if max(w / size[0], h / size[1]) <= 1 or max(w, h) <= LEAST_WINDOW:
+                continue
+            picture = f"larger than the picture of {size[0]}x{size[1]}; make it smaller"
+            if not recipe.points:
+                raise InputError(f"{origin}: the box of {target.name}, {w:g}x{h:g} pixels, is {picture}")
+            raise recipe.error("target.windows", f"the window of {part} would be {w:.0f}x{h:.0f} pixels, {picture}")
 
 
 def _check_frame(job: Job, frame: int, origin: str) -> None:

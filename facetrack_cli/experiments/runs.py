@@ -154,7 +154,7 @@ def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Table:
     """
     check_start(plan.start, size, plan.recipe.points)
     tracker = build_tracker(plan.recipe, plan.start)
-    check_windows(plan.recipe, tracker, size)
+    check_windows(plan.recipe, tracker, size, plan.start.origin)
     one = np.ones(len(frames))  # every part of every tracker has a size
     rows = [series(target.name, part, frames, w=one, h=one) for target in tracker for part in target.parts]
     return Table(plan.clip, tuple(rows), _header(size))
@@ -175,7 +175,7 @@ def _run(
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
         check_start(plan.start, source.size, plan.recipe.points)
         tracker = build_tracker(plan.recipe, plan.start)
-        check_windows(plan.recipe, tracker, source.size)
+        check_windows(plan.recipe, tracker, source.size, plan.start.origin)
         feed = _Feed()
         runs = [track(tracker, iter(feed), seed) for seed in seeds]
         logs = [_Log() for _ in seeds]
