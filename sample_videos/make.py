@@ -8,22 +8,20 @@ Everything is drawn from fixed seeds; the same versions of the libraries give th
 from __future__ import annotations
 
 import argparse
-import csv
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import cv2
-import imageio_ffmpeg
 import numpy as np
+from clip_files import Clip, Start, TruthRow, fastest, write_init, write_truth, write_video
 from numpy.typing import NDArray
 from occluders import cover
 from portraits import PARTS, Portrait
-from render import SIZE, expose, face, truth
-from scenes import FPS, SCENES, Scene
+from render import expose, face, truth
+from scenes import Scene, expressions, occlusion
 from timeline import Array
 from warp import Moment, to_skin, to_skull
 
-HEADER = "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,particles,ess,identity,identity_prob"
-CRF = 16
 Truth = list[dict[str, tuple[float, float]]]
 
 
@@ -64,65 +62,47 @@ def frames(scene: Scene) -> tuple[list[NDArray[np.uint8]], Truth, list[set[str]]
     return pictures, where, hidden
 
 
-def _write_video(path: Path, pictures: list[NDArray[np.uint8]]) -> None:
-    # one thread and bit-exact headers, so that the same frames give the same file
-    params = ["-crf", str(CRF), "-preset", "veryslow", "-g", "50", "-flags", "+cgop", "-threads", "1", "-fflags",
-              "+bitexact", "-flags:v", "+bitexact+cgop", "-movflags", "+faststart"]  # fmt: skip
-    writer = imageio_ffmpeg.write_frames(
-        str(path), SIZE, fps=FPS, codec="libx264", pix_fmt_out="yuv420p", quality=None, macro_block_size=1,
-        output_params=params, ffmpeg_log_level="error",
-    )  # fmt: skip
-    writer.send(None)
-    for picture in pictures:
-        writer.send(np.ascontiguousarray(picture[:, :, ::-1]))
-    writer.close()
-
-
-def _write_truth(path: Path, where: Truth, hidden: list[set[str]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(HEADER.split(","))
-        for t, (points, out_of_sight) in enumerate(zip(where, hidden, strict=True)):
-            for part in PARTS:
-                x, y = points[part]
-                status = "hidden" if part in out_of_sight else "visible"
-                row = [t, f"{t / FPS:.2f}", "face", part, f"{x:.2f}", f"{y:.2f}", "", "", "", "", status]
-                out.writerow(row + [""] * 6)
-
-
-def _write_init(path: Path, scene: Scene, points: dict[str, tuple[float, float]]) -> None:
-    a = scene.portrait.anatomy
-    # a square about brows, nose and mouth, as the frontal cascade would draw it
+def talking_head(scene: Scene) -> Clip:
+    """A clip of points of a face; its box is about brows, nose and mouth, as the frontal cascade would draw it."""
+    pictures, where, hidden = frames(scene)
+    rows = [
+        TruthRow(t, "face", part, *points[part], hidden=part in out_of_sight)
+        for t, (points, out_of_sight) in enumerate(zip(where, hidden, strict=True))
+        for part in PARTS
+    ]
+    a, points = scene.portrait.anatomy, where[0]
     side = round(1.2 * (a.chin_y - a.brow_y))
     left, top = round(points["nose"][0] - side / 2), round(points["nose"][1] - 0.63 * side)
-    lines = [f"# {path.name}: the truth of the clip's first frame", "frame: 0", "face:"]
-    lines += [f"  box: [{left}, {top}, {side}, {side}]  # left, top, width, height", "  points:"]
-    lines += [f"    {part}: [{points[part][0]:.2f}, {points[part][1]:.2f}]" for part in PARTS]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return Clip(pictures, rows, {"face": Start((left, top, side, side), {part: points[part] for part in PARTS})})
+
+
+# a clip is a name and a function that renders it: its pictures, its rows of truth, where its targets begin
+CLIPS: Mapping[str, Callable[[], Clip]] = {
+    "expressions": lambda: talking_head(expressions()),
+    "occlusion": lambda: talking_head(occlusion()),
+}
 
 
 def main() -> None:
     """Render the clips named, or all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clips", nargs="*", metavar="CLIP", help=f"of {', '.join(SCENES)}; all unless named")
+    parser.add_argument("clips", nargs="*", metavar="CLIP", help=f"of {', '.join(CLIPS)}; all unless named")
     parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent, help="folder (default: this one)")
     args = parser.parse_args()
-    for name in args.clips or SCENES:
-        if name not in SCENES:
-            parser.error(f"no clip {name!r}; there are {', '.join(SCENES)}")
+    for name in args.clips or CLIPS:
+        if name not in CLIPS:
+            parser.error(f"no clip {name!r}; there are {', '.join(CLIPS)}")
         try:
-            scene = SCENES[name]()
+            clip = CLIPS[name]()
         except ModuleNotFoundError as error:
             parser.error(f"{error.name} is not installed; pip install -e '.[samples]'")
-        pictures, where, hidden = frames(scene)
         args.out.mkdir(parents=True, exist_ok=True)
         video = args.out / f"{name}.mp4"
-        _write_video(video, pictures)
-        _write_truth(args.out / f"{name}.truth.csv", where, hidden)
-        _write_init(args.out / f"{name}.init.yaml", scene, where[0])
-        path = np.array([[points[part] for part in PARTS] for points in where])
-        fastest = float(np.linalg.norm(np.diff(path, axis=0), axis=2).max())
-        print(f"{video}: {len(pictures)} frames, {video.stat().st_size / 1e6:.2f} MB, at most {fastest:.1f} px a frame")
+        write_video(video, clip.pictures)
+        write_truth(args.out / f"{name}.truth.csv", clip.truth)
+        write_init(args.out / f"{name}.init.yaml", clip.starts)
+        size, fast = video.stat().st_size / 1e6, fastest(clip.truth)
+        print(f"{video}: {len(clip.pictures)} frames, {size:.2f} MB, at most {fast:.1f} px a frame")
 
 
 if __name__ == "__main__":

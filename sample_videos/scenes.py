@@ -12,8 +12,6 @@ from render import truth
 from timeline import Array, Keys, syllables, track
 from warp import Moment
 
-FPS = 25
-
 
 @dataclass(frozen=True)
 class Scene:
