@@ -62,22 +62,24 @@ scale = st.one_of(st.floats(0.0, 3.0, width=32), st.sampled_from([1e-6, 1e3, -0.
 @given(
     kind=st.sampled_from(DISTANCES),
     boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=4),
-    parents=st.lists(st.tuples(place, place, scale), min_size=2, max_size=2),
+    parent=st.tuples(place, place, scale),
+    other=st.tuples(st.integers(0, 2), scale),
     split=st.integers(0, 4),
     size=st.tuples(st.floats(2, 200), st.floats(2, 200)),
     grid=st.tuples(st.integers(1, 9), st.integers(1, 9)),
     factor=st.sampled_from([1, 2, 8]),
     picture=st.sampled_from([(1, 1), (1, 9), (7, 2), (37, 50), (96, 120)]),
 )
-def test_kernel_does_what_its_twin_does(kind, boxes, parents, split, size, grid, factor, picture):
+def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size, grid, factor, picture):
     rng = np.random.default_rng(picture[0] + factor)
     whole = picture[1] * factor + 5 % factor, picture[0] * factor + 3 % factor
     # in another place of the whole picture than the one before, as a crop is
     now, before = (rng.integers(0, 256, picture, dtype=np.uint8) for _ in range(2))
     now_view, before_view = (0, 0, *whole), (2 * factor, 3 * factor, whole[0] + 2 * factor, whole[1] + 3 * factor)
     x = np.array(boxes)
-    # two parents in a row with several children each
-    of = np.array([parents[n >= split] for n in range(len(x))])
+    # two parents that differ in one coordinate, with several children each
+    of = np.tile(parent, (len(x), 1))
+    of[split:, other[0]] += other[1]
     out = np.full(len(x), np.nan)
     patches.patch_distances(
         now, now_view, before, before_view, factor, x, of, size, *grid, patches.DISTANCES[kind], 25.0, 1000.0, out
@@ -87,6 +89,12 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parents, split, size, grid,
         b = naive_patches.patch(before, before_view, factor, of[n], size, *grid)
         # float32 places a point to within 1e-5 pixels, over which grey levels differ by up to 255
         assert out[n] == pytest.approx(naive_patches.distance(a, b, kind, 25.0, 1000.0), rel=1e-3, abs=0.05)
+
+
+@given(boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=5))
+def test_extent_is_that_of_its_twin(boxes):
+    found = patches.boxes_extent(np.array(boxes), SIZE, WIDTH, HEIGHT)
+    np.testing.assert_allclose(found, naive_patches.extent(boxes, SIZE, WIDTH, HEIGHT), atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", DISTANCES)
