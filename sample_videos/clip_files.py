@@ -47,6 +47,7 @@ class Clip:
     pictures: list[NDArray[np.uint8]]
     truth: list[TruthRow]
     starts: Mapping[str, Start]
+    crf: int = CRF  # of x264: more is smaller and coarser
 
 
 def start_of(row: TruthRow) -> Start:
@@ -55,10 +56,10 @@ def start_of(row: TruthRow) -> Start:
     return Start((row.x - (row.w - 1) / 2, row.y - (row.h - 1) / 2, row.w, row.h))
 
 
-def write_video(path: Path, pictures: list[NDArray[np.uint8]]) -> None:
+def write_video(path: Path, pictures: list[NDArray[np.uint8]], crf: int = CRF) -> None:
     """The pictures as H.264, the same bytes for the same pictures."""
     # one thread and bit-exact headers, so that the same frames give the same file
-    params = ["-crf", str(CRF), "-preset", "veryslow", "-g", "50", "-flags", "+cgop", "-threads", "1", "-fflags",
+    params = ["-crf", str(crf), "-preset", "veryslow", "-g", "50", "-flags", "+cgop", "-threads", "1", "-fflags",
               "+bitexact", "-flags:v", "+bitexact+cgop", "-movflags", "+faststart"]  # fmt: skip
     height, width = pictures[0].shape[:2]
     writer = imageio_ffmpeg.write_frames(

@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from clip_files import Clip, Start, TruthRow, fastest, write_init, write_truth, write_video
+from hands import hands
 from numpy.typing import NDArray
 from occluders import cover
 from portraits import PARTS, Portrait
@@ -80,6 +81,7 @@ def talking_head(scene: Scene) -> Clip:
 CLIPS: Mapping[str, Callable[[], Clip]] = {
     "expressions": lambda: talking_head(expressions()),
     "occlusion": lambda: talking_head(occlusion()),
+    "hands": hands,
 }
 
 
@@ -98,7 +100,7 @@ def main() -> None:
             parser.error(f"{error.name} is not installed; pip install -e '.[samples]'")
         args.out.mkdir(parents=True, exist_ok=True)
         video = args.out / f"{name}.mp4"
-        write_video(video, clip.pictures)
+        write_video(video, clip.pictures, clip.crf)
         write_truth(args.out / f"{name}.truth.csv", clip.truth)
         write_init(args.out / f"{name}.init.yaml", clip.starts)
         size, fast = video.stat().st_size / 1e6, fastest(clip.truth)
