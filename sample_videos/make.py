@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from clip_files import Clip, Start, TruthRow, fastest, write_init, write_truth, write_video
 from hands import hands
+from heads import textured, turning
 from numpy.typing import NDArray
 from occluders import cover
 from portraits import PARTS, Portrait
@@ -82,6 +83,8 @@ CLIPS: Mapping[str, Callable[[], Clip]] = {
     "expressions": lambda: talking_head(expressions()),
     "occlusion": lambda: talking_head(occlusion()),
     "hands": hands,
+    "textured": textured,
+    "turning": turning,
 }
 
 
