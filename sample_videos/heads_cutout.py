@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from portraits import Picture
 
-Point = tuple[float, float]
-
 # measured by hand on skimage.data.astronaut(); the outline runs clockwise from the top of the hair
 _HAIR = ((237, 16), (262, 22), (280, 35), (295, 55), (300, 75), (301, 95), (296, 112), (286, 125), (277, 130),
          (274, 134), (270, 137), (268, 135))  # fmt: skip
