@@ -11,6 +11,9 @@ from facetrack_cli.confidence import Confidence
 from facetrack_cli.errors import InputError, RecipeError
 from facetrack_cli.lengths import Length
 from facetrack_cli.likelihoods.colour_ratio import ColourRatio
+from facetrack_cli.likelihoods.contour import Contour
+from facetrack_cli.likelihoods.correlation import Correlation
+from facetrack_cli.likelihoods.histogram import Histogram
 from facetrack_cli.likelihoods.product import Factor, ObjectFactor, Product
 from facetrack_cli.motion import FirstOrder, RandomWalk
 from facetrack_cli.opencv import OpenCvTarget
@@ -90,10 +93,6 @@ def _pixels(rows: Sequence[Sequence[Length]], unit: float) -> Array:
 
 
 def _product(given: recipe.Product, size: tuple[float, float], unit: float) -> Product:
-    from facetrack_cli.likelihoods.contour import Contour
-    from facetrack_cli.likelihoods.correlation import Correlation
-    from facetrack_cli.likelihoods.histogram import Histogram
-
     objects: list[ObjectFactor] = []
     if (c := given.contour) is not None:
         objects.append(

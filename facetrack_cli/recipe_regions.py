@@ -104,15 +104,15 @@ class Contour(Section):
     normals: Annotated[int, Field(ge=4, le=360)] = 32
     """L, the number of normals along which edges are looked for."""
     sigma: Length
-    """Standard deviation of the distance of an edge from the ellipse, at scale 1."""
+    """Standard deviation of the distance of an edge from the ellipse."""
     search: Length
-    """How far along a normal, inwards and outwards, edges are looked for, at scale 1."""
+    """How far along a normal, inwards and outwards, edges are looked for."""
     threshold: Annotated[float, Field(gt=0, le=255)]
     """Contrast from which on there is an edge, in grey levels."""
     outlier: Annotated[float, Field(gt=0, le=1)]
     """K, the least likelihood of a normal: where no edge is found, or one too far off."""
-    max_size: Annotated[int, Field(ge=16)] | None = 128
-    """Larger boxes are read from a reduced picture, so that none is larger than this many pixels; null: every pixel."""
+    max_size: Annotated[int, Field(ge=16)] | None = 64
+    """Boxes with a longer side, in pixels, are read from a reduced picture; null: every pixel."""
 
 
 class Histogram(Section):

@@ -1,0 +1,167 @@
+"""Regions in the whole engine: every shipped recipe of a region on a made-up clip, whose truth is known."""
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.build import build_tracker
+from facetrack_cli.errors import InputError
+from facetrack_cli.evaluation.boxes import iou
+from facetrack_cli.recipe import load_recipe, shipped_recipes
+from facetrack_cli.track import track
+from facetrack_cli.types import Frame, Start, TargetStart
+
+PARTICLES = [path.stem for path in shipped_recipes() if load_recipe(path.stem).particles is not None]
+RECIPES = [name for name in PARTICLES if load_recipe(name).target.type == "region"]
+W, H = 40.0, 52.0
+START = (100.0, 60.0, W, H)
+
+
+def scene(cx, cy, s, *, grey=False):
+    """A head of two colours, an ellipse in the box of (W s, H s) around (cx, cy), before a plain ground with lines."""
+    y, x = np.mgrid[:200, :260].astype(float)
+    ground = np.stack([120 + 30 * np.sin(x / 9), 110 + 25 * np.cos(y / 11), 90 + 0.2 * x], axis=2)
+    u, v = (x - cx) / (W * s / 2), (y - cy) / (H * s / 2)
+    skin = np.stack([110 + 20 * u, 150 + 25 * v, 215 + 20 * np.sin(6 * u) * np.cos(5 * v)], axis=2)
+    hair = np.array([30.0, 45.0, 70.0])
+    head = np.where((v < -0.45)[..., None], hair, skin)
+    # eyes and mouth, so that the inside moves with the outline
+    for du, dv in ((-0.4, -0.1), (0.4, -0.1), (0.0, 0.5)):
+        head[(np.abs(u - du) < 0.18) & (np.abs(v - dv) < 0.09)] = (40, 40, 60)
+    cover = np.clip((1 - np.hypot(u, v)) * W * s / 2 + 0.5, 0, 1)[..., None]
+    picture = np.clip(ground * (1 - cover) + head * cover, 0, 255).astype(np.uint8)
+    return cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR) if grey else picture
+
+
+def path(n):
+    """Centre and scale in frame n; frame 0 has START."""
+    return 119.5 + 45 * np.sin(n / 9), 85.5 + 20 * (1 - np.cos(n / 7)), 1 + 0.2 * np.sin(n / 15)
+
+
+def clip(count=45, **options):
+    return [Frame(n, n / 25, scene(*path(n), **options)) for n in range(count)]
+
+
+def truth(count=45):
+    places = np.array([path(n) for n in range(count)])
+    w, h = W * places[:, 2], H * places[:, 2]
+    return np.stack([places[:, 0] - (w - 1) / 2, places[:, 1] - (h - 1) / 2, w, h], axis=1)
+
+
+def start(box=START, name="head"):
+    return Start(0, {name: TargetStart(box=box)}, "clip.init.yaml")
+
+
+def run(config, frames, seed=0, overrides=(), begin=None):
+    return list(track(build_tracker(load_recipe(config, overrides), begin or start()), iter(frames), seed))
+
+
+def boxes(results, target=0):
+    parts = [r.targets[target].parts[0] for r in results]
+    return np.array([(p.x - (p.w - 1) / 2, p.y - (p.h - 1) / 2, p.w, p.h) for p in parts])
+
+
+@pytest.fixture(scope="module")
+def coloured():
+    return clip()
+
+
+@pytest.fixture(scope="module")
+def grey():
+    return clip(grey=True)
+
+
+@pytest.mark.parametrize("config", RECIPES)
+def test_every_recipe_follows_a_head_that_moves_and_grows(config, coloured):
+    results = run(config, coloured)
+    overlap = iou(boxes(results), truth())
+    assert overlap[0] == pytest.approx(1.0)
+    assert overlap.mean() > 0.6 and overlap[-5:].mean() > 0.5
+    first = results[0].targets[0]
+    assert [(p.name, p.status, p.confidence) for p in first.parts] == [("box", "init", 1.0)]
+    assert first.cloud.shape == (200, 1, 2)
+    for result in results[1:]:
+        [part] = result.targets[0].parts
+        assert part.status in ("tracked", "lost") and 0.0 <= part.confidence <= 1.0
+        assert part.cov[0] * part.cov[2] >= part.cov[1] ** 2 * (1 - 1e-9) and part.cov[0] >= 0
+        assert 1 - 1e-9 <= part.ess <= 200 + 1e-6
+    assert np.mean([r.targets[0].parts[0].status == "tracked" for r in results[1:]]) > 0.9
+
+
+@pytest.mark.parametrize("config", RECIPES)
+def test_the_same_seed_gives_the_same_track_and_another_does_not(config, coloured):
+    a, b, c = (boxes(run(config, coloured[:10], seed)) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(a, b)
+    assert np.abs(a - c).max() > 0
+
+
+@pytest.mark.parametrize("config", ["contour", "contour_correlation"])
+def test_contours_follow_a_grey_clip(config, grey):
+    assert iou(boxes(run(config, grey)), truth()).mean() > 0.6
+
+
+@pytest.mark.parametrize("config", [name for name in RECIPES if "histogram" in name])
+def test_a_colour_recipe_says_of_a_grey_clip_that_it_cannot_know_colours(config, grey):
+    with pytest.raises(InputError, match=r"colour.*contour") as caught:
+        run(config, grey)
+    assert "\n" not in str(caught.value)
+    with_grey = run(config, grey, overrides=["likelihood.histogram.value_bins=8"])
+    assert iou(boxes(with_grey), truth()).mean() > 0.6
+
+
+def test_correlation_alone_follows_what_moves_and_does_not_judge(coloured):
+    overrides = ["likelihood={type: product, correlation: {sigma: 60}}", "filter.particles=400"]
+    results = run("histogram", coloured[:25], overrides=overrides)
+    assert iou(boxes(results), truth(25)).mean() > 0.5
+    statuses = [(r.targets[0].parts[0].status, r.targets[0].parts[0].confidence) for r in results]
+    assert statuses == [("init", None)] + [("tracked", None)] * 24
+
+
+@pytest.mark.parametrize("config", RECIPES)
+@pytest.mark.parametrize("level", [0, 128])
+def test_flat_pictures_go_on_and_say_lost(config, level, coloured):
+    flat = [Frame(i, i / 25, np.full_like(coloured[0].bgr, level)) for i in range(1, 8)]
+    results = run(config, [coloured[0], *flat])
+    assert np.isfinite(boxes(results)).all()
+    assert results[-1].targets[0].parts[0].status == "lost"
+
+
+def test_a_head_that_goes_is_lost_and_found_when_it_is_back(coloured):
+    gone = [Frame(n, n / 25, scene(-500.0, 0.0, 1.0)) for n in range(10, 18)]
+    back = [Frame(n, n / 25, scene(*path(9))) for n in range(18, 30)]
+    results = run("contour_histogram", [*coloured[:10], *gone, *back])
+    statuses = [r.targets[0].parts[0].status for r in results]
+    assert "lost" not in statuses[:10]
+    assert statuses[17] == "lost" and statuses[-1] == "tracked"
+
+
+def test_targets_of_one_run_are_followed_each_by_itself(coloured):
+    begin = Start(0, {"head": TargetStart(box=START), "ground": TargetStart(box=(20, 130, 40, 40))}, "two.yaml")
+    results = run("contour_histogram", coloured[:20], begin=begin)
+    assert [t.name for t in results[-1].targets] == ["head", "ground"]
+    assert iou(boxes(results, 0), truth(20)).mean() > 0.6
+
+
+def test_the_auxiliary_filter_takes_regions_too(coloured):
+    results = run("contour_histogram_correlation", coloured, overrides=["filter={type: auxiliary, particles: 200}"])
+    assert iou(boxes(results), truth()).mean() > 0.55
+
+
+@pytest.mark.parametrize(("factor", "sides"), [(2, "whole"), (3, "odd")])
+def test_a_larger_picture_of_the_same_gives_about_the_same_track(factor, sides, coloured):
+    large = [Frame(f.index, f.time_s, cv2.resize(f.bgr, None, fx=factor, fy=factor)) for f in coloured[:25]]
+    box = tuple(factor * side for side in START)
+    results = run("contour_histogram_correlation", large, begin=start(box))
+    assert iou(boxes(results) / factor, truth(25)).mean() > 0.6
+
+
+@pytest.mark.parametrize("box", [(100, 60, 5, 50), (100, 60, 50, 2.5)])
+def test_a_box_too_small_to_see_anything_in_is_refused(box):
+    with pytest.raises(InputError, match=r"clip.init.yaml: the box of head is smaller than 6x6 pixels; give a larger"):
+        build_tracker(load_recipe("contour"), start(box))
+
+
+def test_a_target_without_a_box_is_refused():
+    begin = Start(0, {"head": TargetStart(points={"nose": (50, 50)})}, "points.yaml")
+    with pytest.raises(InputError, match=r"points.yaml: head has no box"):
+        build_tracker(load_recipe("contour"), begin)
