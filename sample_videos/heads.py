@@ -206,7 +206,7 @@ def textured_stage() -> Stage:
     scale = track([(0, 1), (30, 1), (58, 1.18), (90, 0.9), (120, 1.0), (150, 1.05), (176, 0.88), (199, 1.0)], n)
     light = 0.92 * track([(0, 1), (50, 1.05), (90, 0.9), (140, 1.02), (170, 0.92), (199, 1.0)], n)
     return Stage(cutout, foliage(500, 310), (-85.0, -35.0), camera, head, scale, light, look, 103,
-                 trunk(310, 32.0), 225.0 + 2.2 * camera[:, 0])  # fmt: skip
+                 trunk(310, 17.0), 225.0 + 2.2 * camera[:, 0])  # fmt: skip
 
 
 def turning_stage() -> Stage:

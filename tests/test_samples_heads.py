@@ -116,7 +116,7 @@ def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
 def test_the_first_frame_shows_a_face_in_the_middle_of_the_box(clip: Clip) -> None:
     cascade = cv2.CascadeClassifier(cv2.data.haarcascades + "haarcascade_frontalface_default.xml")
     grey = cv2.cvtColor(clip.pictures[0], cv2.COLOR_BGR2GRAY)
-    (found,) = cascade.detectMultiScale(grey, 1.05, 6, minSize=(40, 40), maxSize=(100, 100))
+    (found,) = cascade.detectMultiScale(grey, 1.05, 12, minSize=(40, 40), maxSize=(100, 100))
     middle = found[:2] + (found[2:] - 1) / 2
     assert np.abs(middle - clip.boxes[0, :2]).max() < 12
 
@@ -137,13 +137,12 @@ def test_the_box_ends_where_the_head_ends_before_the_plain_wall(turning: Clip) -
 def test_the_crop_at_the_truth_looks_like_the_first_unless_something_is_before_it(textured: Clip) -> None:
     first = crop(textured, 0)
     like = np.array([likeness(crop(textured, t), first) for t in range(len(textured.boxes))])
-    assert textured.hidden.any()
     free = np.r_[0:110, 152:200]
     assert np.median(like[free]) > 0.85 and like[free].min() > 0.8
-    assert like[textured.hidden].max() < 0.7
+    assert like[124:135].max() < 0.8
 
 
-def test_the_box_is_full_of_birch_while_the_truth_says_hidden(textured: Clip) -> None:
+def test_a_birch_passes_before_a_part_of_the_head(textured: Clip) -> None:
     def grey_share(t: int) -> float:
         """Of the crop, what has no colour: the bark, but neither skin nor hair."""
         (x, y), s = textured.boxes[t, :2], textured.scale[t]
@@ -153,14 +152,11 @@ def test_the_box_is_full_of_birch_while_the_truth_says_hidden(textured: Clip) ->
 
     share = np.array([grey_share(t) for t in range(len(textured.boxes))])
     assert share[np.r_[0:110, 152:200]].max() < 0.1
-    assert share[textured.hidden].min() > 0.45
+    assert 0.2 < share[124:135].min() and share.max() < 0.45
 
 
-def test_half_the_head_is_hidden_once(textured: Clip, turning: Clip) -> None:
-    runs = [(bool(key), len(list(run))) for key, run in groupby(textured.hidden)]
-    assert [key for key, _ in runs] == [False, True, False]
-    assert 5 <= runs[1][1] <= 20 and runs[0][1] > 100 and runs[2][1] > 50
-    assert not turning.hidden.any()
+def test_no_head_is_ever_more_hidden_than_seen(textured: Clip, turning: Clip) -> None:
+    assert not textured.hidden.any() and not turning.hidden.any()
 
 
 def test_the_head_moves_from_frame_to_frame_as_the_truth_says(textured: Clip) -> None:
@@ -258,7 +254,6 @@ def test_rendered_anew_a_few_frames_are_the_committed_ones(
     for t in some:
         drawn = np.clip(heads.render(stage, t) * stage.light[t], 0, 255)
         assert np.abs(drawn - clip.pictures[t]).mean() < 4
-    about = [105, 118, 125, 126, 129, 132, 133, 138, 154]
-    share = np.array([heads.covered(stage, t) for t in about])
-    np.testing.assert_array_equal(share > 0.5, clip.hidden[about])
-    assert share[0] == share[-1] == 0 and share.max() < 0.65
+    share = np.array([heads.covered(stage, t) for t in (105, 118, 125, 129, 133, 138, 154)])
+    assert share[0] == share[-1] == 0
+    assert 0.25 < share.max() < 0.35 if name == "textured" else share.max() == 0
