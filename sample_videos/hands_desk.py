@@ -57,7 +57,7 @@ def _wood(rng: np.random.Generator) -> Picture:
         pores = cv2.GaussianBlur(rng.normal(0, 1, px.shape).astype(np.float32), (0, 0), 14, sigmaY=0.8) * 4
         tone = 1 + 0.07 * rings + 0.07 * pores + rng.uniform(-0.07, 0.07)
         seam = 1 - 0.5 * np.exp(-((py / 2.0) ** 2))
-        out[rows] = np.array([92, 116, 134], np.float32) * (tone * seam)[..., None]
+        out[rows] = np.array([104, 117, 127], np.float32) * (tone * seam)[..., None]
     return out
 
 
@@ -252,11 +252,11 @@ def desk() -> Picture:
         (bound(86, 112, ("MOTION",), (92, 62, 38)), 418, 185, 4),
         (bound(130, 60, ("LETTERS",), (66, 84, 46)), 255, 40, -3),
         (_print(photo("coffee"), 78, 54), 172, 94, -12),
-        (_print(photo("chelsea"), 76, 54), 292, 168, 14),
+        (_print(photo("chelsea"), 76, 54), 346, 236, 14),
         (_print(photo("astronaut")[:300, 70:400], 52, 49), 226, 232, -7),
         (_print(photo("rocket"), 72, 50), 52, 218, 16),
         (_note((120, 214, 240), ("call", "at ten")), 390, 72, -8),
-        (_note((176, 190, 240), ("t - 1", "then t")), 150, 192, 9),
+        (_note((176, 190, 240), ("t - 1", "then t")), 176, 258, 9),
         (_ruler(130), 300, 84, -31),
         (cup(), 392, 268, 0),
         (cup(21.0), 28, 150, 0),
@@ -268,8 +268,8 @@ def desk() -> Picture:
         (pencil(84, (150, 96, 50)), 104, 214, -20),
     ]  # fmt: skip
     copper, brass, silver = (84, 124, 178), (93, 159, 188), (169, 172, 176)
-    coins = [(206, 118, 8.5, copper), (222, 108, 7.0, silver), (246, 196, 8.5, brass), (262, 206, 6.5, copper),
-             (132, 150, 8.0, copper), (318, 140, 7.5, silver), (178, 238, 9.0, brass),
+    coins = [(206, 118, 8.5, copper), (300, 184, 8.0, copper), (222, 108, 7.0, silver), (246, 196, 8.5, brass),
+             (262, 206, 6.5, copper), (132, 150, 8.0, copper), (318, 140, 7.5, silver), (178, 238, 9.0, brass),
              (332, 66, 8.0, copper)]  # fmt: skip
     things += [(_coin(radius, bgr, rng), at_x, at_y, float(rng.uniform(0, 360))) for at_x, at_y, radius, bgr in coins]
     for sheet, at_x, at_y, degrees in things:
