@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.types import Array, Image, PartResult, Result, TargetResult
+from facetrack_cli.types import BOX, Array, Image, PartResult, Result, TargetResult
 from facetrack_cli.video.bar import StatusBar
 from facetrack_cli.video.marks import LOST, PALETTE, Colour, Points, dashes, fixed, ink, mark, polylines
 from facetrack_cli.video.text import Font, stamp
@@ -186,7 +186,9 @@ class Overlay:
         order = np.argsort(shape.lost, kind="stable").tolist()  # what is lost lies on top
         for k in order:
             part, tint = shape.parts[k], tints[k]
-            weight = line if min(part.w, part.h) < 60 * line else line + 1
+            # a box changes its size: its line is not to change weight back and forth with it
+            strong = (24 if part.name == BOX else 60) * line
+            weight = line if min(part.w, part.h) < strong else line + 1
             if part.status == "lost":
                 polylines(layer, list(fixed(dashes(local[k], 10 * line))), ink(tint, 1), weight)
             else:
@@ -279,7 +281,9 @@ class Overlay:
                 continue
             middle = shape.centres.mean(axis=0)
             for part, bound, centre in zip(shape.parts, shape.bounds.tolist(), shape.centres, strict=True):
-                if min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * font.cap or part.name == shape.target.name:
+                if part.name in (shape.target.name, BOX):  # says nothing more
+                    continue
+                if min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * font.cap:
                     continue
                 sprite = font.sprite(_short(part.name), LOST if part.status == "lost" else shape.colour, edge)
                 places = _beside(bound, sprite.size, 2 * edge)
