@@ -122,8 +122,9 @@ def _product(given: recipe.Product, size: tuple[float, float], unit: float) -> P
         )
     motions: list[Factor] = []
     if (k := given.correlation) is not None:
+        middle = (size[0] * k.region, size[1] * k.region)
         motions.append(
-            Correlation(size, grid=k.grid, distance=k.distance, sigma=k.sigma, saturation=k.saturation or 0.0)
+            Correlation(middle, grid=k.grid, distance=k.distance, sigma=k.sigma, saturation=k.saturation or 0.0)
         )
     return Product(tuple(objects), tuple(motions))
 

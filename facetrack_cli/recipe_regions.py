@@ -141,6 +141,8 @@ class Correlation(Section):
 
     grid: Annotated[tuple[Count, Count], Field(strict=False)] = (16, 16)
     """[columns, rows] of the reference grid on which both are sampled."""
+    region: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """R of eq. 6 as a share of the box's sides: less leaves out what is not the target at the borders of its box."""
     distance: Literal["l2", "saturated_l1", "hausdorff"] = "l2"
     """d_c of eq. 12; the paper takes l2, and compares it with the others in figure 5."""
     sigma: Annotated[float, Field(gt=0, le=1e6)]

@@ -33,6 +33,7 @@ REGIONS = [
     "contour_correlation",
     "contour_histogram",
     "contour_histogram_correlation",
+    "contour_histogram_correlation_robust",
     "histogram",
     "histogram_correlation",
 ]

@@ -25,6 +25,7 @@ def test_there_is_a_recipe_for_each_combination_of_the_paper():
         "contour_correlation",
         "contour_histogram",
         "contour_histogram_correlation",
+        "contour_histogram_correlation_robust",
         "histogram",
         "histogram_correlation",
     ]
@@ -34,7 +35,7 @@ def test_there_is_a_recipe_for_each_combination_of_the_paper():
 def test_a_recipe_is_named_by_its_factors_and_reads_like_a_method_section(name):
     recipe = load_recipe(name)
     assert check_recipe(name) == []
-    assert [f for f in FACTORS if getattr(recipe.likelihood, f) is not None] == name.split("_")
+    assert [f for f in FACTORS if getattr(recipe.likelihood, f) is not None] == name.removesuffix("_robust").split("_")
     assert recipe.points == () and recipe.filter.type == "sir" and recipe.filter.particles == 200
     lines = recipe.path.read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 40 and max(map(len, lines)) <= 120
@@ -50,6 +51,14 @@ def test_recipes_differ_in_their_factors_alone():
     for factor in ("contour", "histogram"):
         given = [getattr(recipe.likelihood, factor) for recipe in recipes]
         assert len({one.model_dump_json() for one in given if one is not None}) == 1, factor
+
+
+def test_the_robust_recipe_differs_by_the_distance_of_its_correlation_alone():
+    robust, published = (to_dict(load_recipe("contour_histogram_correlation" + end)) for end in ("_robust", ""))
+    assert robust.pop("description") != published.pop("description")
+    assert robust["likelihood"].pop("correlation")["distance"] == "saturated_l1"
+    assert published["likelihood"].pop("correlation")["distance"] == "l2"
+    assert robust == published
 
 
 @pytest.mark.parametrize("name", NAMES)
