@@ -20,15 +20,9 @@ def refused(name, *overrides):
 
 
 def test_there_is_a_recipe_for_each_combination_of_the_paper():
-    assert sorted(NAMES) == [
-        "contour",
-        "contour_correlation",
-        "contour_histogram",
-        "contour_histogram_correlation",
-        "contour_histogram_correlation_robust",
-        "histogram",
-        "histogram_correlation",
-    ]
+    objects = ("contour", "histogram", "contour_histogram")
+    published = {one + end for one in objects for end in ("", "_correlation")}
+    assert set(NAMES) == published | {"contour_histogram_correlation_robust"}
 
 
 @pytest.mark.parametrize("name", NAMES)
