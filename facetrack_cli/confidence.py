@@ -3,9 +3,9 @@
 The window at the estimate is compared with the template, and the distance d is placed between two levels of this clip:
 what the part itself has shown since the start, and what is clearly not the part.
 
-    good_i    running mean of d at the estimate over the frames in which the part was not in doubt; it begins as the
-              median of d over a ring of windows in the first frame that are off by 1/13 of the window's size (one
-              pixel, for a window of 13)
+    good_i    running mean of d at the estimate over `memory` frames in which the part was not in doubt; it begins as
+              the median of d over a ring of windows in the first frame that are off by 1/13 of the window's size (one
+              pixel, for a window of 13), and without a memory it stays that
     bad_i     a quantile of d over a ring of windows off by the whole window's size in the first frame, or d of a
               blank window if that is less. The median by default. The estimate is the best place of a search, so a
               part that ran off sits on a window that matches better than most: a lower quantile is stricter
@@ -48,7 +48,7 @@ class Confidence:
     lost_below: float = 0.3
     patience: int = 3
     beside: float = 0.5
-    memory: int = 50
+    memory: int | None = 50
 
     def begin(self, measure: Measures, learned: Any, frame: Frame, x0: Array, windows: Array) -> Judgement:
         """The judgement of the first frame, whose parts are at x0 (K, D) and `windows` (K, 2) pixels large."""
@@ -69,7 +69,9 @@ class Confidence:
         confidence = np.where(span > 1e-6, np.clip((last.bad - distance) / np.maximum(span, 1e-6), 0.0, 1.0), 0.0)
         doubtful = confidence < self.lost_below
         below = np.where(doubtful, last.below + 1, 0)
-        good = np.where(doubtful, last.good, last.good + (distance - last.good) / self.memory)
+        good = last.good
+        if self.memory is not None:
+            good = np.where(doubtful, good, good + (distance - good) / self.memory)
         status = tuple(_status(v) for v in below >= self.patience)
         return Judgement(good, last.bad, confidence, below, status)
 

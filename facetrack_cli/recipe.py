@@ -68,6 +68,7 @@ __all__ = [
     "Sir",
     "Window",
     "check_recipe",
+    "completed",
     "find_recipe",
     "json_schema",
     "load_recipe",
@@ -304,6 +305,18 @@ def resolve_file(recipe: Recipe, name: str) -> Path:
 def to_dict(recipe: Recipe) -> dict[str, Any]:
     """All settings, ready for JSON; written as a file it is the same recipe again."""
     return recipe.model_dump(mode="json")
+
+
+def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that an earlier version wrote by `to_dict`, with the default of every key that has come since.
+
+    What is no recipe any more is returned as it is.
+    """
+    kind = KINDS.get(settings.get("type", "particle_filter"), ParticleRecipe)
+    try:
+        return to_dict(kind.model_validate(dict(settings)))
+    except ValidationError:
+        return dict(settings)
 
 
 def json_schema() -> dict[str, Any]:

@@ -136,6 +136,8 @@ class Confidence(Section):
     """A part is lost while its confidence stays below this, 0..1."""
     patience: Annotated[int, Field(ge=1)] = 3
     """... once it did so for this many frames."""
+    memory: Annotated[int, Field(ge=1)] | None = 50
+    """Frames over which it is learned how well a part matches when it is there; null: the first frame says so."""
     beside: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""
 

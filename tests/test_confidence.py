@@ -97,3 +97,15 @@ def test_any_distances_give_a_confidence_between_0_and_1(lost_below, distances):
         assert np.isfinite(judgement.good).all()
         if lost_below == 0.0:
             assert set(judgement.status) == {"tracked"}
+
+
+def test_without_a_memory_what_is_good_stays_what_the_first_frame_said():
+    def after(**options):
+        confidence, judgement = begin(**options)
+        for _ in range(40):
+            judgement = confidence.judge(judgement, np.array([0.15, 0.12]))
+        return judgement
+
+    np.testing.assert_allclose(after(memory=None).good, 0.1)
+    np.testing.assert_allclose(after(memory=5).good, [0.15, 0.12], rtol=1e-3)
+    assert np.all(after(memory=None).confidence < after(memory=5).confidence)

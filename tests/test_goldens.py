@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.recipe import load_recipe, shipped_recipes, to_dict
+from facetrack_cli.recipe import completed, load_recipe, shipped_recipes, to_dict
 from facetrack_cli.regression.bands import QUANTITIES
 from facetrack_cli.regression.goldens import (
     Golden,
@@ -156,7 +156,7 @@ def test_every_recipe_of_points_has_a_golden_of_each_clip(clip: str) -> None:
 def test_a_shipped_golden_is_of_the_clip_and_the_recipe_that_are_here(path: Path) -> None:
     golden = read_golden(path)
     assert checksum(SAMPLES / golden.clip) == golden.sha256, "record anew: facetrack regress sample_videos --update"
-    assert differences(golden.settings, to_dict(load_recipe(golden.recipe))) == []
+    assert differences(completed(golden.settings), to_dict(load_recipe(golden.recipe))) == []
     assert len(golden.recorded) == 40 and 4 <= golden.tested <= 12
     assert path.stat().st_size < 60_000
     count = golden.frames[1] - golden.frames[0] + 1
@@ -176,3 +176,10 @@ def test_a_folder_without_goldens_has_none_and_no_folder_is_refused(tmp_path: Pa
         find_goldens(tmp_path / "none")
     with pytest.raises(InputError, match="is no folder"):
         find_goldens(tmp_path / "occlusion.init.yaml")
+
+
+def test_a_key_that_a_later_version_brought_changes_no_older_golden() -> None:
+    now = to_dict(load_recipe("factorized"))
+    older = {**now, "confidence": {key: value for key, value in now["confidence"].items() if key != "memory"}}
+    assert completed(older) == now
+    assert completed({**older, "filter": {"type": "no such"}})["filter"] == {"type": "no such"}

@@ -14,7 +14,7 @@ from facetrack_cli.errors import FacetrackError, InputError, RecipeError, UsageE
 from facetrack_cli.experiments.begin import find_plan_start
 from facetrack_cli.experiments.runs import Failure, Plan, Report, SeedRun, run_plans
 from facetrack_cli.opencv import find as find_opencv
-from facetrack_cli.recipe import OpenCvRecipe, Recipe, load_recipe, shipped_folder, to_dict
+from facetrack_cli.recipe import OpenCvRecipe, Recipe, completed, load_recipe, shipped_folder, to_dict
 from facetrack_cli.regression.bands import Deviation, Verdict, judge, measure
 from facetrack_cli.regression.goldens import (
     FIRST_SEED,
@@ -167,7 +167,7 @@ def _checked(path: Path, golden: Golden, status: Status, message: str) -> Checke
 def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) -> Checked:
     tables = [run.table for run in runs]
     seconds = sum(len(run.table.frames) / run.frames_per_s for run in runs)
-    changed = differences(golden.settings, to_dict(plan.recipe))
+    changed = differences(completed(golden.settings), to_dict(plan.recipe))
     notes = [f"recipe differs from the golden's: {', '.join(changed)}; {UPDATE}"] if changed else []
     name, seeds = _name(golden), len(runs)
     if shape := _other_shape(golden, tables[0].frames.tolist(), [one.name for one in tables[0].series]):
