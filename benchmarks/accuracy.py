@@ -1,4 +1,4 @@
-"""How well recipes track clips with truth, over many seeds: the tables in docs/results.md.
+"""How well recipes track the points of clips with truth, over many seeds: tables in docs/results.md.
 
     python benchmarks/accuracy.py sample_videos/occlusion.mp4 --config factorized --config independent --seeds 20
 
@@ -101,6 +101,8 @@ def main() -> None:
         for i, (label, runs, pairs) in enumerate(runs_of(clip, recipes, given.seeds, given.jobs)):
             each = [evaluate(those) for those in pairs]
             if i == 0:
+                if all(figures(part)["points.mean_px"] is None for part in each[0].parts):
+                    raise SystemExit(f"{clip}: its truth has no points; of boxes: benchmarks/regions.py")
                 print(heading(clip, each[0], given.seeds))
             print(row(label, runs, each), flush=True)
 

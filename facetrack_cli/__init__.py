@@ -1,4 +1,4 @@
-"""Track faces and facial features in video with particle filters."""
+"""Track faces, facial features, heads and hands in video with particle filters."""
 
 from facetrack_cli.kernel_cache import provide_cache
 

@@ -15,7 +15,7 @@ from click.shell_completion import CompletionItem
 from facetrack_cli import __version__
 
 COMMANDS = {
-    "run": "Track the face in videos and image folders.",
+    "run": "Track faces, heads or hands in videos and image folders.",
     "init": "Write where the track of a clip begins, as a file to edit.",
     "recipes": "List, show and check the recipes of trackers.",
     "prior": "Learn shape priors from annotated frames, and draw them.",
@@ -87,7 +87,7 @@ class LazyGroup(click.Group):
 @click.version_option(__version__, prog_name="facetrack", message="%(prog)s %(version)s")
 @click.pass_context
 def cli(ctx: click.Context, debug: bool) -> None:
-    """Track faces and facial features in video with particle filters.
+    """Track faces, facial features, heads and hands in video with particle filters.
 
     A recipe says which tracker; a clip goes in, a trajectory and an annotated
     video come out:

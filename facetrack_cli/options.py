@@ -68,4 +68,6 @@ def rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fract
 init = click.option(
     "--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip."
 )
-face_box = click.option("--box", metavar="X,Y,W,H", callback=box, help="The face in the first frame, in pixels.")
+face_box = click.option(
+    "--box", metavar="X,Y,W,H", callback=box, help="The face, head or hand in the first frame, in pixels."
+)

@@ -39,6 +39,9 @@ def command(
     corners of the mouth, lips), become an init file, which `facetrack run` takes from beside the clip. Nothing that is
     there already is replaced without --overwrite.
 
+    Recipes of regions need no points: to follow a head or hands, write boxes alone into such a file, or give --box to
+    `facetrack run`.
+
     \b
     Examples:
       facetrack init clip.mp4 --preview look.png

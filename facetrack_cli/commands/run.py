@@ -86,10 +86,13 @@ def command(
     workers: int,
     quiet: bool,
 ) -> None:
-    """Track a face, or its features, in videos and image folders.
+    """Track features of a face, or a face, head or hand as a box, in videos and image folders.
 
     Each INPUT gets a folder with annotated.mp4, trajectory.csv and trajectory.json. The track starts from --init or
     --box, else from <clip>.init.yaml beside the clip, else from the first face that a Haar cascade finds.
+
+    Recipes of points follow the features of a face; within --box they are placed by the picture. Recipes of regions
+    follow whatever is in the box.
 
     With several INPUTs, --out holds a folder for each; one that fails does not stop the others.
 
@@ -97,6 +100,7 @@ def command(
     Examples:
       facetrack run clip.mp4
       facetrack run clip.mp4 --config sir --set filter.particles=500 -o out
+      facetrack run clip.mp4 --config histogram --box 110,93,56,64
       facetrack run frames/ --fps 25 -o - | head
       find . -name '*.mp4' -print0 | xargs -0 facetrack run -j 4 --no-video
 
