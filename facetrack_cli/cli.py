@@ -15,7 +15,7 @@ from click.shell_completion import CompletionItem
 from facetrack_cli import __version__
 
 COMMANDS = {
-    "run": "Track faces, heads or hands in videos and image folders.",
+    "run": "Track faces, heads and hands in videos and image folders.",
     "init": "Write where the track of a clip begins, as a file to edit.",
     "recipes": "List, show and check the recipes of trackers.",
     "prior": "Learn shape priors from annotated frames, and draw them.",

@@ -109,7 +109,7 @@ def command(
     Examples:
       facetrack compare clip.mp4 --config factorized --config sir
       facetrack compare clip.mp4 --config mil --config csrt --seeds 20 -j 2
-      facetrack compare hands.mp4 --target left_hand \
+      facetrack compare hands.mp4 --target left_hand \\
         --config histogram --config contour_histogram
       facetrack compare frames/ --truth groundtruth.txt \\
         --config sir:filter.particles=100 --config sir:filter.particles=500

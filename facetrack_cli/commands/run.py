@@ -86,7 +86,7 @@ def command(
     workers: int,
     quiet: bool,
 ) -> None:
-    """Track features of a face, or a face, head or hand as a box, in videos and image folders.
+    """Track faces, heads and hands in videos and image folders.
 
     Each INPUT gets a folder with annotated.mp4, trajectory.csv and trajectory.json. The track starts from --init or
     --box, else from <clip>.init.yaml beside the clip, else from the first face that a Haar cascade finds.
