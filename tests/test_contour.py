@@ -74,11 +74,11 @@ def shifts(axis, reach):
     s=st.one_of(st.floats(0.05, 3.0), st.sampled_from([-1.0, 0.0, 1e-7, 1e7])),
     factor=st.sampled_from([1, 2, 4]),
     reach=st.floats(0.5, 14.0),
-    threshold=st.floats(1.0, 60.0),
+    threshold=st.floats(9.0, 540.0),
 )
 def test_the_kernel_is_what_its_plain_twin_says(seed, cx, cy, s, factor, reach, threshold):
     noise = np.random.default_rng(seed).normal(0, 1, (37, 61)).astype(np.float32)
-    image = np.clip(128 + 120 * cv2.GaussianBlur(noise, (0, 0), 1.0), 0, 255)
+    image = np.clip(1150 + 1080 * cv2.GaussianBlur(noise, (0, 0), 1.0), 0, 2295).astype(np.uint16)
     points, normals = ellipse((23.0, 31.0), 10)
     x = np.array([[cx, cy, s]])
     ours = contour.nearest_edges(image, x, 5.0, -3.0, factor, points, normals, reach, threshold)

@@ -84,12 +84,12 @@ class Contour:
         boxes = np.clip(np.nan_to_num(x[:, 0, :3]), -_FAR, _FAR)
         # an edge at the very end of a normal is seen by two values beyond it, and each value by a pixel around it
         grey, left, top = frame.grey(learned.factor, self._extent(boxes, reach + 5.0 * learned.factor))
-        smooth = cv2.boxFilter(grey, cv2.CV_32F, (3, 3))
+        # sums, which are whole numbers: their ninths are the means
+        nine = cv2.boxFilter(grey, cv2.CV_16U, (3, 3), normalize=False)
         return np.asarray(
             contour.nearest_edges(
-                smooth, boxes, left, top, learned.factor, learned.points, learned.normals, reach, self.threshold
-            ),
-            np.float64,
+                nine, boxes, left, top, learned.factor, learned.points, learned.normals, reach, 9.0 * self.threshold
+            )
         )
 
     def _extent(self, boxes: Array, margin: float) -> Extent:
