@@ -1,6 +1,6 @@
 """Whether `lost` means what it says: status against truth, over many seeds: the table in docs/confidence.md.
 
-    python benchmarks/lost.py sample_videos/expressions.mp4 sample_videos/occlusion.mp4 --seeds 10 \
+    python benchmarks/lost.py sample_videos/expressions.mp4 sample_videos/occlusion.mp4 --seeds 10 \\
         --config factorized --config factorized_robust
 
 What is measured is what `facetrack eval` measures, over the rows of all seeds together, one a frame and part, without

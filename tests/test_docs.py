@@ -1,18 +1,28 @@
 """The documentation holds: generated pages are fresh, links lead somewhere, command lines parse, examples are valid."""
 
+import ast
 import importlib.util
+import itertools
 import re
 import shlex
 from pathlib import Path
 
 import click
 import pytest
+from ruamel.yaml import YAML
 
+from facetrack_cli.__main__ import main
+from facetrack_cli.build import build_tracker
 from facetrack_cli.cli import cli
-from facetrack_cli.recipe import load_recipe, shipped_recipes
+from facetrack_cli.errors import ExitCode, InputError
+from facetrack_cli.experiments.begin import find_plan_start
+from facetrack_cli.experiments.compare import default_truth, variant
+from facetrack_cli.formats.read import read_truth
+from facetrack_cli.recipe import load_recipe, shipped_recipes, to_dict
 from facetrack_cli.start import read_init
 
 ROOT = Path(__file__).parent.parent
+BENCHMARKS = ROOT / "benchmarks"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
 OPERATORS = {"|", "||", "&&", "&", ";", ">", ">>", "<", "2>", "(", ")", "<(", "then", "do"}
@@ -173,10 +183,101 @@ def test_examples_of_recipes_and_init_files_are_valid(tmp_path):
     assert recipes >= 3 and inits >= 3
 
 
-def test_the_annotated_recipe_is_the_shipped_one(tmp_path):
-    [block, *_] = blocks(ROOT / "docs" / "recipes.md", "yaml")
+@pytest.mark.parametrize(("place", "shipped"), [(0, "factorized"), (1, "contour_histogram_correlation_robust")])
+def test_the_annotated_recipes_are_the_shipped_ones(tmp_path, place, shipped):
     path = tmp_path / "example.yaml"
-    path.write_text(block, encoding="utf-8")
-    assert load_recipe(str(path)).model_dump(exclude={"description"}) == load_recipe("factorized").model_dump(
+    path.write_text(blocks(ROOT / "docs" / "recipes.md", "yaml")[place], encoding="utf-8")
+    assert load_recipe(str(path)).model_dump(exclude={"description"}) == load_recipe(shipped).model_dump(
         exclude={"description"}
     )
+
+
+def keys_of(settings, before=""):
+    """Every key below a mapping, as in likelihood.contour.sigma."""
+    for key, value in settings.items():
+        yield before + key
+        if isinstance(value, dict):
+            yield from keys_of(value, f"{before}{key}.")
+
+
+def test_the_annotated_region_recipe_has_every_key():
+    written = YAML(typ="safe").load(blocks(ROOT / "docs" / "recipes.md", "yaml")[1])
+    said = {"type", "seed", "prior", "filter.resampling"}
+    assert set(keys_of(to_dict(load_recipe("contour_histogram_correlation_robust")))) - said == set(keys_of(written))
+
+
+# documented commands on the sample clips
+
+# what makes a run of each short; commands that are not here want what another one made, or have tests of their own
+SHORT = {
+    "run": ["--no-video", "--stop", "3", "--overwrite", "-q"],
+    "compare": ["--stop", "3", "--seeds", "1", "--no-plots", "--overwrite", "-q"],
+    "repeat": ["--stop", "3", "--seeds", "2", "--overwrite", "-q"],
+    "prior": ["--overwrite", "-q"],
+    "export": ["--overwrite"],
+}
+
+
+def on_samples(arguments):
+    return arguments[:1] != [] and arguments[0] in SHORT and any("sample_videos/" in word for word in arguments)
+
+
+def sample_lines():
+    lines = {
+        tuple(arguments): page.name
+        for page in PAGES
+        for block in blocks(page, "sh", "bash", "console", "")
+        for arguments, _ in command_lines(block)
+        if on_samples(arguments)
+    }
+    return [(list(arguments), page) for arguments, page in lines.items()]
+
+
+def expanded(words):
+    """As a shell does it, in the current folder."""
+    return [path for word in words for path in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]
+
+
+def test_documented_commands_run_on_the_sample_clips(tmp_path, monkeypatch, capfd):
+    (tmp_path / "sample_videos").symlink_to(ROOT / "sample_videos")
+    monkeypatch.chdir(tmp_path)
+    lines = sample_lines()
+    assert len(lines) > 8 and {arguments[0] for arguments, _ in lines} == set(SHORT)
+    # what exports write is measured against
+    for arguments, page in sorted(lines, key=lambda line: line[0][0] != "export"):
+        code = main([*expanded(arguments), *SHORT[arguments[0]]])
+        contrib = {"csrt", "kcf", "mosse"} & set(arguments)
+        assert code == 0 or (code == ExitCode.BATCH and contrib), f"{page}: {arguments}: {capfd.readouterr().err}"
+
+
+def script_lines():
+    """What documentation and benchmarks say to call benchmarks with, on sample clips: script, clips, recipes."""
+    texts = {page.name: "\n".join(blocks(page, "sh", "bash")) for page in PAGES}
+    texts |= {path.name: ast.get_docstring(ast.parse(path.read_text("utf-8"))) for path in BENCHMARKS.glob("*.py")}
+    for name, text in texts.items():
+        for line in text.replace("\\\n", " ").splitlines():
+            words = line.split("#")[0].split()
+            if words[:1] == ["python"] and words[1].startswith("benchmarks/"):
+                configs = [words[i + 1] for i, word in enumerate(words) if word == "--config"]
+                clips = [word for word in words if word.startswith("sample_videos/")]
+                if clips:
+                    yield pytest.param(clips, configs, id=f"{name}: {Path(words[1]).stem} {' '.join(clips + configs)}")
+
+
+def tracker_on(clip, config):
+    recipe = load_recipe(variant(config)[0])
+    return build_tracker(recipe, find_plan_start(Path(clip), recipe, truth=read_truth(default_truth(Path(clip)))))
+
+
+@pytest.mark.parametrize(("clips", "configs"), list(script_lines()))
+def test_benchmarks_are_documented_with_clips_that_their_recipes_fit(monkeypatch, clips, configs):
+    monkeypatch.chdir(ROOT)
+    assert configs
+    for clip, config in itertools.product(expanded(clips), configs):
+        assert tracker_on(clip, config)
+
+
+def test_clips_that_a_recipe_does_not_fit_are_told(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    with pytest.raises(InputError, match="no point for nose"):
+        [tracker_on(clip, "factorized") for clip in expanded(["sample_videos/*.mp4"])]
