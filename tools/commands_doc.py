@@ -212,8 +212,13 @@ def value(schema: Schema, field: Schema) -> str:
         "number": "number",
     }
     bounds = (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
-    limits = [f"{sign} {field[bound]:,}" for bound, sign in bounds if bound in field]
-    shown = [limit for limit in limits if len(limit) < 15]  # not the largest number that fits a computer's word
+    limits = {f"{sign} {field[bound]:,}": field[bound] for bound, sign in bounds if bound in field}
+    # not the largest number that fits a computer's word, nor bounds that only keep sums from overflowing
+    shown = [
+        text
+        for text, limit in limits.items()
+        if len(text) < 15 and not (isinstance(limit, float) and abs(limit) >= 1e6)
+    ]
     return " ".join([words[field["type"]], ", ".join(shown)]).strip()
 
 
