@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.kernels import patches
@@ -77,6 +77,13 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size,
     now, before = (rng.integers(0, 256, picture, dtype=np.uint8) for _ in range(2))
     now_view, before_view = (0, 0, *whole), (2 * factor, 3 * factor, whole[0] + 2 * factor, whole[1] + 3 * factor)
     x = np.array(boxes)
+    # rounding decides whether a point on the border lies within
+    for axis in (0, 1):
+        cells = size[axis] * ((np.arange(grid[axis]) + 0.5) / grid[axis] - 0.5)
+        rows = np.vstack([x, parent, np.add(parent, other[1] * (np.arange(3) == other[0]))])
+        borders = [-0.5, now_view[2 + axis] - 0.5, before_view[2 + axis] - 0.5]
+        points = rows[:, axis, None] + np.outer(rows[:, 2], cells)
+        assume(np.abs(points[..., None] - borders).min() > 1e-6)
     # two parents that differ in one coordinate, with several children each
     of = np.tile(parent, (len(x), 1))
     of[split:, other[0]] += other[1]

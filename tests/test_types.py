@@ -1,5 +1,6 @@
 """A frame's reduced pictures."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -43,6 +44,29 @@ def test_blocks_are_the_same_whatever_was_asked_before(factor, extents, order):
             assert top <= max(min(y, (rows - 1) * f), 0)
             assert left + small.shape[1] * f >= min(max(x + w, 0), columns * f)
             assert top + small.shape[0] * f >= min(max(y + h, 0), rows * f)
+
+
+anywhere = st.tuples(st.floats(-90, 190), st.floats(-90, 150), st.floats(0, 120), st.floats(0, 90))
+
+
+@settings(max_examples=80, deadline=None)
+@given(calls=st.lists(st.tuples(st.booleans(), st.sampled_from([1, 2, 4]), anywhere), min_size=1, max_size=8))
+def test_grey_is_that_of_the_whole_picture_whatever_was_asked_before(calls):
+    picture = np.random.default_rng(1).integers(0, 256, (61, 98, 3), dtype=np.uint8)
+    frame = Frame(0, 0.0, picture)
+    for grey, factor, (x, y, w, h) in calls:
+        seen, left, top = (frame.grey if grey else frame.reduced)(factor, (x, y, x + w, y + h))
+        whole = Frame(0, 0.0, picture).reduced(factor, (0, 0, 98, 61))[0]
+        whole = cv2.cvtColor(whole, cv2.COLOR_BGR2GRAY) if grey else whole
+        i, j = top // factor, left // factor
+        assert left % factor == top % factor == 0
+        np.testing.assert_array_equal(seen, whole[i : i + seen.shape[0], j : j + seen.shape[1]])
+        # all of the extent that there is
+        rows, columns = whole.shape[:2]
+        assert j <= min(max(x // factor, 0), columns - 1) and i <= min(max(y // factor, 0), rows - 1)
+        assert j + seen.shape[1] > min(max((x + w) // factor, 0), columns - 1)
+        assert i + seen.shape[0] > min(max((y + h) // factor, 0), rows - 1)
+    assert frame.bgr is picture
 
 
 def test_factor_one_is_the_picture_itself():

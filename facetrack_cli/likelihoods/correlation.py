@@ -99,6 +99,7 @@ class Correlation:
     def _picture(self, frame: Frame, factor: int, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:
         """The grey picture around the boxes (N, 3), reduced, and its view: (left, top, whole width, whole height)."""
         width, height = frame.size
-        extent = patches.boxes_extent(boxes, self.size, width, height)
-        grey, left, top = frame.grey(factor, extent)
+        left, top, right, bottom = patches.boxes_extent(boxes, self.size, width, height)
+        # between its border and the centre of its first block, a box is read from the block before too
+        grey, left, top = frame.grey(factor, (left - factor, top - factor, right + factor, bottom + factor))
         return grey, (left, top, width, height)
