@@ -9,6 +9,7 @@ The seeds are 0 on; frames of a span are both included. Of each target and span:
 
     error    mean distance of the centres in pixels over all frames with a true box, and its standard deviation of seeds
     AUC      success AUC, as OTB has it, of visible rows
+    off      runs that leave the target, IoU below 0.1 for 5 rows on end, and the median of the frames when they do
     failed   runs that end the span lost: the median IoU over the last tenth of its rows is below 0.1
 
 --figure draws the error over time, averaged over the runs (figure 7 of Odobez et al. 2003).
@@ -39,6 +40,7 @@ from facetrack_cli.recipe import Recipe, load_recipe
 from facetrack_cli.types import Array, Start, TargetStart
 
 Span = tuple[int, int]
+AWAY = 5  # rows
 
 
 @dataclass(frozen=True)
@@ -90,31 +92,35 @@ def in_span(pair: Pair, span: Span | None) -> Pair:
     return Pair(pair.name, pair.ours.take(rows), pair.truth.take(rows))
 
 
-def measured(pairs: Sequence[Pair]) -> tuple[Array, Array, int]:
-    """Of one target, one pair a seed: mean errors (S,), success AUC (S,), and how many runs end lost."""
-    errors, auc, failed = [], [], 0
+def measured(pairs: Sequence[Pair]) -> tuple[Array, Array, list[int], int]:
+    """Of one target, one pair a seed: mean errors (S,), success AUC (S,), frames of leaving, how many end lost."""
+    errors, auc, off, failed = [], [], [], 0
     for pair in pairs:
         ours, truth = pair.ours.boxes, pair.truth.boxes
         errors.append(np.nanmean(centre_errors(ours, truth)))
         seen = pair.truth.status != "hidden"
         found = measure_boxes(ours, truth, valid=seen, first_is_init=bool(pair.ours.status[0] == "init"))
         auc.append(found.auc)
+        away = np.convolve(found.overlap < TAIL_IOU, np.ones(AWAY), "valid") == AWAY
+        if away.any():
+            off.append(int(pair.ours.frame[away.argmax()]))
         tail = tail_overlap(found.overlap)
         failed += tail is not None and tail < TAIL_IOU
-    return np.array(errors), np.array(auc), failed
+    return np.array(errors), np.array(auc), off, failed
 
 
 def table(done: Sequence[Case], spans: Sequence[Span | None]) -> None:
     names = [f"frames {s[0]}-{s[1]}" if s else "all frames" for s in spans]
-    print("| target | recipe | particles | " + " | ".join(f"{n}: error | AUC | failed" for n in names) + " |")
-    print("|---" * (3 + 3 * len(spans)) + "|")
+    print("| target | recipe | particles | " + " | ".join(f"{n}: error | AUC | off | failed" for n in names) + " |")
+    print("|---" * (3 + 4 * len(spans)) + "|")
     for target in range(len(done[0].seeds[0])):
         for case in done:
             cells = [case.seeds[0][target].ours.target, case.label, f"{case.particles}"]
             for span in spans:
-                errors, auc, failed = measured([in_span(pairs[target], span) for pairs in case.seeds])
+                errors, auc, off, failed = measured([in_span(pairs[target], span) for pairs in case.seeds])
                 spread = np.std(errors, ddof=1) if len(errors) > 1 else 0.0
-                cells += [f"{errors.mean():.1f} ± {spread:.1f}", f"{auc.mean():.3f}", f"{failed}/{len(errors)}"]
+                left = f"{len(off)}/{len(errors)}" + (f" at {np.median(off):.0f}" if off else "")
+                cells += [f"{errors.mean():.1f} ± {spread:.1f}", f"{auc.mean():.3f}", left, f"{failed}/{len(errors)}"]
             print(f"| {' | '.join(cells)} |", flush=True)
 
 
