@@ -1,10 +1,12 @@
 """What each factor of a region recipe says of the target's true motion, and of the motion that correlation likes best.
 
-    python benchmarks/region_terms.py sample_videos/textured.mp4 119 122 125 128 131 134 137 140
-    python benchmarks/region_terms.py sample_videos/hands.mp4 104 106 108 110 --target right_hand
+    python benchmarks/region_terms.py sample_videos/textured.mp4 119 122 125 128 131 134 137 140 \
+        --config contour_histogram_correlation --config contour_histogram_correlation_robust
+    python benchmarks/region_terms.py sample_videos/hands.mp4 102 104 106 108 110 --target right_hand \
+        --config histogram_correlation
 
 A parent lies on the true box of the frame before; children, of the true scale, lie at every whole pixel within 20 of
-the true place. Printed of each distance: how far beside the truth correlation's best child lies, and by how much it has
+the true place. Printed of each recipe: how far beside the truth correlation's best child lies, and by how much it has
 more log-likelihood there than at the truth, for correlation and for the other factors of the recipe.
 """
 
@@ -28,7 +30,6 @@ from facetrack_cli.types import Frame, Particles
 from facetrack_cli.video.source import open_source
 
 REACH = 20
-RECIPES = {"l2": "contour_histogram_correlation", "saturated_l1": "contour_histogram_correlation_robust"}
 
 
 def target_of(recipe: str, clip: Path, name: str) -> ParticleTarget:
@@ -44,6 +45,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("clip", type=Path)
     parser.add_argument("frames", type=int, nargs="+")
+    parser.add_argument("--config", action="append", required=True)
     parser.add_argument("--target", help="default: the first")
     given = parser.parse_args()
     series = read_truth(default_truth(given.clip)).series
@@ -53,10 +55,10 @@ def main() -> None:
         for frame in source:
             if not frames or {frame.index, frame.index + 1} & set(given.frames):
                 frames[frame.index] = frame
-    print("| frame | true motion | distance | its best, beside the truth | correlation | contour | histograms |")
-    print("|---|---|---|---|---|---|---|")
+    print("| frame | true motion | recipe | its best, beside the truth | more log-likelihood there |")
+    print("|---|---|---|---|---|")
     steps = np.arange(-REACH, REACH + 1.0)
-    for number, (distance, recipe) in itertools.product(given.frames, RECIPES.items()):
+    for number, recipe in itertools.product(given.frames, given.config):
         target = target_of(recipe, given.clip, truth.target)
         likelihood = target.likelihood
         assert isinstance(likelihood, Product)
@@ -70,15 +72,16 @@ def main() -> None:
         cloud = Particles(parents, uniform(len(parents)))
         first = likelihood.init(frames[0], target.x0)
         known = likelihood.learn(first, frames[number - 1], target.x0, cloud)
-        contour, histogram, correlation = (
-            factor.score(one, frames[number], children, parents)[:, 0]
+        scores = {
+            type(factor).__name__: factor.score(one, frames[number], children, parents)[:, 0]
             for factor, one in zip(likelihood.factors, known, strict=True)
-        )
+        }
+        correlation = scores["Correlation"]
         best, true = int(correlation.argmax()), len(children) // 2
         beside = children[best, 0, :2] - children[true, 0, :2]
-        cells = [f"{number}", f"{x[number] - x[number - 1]:+.1f}, {y[number] - y[number - 1]:+.1f}", distance]
+        cells = [f"{number}", f"{x[number] - x[number - 1]:+.1f}, {y[number] - y[number - 1]:+.1f}", recipe]
         cells.append(f"{beside[0]:+.0f}, {beside[1]:+.0f}")
-        cells += [f"{one[best] - one[true]:+.1f}" for one in (correlation, contour, histogram)]
+        cells.append(", ".join(f"{name} {one[best] - one[true]:+.1f}" for name, one in sorted(scores.items())))
         print(f"| {' | '.join(cells)} |", flush=True)
 
 
