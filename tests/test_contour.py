@@ -86,6 +86,34 @@ def test_the_kernel_is_what_its_plain_twin_says(seed, cx, cy, s, factor, reach, 
     np.testing.assert_allclose(ours, theirs, atol=2e-3)  # float32, and a parabola may be nearly flat
 
 
+@pytest.mark.parametrize(
+    ("row", "at", "nearest"),
+    [
+        # the step from 0 to 100 has contrasts of 50, 100 and 50, which end on the centre of the last pixel
+        ([0, 0, 0, 0, 0, 0, 0, 100, 100, 100], 4, 2.5),
+        ([9, 9, 9, 0, 0, 0, 0, 0, 0, 0], 5, 2.5),
+        # one nearer to the border may be half of a larger one
+        ([0, 0, 0, 0, 0, 0, 0, 0, 100, 100], 4, math.inf),
+        # two equal contrasts are one edge between them, on the outline too
+        ([0, 0, 0, 0, 50, 100, 100, 100, 100, 100], 4, 0.0),
+        ([0, 0, 0, 0, 50, 100, 100, 100, 100, 100], 6, 2.0),
+        # contrasts of 60, 70 at 4.5, and 40: the parabola is highest 0.5 (60 - 40) / (60 - 140 + 40) from there
+        ([0, 0, 0, 0, 40, 80, 100, 100, 100, 100], 7, 2.75),
+        # of two edges the nearer, whichever way
+        ([0, 0, 90, 90, 90, 90, 90, 0, 0, 0], 4, 2.5),
+        ([0, 0, 90, 90, 90, 90, 90, 0, 0, 0], 5, 1.5),
+    ],
+)
+@pytest.mark.parametrize("turned", [False, True])
+def test_edges_by_hand(row, at, nearest, turned):
+    image = np.repeat(np.array([row], np.uint16), 10, axis=0)
+    image = np.ascontiguousarray(image.T) if turned else image
+    normals = np.array([[0.0, 1.0], [0.0, -1.0]] if turned else [[1.0, 0.0], [-1.0, 0.0]])
+    x = np.array([[3.0, at, 1.0] if turned else [at, 3.0, 1.0]])
+    found = contour.nearest_edges(image, x, 0.0, 0.0, 1, np.zeros((2, 2)), normals, 4.0, 5.0)
+    np.testing.assert_allclose(found, [[nearest, nearest]], atol=1e-6)
+
+
 @pytest.mark.parametrize("size", [(40.0, 52.0), (90.0, 31.0), (25.0, 25.0)])
 @pytest.mark.parametrize("count", [9, 32])
 def test_the_normals_stand_at_equal_steps_of_arc(size, count):
@@ -94,6 +122,33 @@ def test_the_normals_stand_at_equal_steps_of_arc(size, count):
     np.testing.assert_allclose(points, other_points, atol=0.03)
     np.testing.assert_allclose(normals, other_normals, atol=0.01)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+
+
+@pytest.mark.parametrize(("max_size", "factor"), [(None, 1), (30, 2)])
+@pytest.mark.parametrize("search", [4.0, 30.0])
+def test_likelihood_and_distance_are_the_formulas(max_size, factor, search):
+    """Eq. 11, on the means of 3x3 pixels: an edge that lies beyond `search` is none, wherever K takes over."""
+    picture = frame(head(clutter=25.0))
+    likelihood = model(sigma=5.0, search=search, threshold=8.0, outlier=0.1, max_size=max_size)
+    boxes = [TRUTH, (86.3, 57.2, 1.1), (70.1, 66.4, 0.8)]
+    assert likelihood.init(picture, states(TRUTH)[0]).factor == factor
+    grey = picture.grey(factor, (0, 0, WIDTH, HEIGHT))[0].astype(float)
+    means = np.lib.stride_tricks.sliding_window_view(np.pad(grey, 1, mode="reflect"), (3, 3)).mean(axis=(2, 3))
+    points, normals = ellipse(SIZE, 32)
+    nearest = naive_contour.nearest_edges(means, boxes, (0, 0), factor, points, normals, search, 8.0)
+    likely = [[math.exp(-(d**2) / (2 * 5.0**2)) for d in row] for row in nearest]
+    assert any(0.1 > p > 0 for row in likely for p in row) == (search > 5)
+    logs = [sum(math.log(max(0.1, p)) for p in row) for row in likely]
+    np.testing.assert_allclose(scored(likelihood, picture, boxes), logs, atol=5e-3)
+    np.testing.assert_allclose(compared(likelihood, picture, boxes), 1 - np.mean(likely, axis=1), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("size", "max_size", "factor"),
+    [((20, 64), 64, 1), ((65, 20), 64, 2), ((20, 128), 64, 2), ((20, 129), 64, 4), ((500, 500), None, 1)],
+)
+def test_a_box_is_read_no_larger_than_max_size(size, max_size, factor):
+    assert model(size, max_size=max_size).init(frame(head()), states(TRUTH)[0]).factor == factor
 
 
 @pytest.mark.parametrize("clutter", [0.0, 25.0])
