@@ -51,8 +51,9 @@ def _opencv(recipe_: OpenCvRecipe, start: Start) -> Tracker:
 def _box(start: Start, name: str) -> Box:
     box = start.targets[name].box
     if box is None:
+        points = ", or follow its points, by a recipe such as factorized" if start.targets[name].points else ""
         raise InputError(
-            f"{start.origin}: {name} has no box, which the recipe follows; add one, as in box: [x, y, w, h]"
+            f"{start.origin}: {name} has no box, which the recipe follows; add one, as in box: [x, y, w, h]{points}"
         )
     return box
 

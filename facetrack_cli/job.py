@@ -130,7 +130,7 @@ def _track(
     try:
         pipeline.run(
             _frames(source, start.frame, _origin(job, start)),
-            lambda frames: track(tracker, frames, job.recipe.seed),
+            lambda frames: track(tracker, frames, job.recipe.seed, clip=str(job.clip)),
             record,
             outputs.paint if job.video else None,
             threaded=job.threads > 1,
@@ -252,7 +252,7 @@ def place_start(job: Job, start: Start) -> Start:
     _check_frame(job, start.frame, _origin(job, start))
     names = list(start.targets)
     given = start.targets[names[0]]
-    if len(names) > 1 or given.points or given.box is None:
+    if len(names) > 1 or given.points or given.box is None or not job.recipe.points:
         return start
     with _open(job, start.frame) as source:
         frame = next(_frames(source, start.frame, _origin(job, start)))

@@ -125,6 +125,11 @@ class Recipe(Section):
         """Whether another seed may give another track."""
         return True
 
+    @property
+    def judges(self) -> bool:
+        """Whether it may call a part lost."""
+        return True
+
     def error(self, key: str, message: str) -> RecipeError:
         """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
         if self._root is None:
@@ -171,6 +176,11 @@ class ParticleRecipe(Recipe):
     @property
     def particles(self) -> int:
         return self.filter.particles
+
+    @property
+    def judges(self) -> bool:
+        given = self.likelihood
+        return not isinstance(given, Product) or given.contour is not None or given.histogram is not None
 
     @model_validator(mode="after")
     def _check(self, info: ValidationInfo) -> ParticleRecipe:

@@ -58,8 +58,21 @@ def suggest(wrong: str, known: Sequence[str], otherwise: str) -> str:
 
 def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list[Problem]:
     """Everything that the error lists, in the order of the text."""
-    found = [problem for details in error.errors(include_url=False) for problem in _problems(details, model, root)]
+    errors = error.errors(include_url=False)
+    found = [problem for details in errors for problem in _problems(details, model, root)]
+    found += _short_lists([details["loc"] for details in errors if details["type"] == "missing"], root)
     return sorted(found, key=lambda p: (not p.span.source.is_file, p.span.line, p.span.column))
+
+
+def _short_lists(missing: Sequence[Steps], root: Node) -> Iterator[Problem]:
+    """Of lists of a fixed length pydantic says which items are missing, one by one."""
+    wanted: dict[Steps, int] = {}
+    for *path, last in missing:
+        if isinstance(last, int):
+            wanted[tuple(path)] = max(last + 1, wanted.get(tuple(path), 0))
+    for steps, length in wanted.items():
+        node, keys, _ = locate(root, steps)
+        yield Problem(_value_span(node), f"{_dotted(keys)} must have {length} items, not {_length(node)}")
 
 
 def locate(root: Node, path: Steps) -> tuple[Node, list[str], bool]:
@@ -100,6 +113,8 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
     where = _dotted(keys)
     if kind == "too_short" and _length(node) >= context["min_length"]:
         return  # pydantic does not count items that are wrong themselves
+    if kind == "missing" and isinstance(path[-1], int):
+        return  # told of the list as a whole
     if kind == "missing":
         section = f'"{where}"' if where else "the recipe"
         yield Problem(node.key or node.span, f'{section} lacks the key "{path[-1]}"; add it')
@@ -111,8 +126,12 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
     elif kind == "union_tag_invalid":
         wrong = str(context.get("tag"))
         place = node.value["type"].span if isinstance(node.value, dict) else node.span
+        given = node.value["type"].value if isinstance(node.value, dict) else None
         known = [_type_name(member) for member in _models_at(model, tuple(keys))]
-        yield Problem(place, f'unknown {where} type "{wrong}"; {suggest(wrong, known, "it is one of")}')
+        if isinstance(given, str):
+            yield Problem(place, f'unknown {where} type "{wrong}"; {suggest(wrong, known, "it is one of")}')
+        else:
+            yield Problem(place, f"{where}.type cannot be {_shown(given)}; it is one of: {', '.join(known)}")
     else:
         yield Problem(_value_span(node), f"{where or 'the recipe'} {_must(details, node)}")
 

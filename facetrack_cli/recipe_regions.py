@@ -15,11 +15,15 @@ from facetrack_cli.lengths import Length, LengthOrNone
 from facetrack_cli.recipe_base import Section
 from facetrack_cli.recipe_messages import Refusal, refuse
 
+MOST_SEARCH, MOST_SEARCH_PX = 10.0, 10_000.0  # it reaches beyond most pictures, and every step of it takes time
 Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]
 Factor: TypeAlias = Annotated[float, Field(gt=0, le=100)]
-Pair: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
+Entry: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]  # or powers of A overflow, stable or not
+Pair: TypeAlias = Annotated[tuple[Entry, Entry], Field(strict=False)]
 Noise: TypeAlias = Annotated[tuple[LengthOrNone, ...], Field(strict=False, min_length=1, max_length=2)]
-Share: TypeAlias = Annotated[tuple[Annotated[float, Field(ge=0)], ...], Field(strict=False, min_length=1, max_length=2)]
+Share: TypeAlias = Annotated[
+    tuple[Annotated[float, Field(ge=0, le=1e6)], ...], Field(strict=False, min_length=1, max_length=2)
+]
 
 
 class Region(Section):
@@ -114,6 +118,14 @@ class Contour(Section):
     max_size: Annotated[int, Field(ge=16)] | None = 64
     """Boxes with a longer side, in pixels, are read from a reduced picture; null: every pixel."""
 
+    @model_validator(mode="after")
+    def _check(self) -> Contour:
+        most = MOST_SEARCH_PX if self.search.px else MOST_SEARCH
+        if self.search.value > most:
+            reach = f"{MOST_SEARCH:g}, in units of the target's size, or {MOST_SEARCH_PX:g}px"
+            refuse([Refusal(("search",), f"likelihood.contour.search must be at most {reach}")])
+        return self
+
 
 class Histogram(Section):
     """Histograms of hue and saturation in sub-regions of the box (section 3.3)."""
@@ -124,7 +136,7 @@ class Histogram(Section):
     """N_s."""
     regions: Annotated[tuple[Count, Count], Field(strict=False)]
     """[columns, rows] of the sub-regions of the box, N_r of them in all."""
-    lambda_h: Annotated[float, Field(gt=0)]
+    lambda_h: Annotated[float, Field(gt=0, le=1e6)]
     """lambda in p(y | c) = exp(-lambda D^2), D the Bhattacharyya distance from the first frame's histograms."""
     value_bins: Annotated[int, Field(ge=0, le=64)] = 1
     """Bins, by brightness, of pixels too pale or too dark to have a hue; 0 as printed: they are binned by hue."""
@@ -145,7 +157,7 @@ class Correlation(Section):
     """R of eq. 6 as a share of the box's sides: less leaves out what is not the target at the borders of its box."""
     distance: Literal["l2", "saturated_l1", "hausdorff"] = "l2"
     """d_c of eq. 12; the paper takes l2, and compares it with the others in figure 5."""
-    sigma: Annotated[float, Field(gt=0, le=1e6)]
+    sigma: Annotated[float, Field(ge=1e-3, le=1e6)]
     """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2) for l2, 1 / sigma_c for the others."""
     saturation: Annotated[float, Field(gt=0, le=255)] | None = None
     """Where saturated_l1 stops to grow, in grey levels."""

@@ -13,6 +13,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from facetrack_cli.confidence import Confidence, Judgement, Measures
+from facetrack_cli.errors import InputError
 from facetrack_cli.filters import Step
 from facetrack_cli.priors import BoundPrior
 from facetrack_cli.resampling import uniform
@@ -65,10 +66,11 @@ class Target(Protocol):
 Tracker: TypeAlias = tuple[Target, ...]
 
 
-def track(tracker: Tracker, frames: Iterator[Frame], seed: int) -> Iterator[Result]:
+def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "") -> Iterator[Result]:
     """Track over `frames`, the first of which is the one that the tracker's start belongs to.
 
-    The same tracker, frames and seed give the same results, bit for bit.
+    The same tracker, frames and seed give the same results, bit for bit. Raises InputError, which names the `clip`, if
+    the first frame does not show what a target needs.
     """
     rng = np.random.default_rng(seed)
     states: list[Any] = []
@@ -76,7 +78,10 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int) -> Iterator[Resu
         if states:
             ended = [target.advance(rng, state, frame) for target, state in zip(tracker, states, strict=True)]
         else:
-            ended = [target.begin(rng, frame) for target in tracker]
+            try:
+                ended = [target.begin(rng, frame) for target in tracker]
+            except InputError as e:
+                raise InputError(f"{clip}: {e}" if clip else str(e)) from None
         states = [state for state, _ in ended]
         yield Result(frame, tuple(result for _, result in ended))
 
@@ -115,7 +120,10 @@ class ParticleTarget:
         }
 
     def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[State, TargetResult]:
-        learned = self.likelihood.init(frame, self.x0)
+        try:
+            learned = self.likelihood.init(frame, self.x0)
+        except InputError as e:
+            raise InputError(f"{self.name}, {e}") from None
         particles = Particles(np.repeat(self.x0[None], self.particles, axis=0), uniform(self.particles))
         judgement = None
         if self.confidence is not None:

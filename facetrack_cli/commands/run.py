@@ -126,6 +126,11 @@ def command(
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
     recipe = load_recipe(config, overrides)
+    if fail_on_lost and not recipe.judges:
+        raise UsageError(
+            f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
+            "give likelihood.contour or likelihood.histogram too, or leave the option out"
+        )
     clips = list({absolute(clip): clip for clip in reversed(inputs)}.values())[::-1]
     folders, wanted = _places(clips, recipe.name, out, formats)
     workers = min(workers, len(clips))
@@ -209,7 +214,8 @@ def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> Exit
             lost += bool(ended.outcome.lost_at_end)
         if ended.failure:
             failed += 1
-            shown.error(f"facetrack: error: {ended.failure}")
+            named = "" if str(ended.clip) in ended.failure else f"{ended.clip}: "
+            shown.error(f"facetrack: error: {named}{ended.failure}")
     shown.close()
     if failed and stop.code is None:
         shown.say(f"{failed} of {len(jobs)} inputs failed")

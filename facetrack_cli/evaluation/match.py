@@ -19,6 +19,7 @@ from facetrack_cli.evaluation.shift import find_shift
 from facetrack_cli.formats.source import picture_of
 from facetrack_cli.formats.table import Mask, Series, Table, Whole
 from facetrack_cli.formats.targets import choose
+from facetrack_cli.types import BOX
 
 NOT_SEEN = ("hidden", "absent")
 OF_TRUTH = ("visible", *NOT_SEEN)
@@ -95,7 +96,7 @@ def _pair_names(ours: Table, truth: Table, select: str | None, note: Callable[[s
     if not found:
         raise InputError(
             f"{truth.path}: no part in common with {ours.path}; it has {_names(theirs)}, the trajectory "
-            f"{_names(ours.series)}: name targets and parts alike"
+            f"{_names(ours.series)}: {_remedy(theirs, ours.series)}"
         )
     paired = {one.name for one in found}
     alone = [one for one in theirs if one.name not in paired]
@@ -105,6 +106,19 @@ def _pair_names(ours: Table, truth: Table, select: str | None, note: Callable[[s
     if unknown:
         note(f"{truth.path}: says nothing of {_names(unknown)}")
     return found
+
+
+def _remedy(theirs: Sequence[Series], ours: Sequence[Series]) -> str:
+    """How two tables come to have parts in common."""
+    true, tracked = ({one.part == BOX for one in those} for those in (theirs, ours))
+    if (true, tracked) == ({False}, {True}):
+        return "boxes are not measured by points; give truth of boxes, or track by a recipe of points, as factorized"
+    if (true, tracked) == ({True}, {False}):
+        return (
+            "points are not measured by boxes; give truth of points, or track by a recipe of regions, as "
+            "contour_histogram"
+        )
+    return "name targets and parts alike"
 
 
 def _nameless(ours: Table, truth: Table, select: str | None, note: Callable[[str], None]) -> Pair:

@@ -136,7 +136,10 @@ def truth_start(truth: Table, points: Sequence[str]) -> Start:
         if len(targets) == len(truth.targets):
             return Start(frame, targets, str(truth.path))
     what = ", ".join(points) if points else "a box"
-    raise InputError(f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box")
+    other = "" if points else ", or take a recipe of points, as factorized"
+    raise InputError(
+        f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box{other}"
+    )
 
 
 def far_from_truth(start: Start, truth: Table) -> str | None:

@@ -177,7 +177,7 @@ def _run(
         tracker = build_tracker(plan.recipe, plan.start)
         check_windows(plan.recipe, tracker, source.size, plan.start.origin)
         feed = _Feed()
-        runs = [track(tracker, iter(feed), seed) for seed in seeds]
+        runs = [track(tracker, iter(feed), seed, clip=str(plan.clip)) for seed in seeds]
         logs = [_Log() for _ in seeds]
         seconds = [0.0 for _ in seeds]
         count = 0

@@ -73,7 +73,13 @@ class Histogram:
             factor = 2 ** max(0, int(np.ceil(np.log2(max(self.size) / self.max_size))))
         region, ex, ey, _, pixels = self._read(frame, x0[None], factor)
         if region is None:
-            raise InputError(f"frame {frame.index}: the box lies outside the picture: choose another box")
+            wrong = "lies outside the picture: choose another box"
+            if factor > 1:
+                wrong = (
+                    f"has no pixel of the picture at 1/{factor} of its size: give a wider one, or raise "
+                    "likelihood.histogram.max_size"
+                )
+            raise InputError(f"frame {frame.index}: the box {wrong}")
         hsv = _hsv(region)
         if self.value_bins <= 1:
             self._need_colours(frame, hsv)

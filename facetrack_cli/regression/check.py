@@ -296,9 +296,15 @@ def _plan(clip: Path, recipe: Recipe, seeds: int, stop: int | None, stopped: Sto
         start = find_plan_start(clip, recipe, stop=stop, stopped=stopped)
     except InputError as e:
         return Updated(clip.name, recipe.name, None, str(e))
-    missing = [part for target in start.targets.values() for part in recipe.points if part not in target.points]
+    targets = start.targets.values()
+    missing = [part for part in recipe.points if any(part not in target.points for target in targets)]
     if missing:
         message = f"{start.origin}: has no point for {', '.join(missing)}, which the recipe follows"
+        if all(target.box for target in targets):
+            message += "; a recipe of regions, as contour_histogram, follows its boxes"
+        return Updated(clip.name, recipe.name, None, message, skipped=True)
+    if not recipe.points and not all(target.box for target in targets):
+        message = f"{start.origin}: has no box, which the recipe follows; one of points, as factorized, may do"
         return Updated(clip.name, recipe.name, None, message, skipped=True)
     return Plan(
         f"{clip.stem}.{recipe.name}", clip, recipe, start, tuple(range(FIRST_SEED, FIRST_SEED + seeds)), stop

@@ -66,7 +66,7 @@ class LostSpan(NamedTuple):
 class PartStory:
     """How one part fared. `worst` is the frame of its lowest confidence; confidences are nan where there are none.
 
-    `told` is whether the tracker says anything of its status after the first frame.
+    `told` is whether the tracker says anything of its status after the first frame, or would: it has a confidence.
     """
 
     name: str
@@ -158,7 +158,7 @@ def _part(series: Series, name: str, clock: Clock) -> PartStory:
         )
     tracked = sure[(series.status != "init") & np.isfinite(sure)]
     worst = int(frames[np.nanargmin(sure)]) if np.isfinite(sure).any() else int(frames[0])
-    told = bool(((series.status == "tracked") | (series.status == "lost")).any())
+    told = bool((series.status != "init").any() or np.isfinite(sure).any())
     mean = float(tracked.mean()) if len(tracked) else math.nan
     return PartStory(name, len(series), tuple(spans), mean, _least(sure), worst, str(series.status[-1]), told)
 

@@ -213,13 +213,16 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
     for name, target in start.targets.items():
         missing = [part for part in parts if part not in target.points]
         if missing:
+            boxes = ", or follow its box by a recipe of regions, as contour_histogram" if target.box is not None else ""
             raise InputError(
                 f"{start.origin}: no point for {', '.join(missing)} of {name}, which the recipe follows; "
-                "add it, or have all points placed with --box X,Y,W,H"
+                f"add it, or have all points placed with --box X,Y,W,H{boxes}"
             )
         if target.box is not None and not centre_inside(target.box, size):
             box = ", ".join(f"{value:g}" for value in target.box)
-            raise InputError(f"{start.origin}: the box [{box}] of {name} is outside {picture}; correct it")
+            raise InputError(
+                f"{start.origin}: the centre of the box [{box}] of {name} is outside {picture}; correct it"
+            )
         for part, (x, y) in target.points.items():
             if not inside((x, y), size):
                 raise InputError(f"{start.origin}: {part} of {name} at [{x:g}, {y:g}] is outside {picture}; correct it")
