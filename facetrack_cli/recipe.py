@@ -228,7 +228,7 @@ class ParticleRecipe(Recipe):
             if kind not in types:
                 remedy = " or ".join("null" if one is None else one for one in types)
                 message = f'{section} type "{kind}" does not go with target type "{name}"; write {remedy}'
-                found.append(Refusal((section,), message))
+                found.append(Refusal((section, "type"), message))
         return found
 
 

@@ -163,6 +163,14 @@ def test_a_batch_says_of_which_clip_it_speaks(facetrack, clips):
         ("target.scale=[0.5]", "target.scale must have 2 items, not 1"),
         ("target.type=null", "target.type cannot be empty (null); it is one of: points, region"),
         ("likelihood.type={a: b}", "likelihood.type cannot be a mapping; it is one of: colour_ratio, product"),
+        (
+            "filter.type=factorized",
+            '--set filter.type=factorized: filter type "factorized" does not go with target type',
+        ),
+        (
+            "target={type: points, parts: [nose], windows: 9px}",
+            'motion type "first_order" does not go with target type "points"',
+        ),
         ("likelihood.contour.search=11", "likelihood.contour.search must be at most 10, in units of the target's"),
         ("likelihood.contour.search=10001px", "or 10000px"),
         ("likelihood.histogram.lambda_h=1e300", "likelihood.histogram.lambda_h must be at most 1000000"),
