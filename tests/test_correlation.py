@@ -98,6 +98,7 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size,
         assert out[n] == pytest.approx(naive_patches.distance(a, b, kind, 25.0, 1000.0), rel=1e-3, abs=0.05)
 
 
+@settings(deadline=None)
 @given(boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=5))
 def test_extent_is_that_of_its_twin(boxes):
     found = patches.boxes_extent(np.array(boxes), SIZE, WIDTH, HEIGHT)
@@ -265,3 +266,17 @@ def test_where_the_frame_is_cut_does_not_matter():
     fresh = Frame(0, 0.0, before.bgr), Frame(1, 0.0, now.bgr)
     with_stray = scored(likelihood, *fresh, [*x, [10.0, 10.0, 4.0]], [201, 149, 1])
     np.testing.assert_array_equal(alone, with_stray[:2])
+
+
+@pytest.mark.parametrize("grid", [(16, 16), (60, 60)])
+def test_a_parent_is_looked_up_wherever_it_was(grid):
+    """Each frame is cut around the boxes that lie in it."""
+    still = texture(0, 500, 400)
+    before, now = frame(still), frame(moved(still, 2, 1))
+    likelihood = Correlation((64.0, 64.0), grid)
+    x, parent = [[420.0, 330.0, 1.0]], [60.0, 50.0, 1.4]
+    cut = scored(likelihood, before, now, x, parent)
+    whole = Frame(0, 0.0, before.bgr), Frame(1, 0.0, now.bgr)
+    for f in whole:
+        f.grey(likelihood.init(f, states([0, 0, 1.0])[0]).factor, (0, 0, 500, 400))
+    np.testing.assert_array_equal(cut, scored(likelihood, *whole, x, parent))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from facetrack_cli.filters import Sir
+from facetrack_cli.filters import Auxiliary, Factorized, Sir
+from facetrack_cli.likelihoods.product import Product
 from facetrack_cli.motion import FirstOrder
 from facetrack_cli.resampling import uniform
 from facetrack_cli.spaces import BoxSpace, estimate, state_of_box
@@ -126,6 +127,73 @@ def test_the_bootstrap_filter_agrees_with_a_kalman_filter():
         spread.append(found.cov[0] / cov[:2, :2].diagonal().mean())
     assert np.sqrt(np.mean(np.square(off))) < 0.05
     assert np.abs(np.mean(spread, axis=0) - np.eye(2)).max() < 0.05
+
+
+class Family:
+    """Every state is (its own number, that of the state it was moved from); only true parents are taken."""
+
+    def __init__(self):
+        self.born, self.asked = 0, 0
+
+    def propagate(self, rng, x):
+        own = self.born + np.arange(1, x[..., 0].size + 1, dtype=float).reshape(x.shape[:2])
+        self.born += own.size
+        return np.stack([own, x[..., 0]], axis=2)
+
+    def log_likelihood(self, x, parents):
+        np.testing.assert_array_equal(x[..., 1], parents[..., 0])
+        self.asked += 1
+        return -0.1 * (x[..., 0] % 7)
+
+    def log_prior(self, x):
+        return np.zeros(len(x))
+
+
+@pytest.mark.parametrize(("step", "looks"), [(Sir(), 1), (Auxiliary(), 2), (Factorized("none"), 2)])
+def test_filters_score_each_state_beside_the_one_it_was_moved_from(step, looks):
+    """Its likelihood may depend on both (Odobez et al. 2003, eq. 9), in the first stage of a filter too."""
+    family, rng = Family(), np.random.default_rng(7)
+    for parts in (1, 2):
+        particles = Particles(family.propagate(rng, np.zeros((40, parts, 2))), uniform(40))
+        for _ in range(3):
+            family.asked = 0
+            particles, _ = step(rng, particles, family)
+            assert family.asked == looks
+
+
+class Says:
+    """A likelihood that is given its answer, and says what it was asked."""
+
+    def __init__(self, score, distance):
+        self.answer, self.distance = score, distance
+
+    def init(self, frame, x0):
+        return frame, self
+
+    def score(self, learned, frame, x, parents):
+        assert learned[1] is self
+        return self.answer * (parents[..., 0] - x[..., 0])
+
+    def learn(self, learned, frame, state, particles):
+        return frame, self
+
+    def distances(self, learned, frame, x):
+        assert learned[1] is self
+        return np.full(x.shape[:2], self.distance)
+
+
+def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
+    product = Product((Says(2.0, 0.1), Says(3.0, 0.7)), (Says(5.0, 9.0),))
+    x, parents = np.zeros((4, 1, 6)), np.ones((4, 1, 6))
+    learned = product.init("first", x[0])
+    np.testing.assert_allclose(product.score(learned, "now", x, parents), np.full((4, 1), 10.0))
+    np.testing.assert_allclose(product.distances(learned, "now", x), np.full((4, 1), 0.4))
+    after = product.learn(learned, "now", x[0], None)
+    assert [frame for frame, _ in learned] == ["first"] * 3
+    assert [frame for frame, _ in after] == ["now"] * 3
+    product.score(after, "next", x, parents)
+    with pytest.raises(ValueError, match="what the object looks like"):
+        Product((), (Says(5.0, 9.0),)).distances(learned[2:], "now", x)
 
 
 def test_a_box_is_its_state():

@@ -100,6 +100,20 @@ def test_distance_agrees_with_the_formula(seed, x, regions, bins, factor):
     np.testing.assert_allclose(d**2, expected, atol=2e-6)
 
 
+@pytest.mark.parametrize("bins", [(8, 4, 1), (5, 3, 4), (7, 1, 0)])
+def test_every_colour_goes_to_its_bin(bins):
+    """Two colours share a bin if they do by the formula, at every threshold and every border of two bins."""
+    likelihood = Histogram((64.0, 64.0), bins[0], bins[1], (1, 1), value_bins=bins[2], least_saturation=0.3)
+    learned = likelihood.init(frame(np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)),
+                              boxes([(31.5, 31.5)])[0])  # fmt: skip
+    hues, rest = np.arange(0, 180, 3), np.array([0, 1, 50, 51, 52, 76, 77, 84, 85, 86, 127, 128, 200, 254, 255])
+    hsv = np.stack(np.meshgrid(hues, rest, rest, indexing="ij"), axis=-1).astype(np.uint8)
+    ours = kernel.code(hsv.reshape(len(hues), -1, 3), learned.coloured, learned.colourless, *likelihood._least())
+    theirs = [naive.bin_of(*map(int, pixel), *bins, 0.3, 0.2) for pixel in hsv.reshape(-1, 3)]
+    pairs = set(zip(ours.ravel().tolist(), theirs, strict=True))
+    assert len(pairs) == len(set(theirs)) == len(set(ours.ravel().tolist()))
+
+
 def test_hue_saturation_and_value_are_those_of_the_formula():
     bgr = np.random.default_rng(3).integers(0, 256, (1, 3000, 3), dtype=np.uint8)
     seen = cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV)[0].astype(float)
