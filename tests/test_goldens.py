@@ -152,6 +152,14 @@ def test_every_recipe_of_points_has_a_golden_of_each_clip(clip: str) -> None:
     assert {f"{clip}.{recipe}.json" for recipe in POINTS_RECIPES} <= found
 
 
+def test_every_recipe_of_a_region_has_a_golden_of_each_head() -> None:
+    found = {path.name for path in find_goldens(SAMPLES)}
+    regions = [path.stem for path in shipped_recipes() if path.stem.split("_")[0] in ("contour", "histogram")]
+    assert len(regions) == 7
+    assert {f"{clip}.{recipe}.json" for recipe in regions for clip in ("textured", "turning")} <= found
+    assert {"hands.histogram.json", "hands.histogram_correlation.json"} <= found
+
+
 @pytest.mark.parametrize("path", find_goldens(SAMPLES), ids=lambda path: path.stem)
 def test_a_shipped_golden_is_of_the_clip_and_the_recipe_that_are_here(path: Path) -> None:
     golden = read_golden(path)

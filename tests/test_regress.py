@@ -214,6 +214,13 @@ def test_a_recipe_of_the_user_is_found_from_the_folder_of_clips(facetrack: Runne
     assert golden_of(clips).read_bytes() == before, "the same seeds and frames, the same golden"
 
 
+def test_a_script_beside_a_clip_is_no_second_clip_of_that_name(facetrack: Runner, clips: Path) -> None:
+    (clips / "occlusion.py").write_text("print('renders the clip')\n", encoding="utf-8")
+    code, out, err = facetrack("regress", clips, "--config", "factorized", "--update", "--seeds", 20, "--stop", 6)
+    assert code == 0, err
+    assert "occlusion.mp4 factorized: wrote " in out
+
+
 def test_what_cannot_be_recorded_does_not_stop_the_others(facetrack: Runner, clips: Path) -> None:
     (clips / "broken.mp4").write_bytes(b"nothing")
     shutil.copy(clips / "occlusion.init.yaml", clips / "broken.init.yaml")

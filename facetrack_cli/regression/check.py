@@ -33,7 +33,7 @@ from facetrack_cli.start import find_init
 from facetrack_cli.stopping import Stop
 
 Status: TypeAlias = Literal["ok", "fails", "skipped"]
-NO_CLIPS = (".csv", ".json", ".md", ".txt", ".yaml", ".yml")
+NO_CLIPS = (".csv", ".json", ".md", ".py", ".txt", ".yaml", ".yml")
 UPDATE = "record anew with --update if that is meant"
 
 
