@@ -280,3 +280,16 @@ def test_a_parent_is_looked_up_wherever_it_was(grid):
     for f in whole:
         f.grey(likelihood.init(f, states([0, 0, 1.0])[0]).factor, (0, 0, 500, 400))
     np.testing.assert_array_equal(cut, scored(likelihood, *whole, x, parent))
+
+
+def test_children_of_parents_that_differ_in_one_coordinate_are_told_apart():
+    """Each parent is read once for all its children, which follow each other."""
+    before, now = frame(texture(0)), frame(texture(1))
+    likelihood = Correlation(SIZE)
+    parents = states([[80, 60, 1], [80, 60, 1], [84, 60, 1], [84, 64, 1], [84, 64, 1.2], [80, 60, 1]])
+    x = np.repeat(states([81, 61, 1.1]), len(parents), axis=0)
+    learned = likelihood.init(before, x[0])
+    together = likelihood.score(learned, now, x, parents)
+    alone = [likelihood.score(learned, now, x[:1], parent[None])[0] for parent in parents]
+    np.testing.assert_array_equal(together, alone)
+    assert len(np.unique(together)) == 4
