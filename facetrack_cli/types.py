@@ -83,6 +83,11 @@ class Frame:
         return small.astype(np.uint8, copy=False), left * factor, top * factor
 
 
+def factor_for(longest: float, most: float | None) -> int:
+    """The least power of two that reduces a length to `most` pixels or less; 1 without a bound."""
+    return 1 if most is None else 2 ** math.ceil(math.log2(max(longest / most, 1.0)))
+
+
 def _within(inner: Extent, outer: Extent) -> bool:
     return inner[0] >= outer[0] and inner[1] >= outer[1] and inner[2] <= outer[2] and inner[3] <= outer[3]
 

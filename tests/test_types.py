@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facetrack_cli.types import Frame
+from facetrack_cli.types import Frame, factor_for
 
 
 def naive_blocks(picture, factor):
@@ -82,3 +82,11 @@ def test_a_picture_smaller_than_a_block_is_one_block(shape):
     assert small.shape[0] >= 1
     assert small.shape[1] >= 1
     assert np.all(small == 77)
+
+
+@pytest.mark.parametrize(
+    ("longest", "most", "factor"),
+    [(100.0, None, 1), (5.0, 64, 1), (64.0, 64, 1), (64.5, 64, 2), (128.0, 64, 2), (129.0, 64, 4), (3840.0, 15, 256)],
+)
+def test_the_factor_is_the_least_power_of_two_that_brings_a_length_below_its_bound(longest, most, factor):
+    assert factor_for(longest, most) == factor

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.kernels import windows
-from facetrack_cli.types import Array, Extent, Frame, Particles
+from facetrack_cli.types import Array, Extent, Frame, Particles, factor_for
 
 # a window darker than one grey level says nothing; dividing by less would only blow up its noise
 LEAST_MEAN = 1.0
@@ -63,10 +63,7 @@ class ColourRatio:
 
     def init(self, frame: Frame, x0: Array) -> Templates:
         """The templates of K parts at x0 (K, 2)."""
-        factors = np.ones(len(x0), np.int64)
-        if self.max_samples is not None:
-            excess = np.maximum(self.windows.max(axis=1) / self.max_samples, 1.0)
-            factors = 2 ** np.ceil(np.log2(excess)).astype(np.int64)
+        factors = np.array([factor_for(side, self.max_samples) for side in self.windows.max(axis=1).tolist()])
         reach = float(self.windows.max()) / 2 + 3 * int(factors.max())
         extent = windows.extent(x0[None], reach)
         means = np.empty(len(x0))

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.kernels import contour
-from facetrack_cli.types import Array, Extent, Frame, Particles
+from facetrack_cli.types import Array, Extent, Frame, Particles, factor_for
 
 _FAR = 1e9  # pixels; no picture is as large
 
@@ -59,8 +59,7 @@ class Contour:
 
     def init(self, frame: Frame, x0: Array) -> Outline:
         """The ellipse; nothing is learned from the first frame or from x0 (1, 6)."""
-        excess = 1.0 if self.max_size is None else max(max(self.size) / self.max_size, 1.0)
-        return Outline(2 ** math.ceil(math.log2(excess)), *ellipse(self.size, self.normals))
+        return Outline(factor_for(max(self.size), self.max_size), *ellipse(self.size, self.normals))
 
     def score(self, learned: Outline, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_o of x (N, 1, 6) -> (N, 1), from L log K to 0; parents do not matter."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.errors import InputError
 from facetrack_cli.kernels import histogram as kernel
-from facetrack_cli.types import Array, Frame, Image, Particles
+from facetrack_cli.types import Array, Frame, Image, Particles, factor_for
 
 # faces have colour in half of their pixels and more; grey clips after lossy codecs in less than one in a thousand
 LEAST_COLOURED = 0.05
@@ -68,9 +68,7 @@ class Histogram:
 
         Raises InputError if the box shows no colours and `value_bins` does not tell greys apart.
         """
-        factor = 1
-        if self.max_size is not None:
-            factor = 2 ** max(0, int(np.ceil(np.log2(max(self.size) / self.max_size))))
+        factor = factor_for(max(self.size), self.max_size)
         region, ex, ey, _, pixels = self._read(frame, x0[None], factor)
         if region is None:
             wrong = "lies outside the picture: choose another box"
