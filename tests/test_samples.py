@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from itertools import groupby
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -13,7 +11,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-FOLDER = Path(__file__).parent.parent / "sample_videos"
+from tests.samples import FOLDER, read_pictures, read_rows
+
 CLIPS = ("expressions", "occlusion")
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 HEADER = "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,particles,ess,identity,identity_prob"
@@ -28,23 +27,13 @@ class Clip(NamedTuple):
     hidden: np.ndarray
 
 
-def read_rows(name: str) -> list[dict[str, str]]:
-    with (FOLDER / f"{name}.truth.csv").open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.fixture(scope="module", params=CLIPS)
 def clip(request: pytest.FixtureRequest) -> Clip:
     name = request.param
-    video = cv2.VideoCapture(str(FOLDER / f"{name}.mp4"))
-    pictures = []
-    while (got := video.read())[0]:
-        pictures.append(got[1])
-    video.release()
     rows = read_rows(name)
     truth = np.array([[float(r["x"]), float(r["y"])] for r in rows]).reshape(-1, 5, 2)
     hidden = np.array([r["status"] == "hidden" for r in rows]).reshape(-1, 5)
-    return Clip(name, np.array(pictures), truth, hidden)
+    return Clip(name, read_pictures(name), truth, hidden)
 
 
 def test_the_files_are_small_and_of_one_size(clip: Clip) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import sys
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -12,7 +10,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-FOLDER = Path(__file__).parent.parent / "sample_videos"
+from tests.samples import FOLDER, read_pictures, read_rows
+
 TARGETS = ("left_hand", "right_hand")
 CROSSINGS = (106, 150, 205, 235)  # the last frame before the hands change sides
 
@@ -25,22 +24,14 @@ class Clip(NamedTuple):
     hidden: np.ndarray
 
 
-def read_rows() -> list[dict[str, str]]:
-    with (FOLDER / "hands.truth.csv").open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.fixture(scope="module")
 def clip() -> Clip:
     video = cv2.VideoCapture(str(FOLDER / "hands.mp4"))
     assert video.get(cv2.CAP_PROP_FPS) == 25
-    pictures = []
-    while (got := video.read())[0]:
-        pictures.append(got[1])
     video.release()
-    rows = read_rows()
+    rows = read_rows("hands")
     boxes = np.array([[float(r[k]) for k in "xywh"] for r in rows]).reshape(-1, 2, 4)
-    return Clip(np.array(pictures), boxes, np.array([r["status"] == "hidden" for r in rows]).reshape(-1, 2))
+    return Clip(read_pictures("hands"), boxes, np.array([r["status"] == "hidden" for r in rows]).reshape(-1, 2))
 
 
 def overlap(boxes: np.ndarray) -> np.ndarray:
@@ -66,7 +57,7 @@ def apart(a: np.ndarray, b: np.ndarray) -> float:
 def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame_and_hand(clip: Clip) -> None:
     assert (FOLDER / "hands.mp4").stat().st_size < 620_000
     assert clip.pictures.shape == (250, 240, 320, 3)
-    rows = read_rows()
+    rows = read_rows("hands")
     expected = [(str(t), f"{t / 25:.2f}", target, "box") for t in range(250) for target in TARGETS]
     assert [(r["frame"], r["time_s"], r["target"], r["part"]) for r in rows] == expected
     assert {r["status"] for r in rows} == {"visible", "hidden"}

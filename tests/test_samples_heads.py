@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Iterator
 from itertools import groupby
-from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
@@ -15,7 +13,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-FOLDER = Path(__file__).parent.parent / "sample_videos"
+from tests.samples import FOLDER, read_pictures, read_rows
+
 FRAMES = {"textured": 200, "turning": 220}
 INSIDE = 24  # half the side of a patch that lies within the head, in pixels at scale 1
 
@@ -33,20 +32,10 @@ class Clip(NamedTuple):
         return self.boxes[:, 2] / self.boxes[0, 2]
 
 
-def read_rows(name: str) -> list[dict[str, str]]:
-    with (FOLDER / f"{name}.truth.csv").open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def read_clip(name: str) -> Clip:
-    video = cv2.VideoCapture(str(FOLDER / f"{name}.mp4"))
-    pictures = []
-    while (got := video.read())[0]:
-        pictures.append(got[1])
-    video.release()
     rows = read_rows(name)
     boxes = np.array([[float(r[column]) for column in ("x", "y", "w", "h")] for r in rows])
-    return Clip(name, np.array(pictures), boxes, np.array([r["status"] == "hidden" for r in rows]))
+    return Clip(name, read_pictures(name), boxes, np.array([r["status"] == "hidden" for r in rows]))
 
 
 @pytest.fixture(scope="module")
