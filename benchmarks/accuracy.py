@@ -24,6 +24,7 @@ from facetrack_cli.experiments.begin import find_plan_start
 from facetrack_cli.experiments.compare import Options, default_truth, within
 from facetrack_cli.experiments.runs import Failure, Plan, SeedRun, run_plans
 from facetrack_cli.formats.read import read_truth
+from facetrack_cli.formats.table import Table
 from facetrack_cli.recipe import Recipe, load_recipe
 
 WITHIN = 35
@@ -38,6 +39,13 @@ def runs_of(
         Plan(label, clip, recipe, find_plan_start(clip, recipe, truth=truth), tuple(range(seeds)))
         for label, recipe in recipes.items()
     ]
+    yield from paired(plans, truth, jobs)
+
+
+def paired(
+    plans: Sequence[Plan], truth: Table, jobs: int, *, partial: bool = False
+) -> Iterator[tuple[str, list[SeedRun], list[list[Pair]]]]:
+    """Of each plan in turn its label and its runs, one a seed, each with its pairs with the truth."""
     for label, group in itertools.groupby(run_plans(plans, jobs), key=lambda run: run.label):
         runs: list[SeedRun] = []
         for run in group:
@@ -45,7 +53,7 @@ def runs_of(
                 raise run.error
             runs.append(run)
         known = within(truth, runs[0].table, Options())
-        yield label, runs, [match(run.table, known, partial=False, select=None, check_shift=False) for run in runs]
+        yield label, runs, [match(run.table, known, partial=partial, select=None, check_shift=False) for run in runs]
 
 
 def back(occlusion: Occlusion) -> bool:

@@ -27,13 +27,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from accuracy import paired
 
 from facetrack_cli.errors import FacetrackError
 from facetrack_cli.evaluation.boxes import centre_errors, iou, measure_boxes
-from facetrack_cli.evaluation.match import Pair, match
+from facetrack_cli.evaluation.match import Pair
+from facetrack_cli.evaluation.trust import auroc
 from facetrack_cli.experiments.begin import find_plan_start
-from facetrack_cli.experiments.compare import TAIL_IOU, Options, default_truth, tail_overlap, variant, within
-from facetrack_cli.experiments.runs import Failure, Plan, run_plans
+from facetrack_cli.experiments.compare import TAIL_IOU, default_truth, tail_overlap, variant
+from facetrack_cli.experiments.runs import Plan
 from facetrack_cli.formats.read import read_truth
 from facetrack_cli.formats.table import Table
 from facetrack_cli.recipe import Recipe, load_recipe
@@ -66,13 +68,7 @@ def cases(clip: Path, given: argparse.Namespace) -> Iterator[Case]:
             start = true_start(truth, given.start)
         plans.append(Plan(label, clip, recipe, start, tuple(range(given.seeds))))
         particles[label] = config, count
-    for label, group in itertools.groupby(run_plans(plans, given.jobs), key=lambda run: run.label):
-        seeds = []
-        for run in group:
-            if isinstance(run, Failure):
-                raise run.error
-            known = within(truth, run.table, Options())
-            seeds.append(match(run.table, known, partial=given.partial, select=None, check_shift=False))
+    for label, _, seeds in paired(plans, truth, given.jobs, partial=given.partial):
         yield Case(*particles[label], seeds)
 
 
@@ -135,15 +131,11 @@ def trust(label: str, pairs: Sequence[Pair]) -> None:
     of, said, sure = (np.concatenate(values) for values in (overlap, lost, confidence))
     off, on = of < 0.1, of > 0.5
     called = said[off].mean() if off.any() else np.nan
-    # ranks of equal values are their mean, so that they count one half
-    _, place, count = np.unique(sure[on | off], return_inverse=True, return_counts=True)
-    ranks = (np.cumsum(count) - (count - 1) / 2)[place]
-    n, m = int(on.sum()), int(off.sum())
-    auroc = (ranks[on[on | off]].sum() - n * (n + 1) / 2) / (n * m) if n and m else np.nan
+    worth = auroc(sure[on | off], on[on | off])
     quiet = (off & ~said).mean()
     print(
         f"| {label} | {100 * off.mean():.1f} % | {100 * called:.0f} % | {100 * quiet:.1f} % "
-        f"| {100 * said[on].mean():.1f} % | {auroc:.2f} |",
+        f"| {100 * said[on].mean():.1f} % | {np.nan if worth is None else worth:.2f} |",
         flush=True,
     )
 
