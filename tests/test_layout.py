@@ -14,7 +14,7 @@ PACKAGE = Path(facetrack_cli.__file__).parent
 # lowest first; a unit imports only from the layers below its own. A folder is one unit.
 LAYERS = [
     {"errors", "types", "kernels", "kernel_cache", "options", "recipe_base"},
-    {"resampling", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
+    {"resampling", "skin", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
     {"confidence", "filters", "formats", "likelihoods", "motion", "priors", "recipe_messages", "start"},
     {"evaluation", "lengths", "opencv", "prior_fit", "prior_picture", "track"},
     {"pipeline", "plots", "recipe_regions"},

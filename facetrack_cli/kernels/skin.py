@@ -1,0 +1,89 @@
+"""Maps of skin probability, and their sums over boxes by integral images (Gonzalez & Collet, eq. 5-9)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from facetrack_cli.kernels.compiled import exact, inline
+
+# OpenCV's fixed-point BT.601 of 8 bits, full range: 14 bits after the point, and a half to round by
+SHIFT, HALF, MIDDLE = 14, 1 << 13, (128 << 14) + (1 << 13)
+R_TO_Y, G_TO_Y, B_TO_Y = 4899, 9617, 1868
+TO_CR, TO_CB = 11682, 9241
+
+
+@inline
+def _skin(b: Any, g: Any, r: Any, table: Any) -> Any:
+    """table[Cb, Cr] of one pixel; both are in 0..255 for any colour but Cb of pure blue and Cr of pure red, 256."""
+    b, g, r = np.int32(b), np.int32(g), np.int32(r)
+    y = (r * R_TO_Y + g * G_TO_Y + b * B_TO_Y + HALF) >> SHIFT
+    cb = min(max(((b - y) * TO_CB + MIDDLE) >> SHIFT, 0), 255)
+    cr = min(max(((r - y) * TO_CR + MIDDLE) >> SHIFT, 0), 255)
+    return table[cb, cr]
+
+
+@exact
+def skin_map(bgr: Any, table: Any) -> Any:
+    """table[Cb, Cr] of every pixel of bgr (H, W, 3) uint8 -> (H, W) uint8; table (256, 256) uint8."""
+    height, width = bgr.shape[0], bgr.shape[1]
+    out = np.empty((height, width), np.uint8)
+    for y in range(height):
+        for x in range(width):
+            out[y, x] = _skin(bgr[y, x, 0], bgr[y, x, 1], bgr[y, x, 2], table)
+    return out
+
+
+@inline
+def _within(edge: float, count: int) -> float:
+    """An edge in pixels as a coordinate of the integral image, 0..count; nan is 0."""
+    u = edge + 0.5
+    return min(u, float(count)) if u > 0.0 else 0.0
+
+
+@inline
+def _corner(integral: Any, u: float, v: float) -> float:
+    """The integral image at (u, v), bilinear: the sum of all above and to the left, parts of pixels by their area."""
+    i, j = min(int(v), integral.shape[0] - 2), min(int(u), integral.shape[1] - 2)
+    fy, fx = v - i, u - j
+    upper = (1.0 - fx) * integral[i, j] + fx * integral[i, j + 1]
+    lower = (1.0 - fx) * integral[i + 1, j] + fx * integral[i + 1, j + 1]
+    return (1.0 - fy) * upper + fy * lower
+
+
+@inline
+def _box_sum(integral: Any, box: Any) -> float:
+    height, width = integral.shape[0] - 1, integral.shape[1] - 1
+    x0, y0 = _within(box[0], width), _within(box[1], height)
+    x1, y1 = max(_within(box[2], width), x0), max(_within(box[3], height), y0)
+    return _corner(integral, x1, y1) + _corner(integral, x0, y0) - _corner(integral, x1, y0) - _corner(integral, x0, y1)
+
+
+@exact
+def differences(integral: Any, inner: Any, outer: Any) -> Any:
+    """Sums of a map over `inner` and over `outer` boxes, both (N, 4) = x0, y0, x1, y1 -> (N, 2) float64 (eq. 8).
+
+    Edges are in pixels, pixel i covers [i - 0.5, i + 0.5], and parts of pixels count by their area. `integral`
+    (H + 1, W + 1) is cv2.integral of the map, which is 0 beyond its border; a box turned inside out is empty.
+    """
+    out = np.empty((inner.shape[0], 2))
+    for n in range(inner.shape[0]):
+        out[n, 0] = _box_sum(integral, inner[n])
+        out[n, 1] = _box_sum(integral, outer[n])
+    return out
+
+
+@exact
+def at_points(bgr: Any, table: Any, xy: Any) -> Any:
+    """table[Cb, Cr] / 255 of the pixel nearest to each point xy (N, 2) -> (N,) float64; 0 beyond the picture."""
+    height, width = bgr.shape[0], bgr.shape[1]
+    out = np.zeros(xy.shape[0])
+    for n in range(xy.shape[0]):
+        u, v = xy[n, 0] + 0.5, xy[n, 1] + 0.5
+        # what is nan is not within either
+        if u >= 0.0 and u < width and v >= 0.0 and v < height:
+            pixel = bgr[math.floor(v), math.floor(u)]
+            out[n] = _skin(pixel[0], pixel[1], pixel[2], table) / 255.0
+    return out
