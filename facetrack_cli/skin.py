@@ -4,9 +4,9 @@
     mu_S, Sigma_S: mean and covariance of their (Cb, Cr)                                                (eq. 4)
     p(c | skin) = exp(-(c - mu_S)' Sigma_S^-1 (c - mu_S) / 2)        without the factor that makes it a density
 
-so that p is 1 at the mean whatever the spread. Two things are ours. The spread of Sigma_S is kept above a floor in every
-direction, or skin of one flat colour would be found nowhere else. And the rules know neither very dark nor very pale
-skin: when too few pixels pass, the colour is learned from the box itself, and `note` says so.
+so that p is 1 at the mean whatever the spread. Two things are ours. The spread of Sigma_S is kept above a floor in
+every direction, or skin of one flat colour would be found nowhere else. And the rules know neither very dark nor very
+pale skin: when too few pixels pass, the colour is learned from the box itself, and `note` says so.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ LEAST_VARIANCE = 4.0  # of Cb and Cr in any direction, in levels squared
 class SkinModel:
     """A Gaussian on (Cb, Cr): mean (2,), cov (2, 2); full-range BT.601 of 8 bits, as OpenCV has it.
 
-    `table` (256, 256) is 255 p at [Cb, Cr], 255 at the mean; `share` of the box's pixels passed Kovac's rules;
-    `fallback`: too few, so that the box itself was the sample.
+    `table` (256, 256) is 255 p, rounded, at [Cb, Cr]; `share` of the box's pixels passed Kovac's rules; `fallback`: too
+    few, so that the box itself was the sample.
     """
 
     mean: Array

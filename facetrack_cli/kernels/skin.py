@@ -6,45 +6,56 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.kernels.compiled import exact, inline
 
 # OpenCV's fixed-point BT.601 of 8 bits, full range: 14 bits after the point, and a half to round by
-SHIFT, HALF, MIDDLE = 14, 1 << 13, (128 << 14) + (1 << 13)
-R_TO_Y, G_TO_Y, B_TO_Y = 4899, 9617, 1868
-TO_CR, TO_CB = 11682, 9241
+SHIFT, HALF, MIDDLE = np.int32(14), np.int32(1 << 13), np.int32((128 << 14) + (1 << 13))
+R_TO_Y, G_TO_Y, B_TO_Y = np.int32(4899), np.int32(9617), np.int32(1868)
+TO_CR, TO_CB = np.int32(11682), np.int32(9241)
+EIGHT, LARGEST = np.int32(8), np.int32(255)
 
 
 @inline
-def _skin(b: Any, g: Any, r: Any, table: Any) -> Any:
-    """table[Cb, Cr] of one pixel; both are in 0..255 for any colour but Cb of pure blue and Cr of pure red, 256."""
+def _code(b: Any, g: Any, r: Any) -> Any:
+    """256 Cb + Cr of one pixel. No colour has either below 0; pure blue and pure red would have 256."""
     b, g, r = np.int32(b), np.int32(g), np.int32(r)
     y = (r * R_TO_Y + g * G_TO_Y + b * B_TO_Y + HALF) >> SHIFT
-    cb = min(max(((b - y) * TO_CB + MIDDLE) >> SHIFT, 0), 255)
-    cr = min(max(((r - y) * TO_CR + MIDDLE) >> SHIFT, 0), 255)
-    return table[cb, cr]
+    cb = min(((b - y) * TO_CB + MIDDLE) >> SHIFT, LARGEST)
+    cr = min(((r - y) * TO_CR + MIDDLE) >> SHIFT, LARGEST)
+    return (cb << EIGHT) + cr
 
 
 @exact
-def skin_map(bgr: Any, table: Any) -> Any:
-    """table[Cb, Cr] of every pixel of bgr (H, W, 3) uint8 -> (H, W) uint8; table (256, 256) uint8."""
-    height, width = bgr.shape[0], bgr.shape[1]
-    out = np.empty((height, width), np.uint8)
-    for y in range(height):
+def _map(rows: Any, table: Any) -> Any:
+    height, width = rows.shape[0], rows.shape[1] // 3
+    out, codes = np.empty((height, width), np.uint8), np.empty(width, np.int32)
+    for i in range(height):
+        row, made = rows[i], out[i]
+        # in a loop of its own, which vectorises; looking up does not
         for x in range(width):
-            out[y, x] = _skin(bgr[y, x, 0], bgr[y, x, 1], bgr[y, x, 2], table)
+            codes[x] = _code(row[3 * x], row[3 * x + 1], row[3 * x + 2])
+        for x in range(width):
+            made[x] = table[np.uint32(codes[x])]
     return out
 
 
+def skin_map(bgr: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """table[Cb, Cr] of every pixel of bgr (H, W, 3) uint8 -> (H, W) uint8; table (256, 256) uint8."""
+    rows = np.ascontiguousarray(bgr).reshape(bgr.shape[0], 3 * bgr.shape[1])
+    return np.asarray(_map(rows, np.ascontiguousarray(table).reshape(-1)), np.uint8)
+
+
 @inline
-def _within(edge: float, count: int) -> float:
+def _within(edge: float, count: int) -> Any:
     """An edge in pixels as a coordinate of the integral image, 0..count; nan is 0."""
     u = edge + 0.5
     return min(u, float(count)) if u > 0.0 else 0.0
 
 
 @inline
-def _corner(integral: Any, u: float, v: float) -> float:
+def _corner(integral: Any, u: float, v: float) -> Any:
     """The integral image at (u, v), bilinear: the sum of all above and to the left, parts of pixels by their area."""
     i, j = min(int(v), integral.shape[0] - 2), min(int(u), integral.shape[1] - 2)
     fy, fx = v - i, u - j
@@ -54,7 +65,7 @@ def _corner(integral: Any, u: float, v: float) -> float:
 
 
 @inline
-def _box_sum(integral: Any, box: Any) -> float:
+def _box_sum(integral: Any, box: Any) -> Any:
     height, width = integral.shape[0] - 1, integral.shape[1] - 1
     x0, y0 = _within(box[0], width), _within(box[1], height)
     x1, y1 = max(_within(box[2], width), x0), max(_within(box[3], height), y0)
@@ -85,5 +96,6 @@ def at_points(bgr: Any, table: Any, xy: Any) -> Any:
         # what is nan is not within either
         if u >= 0.0 and u < width and v >= 0.0 and v < height:
             pixel = bgr[math.floor(v), math.floor(u)]
-            out[n] = _skin(pixel[0], pixel[1], pixel[2], table) / 255.0
+            code = _code(pixel[0], pixel[1], pixel[2])
+            out[n] = table[code >> EIGHT, code & LARGEST] / 255.0
     return out
