@@ -66,7 +66,7 @@ def box(stage: Stage, t: int) -> tuple[float, float, float, float]:
     return float(x), float(y), float(stage.size[0] * s), float(stage.size[1] * s)
 
 
-def _placed(layer: Picture, window: Window, stage: Stage, at: Array, scale: float) -> Picture:
+def placed(layer: Picture, window: Window, stage: Stage, at: Array, scale: float) -> Picture:
     """A layer of the portrait in the fine picture, its head's box about `at`."""
     left, top, right, bottom = stage.cutout.box
     k = FINE * ZOOM * scale
@@ -84,12 +84,12 @@ def _shifted(picture: Picture, x: float, y: float) -> Picture:
     return np.asarray(cv2.warpAffine(picture, move, size, flags=cv2.INTER_LINEAR), dtype=np.float32)
 
 
-def _over(under: Picture, layer: Picture) -> Picture:
+def over(under: Picture, layer: Picture) -> Picture:
     out: Picture = under * (1 - layer[..., 3:]) + layer[..., :3]
     return out
 
 
-def _reduced(fine: Picture) -> Picture:
+def reduced(fine: Picture) -> Picture:
     return np.asarray(cv2.resize(fine, SIZE, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
@@ -106,12 +106,12 @@ def render(stage: Stage, t: int) -> Picture:
         scale = float(np.interp(moment, frames, stage.scale))
         cx, cy = at(stage.camera, moment)
         picture = _shifted(stage.ground, stage.corner[0] + cx, stage.corner[1] + cy)
-        picture = _over(picture, _placed(stage.cutout.body, (0.0, 0.0), stage, at(stage.body, moment), scale))
-        picture = _over(picture, _placed(layer, window, stage, at(stage.head, moment), scale))
+        picture = over(picture, placed(stage.cutout.body, (0.0, 0.0), stage, at(stage.body, moment), scale))
+        picture = over(picture, placed(layer, window, stage, at(stage.head, moment), scale))
         if stage.tree is not None and stage.tree_x is not None:
             x = float(np.interp(moment, frames, stage.tree_x)) - stage.tree.shape[1] / FINE / 2
-            picture = _over(picture, _shifted(stage.tree, x, stage.corner[1] + cy))
-        shown.append(_reduced(picture))
+            picture = over(picture, _shifted(stage.tree, x, stage.corner[1] + cy))
+        shown.append(reduced(picture))
     return np.asarray(np.mean(shown, axis=0), dtype=np.float32)
 
 
@@ -119,13 +119,13 @@ def covered(stage: Stage, t: int) -> float:
     """The share of the head that the tree covers in frame t."""
     if stage.tree is None or stage.tree_x is None:
         return 0.0
-    skull = _placed(np.dstack([stage.cutout.skull] * 4), (0.0, 0.0), stage, stage.head[t], float(stage.scale[t]))
+    skull = placed(np.dstack([stage.cutout.skull] * 4), (0.0, 0.0), stage, stage.head[t], float(stage.scale[t]))
     x = float(stage.tree_x[t]) - stage.tree.shape[1] / FINE / 2
     tree = _shifted(stage.tree, x, stage.corner[1] + float(stage.camera[t, 1]))
     return float((skull[..., 3] * tree[..., 3]).sum() / skull[..., 3].sum())
 
 
-def _prove(stage: Stage, t: int) -> None:
+def prove(stage: Stage, t: int) -> None:
     """The box is about the head as it is drawn: about the skull to 0.3 px, and about what the head looks like to 1 px.
 
     Below, the box ends at the chin, where the drawn head goes on into the neck, so only the skull is held to it there.
@@ -140,7 +140,7 @@ def _prove(stage: Stage, t: int) -> None:
         (np.dstack([stage.cutout.skull] * 4), (0.0, 0.0), 4, 0.3),
         (layer, window, 3, 1.0),
     ):
-        alpha = _reduced(_placed(drawn, origin, stage, stage.head[t], float(stage.scale[t])))[..., 3]
+        alpha = reduced(placed(drawn, origin, stage, stage.head[t], float(stage.scale[t])))[..., 3]
         found = np.array([*edges(alpha.max(axis=0)), *edges(alpha.max(axis=1))])
         off = np.abs(found - sides)[:checked].max()
         assert off < within, f"frame {t}: drawn from {found}, the truth says {sides}"
@@ -151,17 +151,17 @@ def _clip(stage: Stage) -> Clip:
     pictures: list[NDArray[np.uint8]] = []
     rows = []
     for t in range(len(stage.scale)):
-        _prove(stage, t)
+        prove(stage, t)
         rows.append(TruthRow(t, "head", "box", *box(stage, t), hidden=covered(stage, t) > 0.5))
         pictures.append(expose(render(stage, t), float(stage.light[t]), rng))
     return Clip(pictures, rows, {"head": start_of(rows[0])})
 
 
-def _path(xs: Keys, ys: Keys, frames: int) -> Array:
+def path(xs: Keys, ys: Keys, frames: int) -> Array:
     return np.stack([track(xs, frames), track(ys, frames)], axis=1)
 
 
-def _unsteady(frames: int, seed: int, strength: float) -> Array:
+def unsteady(frames: int, seed: int, strength: float) -> Array:
     """(frames, 2) the tremor of a camera held by hand, in pixels."""
     raw = np.random.default_rng(seed).normal(0, 1, (frames + 40, 2))
     smooth = cv2.GaussianBlur(raw, (1, 0), sigmaX=0.1, sigmaY=2.5)[20:-20]
@@ -191,13 +191,13 @@ def textured_stage() -> Stage:
     def look(t: int) -> tuple[Picture, Window]:
         return face(person, Moment(**{name: float(v[t]) for name, v in values.items()}))[0], person.origin
 
-    camera = _unsteady(n, 41, 0.5) + _path(
+    camera = unsteady(n, 41, 0.5) + path(
         [(0, 40), (22, 62), (45, 24), (64, 58), (84, 20), (100, 30), (122, -22), (140, -34), (158, -70), (178, -55),
          (199, -68)],
         [(0, 0), (26, 9), (50, -9), (74, 11), (100, -5), (128, 13), (150, -12), (176, 8), (199, 0)],
         n,
     )  # fmt: skip
-    head = _path(
+    head = path(
         [(0, 120), (22, 150), (40, 205), (56, 196), (74, 106), (98, 116), (118, 150), (134, 172), (146, 206),
          (163, 236), (184, 176), (199, 190)],
         [(0, 98), (30, 90), (55, 112), (74, 96), (100, 92), (125, 104), (150, 95), (170, 116), (199, 98)],
@@ -221,12 +221,12 @@ def turning_stage() -> Stage:
     def look(t: int) -> tuple[Picture, Window]:
         return rolled.at(float(np.radians(yaw[t]))), (0.0, 0.0)
 
-    camera = _unsteady(n, 42, 0.4) + _path(
+    camera = unsteady(n, 42, 0.4) + path(
         [(0, 0), (30, 16), (60, 8), (90, -18), (120, 12), (160, 22), (190, -12), (219, 0)],
         [(0, 0), (40, 4), (56, 2), (60, 29), (66, 30), (70, 2), (100, -5), (150, 6), (219, 0)],
         n,
     )
-    own = _path(
+    own = path(
         [(0, 232), (14, 232), (50, 84), (80, 88), (100, 132), (126, 74), (150, 96), (166, 96), (204, 226), (219, 220)],
         [(0, 106), (14, 106), (32, 100), (50, 106), (80, 104), (104, 112), (130, 100), (160, 106), (184, 98),
          (204, 106), (219, 104)],
