@@ -6,7 +6,8 @@
 
 so that p is 1 at the mean whatever the spread. Two things are ours. The spread of Sigma_S is kept above a floor in
 every direction, or skin of one flat colour would be found nowhere else. And the rules know neither very dark nor very
-pale skin: when too few pixels pass, the colour is learned from the box itself, and `note` says so.
+pale skin: when they pass too little of the ellipse in the box, all of that ellipse is the sample, and `note` says so.
+Corners do not count, since a warm wall behind a dark face passes there; nor do they teach the wall's colour.
 """
 
 from __future__ import annotations
@@ -20,20 +21,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.errors import InputError
+from facetrack_cli.kernels import skin as kernel
 from facetrack_cli.types import Array, Box, Frame, Image
 
 Mask: TypeAlias = NDArray[np.bool_]
 
-LEAST_SHARE = 0.3
-LEAST_VARIANCE = 4.0  # of Cb and Cr in any direction, in levels squared
+# the rules pass 0.50 to 0.96 of faces that they know, 0.02 to 0.08 of very dark ones, 0.39 of one of a greyish pale
+LEAST_SHARE = 0.4
+# of (Cb, Cr) in any direction, in levels squared: less loses faces as the light changes, more lets in what is near
+LEAST_VARIANCE = 9.0
+LEAST_CONTRAST = 0.1  # where less, boxes at some distance score better than the face itself
 
 
 @dataclass(frozen=True, eq=False)
 class SkinModel:
     """A Gaussian on (Cb, Cr): mean (2,), cov (2, 2); full-range BT.601 of 8 bits, as OpenCV has it.
 
-    `table` (256, 256) is 255 p, rounded, at [Cb, Cr]; `share` of the box's pixels passed Kovac's rules; `fallback`: too
-    few, so that the box itself was the sample.
+    `table` (256, 256) is 255 p, rounded, at [Cb, Cr]; `share` of the pixels of the ellipse in the box passed Kovac's
+    rules; `fallback`: too few, so that all of the ellipse was the sample; `contrast`: mean p in the box less that in
+    the ring of equal area around it, -1..1.
     """
 
     mean: Array
@@ -41,6 +47,7 @@ class SkinModel:
     table: NDArray[np.uint8]
     share: float
     fallback: bool
+    contrast: float
 
 
 def kovac(bgr: Image) -> Mask:
@@ -55,34 +62,39 @@ def kovac(bgr: Image) -> Mask:
 def learn_skin(frame: Frame, box: Box, *, least_share: float = LEAST_SHARE) -> SkinModel:
     """The colour of the skin in a box (left, top, width, height; pixels), which may stick out of the picture.
 
-    The box itself is the sample when less than `least_share` of its pixels pass Kovac's rules: 0 never, above 1 always.
-    Raises InputError if nothing of the box is in the picture.
+    All of the ellipse in the box is the sample when less than `least_share` of it passes Kovac's rules: 0 never (if any
+    pixel passes), above 1 always. Raises InputError if nothing of the box is in the picture.
     """
-    region = _inside(frame, box)
-    passed = kovac(region)
-    share = float(passed.mean())
+    x0, y0, x1, y1 = _inside(frame, box)
+    region = frame.bgr[y0:y1, x0:x1]
+    passed, ellipse = kovac(region), _ellipse(box, x0, y0, region)
+    share = float(passed[ellipse].mean())
     fallback = share < least_share or not passed.any()
     colours = cv2.cvtColor(region, cv2.COLOR_BGR2YCrCb)[..., [2, 1]].astype(np.float64)
-    sample = colours.reshape(-1, 2) if fallback else colours[passed]
+    sample = colours[ellipse if fallback else passed]
     mean = sample.mean(axis=0)
     off = sample - mean
     spread, axes = np.linalg.eigh(off.T @ off / len(sample))
     cov = (axes * np.maximum(spread, LEAST_VARIANCE)) @ axes.T
-    return SkinModel(mean, cov, _table(mean, cov), share, fallback)
+    table = _table(mean, cov)
+    return SkinModel(mean, cov, table, share, fallback, _contrast(frame, box, table))
 
 
 def note(model: SkinModel) -> str | None:
     """What the user should know of how the colour was learned, in one line; None if there is nothing."""
-    if not model.fallback:
-        return None
-    return (
-        f"only {model.share:.0%} of the face's box have the colour that skin has by Kovac's rules, "
-        "so the colour of all of the box is taken for skin; what else has that colour may draw the track away"
-    )
+    said = []
+    if model.fallback:
+        said.append(
+            f"Kovac's rules find skin in only {model.share:.0%} of the face, "
+            "so its colour was learned from all that its box shows"
+        )
+    if model.contrast < LEAST_CONTRAST:
+        said.append("what surrounds the face has nearly the same colour, so skin colour will hardly tell them apart")
+    return "; ".join(said) or None
 
 
-def _inside(frame: Frame, box: Box) -> Image:
-    """The pixels whose centres the box covers, at least one."""
+def _inside(frame: Frame, box: Box) -> tuple[int, int, int, int]:
+    """The half-open ranges of pixels whose centres the box covers, at least one: left, top, right, bottom."""
     width, height = frame.size
     left, right = _span(box[0], box[2], width)
     top, bottom = _span(box[1], box[3], height)
@@ -91,12 +103,33 @@ def _inside(frame: Frame, box: Box) -> Image:
             f"frame {frame.index}: the box {','.join(f'{v:g}' for v in box)} is not in the picture of "
             f"{width}x{height} pixels; give left, top, width and height in pixels of the frame"
         )
-    return frame.bgr[top:bottom, left:right]
+    return left, top, right, bottom
+
+
+def _ellipse(box: Box, x0: int, y0: int, region: Image) -> Mask:
+    """Which pixels of the region at (x0, y0) the box's ellipse covers; all of them if it covers none."""
+    height, width = region.shape[:2]
+    u = (np.arange(x0, x0 + width) - (box[0] + (box[2] - 1) / 2)) / max(box[2] / 2, 0.5)
+    v = (np.arange(y0, y0 + height) - (box[1] + (box[3] - 1) / 2)) / max(box[3] / 2, 0.5)
+    covered = u**2 + v[:, None] ** 2 <= 1
+    return np.asarray(covered if covered.any() else np.ones_like(covered), np.bool_)
+
+
+def _contrast(frame: Frame, box: Box, table: NDArray[np.uint8]) -> float:
+    """Mean p in the box less that around it, of pixels in the picture; 1 where there is nothing around it."""
+    margin_x, margin_y = (math.sqrt(2) - 1) / 2 * box[2], (math.sqrt(2) - 1) / 2 * box[3]
+    x0, y0, x1, y1 = _inside(frame, box)
+    wide = (box[0] - margin_x, box[1] - margin_y, box[2] + 2 * margin_x, box[3] + 2 * margin_y)
+    left, top, right, bottom = _inside(frame, wide)
+    p = kernel.skin_map(frame.bgr[top:bottom, left:right], table).astype(np.float64) / 255
+    face = p[y0 - top : y1 - top, x0 - left : x1 - left]
+    around = p.size - face.size
+    return float(face.mean() - (p.sum() - face.sum()) / around) if around else 1.0
 
 
 def _span(start: float, length: float, count: int) -> tuple[int, int]:
-    first = math.ceil(min(max(start - 0.5, -1.0), count))
-    last = math.ceil(min(max(start + length - 0.5, -1.0), count))
+    first = math.ceil(min(max(-1.0, start - 0.5), count))
+    last = math.ceil(min(max(-1.0, start + length - 0.5), count))
     return max(first, 0), min(max(last, first + 1), count)
 
 
