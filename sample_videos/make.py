@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from clip_files import Clip, Start, TruthRow, fastest, write_init, write_truth, write_video
+from faces_map import map_clip
 from hands import hands
 from heads import textured, turning
 from numpy.typing import NDArray
@@ -83,6 +84,7 @@ CLIPS: Mapping[str, Callable[[], Clip]] = {
     "expressions": lambda: talking_head(expressions()),
     "occlusion": lambda: talking_head(occlusion()),
     "hands": hands,
+    "map": map_clip,
     "textured": textured,
     "turning": turning,
 }

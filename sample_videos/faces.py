@@ -1,0 +1,147 @@
+"""Scenes of one face as a box: where the box is, what is before it, and the proof of both.
+
+The person stands as in `heads.py`, cut out of a portrait; things come before it as layers, each moving as one piece.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from clip_files import Clip, TruthRow, start_of
+from heads import SHUTTER, ZOOM, Stage, Window, placed, prove, reduced, render
+from heads_cutout import Cutout, astronaut_cutout
+from numpy.typing import NDArray
+from portraits import MARGIN, Picture, astronaut
+from render import SIZE, expose, face
+from timeline import Array, Keys, syllables, track
+from warp import Moment
+
+# left, top and side of the face in the portrait, as the frontal cascade finds it when the portrait is as small as here
+FACE = (172.5, 62.0, 102.0)
+Box = tuple[float, float, float, float]  # middle, width and height, in pixels
+
+
+@dataclass(frozen=True)
+class Before:
+    """A thing before the person: BGR times alpha, and alpha, (H, W, 4), and its motion, in pixels a frame."""
+
+    layer: Picture
+    motion: tuple[float, float]
+
+
+Things = Callable[[int], list[Before]]
+
+
+def face_box(stage: Stage, t: int) -> Box:
+    """The truth of frame t. The box goes with head and scale; what the face does in it does not move it."""
+    left, top, right, bottom = stage.cutout.box
+    k = ZOOM * float(stage.scale[t])
+    x = float(stage.head[t, 0]) + k * (FACE[0] + FACE[2] / 2 - (left + right) / 2)
+    y = float(stage.head[t, 1]) + k * (FACE[1] + FACE[2] / 2 - (top + bottom) / 2)
+    return x, y, k * FACE[2], k * FACE[2]
+
+
+def talking(cutout: Cutout, values: dict[str, Array]) -> Callable[[int], tuple[Picture, Window]]:
+    """How the head of NASA's portrait looks in a frame, while mouth, brows and head do what `values` say."""
+    portrait = astronaut()
+    margin = ((MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0))
+    inside = np.dstack([portrait.mouth, np.ones(portrait.mouth.shape[:2], np.float32)])
+    shown = replace(portrait, skin=np.pad(cutout.head, margin), mouth=inside.astype(np.float32))
+
+    def look(t: int) -> tuple[Picture, Window]:
+        return face(shown, Moment(**{name: float(v[t]) for name, v in values.items()}))[0], shown.origin
+
+    return look
+
+
+def standing(
+    ground: Picture, corner: Window, camera: Array, head: Array, scale: Array, expression: dict[str, Keys],
+    spans: list[tuple[int, int]], seed: int,
+) -> Stage:  # fmt: skip
+    """The person of NASA's portrait before a ground, who talks in the frames of `spans`."""
+    n, cutout = len(head), astronaut_cutout()
+    opening, rounding = syllables(np.random.default_rng(seed), spans, n)
+    values = {name: track(keys, n) for name, keys in expression.items()}
+    values |= {"jaw": 0.2 * opening, "pucker": 0.12 * rounding}
+    light = np.full(n, 0.92)
+    return Stage(cutout, ground, corner, camera, head, scale, light, talking(cutout, values), seed)
+
+
+def cover(picture: Picture, thing: Before, soft: float, dark: float) -> Picture:
+    """The picture with the thing and its shadow before it; what moves is blurred while the shutter is open."""
+    steps = np.linspace(-0.5, 0.5, 9) * SHUTTER
+    moved = [_moved(thing.layer, u * thing.motion[0], u * thing.motion[1]) for u in steps]
+    layer = np.mean(moved, axis=0) if max(map(abs, thing.motion)) > 0.5 else thing.layer
+    shadow = cv2.GaussianBlur(_moved(layer[..., 3], 0.7 * soft, soft), (0, 0), soft)[..., None] * dark
+    return np.asarray(picture * (1 - shadow) * (1 - layer[..., 3:]) + layer[..., :3], dtype=np.float32)
+
+
+def _moved(layer: Picture, x: float, y: float) -> Picture:
+    move = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
+    return np.asarray(cv2.warpAffine(layer, move, SIZE, flags=cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def covered(at: Box, things: list[Before]) -> float:
+    """The share of the box that is covered by any of the things."""
+    inside = _inside(at)
+    free = np.ones_like(inside)
+    for thing in things:
+        free = free * (1 - thing.layer[..., 3])
+    return float((inside * (1 - free)).sum() / inside.sum())
+
+
+def _inside(at: Box) -> Picture:
+    """How much of each pixel is in the box, (H, W) 0..1."""
+
+    def along(n: int, middle: float, length: float) -> Array:
+        k = np.arange(n)
+        both = np.minimum(k + 0.5, middle + length / 2) - np.maximum(k - 0.5, middle - length / 2)
+        return np.asarray(np.clip(both, 0, 1), dtype=np.float64)
+
+    x, y, w, h = at
+    return np.asarray(np.outer(along(SIZE[1], y, h), along(SIZE[0], x, w)), dtype=np.float32)
+
+
+def _prove(stage: Stage, t: int) -> None:
+    """The head is where the truth has it, and the square of the portrait that is the face lies in the face's box.
+
+    Raises:
+        AssertionError: it is not so, to 1 px for the drawn head and to 0.1 px for the square.
+    """
+    prove(stage, t)
+    square = np.zeros((*stage.cutout.skull.shape, 4), np.float32)
+    left, top, side = FACE
+    pixel = np.arange(square.shape[0])
+    columns, rows = (np.clip(pixel - first + 0.5, 0, 1) * np.clip(first + side - pixel + 0.5, 0, 1)
+                     for first in (left, top))  # fmt: skip
+    square[..., 3] = np.outer(rows, columns)
+    alpha = reduced(placed(square, (0.0, 0.0), stage, stage.head[t], float(stage.scale[t])))[..., 3].astype(np.float64)
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    total, at = alpha.sum(), face_box(stage, t)
+    found = (float((alpha * x).sum() / total), float((alpha * y).sum() / total), float(total**0.5))
+    off = np.abs(np.array(found) - at[:3]).max()
+    assert off < 0.1, f"frame {t}: the face is at {found}, the truth says {at}"
+
+
+def draw(stage: Stage, t: int, things: list[Before], soft: float, dark: float) -> Picture:
+    """Frame t before light and noise, (H, W, 3)."""
+    picture = render(stage, t)
+    for thing in things:
+        picture = cover(picture, thing, soft, dark)
+    return picture
+
+
+def face_clip(stage: Stage, things: Things, *, soft: float, dark: float, crf: int) -> Clip:
+    """The clip of target `face`, hidden while more than half of its box is covered."""
+    rng = np.random.default_rng(stage.seed)
+    pictures: list[NDArray[np.uint8]] = []
+    rows = []
+    for t in range(len(stage.scale)):
+        _prove(stage, t)
+        before, at = things(t), face_box(stage, t)
+        rows.append(TruthRow(t, "face", "box", *at, hidden=covered(at, before) > 0.5))
+        pictures.append(expose(draw(stage, t, before, soft, dark), float(stage.light[t]), rng))
+    return Clip(pictures, rows, {"face": start_of(rows[0])}, crf)
