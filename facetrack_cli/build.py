@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from facetrack_cli import filters, recipe
 from facetrack_cli.confidence import Confidence
 from facetrack_cli.errors import InputError, RecipeError
+from facetrack_cli.exclusion import Exclusion
 from facetrack_cli.lengths import Length
 from facetrack_cli.likelihoods.colour_ratio import ColourRatio
 from facetrack_cli.likelihoods.contour import Contour
 from facetrack_cli.likelihoods.correlation import Correlation
 from facetrack_cli.likelihoods.histogram import Histogram
 from facetrack_cli.likelihoods.product import Factor, ObjectFactor, Product
+from facetrack_cli.likelihoods.skin_cloud import SkinCloud
+from facetrack_cli.likelihoods.skin_ncc import Ncc, Skin, SkinNcc
 from facetrack_cli.motion import FirstOrder, RandomWalk
 from facetrack_cli.opencv import OpenCvTarget
 from facetrack_cli.opencv import check as check_opencv
 from facetrack_cli.priors import BoundPrior, bind, load_prior
-from facetrack_cli.recipe import OpenCvRecipe, ParticleRecipe, Recipe
+from facetrack_cli.recipe import OpenCvRecipe, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.resampling import SCHEMES
-from facetrack_cli.spaces import BoxSpace, PointSpace, size_of_points, state_of_box
-from facetrack_cli.track import ParticleTarget, Tracker
+from facetrack_cli.spaces import BoxSpace, CloudSpace, PointSpace, size_of_points, state_of_box
+from facetrack_cli.track import Likelihood, ParticleTarget, Tracker
 from facetrack_cli.types import BOX, Array, Box, Start
 
 LEAST_BOX = 6  # pixels of a side; in less there is nothing to see
@@ -35,9 +39,31 @@ def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
     """
     if isinstance(recipe_, OpenCvRecipe):
         return _opencv(recipe_, start)
+    if isinstance(recipe_, ParticlesRecipe):
+        return _several(recipe_, start)
     assert isinstance(recipe_, ParticleRecipe)
-    make = _region_target if isinstance(recipe_.target, recipe.Region) else _points_target
-    return tuple(make(recipe_, name, start) for name in start.targets)
+    return tuple(_target(recipe_, recipe_, name, start) for name in start.targets)
+
+
+def _target(given: ParticleFilter, recipe_: Recipe, name: str, start: Start) -> ParticleTarget:
+    match given.target:
+        case recipe.Region():
+            return _region_target(given, name, start)
+        case recipe.Cloud():
+            return _cloud_target(given, name, start)
+        case _:
+            return _points_target(given, recipe_, name, start)
+
+
+def _several(recipe_: ParticlesRecipe, start: Start) -> Tracker:
+    missing = [name for name in recipe_.filters if name not in start.targets]
+    if missing:
+        raise InputError(f"{start.origin}: has no {', '.join(missing)}, which the recipe follows; add a box of each")
+    targets = [_target(given, recipe_, name, start) for name, given in recipe_.filters.items()]
+    if (e := recipe_.exclusion) is None:
+        return tuple(targets)
+    exclusion = Exclusion(e.strength, e.reach)
+    return tuple(one if one.name in e.first else replace(one, exclusion=exclusion) for one in targets)
 
 
 def _opencv(recipe_: OpenCvRecipe, start: Start) -> Tracker:
@@ -58,35 +84,82 @@ def _box(start: Start, name: str) -> Box:
     return box
 
 
-def _region_target(recipe_: ParticleRecipe, name: str, start: Start) -> ParticleTarget:
-    target, motion, likelihood = recipe_.target, recipe_.motion, recipe_.likelihood
-    assert isinstance(target, recipe.Region)
-    assert isinstance(motion, recipe.FirstOrder)
-    assert isinstance(likelihood, recipe.Product)
+def _region_target(given: ParticleFilter, name: str, start: Start) -> ParticleTarget:
+    assert isinstance(given.target, recipe.Region)
+    box = _seen_box(start, name)
+    unit = _size_of_box(start, name)
+    size = (box[2], box[3])
+    if isinstance(given.likelihood, recipe.SkinNcc):
+        likelihood: Likelihood = _skin_ncc(given.likelihood, size)
+    else:
+        assert isinstance(given.likelihood, recipe.Product)
+        likelihood = _product(given.likelihood, size, unit)
+    return ParticleTarget(
+        name=name,
+        parts=(BOX,),
+        space=BoxSpace(size),
+        x0=state_of_box(*box),
+        particles=given.particles,
+        motion=_region_motion(given.motion, given.target, unit),
+        likelihood=likelihood,
+        prior=None,
+        step=_step(given.filter),
+        # correlation alone cannot tell what it follows
+        confidence=Confidence(**given.confidence.model_dump()) if given.judges else None,
+    )
+
+
+def _region_motion(motion: recipe.FirstOrder | recipe.RandomWalk, target: recipe.Region, unit: float) -> FirstOrder:
+    least, most = target.scale
+    if isinstance(motion, recipe.FirstOrder):
+        position = np.array(motion.position.A), _pixels(motion.position.B, unit)
+        return FirstOrder(position, (np.array(motion.scale.A), np.array(motion.scale.B)), least, most)
+    stay, step = np.array([[1.0, 0.0], [0.0, 0.0]]), motion.sigma.of(BOX).pixels(unit)
+    return FirstOrder((stay, np.array([[step], [0.0]])), (stay, np.array([[motion.scale], [0.0]])), least, most)
+
+
+def _cloud_target(given: ParticleFilter, name: str, start: Start) -> ParticleTarget:
+    assert isinstance(given.motion, recipe.RandomWalk)
+    assert isinstance(given.likelihood, recipe.SkinCloud)
+    box = _seen_box(start, name)
+    unit = _size_of_box(start, name)
+    teacher = name if given.likelihood.learn_from is None else given.likelihood.learn_from
+    if teacher not in start.targets:
+        raise InputError(f"{start.origin}: has no {teacher}, whose colours {name} learns from; add its box")
+    return ParticleTarget(
+        name=name,
+        parts=(BOX,),
+        space=CloudSpace(),
+        x0=state_of_box(*box)[:, :2],
+        particles=given.particles,
+        motion=RandomWalk(np.array([given.motion.sigma.of(BOX).pixels(unit)])),
+        likelihood=SkinCloud(
+            (box[2], box[3]),
+            teacher=_box(start, teacher),
+            least_share=given.likelihood.least_share,
+            floor=given.likelihood.floor,
+            max_size=given.likelihood.max_size,
+        ),
+        prior=None,
+        step=_step(given.filter),
+        confidence=Confidence(**given.confidence.model_dump()),
+        scatter=np.array([box[2:]]),
+    )
+
+
+def _seen_box(start: Start, name: str) -> Box:
+    """The target's box; InputError if it is too small to see anything in it."""
     box = _box(start, name)
     if min(box[2:]) < LEAST_BOX:
         least = f"{LEAST_BOX}x{LEAST_BOX} pixels"
         raise InputError(f"{start.origin}: the box of {name} is smaller than {least}; give a larger one")
-    unit = _size_of_box(start, name)
-    product = _product(likelihood, (box[2], box[3]), unit)
-    return ParticleTarget(
-        name=name,
-        parts=(BOX,),
-        space=BoxSpace((box[2], box[3])),
-        x0=state_of_box(*box),
-        particles=recipe_.particles,
-        motion=FirstOrder(
-            position=(np.array(motion.position.A), _pixels(motion.position.B, unit)),
-            scale=(np.array(motion.scale.A), np.array(motion.scale.B)),
-            least=target.scale[0],
-            most=target.scale[1],
-        ),
-        likelihood=product,
-        prior=None,
-        step=_step(recipe_.filter),
-        # correlation alone cannot tell what it follows
-        confidence=Confidence(**recipe_.confidence.model_dump()) if product.objects else None,
-    )
+    return box
+
+
+def _skin_ncc(given: recipe.SkinNcc, size: tuple[float, float]) -> SkinNcc:
+    skin = None if given.skin is None else Skin(**given.skin.model_dump())
+    ncc = None if given.ncc is None else Ncc(**given.ncc.model_dump())
+    return SkinNcc(size, skin, ncc, given.cost, given.k, given.sigma)
 
 
 def _pixels(rows: Sequence[Sequence[Length]], unit: float) -> Array:
@@ -130,19 +203,19 @@ def _product(given: recipe.Product, size: tuple[float, float], unit: float) -> P
     return Product(tuple(objects), tuple(motions))
 
 
-def _points_target(recipe_: ParticleRecipe, name: str, start: Start) -> ParticleTarget:
-    assert isinstance(recipe_.target, recipe.Points)
-    assert isinstance(recipe_.motion, recipe.RandomWalk)
-    assert isinstance(recipe_.likelihood, recipe.ColourRatio)
-    parts = tuple(recipe_.target.parts)
-    given = start.targets[name]
-    missing = [part for part in parts if part not in given.points]
+def _points_target(given: ParticleFilter, recipe_: Recipe, name: str, start: Start) -> ParticleTarget:
+    assert isinstance(given.target, recipe.Points)
+    assert isinstance(given.motion, recipe.RandomWalk)
+    assert isinstance(given.likelihood, recipe.ColourRatio)
+    parts = tuple(given.target.parts)
+    placed = start.targets[name]
+    missing = [part for part in parts if part not in placed.points]
     if missing:
         raise InputError(f"{start.origin}: {name} has no point for {', '.join(missing)}; the recipe wants them")
-    x0 = np.array([given.points[part] for part in parts], dtype=float)
+    x0 = np.array([placed.points[part] for part in parts], dtype=float)
     size = size_of_points(x0) if len(parts) > 1 else _size_of_box(start, name)
-    windows = np.array([[side.pixels(size) for side in recipe_.target.window(part)] for part in parts])
-    for part, side in given.windows.items():
+    windows = np.array([[side.pixels(size) for side in given.target.window(part)] for part in parts])
+    for part, side in placed.windows.items():
         if part in parts:
             windows[parts.index(part)] = side
     return ParticleTarget(
@@ -150,12 +223,12 @@ def _points_target(recipe_: ParticleRecipe, name: str, start: Start) -> Particle
         parts=parts,
         space=PointSpace(windows),
         x0=x0,
-        particles=recipe_.filter.particles,
-        motion=RandomWalk(np.array([recipe_.motion.sigma.of(part).pixels(size) for part in parts])),
-        likelihood=_likelihood(recipe_.likelihood, windows),
-        prior=_prior(recipe_, parts, x0, start.origin),
-        step=_step(recipe_.filter),
-        confidence=Confidence(**recipe_.confidence.model_dump()),
+        particles=given.filter.particles,
+        motion=RandomWalk(np.array([given.motion.sigma.of(part).pixels(size) for part in parts])),
+        likelihood=_likelihood(given.likelihood, windows),
+        prior=_prior(given.prior, recipe_, parts, x0, start.origin),
+        step=_step(given.filter),
+        confidence=Confidence(**given.confidence.model_dump()),
     )
 
 
@@ -178,12 +251,14 @@ def _likelihood(given: recipe.ColourRatio, windows: Array) -> ColourRatio:
     )
 
 
-def _prior(recipe_: ParticleRecipe, parts: Sequence[str], x0: Array, origin: str) -> BoundPrior | None:
-    if recipe_.prior is None:
+def _prior(
+    given: recipe.Parzen | None, recipe_: Recipe, parts: Sequence[str], x0: Array, origin: str
+) -> BoundPrior | None:
+    if given is None:
         return None
-    prior = load_prior(recipe.resolve_file(recipe_, recipe_.prior.file))
+    prior = load_prior(recipe.resolve_file(recipe_, given.file))
     try:
-        return bind(prior, parts, x0, recipe_.prior.sigma)
+        return bind(prior, parts, x0, given.sigma)
     except RecipeError as e:
         raise recipe_.error("prior.file", str(e)) from None
     except InputError as e:

@@ -147,7 +147,7 @@ def _track(
     footer = Footer(
         complete=source.complete and stopped is None,
         stopped=stopped,
-        warnings=tuple(source.warnings),
+        warnings=(*source.warnings, *tally.notes),
         lost_frames=tally.lost,
         variable_fps=source.variable,
     )
@@ -171,17 +171,19 @@ def _track(
 
 
 class _Tally:
-    """Counts frames and lost parts, and measures the rate from the first frame on, start-up apart."""
+    """Counts frames and lost parts, keeps notes, and measures the rate from the first frame on, start-up apart."""
 
     def __init__(self) -> None:
         self.frames = 0
         self.lost: Counter[str] = Counter()
         self.lost_at_end: tuple[str, ...] = ()
+        self.notes: tuple[str, ...] = ()
         self._began = 0.0
 
     def count(self, result: Result) -> None:
         if self.frames == 0:
             self._began = time.perf_counter()
+            self.notes = result.notes
         self.frames += 1
         self.lost_at_end = tuple(
             f"{target.name}/{part.name}" for target in result.targets for part in target.parts if part.status == "lost"
@@ -231,14 +233,19 @@ def find_start(job: Job, stop: Stop) -> Start | None:
 
 
 def _look(job: Job, stop: Stop) -> Start | None:
-    from facetrack_cli.start import haar_start
+    from facetrack_cli.start import haar_start, name_targets
 
     origin = "the search" if job.init_frame is None else "--init-frame"
     first = job.start if job.init_frame is None else job.init_frame
     _check_frame(job, first, origin)
     with _open(job, first) as source:
         try:
-            return haar_start(_frames(source, first, origin, stop), job.recipe.points, clip=str(job.clip))
+            return haar_start(
+                _frames(source, first, origin, stop),
+                job.recipe.points,
+                clip=str(job.clip),
+                complete=lambda frame, start: name_targets(start, job.recipe.followed, frame, clip=str(job.clip)),
+            )
         except InputError:
             if stop():
                 return None
@@ -246,11 +253,17 @@ def _look(job: Job, stop: Stop) -> Start | None:
 
 
 def place_start(job: Job, start: Start) -> Start:
-    """The start with its points: where one target has a box alone, the picture says where they are."""
-    from facetrack_cli.start import box_start
+    """The start with what it does not say: points of a target that is a box alone, targets that the recipe names."""
+    from facetrack_cli.start import box_start, name_targets
 
     _check_frame(job, start.frame, _origin(job, start))
     names = list(start.targets)
+    if job.recipe.followed:
+        if set(job.recipe.followed) <= set(names):
+            return name_targets(start, job.recipe.followed, None, clip=str(job.clip))
+        with _open(job, start.frame) as source:
+            frame = next(_frames(source, start.frame, _origin(job, start)))
+        return name_targets(start, job.recipe.followed, frame, clip=str(job.clip))
     given = start.targets[names[0]]
     if len(names) > 1 or given.points or given.box is None or not job.recipe.points:
         return start

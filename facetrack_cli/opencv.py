@@ -83,7 +83,9 @@ class OpenCvTarget:
             ) from None
         return _State(tracker, box), self._result(box, "init")
 
-    def advance(self, rng: np.random.Generator, state: _State, frame: Frame) -> tuple[_State, TargetResult]:
+    def advance(
+        self, rng: np.random.Generator, state: _State, frame: Frame, covers: object = ()
+    ) -> tuple[_State, TargetResult]:
         try:
             found, box = state.tracker.update(frame.bgr)
         except cv2.error:  # as MIL does where no place is left to look at
@@ -92,6 +94,9 @@ class OpenCvTarget:
         if not found or box[2] < 1 or box[3] < 1:
             return state, self._result(state.box, "lost")
         return _State(state.tracker, box), self._result(box, "tracked")
+
+    def cover(self, state: _State) -> None:
+        """OpenCV's trackers know nothing of each other."""
 
     def _whole(self, frame: Frame) -> tuple[int, int, int, int]:
         """The start's box over whole pixels, inside the picture and off its right and lower edge."""

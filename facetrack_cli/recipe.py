@@ -11,20 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
     Field,
     PrivateAttr,
     TypeAdapter,
     ValidationError,
-    ValidationInfo,
     model_validator,
 )
 
 from facetrack_cli.errors import RecipeError
 from facetrack_cli.lengths import Length, PerPart, Window
 from facetrack_cli.recipe_base import Section
+from facetrack_cli.recipe_filter import ParticleFilter
 from facetrack_cli.recipe_messages import Refusal, locate, problems, refuse, suggest
 from facetrack_cli.recipe_regions import Contour, Correlation, FirstOrder, Histogram, Product, Region
 from facetrack_cli.recipe_sections import (
@@ -32,33 +32,34 @@ from facetrack_cli.recipe_sections import (
     ColourRatio,
     Confidence,
     Factorized,
-    Filter,
     Independent,
-    Likelihood,
-    Motion,
     Parzen,
     Points,
-    Prior,
     RandomWalk,
     Sir,
-    Target,
 )
+from facetrack_cli.recipe_skin import Cloud, Exclusion, Pattern, Skin, SkinCloud, SkinNcc
 from facetrack_cli.yaml_text import Node, Problem, Source, Span, YamlProblems, assign, parse, read_source
 
 __all__ = [
     "Auxiliary",
+    "Cloud",
     "ColourRatio",
     "Confidence",
     "Contour",
     "Correlation",
+    "Exclusion",
     "Factorized",
     "FirstOrder",
     "Histogram",
     "Independent",
     "Length",
     "OpenCvRecipe",
+    "ParticleFilter",
     "ParticleRecipe",
+    "ParticlesRecipe",
     "Parzen",
+    "Pattern",
     "PerPart",
     "Points",
     "Product",
@@ -66,6 +67,9 @@ __all__ = [
     "Recipe",
     "Region",
     "Sir",
+    "Skin",
+    "SkinCloud",
+    "SkinNcc",
     "Window",
     "check_recipe",
     "completed",
@@ -80,8 +84,7 @@ __all__ = [
 ]
 
 
-MOST_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
-MOST_COMPARED = 2_000  # particles that are compared with each other: memory grows with their square
+TargetName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
 
 class Recipe(Section):
@@ -113,6 +116,11 @@ class Recipe(Section):
     @property
     def points(self) -> tuple[str, ...]:
         """The points that a start must place in every target; none for a tracker that begins with a box."""
+        return ()
+
+    @property
+    def followed(self) -> tuple[str, ...]:
+        """The names of its targets, the one whose face is looked for first; none for a tracker of whatever there is."""
         return ()
 
     @property
@@ -151,95 +159,66 @@ class OpenCvRecipe(Recipe):
         return self.tracker == "mil"  # its features are drawn
 
 
-class ParticleRecipe(Recipe):
+class ParticleRecipe(ParticleFilter, Recipe):
     """A particle filter: what is tracked, how it moves, how it looks, and which filter."""
 
     type: Literal["particle_filter"] = "particle_filter"
     """A particle filter; may be left out."""
-    target: Target
-    """What is tracked: the state alpha."""
-    motion: Motion
-    """How it moves from frame to frame: the transition density p(alpha_i | alpha^-)."""
-    likelihood: Likelihood
-    """How a part looks: the observation model p(y | alpha_i)."""
-    filter: Filter
-    """How the particles are proposed, weighted and resampled."""
-    prior: Prior | None = None
-    """Which shapes are likely: p(alpha); null for none."""
-    confidence: Confidence = Confidence()
-    """When a part counts as lost, and when as found again."""
+
+
+class ParticlesRecipe(Recipe):
+    """Several targets, each followed by a particle filter of its own; they may keep off each other."""
+
+    type: Literal["particle_filters"]
+    """Several particle filters, one for each target."""
+    targets: Annotated[dict[TargetName, ParticleFilter | None], Field(min_length=1, max_length=20)]
+    """A particle filter for each target, by its name in the init file; null for none."""
+    exclusion: Exclusion | None = None
+    """How targets keep off each other; null: each is followed for itself."""
 
     @property
-    def points(self) -> tuple[str, ...]:
-        return self.target.parts
+    def followed(self) -> tuple[str, ...]:
+        return tuple(self.filters)
+
+    @property
+    def filters(self) -> Mapping[str, ParticleFilter]:
+        """Those that are there, in their order; the first is the one whose face is looked for."""
+        return {name: one for name, one in self.targets.items() if one is not None}
 
     @property
     def particles(self) -> int:
-        return self.filter.particles
+        return sum(one.particles for one in self.filters.values())
 
     @property
     def judges(self) -> bool:
-        given = self.likelihood
-        return not isinstance(given, Product) or given.contour is not None or given.histogram is not None
+        return any(one.judges for one in self.filters.values())
 
     @model_validator(mode="after")
-    def _check(self, info: ValidationInfo) -> ParticleRecipe:
-        refuse(self._mismatched())
-        found: list[Refusal] = []
-        if isinstance(self.target, Points):
-            assert isinstance(self.motion, RandomWalk)
-            found += self.target.windows.refusals(("target", "windows"), self.target.parts)
-            found += self.motion.sigma.refusals(("motion", "sigma"), self.target.parts)
-        hypotheses = self.filter.particles * max(len(self.target.parts), 1)
-        if hypotheses > MOST_HYPOTHESES:
-            message = f"particles times parts is {hypotheses:,}; no more than {MOST_HYPOTHESES:,} fit into memory"
-            found.append(Refusal(("filter", "particles"), message))
-        match self.filter:
-            case Factorized(reweight="transition", particles=n) if n > MOST_COMPARED:
-                message = (
-                    f"reweight: transition compares every two particles; give {MOST_COMPARED:,} at most, not {n:,}"
-                )
-                found.append(Refusal(("filter", "particles"), message))
-            case Factorized(reweight="prior") if self.prior is None:
-                remedy = "add a prior section, or write reweight: transition"
-                found.append(Refusal(("filter", "reweight"), f"filter.reweight: prior needs a prior; {remedy}"))
-            case Factorized(from_prior=share) if share > 0 and self.prior is None:
-                message = "filter.from_prior above 0 needs a prior; add a prior section, or write 0"
-                found.append(Refusal(("filter", "from_prior"), message))
-            case Factorized(reweight="transition", from_prior=share) if share > 0:
-                message = "filter.from_prior above 0 goes with reweight: prior; eq. 7 knows the motion model alone"
-                found.append(Refusal(("filter", "from_prior"), message))
-            case Independent() if self.prior is not None:
-                message = 'filter type "independent" makes no use of a prior; remove it, or write prior: null'
-                found.append(Refusal(("prior",), message))
-            case _:
-                pass
+    def _check(self) -> ParticlesRecipe:
+        names = list(self.filters)
+        if not names:
+            refuse([Refusal(("targets",), "targets has none left; give one of them a particle filter")])
+        known = f"there are {', '.join(names)}"
+        found = []
+        for name, one in self.filters.items():
+            if isinstance(one.target, Points):
+                message = "several targets are regions or clouds; follow points by a recipe of their own"
+                found.append(Refusal(("targets", name, "target", "type"), message))
+            if isinstance(one.likelihood, SkinCloud) and one.likelihood.learn_from not in (None, *names):
+                message = f'there is no target "{one.likelihood.learn_from}" to learn from; {known}'
+                found.append(Refusal(("targets", name, "likelihood", "learn_from"), message))
+        for i, name in enumerate(self.exclusion.first if self.exclusion is not None else ()):
+            if name not in names:
+                found.append(Refusal(("exclusion", "first", i), f'there is no target "{name}"; {known}'))
         refuse(found)
         return self
 
-    def _mismatched(self) -> list[Refusal]:
-        """What does not go with the type of the target."""
-        name = self.target.type
-        wanted = _POINTS_GO_WITH if isinstance(self.target, Points) else _REGIONS_GO_WITH
-        found = []
-        for section, types in wanted.items():
-            given = getattr(self, section)
-            kind = None if given is None else given.type
-            if kind not in types:
-                remedy = " or ".join("null" if one is None else one for one in types)
-                message = f'{section} type "{kind}" does not go with target type "{name}"; write {remedy}'
-                found.append(Refusal((section, "type"), message))
-        return found
 
-
-_POINTS_GO_WITH: Mapping[str, Sequence[str | None]] = {"motion": ["random_walk"], "likelihood": ["colour_ratio"]}
-_REGIONS_GO_WITH: Mapping[str, Sequence[str | None]] = {
-    "motion": ["first_order"],
-    "likelihood": ["product"],
-    "filter": ["sir", "auxiliary"],  # the others resample parts apart, and a region is one part
-    "prior": [None],
+KINDS: Mapping[str, type[Recipe]] = {
+    "particle_filter": ParticleRecipe,
+    "particle_filters": ParticlesRecipe,
+    "opencv": OpenCvRecipe,
 }
-KINDS: Mapping[str, type[Recipe]] = {"particle_filter": ParticleRecipe, "opencv": OpenCvRecipe}
 
 
 def load_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> Recipe:
@@ -331,7 +310,7 @@ def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 def json_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of a recipe."""
-    schema = TypeAdapter(ParticleRecipe | OpenCvRecipe).json_schema()
+    schema = TypeAdapter(ParticleRecipe | ParticlesRecipe | OpenCvRecipe).json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Recipe", **schema}
 
 

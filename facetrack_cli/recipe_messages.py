@@ -176,12 +176,17 @@ def _unknown_key(key: str, path: Steps, model: type[BaseModel], root: Node) -> s
 def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
     """The models that may stand at a path: one, or all members of a union whose member the path does not name."""
     here = [model]
+    named_by_user = False  # the key of a mapping from any name to a model
     for step in path:
+        if named_by_user:
+            named_by_user = False
+            continue
         named = [one for one in here if len(here) > 1 and _type_name(one) == step]
         if named:
             here = named
             continue
         fields = [one.model_fields[step] for one in here if isinstance(step, str) and step in one.model_fields]
+        named_by_user = any(get_origin(info.annotation) is dict for info in fields)
         here = [below for info in fields for below in _models_in(info.annotation)]
     return here
 
@@ -191,6 +196,8 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
         return [annotation]
     if get_origin(annotation) in (Union, types.UnionType):
         return [model for member in get_args(annotation) for model in _models_in(member)]
+    if get_origin(annotation) is dict:
+        return _models_in(get_args(annotation)[1])
     return _models_in(get_args(annotation)[0]) if get_origin(annotation) is Annotated else []
 
 

@@ -15,6 +15,7 @@ from facetrack_cli.lengths import Length, LengthPerPart, WindowPerPart
 from facetrack_cli.recipe_base import Section
 from facetrack_cli.recipe_messages import Refusal, refuse
 from facetrack_cli.recipe_regions import FirstOrder, Product, Region
+from facetrack_cli.recipe_skin import Cloud, SkinCloud, SkinNcc
 
 PartName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 
@@ -51,6 +52,8 @@ class RandomWalk(Section):
     """Each part stays where it was, give or take."""
     sigma: LengthPerPart
     """Standard deviation of a part's step from frame to frame, along x and along y."""
+    scale: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Of a region: standard deviation of its scale's step, 1 being its size at the start; 0: its size stays."""
 
 
 class ColourRatio(Section):
@@ -143,8 +146,8 @@ class Confidence(Section):
 
 
 # where later trackers join: another member of a union, told apart by its `type`
-Target: TypeAlias = Annotated[Points | Region, Field(discriminator="type")]
+Target: TypeAlias = Annotated[Points | Region | Cloud, Field(discriminator="type")]
 Motion: TypeAlias = Annotated[RandomWalk | FirstOrder, Field(discriminator="type")]
-Likelihood: TypeAlias = Annotated[ColourRatio | Product, Field(discriminator="type")]
+Likelihood: TypeAlias = Annotated[ColourRatio | Product | SkinNcc | SkinCloud, Field(discriminator="type")]
 Filter: TypeAlias = Annotated[Sir | Auxiliary | Factorized | Independent, Field(discriminator="type")]
 Prior: TypeAlias = Parzen

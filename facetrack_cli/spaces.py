@@ -5,6 +5,7 @@ space         a part's state             image geometry
 ============  =========================  ==============================================================================
 PointSpace    x, y                       a window of fixed size around each point
 BoxSpace      x, y, s, and their speeds  an upright box, s times as large as at the start (Odobez 2003, section 3.2)
+CloudSpace    x, y of one pixel          an upright box about the whole cloud of particles (Gianni et al. 2009)
 ============  =========================  ==============================================================================
 """
 
@@ -28,8 +29,8 @@ class Estimate(NamedTuple):
 class Space(Protocol):
     """What a state is in the picture. Its first two coordinates are the centre of the part, in pixels."""
 
-    def windows(self, state: Array) -> Array:
-        """(K, 2): width and height in pixels of each part of a state (K, D)."""
+    def windows(self, estimated: Estimate) -> Array:
+        """(K, 2): width and height in pixels of each part."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class PointSpace:
 
     sides: Array
 
-    def windows(self, state: Array) -> Array:
+    def windows(self, estimated: Estimate) -> Array:
         return self.sides
 
 
@@ -48,8 +49,19 @@ class BoxSpace:
 
     size: tuple[float, float]
 
-    def windows(self, state: Array) -> Array:
-        return np.asarray(state[:, 2:3] * np.array(self.size))
+    def windows(self, estimated: Estimate) -> Array:
+        return np.asarray(estimated.mean[:, 2:3] * np.array(self.size))
+
+
+@dataclass(frozen=True)
+class CloudSpace:
+    """A cloud in which each particle is a pixel: state (1, 2) = (x, y).
+
+    Its box has four standard deviations a side, which is exact of an ellipse evenly filled.
+    """
+
+    def windows(self, estimated: Estimate) -> Array:
+        return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
 
 
 def estimate(particles: Particles) -> Estimate:
@@ -58,6 +70,13 @@ def estimate(particles: Particles) -> Estimate:
     mean = np.einsum("n,nkd->kd", w, particles.x)
     centred = particles.x[..., :2] - mean[:, :2]
     return Estimate(mean, np.einsum("n,nkd,nke->kde", w, centred, centred))
+
+
+def evenly(x0: Array, windows: Array) -> Estimate:
+    """The estimate of x0 (K, D) and `windows` (K, 2) at the start, with the covariance of evenly filled ellipses."""
+    cov = np.zeros((len(x0), 2, 2))
+    cov[:, [0, 1], [0, 1]] = (windows / 4.0) ** 2
+    return Estimate(x0, cov)
 
 
 def size_of_points(x0: Array) -> float:

@@ -6,18 +6,19 @@ A tracker is a tuple of targets, put together by `build.py`: particle filters, o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
 from facetrack_cli.confidence import Confidence, Judgement, Measures
 from facetrack_cli.errors import InputError
+from facetrack_cli.exclusion import Cover, Exclusion
 from facetrack_cli.filters import Step
 from facetrack_cli.priors import BoundPrior
 from facetrack_cli.resampling import uniform
-from facetrack_cli.spaces import Estimate, Space, estimate
+from facetrack_cli.spaces import Estimate, Space, estimate, evenly
 from facetrack_cli.types import Array, Frame, Info, Particles, PartResult, Result, Status, TargetResult
 
 
@@ -59,8 +60,13 @@ class Target(Protocol):
     def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[Any, TargetResult]:
         """The state after the first frame, and what there is to say of it."""
 
-    def advance(self, rng: np.random.Generator, state: Any, frame: Frame) -> tuple[Any, TargetResult]:
-        """The state after one more frame, and what there is to say of it."""
+    def advance(
+        self, rng: np.random.Generator, state: Any, frame: Frame, covers: Sequence[Cover]
+    ) -> tuple[Any, TargetResult]:
+        """The state after one more frame, and what there is to say of it; `covers`: what the other targets explain."""
+
+    def cover(self, state: Any) -> Cover | None:
+        """What of the picture it explains, which others may keep off; None if it does not say."""
 
 
 Tracker: TypeAlias = tuple[Target, ...]
@@ -69,28 +75,34 @@ Tracker: TypeAlias = tuple[Target, ...]
 def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "") -> Iterator[Result]:
     """Track over `frames`, the first of which is the one that the tracker's start belongs to.
 
-    The same tracker, frames and seed give the same results, bit for bit. Raises InputError, which names the `clip`, if
-    the first frame does not show what a target needs.
+    Targets take their turn in their order: those that came before are known where they are in this frame, the others
+    where they were in the last. The same tracker, frames and seed give the same results, bit for bit. Raises
+    InputError, which names the `clip`, if the first frame does not show what a target needs.
     """
     rng = np.random.default_rng(seed)
     states: list[Any] = []
     for frame in frames:
+        results = []
         if states:
-            ended = [target.advance(rng, state, frame) for target, state in zip(tracker, states, strict=True)]
+            for i, target in enumerate(tracker):
+                covers = [o.cover(s) for j, (o, s) in enumerate(zip(tracker, states, strict=True)) if j != i]
+                states[i], result = target.advance(rng, states[i], frame, [one for one in covers if one is not None])
+                results.append(result)
         else:
             try:
                 ended = [target.begin(rng, frame) for target in tracker]
             except InputError as e:
                 raise InputError(f"{clip}: {e}" if clip else str(e)) from None
-        states = [state for state, _ in ended]
-        yield Result(frame, tuple(result for _, result in ended))
+            states, results = [state for state, _ in ended], [result for _, result in ended]
+        yield Result(frame, tuple(results))
 
 
 @dataclass(frozen=True)
 class State:
-    """What a particle filter carries on: its particles, what was learned of the clip, and how each part is judged."""
+    """What a particle filter carries on: particles, estimate, what was learned of the clip, how parts are judged."""
 
     particles: Particles
+    estimated: Estimate
     learned: Any
     judgement: Judgement | None
 
@@ -99,7 +111,9 @@ class State:
 class ParticleTarget:
     """A target followed by a particle filter. `x0` (K, D): the state in the first frame.
 
-    `confidence` is None where the likelihood knows how the target moves and not what it looks like.
+    `confidence` is None where the likelihood knows how the target moves and not what it looks like. `exclusion` is how
+    it keeps off what other targets explain. With `scatter` (K, 2), particles begin evenly over so many pixels around
+    x0, which are then the size of each part at the start.
     """
 
     name: str
@@ -112,43 +126,55 @@ class ParticleTarget:
     prior: BoundPrior | None
     step: Step
     confidence: Confidence | None
+    exclusion: Exclusion | None = None
+    scatter: Array | None = None
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
-        return {
-            part: (float(w), float(h)) for part, (w, h) in zip(self.parts, self.space.windows(self.x0), strict=True)
-        }
+        sides = self.space.windows(self._start())
+        return {part: (float(w), float(h)) for part, (w, h) in zip(self.parts, sides, strict=True)}
+
+    def _start(self) -> Estimate:
+        return evenly(self.x0, np.zeros((len(self.x0), 2)) if self.scatter is None else self.scatter)
 
     def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[State, TargetResult]:
         try:
             learned = self.likelihood.init(frame, self.x0)
         except InputError as e:
             raise InputError(f"{self.name}, {e}") from None
-        particles = Particles(np.repeat(self.x0[None], self.particles, axis=0), uniform(self.particles))
+        still = self._start()
+        x = np.repeat(self.x0[None], self.particles, axis=0)
+        if self.scatter is not None:
+            x[..., :2] += self.scatter * (rng.random((*x.shape[:2], 2)) - 0.5)
         judgement = None
         if self.confidence is not None:
-            windows = self.space.windows(self.x0)
-            judgement = self.confidence.begin(self.likelihood, learned, frame, self.x0, windows)
-        state = State(particles, learned, judgement)
-        k = len(self.parts)
-        still = Estimate(self.x0, np.zeros((k, 2, 2)))
-        return state, self._result(state, still, Info(np.full(k, float(self.particles))), "init")
+            judgement = self.confidence.begin(self.likelihood, learned, frame, self.x0, self.space.windows(still))
+        state = State(Particles(x, uniform(self.particles)), still, learned, judgement)
+        result = self._result(state, Info(np.full(len(self.parts), float(self.particles))), "init")
+        return state, replace(result, notes=getattr(learned, "notes", ()))
 
-    def advance(self, rng: np.random.Generator, state: State, frame: Frame) -> tuple[State, TargetResult]:
-        particles, info = self.step(rng, state.particles, Bound(self, state.learned, frame))
+    def advance(
+        self, rng: np.random.Generator, state: State, frame: Frame, covers: Sequence[Cover] = ()
+    ) -> tuple[State, TargetResult]:
+        particles, info = self.step(rng, state.particles, Bound(self, state.learned, frame, covers))
         estimated = estimate(particles)
         judgement = state.judgement
         if self.confidence is not None and judgement is not None:
             distance = self.likelihood.distances(state.learned, frame, estimated.mean[None])[0]
             judgement = self.confidence.judge(judgement, distance)
         learned = self.likelihood.learn(state.learned, frame, estimated.mean, particles)
-        state = State(particles, learned, judgement)
-        return state, self._result(state, estimated, info, "tracked")
+        state = State(particles, estimated, learned, judgement)
+        return state, self._result(state, info, "tracked")
 
-    def _result(self, state: State, estimated: Estimate, info: Info, otherwise: Status) -> TargetResult:
+    def cover(self, state: State) -> Cover | None:
+        if len(self.parts) > 1:
+            return None  # points between which nobody knows what there is
+        return Cover(state.estimated.mean[0, :2], self.space.windows(state.estimated)[0] / 2)
+
+    def _result(self, state: State, info: Info, otherwise: Status) -> TargetResult:
         """`otherwise` is the status where nothing judges."""
-        judged = state.judgement
-        windows = self.space.windows(estimated.mean)
+        judged, estimated = state.judgement, state.estimated
+        windows = self.space.windows(estimated)
         parts = tuple(
             PartResult(
                 name=name,
@@ -173,6 +199,7 @@ class Bound:
     target: ParticleTarget
     learned: Any
     frame: Frame
+    covers: Sequence[Cover] = ()
 
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
         return self.target.motion.propagate(rng, x)
@@ -181,7 +208,9 @@ class Bound:
         return self.target.motion.log_transition(x, parents)
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
-        return self.target.likelihood.score(self.learned, self.frame, x, parents)
+        log_p = self.target.likelihood.score(self.learned, self.frame, x, parents)
+        exclusion = self.target.exclusion
+        return log_p if exclusion is None else log_p + exclusion.log_weights(x, self.covers)
 
     def log_prior(self, x: Array) -> Array:
         return np.zeros(len(x)) if self.target.prior is None else self.target.prior.log_density(x)

@@ -167,6 +167,7 @@ class TargetResult:
     cloud: Array
     identity: str | None = None
     identity_prob: float | None = None
+    notes: tuple[str, ...] = ()  # lines for the user, said in the first frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,3 +176,8 @@ class Result:
 
     frame: Frame
     targets: tuple[TargetResult, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Lines for the user, each once, also where several targets learned from the same place."""
+        return tuple(dict.fromkeys(note for target in self.targets for note in target.notes))

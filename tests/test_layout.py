@@ -14,11 +14,12 @@ PACKAGE = Path(facetrack_cli.__file__).parent
 # lowest first; a unit imports only from the layers below its own. A folder is one unit.
 LAYERS = [
     {"errors", "types", "kernels", "kernel_cache", "options", "recipe_base"},
-    {"resampling", "skin", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
+    {"exclusion", "resampling", "skin", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
     {"confidence", "filters", "formats", "likelihoods", "motion", "priors", "recipe_messages", "start"},
     {"evaluation", "lengths", "opencv", "prior_fit", "prior_picture", "track"},
-    {"pipeline", "plots", "recipe_regions"},
+    {"pipeline", "plots", "recipe_regions", "recipe_skin"},
     {"recipe_sections"},
+    {"recipe_filter"},
     {"recipe"},
     {"build"},
     {"outputs", "progress"},
@@ -30,7 +31,7 @@ LAYERS = [
     {"cli"},
     {"__main__"},
 ]
-RECIPE = {"recipe", "recipe_base", "recipe_regions", "recipe_sections", "recipe_messages", "lengths", "yaml_text"}
+RECIPE = {unit for layer in LAYERS for unit in layer if unit.startswith("recipe")} | {"lengths", "yaml_text"}
 PARTS = {"filters", "likelihoods", "motion", "priors"}
 NUMERICS = {"numpy", "numba", "cv2", "scipy", "imageio", "imageio_ffmpeg"}
 

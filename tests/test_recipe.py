@@ -37,6 +37,8 @@ REGIONS = [
     "histogram",
     "histogram_correlation",
 ]
+SKIN = ["ncc", "skin", "skin_ncc"]
+SEVERAL = ["head_hands", "head_hands_cloud"]
 OPENCV = ["csrt", "kcf", "mil", "mosse"]
 
 GOOD = """\
@@ -88,7 +90,7 @@ def under_caret(excerpt):
 
 
 def test_the_shipped_recipes_are_all_there():
-    assert [path.stem for path in shipped_recipes()] == sorted(NAMES + OPENCV + REGIONS)
+    assert [path.stem for path in shipped_recipes()] == sorted(NAMES + OPENCV + REGIONS + SKIN + SEVERAL)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -162,7 +164,7 @@ def test_a_recipe_is_found_by_name_and_by_path(write, tmp_path, monkeypatch):
 
 
 def test_a_miss_names_the_nearest_and_all(tmp_path):
-    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*auxiliary_prior, contour, .*sir$'):
+    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*auxiliary_prior, contour, .*skin_ncc$'):
         load_recipe("factorised.yaml")
     with pytest.raises(RecipeError, match="neither a file nor a shipped recipe; give a file or a name; shipped are "):
         load_recipe("zzzz")

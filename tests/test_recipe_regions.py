@@ -8,8 +8,8 @@ from facetrack_cli.errors import RecipeError
 from facetrack_cli.lengths import LengthOrNone
 from facetrack_cli.recipe import check_recipe, load_recipe, shipped_recipes, to_dict
 
-NAMES = [path.stem for path in shipped_recipes() if getattr(load_recipe(path.stem), "target", None) is not None]
-NAMES = [name for name in NAMES if load_recipe(name).target.type == "region"]
+NAMES = [path.stem for path in shipped_recipes() if hasattr(load_recipe(path.stem), "likelihood")]
+NAMES = [name for name in NAMES if load_recipe(name).likelihood.type == "product"]
 FACTORS = ("contour", "histogram", "correlation")
 
 
@@ -69,8 +69,8 @@ def test_a_dump_is_the_same_recipe(name, tmp_path):
     [
         ("target.scale=[1.5, 2]", "with 1, the size at the start, between them"),
         ("target.scale=[0, 2]", "target.scale[1] must be greater than 0"),
-        ("motion={type: random_walk, sigma: 0.1}", 'motion type "random_walk" does not go with target type "region"'),
-        ("likelihood={type: colour_ratio}", "write product"),
+        ("motion={type: random_walk, sigma: {nose: 0.1}}", '"nose" in motion.sigma is no part of the target'),
+        ("likelihood={type: colour_ratio}", "write product or skin_ncc"),
         ("filter={type: factorized, particles: 9}", "write sir or auxiliary"),
         ("prior={type: parzen, file: mouth_prior.npz, sigma: 0.1}", "write null"),
         ("motion.position.A=[[1, 1], [0, 1.1]]", "makes the state grow 1.1-fold each frame"),

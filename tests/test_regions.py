@@ -11,14 +11,15 @@ from facetrack_cli.errors import InputError
 from facetrack_cli.evaluation.boxes import iou
 from facetrack_cli.job import Job
 from facetrack_cli.job import run as job_run
-from facetrack_cli.recipe import load_recipe, shipped_recipes
+from facetrack_cli.recipe import ParticleRecipe, load_recipe, shipped_recipes
 from facetrack_cli.stopping import Stop
 from facetrack_cli.track import track
 from facetrack_cli.types import Frame, Start, TargetStart
 
 SAMPLE = Path(__file__).parent.parent / "sample_videos" / "hands.mp4"
-PARTICLES = [path.stem for path in shipped_recipes() if load_recipe(path.stem).particles is not None]
-RECIPES = [name for name in PARTICLES if load_recipe(name).target.type == "region"]
+SHIPPED = [load_recipe(path.stem) for path in shipped_recipes()]
+PRODUCTS = [one for one in SHIPPED if isinstance(one, ParticleRecipe) and one.likelihood.type == "product"]
+RECIPES = [one.name for one in PRODUCTS]
 W, H = 40.0, 52.0
 START = (100.0, 60.0, W, H)
 

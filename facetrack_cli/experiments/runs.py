@@ -181,6 +181,7 @@ def _run(
         logs = [_Log() for _ in seeds]
         seconds = [0.0 for _ in seeds]
         count = 0
+        notes: tuple[str, ...] = ()
         for frame in source:
             if stopped():
                 if partial and count:
@@ -192,12 +193,13 @@ def _run(
                 result = next(run)
                 seconds[i] += (time.perf_counter() - began) * (count > 0)
                 logs[i].add(result)
+                notes = notes or result.notes
             count += 1
             tell(len(seeds))
         if count == 0:
             raise InputError(f"{plan.clip}: frame {plan.start.frame}, where {plan.start.origin} begins, cannot be read")
     return [
-        SeedRun(plan.label, seed, log.table(source), (count - 1) / max(spent, 1e-9), tuple(source.warnings))
+        SeedRun(plan.label, seed, log.table(source), (count - 1) / max(spent, 1e-9), (*source.warnings, *notes))
         for seed, log, spent in zip(seeds, logs, seconds, strict=True)
     ]
 

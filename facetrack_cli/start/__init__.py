@@ -2,5 +2,16 @@
 
 from facetrack_cli.start.files import check_start, default_path, find_init, read_init, write_init
 from facetrack_cli.start.haar import PARTS, box_start, haar_start
+from facetrack_cli.start.targets import name_targets
 
-__all__ = ["PARTS", "box_start", "check_start", "default_path", "find_init", "haar_start", "read_init", "write_init"]
+__all__ = [
+    "PARTS",
+    "box_start",
+    "check_start",
+    "default_path",
+    "find_init",
+    "haar_start",
+    "name_targets",
+    "read_init",
+    "write_init",
+]

@@ -7,7 +7,7 @@ largest is taken; one in the dark only if none in a better light follows. Nothin
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from math import isfinite
 from typing import Final
 
@@ -32,16 +32,23 @@ TARGET: Final = "face"
 
 
 def haar_start(
-    frames: Iterable[Frame], parts: Sequence[str] = PARTS, *, bound: int = BOUND, clip: str = "the clip"
+    frames: Iterable[Frame],
+    parts: Sequence[str] = PARTS,
+    *,
+    bound: int = BOUND,
+    clip: str = "the clip",
+    complete: Callable[[Frame, Start], Start] = lambda frame, start: start,
 ) -> Start:
     """The start at the first of the frames that shows a face: its box, and the parts placed in it (pixels, to 0.01).
 
     Looks at no more than `bound` frames, on past faces too dark to follow; if all are, at the one of most contrast.
-    Raises InputError, naming the `clip`, if none of the frames shows a face whose parts are all in the picture;
-    UsageError if a part is asked for that is none of the five.
+    `complete` adds what else the frame must show, and raises InputError where it does not: then the next one is tried.
+    Raises InputError, naming the `clip`, if none of the frames shows a face whose parts are all in the picture, or that
+    of `complete`; UsageError if a part is asked for that is none of the five.
     """
     check_parts(parts)
     first = last = None
+    lacking: InputError | None = None
     dim: tuple[float, Start] | None = None
     for count, frame in enumerate(frames, start=1):
         first = frame.index if first is None else first
@@ -51,16 +58,23 @@ def haar_start(
             if dim is not None and contrast <= dim[0]:
                 continue
             points = place(frame.bgr, box)
-            if all(inside(points[part], frame.size) for part in parts):
-                dim = contrast, _start(frame, box, points, parts, "haar")
-                if contrast >= CONTRAST:
-                    return dim[1]
+            if not all(inside(points[part], frame.size) for part in parts):
+                continue
+            try:
+                dim = contrast, complete(frame, _start(frame, box, points, parts, "haar"))
+            except InputError as e:
+                lacking = lacking or e
+                continue
+            if contrast >= CONTRAST:
+                return dim[1]
         if count >= bound:
             break
     if dim is not None:
         return dim[1]
     if first is None:
         raise InputError(f"{clip}: no frame to look for a face in; ask for frames that the clip has")
+    if lacking is not None:
+        raise lacking
     looked = f"frame {first}" if first == last else f"frames {first} to {last}"
     raise InputError(
         f"{clip}: no face found in {looked}; give its box with --box X,Y,W,H, an init file with --init FILE, "

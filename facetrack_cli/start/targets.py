@@ -1,0 +1,74 @@
+"""From a start to the targets that a recipe names: a head, which may be all that is known, and hands.
+
+The first target of the recipe is the head, and its box is needed: a face that was found, `--box`, an init file. Hands
+of which nobody said where they are begin as the largest regions of the head's skin colour apart from the face, named
+from left to right in the picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from facetrack_cli.errors import InputError
+from facetrack_cli.skin import learn_skin
+from facetrack_cli.start.files import TARGET
+from facetrack_cli.start.skin_regions import hand_regions
+from facetrack_cli.types import Box, Frame, Start, TargetStart
+
+NEAR = 0.3  # of the smaller box's area: a region that shares as much with a target that is known is that target
+
+
+def name_targets(start: Start, names: Sequence[str], frame: Frame | None, *, clip: str = "the clip") -> Start:
+    """The start with all targets `names`, in their order; without names, as it is.
+
+    A single target called `face`, or by no name that the recipe knows, is the first one. `frame` is the start's, and
+    may be None if nothing is lacking. Raises InputError if there are targets that the recipe does not know, the first
+    one is lacking, or there are not as many regions of skin as hands.
+    """
+    if not names:
+        return start
+    given = dict(start.targets)
+    if len(given) == 1 and not set(given) & set(names):
+        given = {names[0]: next(iter(given.values()))}
+    elif names[0] not in given and TARGET in given:
+        given[names[0]] = given.pop(TARGET)
+    known = ", ".join(names)
+    strangers = [name for name in given if name not in names]
+    if strangers:
+        raise InputError(
+            f"{start.origin}: has {', '.join(strangers)}, which the recipe does not know; it follows {known}: "
+            "rename them in the init file, or in the recipe"
+        )
+    if names[0] not in given or given[names[0]].box is None:
+        raise InputError(f"{start.origin}: has no box of {names[0]}, which the recipe begins with; it follows {known}")
+    missing = [name for name in names if name not in given]
+    if missing:
+        assert frame is not None
+        found = _others(frame, given, names[0], len(missing))
+        if len(found) < len(missing):
+            number = {0: "no region", 1: "one region"}.get(len(found), f"{len(found)} regions")
+            remedy = f"begin elsewhere with --init-frame, or follow fewer, as by --set targets.{missing[-1]}=null"
+            raise InputError(
+                f"{clip}: frame {start.frame} shows {number} of skin beside the {names[0]}, to begin "
+                f"{' and '.join(missing)} with; give their boxes in an init file, {remedy}"
+            )
+        given |= {name: TargetStart(box=box) for name, box in zip(missing, found, strict=True)}
+    return replace(start, targets={name: given[name] for name in names})
+
+
+def _others(frame: Frame, given: dict[str, TargetStart], head: str, count: int) -> list[Box]:
+    """At most `count` regions of the head's skin colour that are no target yet, from left to right."""
+    face = given[head].box
+    assert face is not None
+    taken = [target.box for name, target in given.items() if name != head and target.box is not None]
+    regions = hand_regions(frame, face, learn_skin(frame, face), count + len(taken))
+    free = [box for box in regions if all(_shared(box, other) < NEAR for other in taken)]
+    return free[:count]
+
+
+def _shared(a: Box, b: Box) -> float:
+    """Common area of two boxes over that of the smaller one."""
+    across = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
+    down = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
+    return max(across, 0.0) * max(down, 0.0) / min(a[2] * a[3], b[2] * b[3])

@@ -1,0 +1,151 @@
+"""Clouds of skin pixels and several targets in the whole engine, on made-up clips whose truth is known."""
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.build import build_tracker
+from facetrack_cli.errors import InputError
+from facetrack_cli.likelihoods.skin_cloud import SkinCloud
+from facetrack_cli.recipe import load_recipe
+from facetrack_cli.track import track
+from facetrack_cli.types import Frame, Start, TargetStart
+
+SKIN, WALL = (120, 150, 205), (150, 120, 90)
+HEAD, LEFT, RIGHT = (130.0, 60.0, 22.0, 28.0), (60.0, 140.0, 14.0, 14.0), (200.0, 140.0, 14.0, 14.0)
+
+
+def picture(*ellipses, noise=None, skin=SKIN):
+    """Ellipses (centre x, y, half axes) of skin before a wall, 200x260, with eyes and mouth in the first one."""
+    out = np.full((200, 260, 3), WALL, np.uint8)
+    for x, y, a, b in ellipses:
+        cv2.ellipse(out, (round(x), round(y)), (round(a), round(b)), 0, 0, 360, skin, -1, cv2.LINE_AA)
+    if ellipses:
+        x, y, a, b = ellipses[0]
+        for dx, dy in ((-0.4, -0.25), (0.4, -0.25), (0, 0.45)):
+            eye = round(x + dx * a), round(y + dy * b)
+            cv2.ellipse(out, eye, (round(a / 5), round(b / 10)), 0, 0, 360, (40, 40, 60), -1, cv2.LINE_AA)
+    if noise is not None:
+        out = np.clip(out + noise.normal(0, 6, out.shape), 0, 255).astype(np.uint8)
+    return out
+
+
+def box(ellipse):
+    x, y, a, b = ellipse
+    return x - a + 0.5, y - b + 0.5, 2 * a, 2 * b
+
+
+def frames(paths, seed=1):
+    rng = np.random.default_rng(seed)
+    return [Frame(i, i / 25, picture(*ellipses, noise=rng)) for i, ellipses in enumerate(paths)]
+
+
+def start(*names):
+    known = {"head": HEAD, "left_hand": LEFT, "right_hand": RIGHT}
+    return Start(0, {name: TargetStart(box=box(known[name])) for name in names}, "clip.init.yaml")
+
+
+def run(config, clip, begin, seed=0, overrides=()):
+    return list(track(build_tracker(load_recipe(config, overrides), begin), iter(clip), seed))
+
+
+def places(results):
+    """(T, targets, 4): x, y, w, h."""
+    return np.array([[(p.x, p.y, p.w, p.h) for target in r.targets for p in target.parts] for r in results])
+
+
+def moved(ellipse, dx, dy):
+    return ellipse[0] + dx, ellipse[1] + dy, *ellipse[2:]
+
+
+def swing(count=40):
+    """A head that nods and two hands that move fast, apart from each other."""
+    fast, slow = np.arange(count) / 3, np.arange(count) / 4
+    return [(moved(HEAD, 10 * np.sin(t / 6), 4 * np.sin(s)), moved(LEFT, 25 * np.sin(f), 20 * np.cos(s) - 20),
+             moved(RIGHT, 25 * np.sin(s), 20 * np.cos(f) - 20))
+            for t, (f, s) in enumerate(zip(fast, slow, strict=True))]  # fmt: skip
+
+
+ALL = ("head", "left_hand", "right_hand")
+
+
+@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
+def test_head_and_hands_are_followed_and_keep_their_names(config):
+    clip = swing()
+    results = run(config, frames(clip), start(*ALL))
+    true = np.array([[ellipse[:2] for ellipse in row] for row in clip])
+    found = places(results)
+    assert [target.name for target in results[0].targets] == list(ALL)
+    off = np.hypot(*np.moveaxis(found[..., :2] - true, 2, 0))
+    assert off.mean(axis=0).max() < 6 and np.quantile(off, 0.95) < 14
+    assert {p.status for target in results[0].targets for p in target.parts} == {"init"}
+    assert all(p.status == "tracked" for r in results[1:] for target in r.targets for p in target.parts)
+
+
+def test_the_size_of_a_cloud_is_that_of_the_skin():
+    """Four standard deviations a side are exact of an ellipse that is evenly filled."""
+    still = [(HEAD, LEFT, RIGHT)] * 30
+    found = places(run("head_hands_cloud", frames(still), start(*ALL)))
+    np.testing.assert_allclose(found[0, :, 2:], [[44, 56], [28, 28], [28, 28]])
+    np.testing.assert_allclose(found[10:, :, 2:].mean(axis=0), [[44, 56], [28, 28], [28, 28]], rtol=0.15)
+
+
+def test_hands_that_meet_the_face_do_not_take_it_and_go_on_their_way():
+    """Without exclusion, the cloud of a hand that passes over the face would stay on it."""
+    across = [(HEAD, (70 + 4.0 * t, 62.0, 14.0, 14.0), RIGHT) for t in range(30)]
+    begin = Start(0, {name: TargetStart(box=box(e)) for name, e in zip(ALL, across[0], strict=True)}, "x")
+    kept = [places(run("head_hands", frames(across), begin, seed))[-1, 1, 0] for seed in range(3)]
+    assert np.abs(np.array(kept) - across[-1][1][0]).max() < 8
+    lost = [places(run("head_hands", frames(across), begin, seed, ["exclusion=null"]))[-1, 1, 0] for seed in range(3)]
+    assert np.abs(np.array(lost) - HEAD[0]).mean() < 20
+
+
+@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
+def test_the_same_seed_gives_the_same_track_and_another_does_not(config):
+    clip = frames(swing(6))
+    a, b, c = (places(run(config, clip, start(*ALL), seed)) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(a, b)
+    assert np.all(np.abs(a - c)[1:].max(axis=(0, 2)) > 0)
+
+
+def test_a_target_less_is_followed_too():
+    found = places(
+        run("head_hands", frames(swing(10)), start("head", "left_hand"), overrides=["targets.right_hand=null"])
+    )
+    assert found.shape == (10, 2, 4)
+
+
+def test_a_start_without_a_target_is_refused():
+    with pytest.raises(InputError, match="has no right_hand"):
+        build_tracker(load_recipe("head_hands"), start("head", "left_hand"))
+
+
+@pytest.mark.parametrize("level", [0, 128])
+def test_flat_pictures_go_on_and_say_lost(level):
+    flat = [Frame(i, i / 25, np.full((200, 260, 3), level, np.uint8)) for i in range(1, 8)]
+    results = run("head_hands", [*frames([(HEAD, LEFT, RIGHT)]), *flat], start(*ALL))
+    assert np.isfinite(places(results)).all()
+    assert all(p.status == "lost" for target in results[-1].targets for p in target.parts)
+
+
+def test_a_pixel_weighs_what_its_colour_says_and_the_floor_elsewhere():
+    frame = Frame(0, 0.0, picture(LEFT))
+    model = SkinCloud((28.0, 28.0), box(LEFT), floor=0.02)
+    learned = model.init(frame, np.zeros((1, 2)))
+    x = np.array([[60.0, 139.0], [10.0, 10.0], [-50.0, 4.0], [1e8, 1e8]])[:, None]
+    found = np.exp(model.score(learned, frame, x, x))[:, 0]
+    assert found[0] > 0.8 and found[1:].tolist() == pytest.approx([0.02] * 3)
+    on, off = model.distances(learned, frame, x[:2])[:, 0]
+    assert on < 0.4 and off > 0.9
+
+
+def test_a_large_target_is_read_from_a_reduced_picture():
+    """At four times the size in pixels, the same particles say the same to within what pixels at the border differ."""
+    small = picture(LEFT)
+    large = cv2.resize(small, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
+    x = np.random.default_rng(0).uniform((30, 110), (90, 170), (500, 1, 2))
+    model = SkinCloud((28.0, 28.0), box(LEFT), max_size=32)
+    big = SkinCloud((112.0, 112.0), tuple(4 * v for v in box(LEFT)), max_size=32)
+    a, b = (m.score(m.init(Frame(0, 0.0, p), None), Frame(0, 0.0, p), y, y)
+            for m, p, y in ((model, small, x), (big, large, 4 * x + 1.5)))  # fmt: skip
+    assert np.mean(np.abs(np.exp(a) - np.exp(b)) > 0.1) < 0.02
