@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from hands_model import FINE, SHIFT, WRIST, Picture, Pose, Surface, capsule, digits, palm, step
 
+UPPER_RADII = (18.5, 19.5)  # of the sleeve at the elbow and at the shoulder, in hand coordinates
 LIGHT = np.array([-0.46, -0.52, 0.72]) / np.linalg.norm([-0.46, -0.52, 0.72])
 
 
@@ -104,15 +105,29 @@ def _reduced(picture: Picture, window: tuple[int, int, int, int], size: tuple[in
     return out
 
 
-def _sleeve(d: Picture, off: Picture, pose: Pose, skin: Skin) -> tuple[Picture, Picture, Picture]:
-    """Colour and coverage of the sleeve, and its shade on the wrist; d along the arm from the hem, off its axis."""
-    r = 10.2 + 0.085 * np.clip(d, 0, None)
+def _sleeve(d: Picture, off: Picture, pose: Pose, skin: Skin, end: float = np.inf) -> tuple[Picture, Picture, Picture]:
+    """Colour and coverage of the sleeve, and its shade on the wrist; d along the arm from the hem, off its axis.
+
+    The sleeve is rounded off at d = `end`, the elbow.
+    """
+    r = 10.2 + 0.085 * np.clip(d, 0, end)
+    beyond = np.clip(d - end, 0, None)
     d = d + 1.6 * (1 - np.clip((off / r) ** 2, 0, 1)) - 1.2  # the hem goes round the arm
-    dome = r * 0.9 * np.sqrt(np.clip(1 - (off / r) ** 2, 0.002, 1))
-    cloth = _edge(np.asarray(np.maximum(np.abs(off) - r, -d), np.float32), pose.scale)
+    away = np.hypot(off, beyond) if np.isfinite(end) else np.abs(off)
+    dome = r * 0.9 * np.sqrt(np.clip(1 - (away / r) ** 2, 0.002, 1))
+    cloth = _edge(np.asarray(np.maximum(away - r, -d), np.float32), pose.scale)
     shade = 1 - 0.45 * np.exp(-np.clip(-d, 0, None) / 1.2) * (d < 0)
     d, off, dome, shade = (np.asarray(v, np.float32) for v in (d, off, dome, shade))
     return _cloth_colour(d, off, dome, pose, skin), cloth, shade
+
+
+def _upper_arm(x: Picture, y: Picture, elbow: tuple[float, float], pose: Pose, skin: Skin) -> tuple[Picture, Picture]:
+    """Colour and coverage of the sleeve from the elbow to the shoulder; the elbow in the coordinates of FINGERS."""
+    assert pose.shoulder is not None
+    sx, sy = (float(v[0]) for v in pose.to_hand(*(np.array([v], np.float32) for v in pose.shoulder)))
+    arm, _, across = capsule(x, y, (*elbow, 0.0), (sx - SHIFT[0], sy - SHIFT[1], 0.0), UPPER_RADII)
+    colour = _cloth_colour(arm.v + 40, np.asarray(across * UPPER_RADII[0], np.float32), arm.height, pose, skin)
+    return colour, _edge(arm.sdf, pose.scale)
 
 
 def draw(pose: Pose, skin: Skin, size: tuple[int, int]) -> Layer:
@@ -122,6 +137,10 @@ def draw(pose: Pose, skin: Skin, size: tuple[int, int]) -> Layer:
     left, top = int(np.floor(min(pose.x - reach, max(ex - 24, -30)))), int(np.floor(pose.y - reach))
     right = int(np.ceil(max(pose.x + reach, min(ex + 24, size[0] + 30))))
     bottom = int(np.ceil(max(pose.y + reach, min(ey, size[1] + 4))))
+    if pose.shoulder is not None:
+        room, (sx, sy) = round(26 * pose.scale), pose.shoulder
+        left, right = min(left, round(sx) - room), max(right, round(sx) + room)
+        top, bottom = min(top, round(sy) - room), min(max(bottom, round(ey) + room, round(sy) + room), size[1] + 4)
     w, h = right - left, bottom - top
     across_x, down_y = ((np.arange(n * FINE) + 0.5) / FINE - 0.5 + first for n, first in ((w, left), (h, top)))
     x, y = pose.to_hand(*np.meshgrid(across_x.astype(np.float32), down_y.astype(np.float32)))
@@ -142,10 +161,15 @@ def draw(pose: Pose, skin: Skin, size: tuple[int, int]) -> Layer:
     surface.take(arm, 2.5)
     bare = _edge(surface.sdf, pose.scale)
     off = across * (8.6 + 0.075 * span * np.clip(along, 0, 1))
-    knit, cloth, shade = _sleeve(along * span - 12.0, off, pose, skin)
+    bent = pose.shoulder is not None
+    knit, cloth, shade = _sleeve(along * span - 12.0, off, pose, skin, span - 12.0 if bent else np.inf)
     colour = _skin_colour(surface, pose, skin) * shade[..., None]
     alpha = np.maximum(bare, cloth)
     colour = (colour * bare[..., None]) * (1 - cloth[..., None]) + knit * cloth[..., None]
+    if bent:
+        cloth_above, above = _upper_arm(x, y, (end[0], end[1]), pose, skin)
+        colour = colour + cloth_above * (above * (1 - alpha))[..., None]
+        alpha = alpha + above * (1 - alpha)
     window = (left, top, w, h)
     dot = _edge(np.hypot(x + SHIFT[0], y + SHIFT[1]) - 4.0, pose.scale)
     pictures: Mapping[str, Picture] = {

@@ -42,6 +42,7 @@ class Pose:
     spread: float = 1.0  # of the fingers
     elbow: tuple[float, float] = (0.0, 400.0)  # in the picture
     mirrored: bool = False
+    shoulder: tuple[float, float] | None = None  # in the picture; without one the sleeve goes on beyond the elbow
 
     def to_hand(self, x: Picture, y: Picture) -> tuple[Picture, Picture]:
         """Hand coordinates of points of the picture."""

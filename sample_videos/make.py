@@ -22,6 +22,7 @@ from occluders import cover
 from portraits import PARTS, Portrait
 from render import expose, face, truth
 from scenes import Scene, expressions, occlusion
+from signing import signing
 from timeline import Array
 from warp import Moment, to_skin, to_skull
 
@@ -87,6 +88,7 @@ CLIPS: Mapping[str, Callable[[], Clip]] = {
     "map": map_clip,
     "textured": textured,
     "turning": turning,
+    "signing": signing,
 }
 
 
