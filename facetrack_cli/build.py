@@ -100,7 +100,7 @@ def _region_target(given: ParticleFilter, name: str, start: Start) -> ParticleTa
         space=BoxSpace(size),
         x0=state_of_box(*box),
         particles=given.particles,
-        motion=_region_motion(given.motion, given.target, unit),
+        motion=_region_motion(given.motion, given.target.scale, unit),
         likelihood=likelihood,
         prior=None,
         step=_step(given.filter),
@@ -109,8 +109,10 @@ def _region_target(given: ParticleFilter, name: str, start: Start) -> ParticleTa
     )
 
 
-def _region_motion(motion: recipe.FirstOrder | recipe.RandomWalk, target: recipe.Region, unit: float) -> FirstOrder:
-    least, most = target.scale
+def _region_motion(
+    motion: recipe.FirstOrder | recipe.RandomWalk, bounds: tuple[float, float], unit: float
+) -> FirstOrder:
+    least, most = bounds
     if isinstance(motion, recipe.FirstOrder):
         position = np.array(motion.position.A), _pixels(motion.position.B, unit)
         return FirstOrder(position, (np.array(motion.scale.A), np.array(motion.scale.B)), least, most)
@@ -119,7 +121,6 @@ def _region_motion(motion: recipe.FirstOrder | recipe.RandomWalk, target: recipe
 
 
 def _cloud_target(given: ParticleFilter, name: str, start: Start) -> ParticleTarget:
-    assert isinstance(given.motion, recipe.RandomWalk)
     assert isinstance(given.likelihood, recipe.SkinCloud)
     box = _seen_box(start, name)
     unit = _size_of_box(start, name)
@@ -130,9 +131,9 @@ def _cloud_target(given: ParticleFilter, name: str, start: Start) -> ParticleTar
         name=name,
         parts=(BOX,),
         space=CloudSpace(),
-        x0=state_of_box(*box)[:, :2],
+        x0=state_of_box(*box),
         particles=given.particles,
-        motion=RandomWalk(np.array([given.motion.sigma.of(BOX).pixels(unit)])),
+        motion=_region_motion(given.motion, (0.25, 4.0), unit),
         likelihood=SkinCloud(
             (box[2], box[3]),
             teacher=_box(start, teacher),

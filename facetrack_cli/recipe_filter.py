@@ -116,5 +116,5 @@ _GO_WITH: Mapping[str, Mapping[str, Sequence[str | None]]] = {
         "filter": ["sir", "auxiliary"],  # the others resample parts apart, and a region is one part
         "prior": [None],
     },
-    "cloud": {"motion": ["random_walk"], "likelihood": ["skin"], "filter": ["sir", "auxiliary"], "prior": [None]},
+    "cloud": {"motion": ["random_walk", "first_order"], "likelihood": ["skin"], "filter": ["sir", "auxiliary"], "prior": [None]},
 }

@@ -22,8 +22,8 @@ class Skin(Section):
 
     inner: Annotated[float, Field(ge=0.1, le=4)] = 1.0
     """R_int as a share of the box's sides; R_ext, around it, has the same area."""
-    least_share: Share = 0.3
-    """If fewer of the box's pixels pass Kovac's rules for skin, the colours of the box itself are learned."""
+    least_share: Share = 0.4
+    """If less of the ellipse in the box passes Kovac's rules for skin, its colours are learned as they are."""
     max_size: MaxSize | None = 64
     """Boxes with a longer side, in pixels, are read from a reduced picture; null: every pixel."""
 
@@ -75,7 +75,7 @@ class SkinCloud(Section):
     """The probability that a pixel is skin."""
     learn_from: str | None = None
     """The target whose box in the first frame teaches the colour of skin; null: the target itself."""
-    least_share: Share = 0.3
+    least_share: Share = 0.4
     """As in skin_ncc."""
     floor: Annotated[float, Field(gt=0, le=1)] = 0.01
     """Likelihood of a pixel that is no skin at all."""

@@ -30,6 +30,8 @@ Mask: TypeAlias = NDArray[np.bool_]
 LEAST_SHARE = 0.4
 # of (Cb, Cr) in any direction, in levels squared: less loses faces as the light changes, more lets in what is near
 LEAST_VARIANCE = 9.0
+# grey clips have chroma of 1 or 2 after lossy codecs, faces of 5 to 40 nearly everywhere
+LEAST_CHROMA, LEAST_COLOURED = 4.0, 0.05
 LEAST_CONTRAST = 0.1  # where less, boxes at some distance score better than the face itself
 
 
@@ -63,7 +65,8 @@ def learn_skin(frame: Frame, box: Box, *, least_share: float = LEAST_SHARE) -> S
     """The colour of the skin in a box (left, top, width, height; pixels), which may stick out of the picture.
 
     All of the ellipse in the box is the sample when less than `least_share` of it passes Kovac's rules: 0 never (if any
-    pixel passes), above 1 always. Raises InputError if nothing of the box is in the picture.
+    pixel passes), above 1 always. Raises InputError if nothing of the box is in the picture,
+    or hardly anything in it has a colour.
     """
     x0, y0, x1, y1 = _inside(frame, box)
     region = frame.bgr[y0:y1, x0:x1]
@@ -72,6 +75,12 @@ def learn_skin(frame: Frame, box: Box, *, least_share: float = LEAST_SHARE) -> S
     fallback = share < least_share or not passed.any()
     colours = cv2.cvtColor(region, cv2.COLOR_BGR2YCrCb)[..., [2, 1]].astype(np.float64)
     sample = colours[ellipse if fallback else passed]
+    coloured = float((np.abs(sample - 128).max(axis=1) >= LEAST_CHROMA).mean())
+    if coloured < LEAST_COLOURED:
+        raise InputError(
+            f"frame {frame.index}: only {coloured:.0%} of the face's box have a colour, so skin cannot be known by it; "
+            "take a recipe that does without, as ncc or contour_correlation"
+        )
     mean = sample.mean(axis=0)
     off = sample - mean
     spread, axes = np.linalg.eigh(off.T @ off / len(sample))

@@ -7,7 +7,7 @@ from facetrack_cli.filters import Auxiliary, Factorized, Sir
 from facetrack_cli.likelihoods.product import Product
 from facetrack_cli.motion import FirstOrder
 from facetrack_cli.resampling import uniform
-from facetrack_cli.spaces import BoxSpace, estimate, state_of_box
+from facetrack_cli.spaces import BoxSpace, estimate, evenly, state_of_box
 from facetrack_cli.types import Particles
 
 A = np.array([[1.0, 0.9], [0.0, 0.8]])
@@ -199,4 +199,4 @@ def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
 def test_a_box_is_its_state():
     state = state_of_box(10, 20, 31, 42)
     np.testing.assert_array_equal(state, [[25.0, 40.5, 1.0, 0.0, 0.0, 0.0]])
-    np.testing.assert_array_equal(BoxSpace((31, 42)).windows(2 * state), [[62, 84]])
+    np.testing.assert_array_equal(BoxSpace((31, 42)).windows(evenly(2 * state, np.zeros((1, 2)))), [[62, 84]])

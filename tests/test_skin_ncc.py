@@ -12,6 +12,7 @@ from facetrack_cli.errors import InputError
 from facetrack_cli.kernels import ncc as kernel
 from facetrack_cli.likelihoods import ncc as matching
 from facetrack_cli.likelihoods.skin_ncc import LEAST_NCC, Ncc, Skin, SkinNcc
+from facetrack_cli.skin import learn_skin
 from facetrack_cli.types import Particles
 from tests import naive_ncc as naive
 from tests.skin_faces import SIZE, TRUTH, frame, learned, scene, states
@@ -53,6 +54,14 @@ def test_rho_is_that_of_the_twin(max_size, inner):
     if inner == 1.0:
         assert found[0] < -0.3, "a face is skin among little skin"
     assert found[3] == 0.0, "beyond the picture nothing is skin"
+
+
+def test_skin_is_learned_from_the_box():
+    known = learned(scene(), ncc=None)[1]
+    table = learn_skin(frame(scene()), (82.0, 60.0, *SIZE)).table
+    np.testing.assert_array_equal(known.table, table)
+    larger = SkinNcc(SIZE, ncc=None).init(frame(scene()), states((*TRUTH, 1.5))[0])
+    np.testing.assert_array_equal(larger.table, learn_skin(frame(scene()), (72.0, 48.0, 60.0, 72.0)).table)
 
 
 def test_rho_is_the_same_at_every_resolution():
@@ -143,8 +152,11 @@ def test_a_start_outside_of_the_picture_is_refused():
 
 def test_what_the_start_lacks_is_told():
     assert learned(scene())[1].notes == ()
+    assert len(learned(scene()[..., ::-1].copy())[1].notes) == 1, "no pixel has the colour of skin"
     grey_face = np.repeat(scene().mean(axis=2, keepdims=True), 3, axis=2).astype(np.uint8)
-    assert len(learned(grey_face)[1].notes) >= 1, "no pixel has the colour of skin"
+    with pytest.raises(InputError, match="only 0% of the face's box have a colour"):
+        learned(grey_face)
+    assert learned(grey_face, skin=None)[1].notes == ()
     flat = np.full((170, 260, 3), (120, 150, 205), np.uint8)
     assert any("pattern" in note for note in learned(flat)[1].notes)
     assert learned(flat, skin=None, ncc=Ncc("remove"))[1].k == 0

@@ -109,5 +109,5 @@ def test_any_face_is_survived(face):
 
 @pytest.mark.parametrize("size", [(1, 1), (2, 500), (700, 3)])
 def test_tiny_and_flat_pictures_are_survived(size):
-    frame = Frame(0, 0.0, np.full((*size, 3), 128, np.uint8))
+    frame = Frame(0, 0.0, np.full((*size, 3), USUAL[::-1], np.uint8))
     assert len(found(frame, 2, (0, 0, 2, 2))) <= 2

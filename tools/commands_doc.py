@@ -140,13 +140,14 @@ def section_rows(schema: Schema, key: str, sections: Sequence[Schema]) -> Iterat
         told = "; ".join(f"`{one['const']}`: {one['description'].rstrip('.')}" for one in types if one is not None)
         names = ", ".join(f"`{one['const']}`" for one in types if one is not None)
         yield f"| `{key}.type` | {names} | required | {escape(told)}. |"
-    seen = {"type"}
+    seen: list[tuple[str, Any]] = []
     for one in sections:
         for name, field in one["properties"].items():
-            if name in seen:
+            # a key may mean something else in another type: then it has a row for each
+            if name == "type" or (name, field) in seen:
                 continue
-            seen.add(name)
-            having = [other for other in sections if name in other["properties"]]
+            seen.append((name, field))
+            having = [other for other in sections if other["properties"].get(name) == field]
             note = ""
             if len(having) < len(sections):  # told apart by their types, then
                 only = ", ".join(f"`{other['properties']['type']['const']}`" for other in having)
@@ -194,6 +195,8 @@ def value(schema: Schema, field: Schema) -> str:
         return named[name] if name in named else value(schema, schema["$defs"][name])
     if field.get("title") in ("Length", "LengthOrNone"):
         return "length"
+    if field.get("type") == "object":
+        return "`{name: section}`"
     if "anyOf" in field:
         return " or ".join(value(schema, one) for one in field["anyOf"])
     if "const" in field:

@@ -53,8 +53,8 @@ class SkinCloud:
         return Learned(model.table, () if said is None else (said,))
 
     def score(self, learned: Learned, frame: Frame, x: Array, parents: Array) -> Array:
-        """(N, 1): log p(y | x) of x (N, 1, 2)."""
-        return np.log(np.maximum(self._skin(learned, frame, x[:, 0]), self.floor))[:, None]
+        """(N, 1): log p(y | x) of x (N, 1, D), x and y first."""
+        return np.log(np.maximum(self._skin(learned, frame, x[:, 0, :2]), self.floor))[:, None]
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
         """As it was: the colour is the first frame's."""
@@ -64,7 +64,7 @@ class SkinCloud:
         """(N, 1): 1 less the mean probability of skin about each place."""
         steps = np.linspace(-0.5, 0.5, GRID) * MIDDLE
         grid = np.stack(np.meshgrid(steps * self.size[0], steps * self.size[1]), axis=-1).reshape(-1, 2)
-        skin = self._skin(learned, frame, (x[:, 0, None] + grid).reshape(-1, 2))
+        skin = self._skin(learned, frame, (x[:, 0, None, :2] + grid).reshape(-1, 2))
         return np.asarray(1.0 - skin.reshape(len(x), -1).mean(axis=1)[:, None])
 
     def _skin(self, learned: Learned, frame: Frame, xy: Array) -> Array:
