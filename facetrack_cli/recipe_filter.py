@@ -116,5 +116,10 @@ _GO_WITH: Mapping[str, Mapping[str, Sequence[str | None]]] = {
         "filter": ["sir", "auxiliary"],  # the others resample parts apart, and a region is one part
         "prior": [None],
     },
-    "cloud": {"motion": ["random_walk", "first_order"], "likelihood": ["skin"], "filter": ["sir", "auxiliary"], "prior": [None]},
+    "cloud": {
+        "motion": ["random_walk", "first_order"],
+        "likelihood": ["skin"],
+        "filter": ["sir", "auxiliary"],
+        "prior": [None],
+    },
 }

@@ -130,6 +130,8 @@ def _contrast(frame: Frame, box: Box, table: NDArray[np.uint8]) -> float:
     x0, y0, x1, y1 = _inside(frame, box)
     wide = (box[0] - margin_x, box[1] - margin_y, box[2] + 2 * margin_x, box[3] + 2 * margin_y)
     left, top, right, bottom = _inside(frame, wide)
+    # of a box of less than a pixel, the pixel that it gets all the same
+    left, top, right, bottom = min(left, x0), min(top, y0), max(right, x1), max(bottom, y1)
     p = kernel.skin_map(frame.bgr[top:bottom, left:right], table).astype(np.float64) / 255
     face = p[y0 - top : y1 - top, x0 - left : x1 - left]
     around = p.size - face.size

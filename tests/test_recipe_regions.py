@@ -69,7 +69,7 @@ def test_a_dump_is_the_same_recipe(name, tmp_path):
     [
         ("target.scale=[1.5, 2]", "with 1, the size at the start, between them"),
         ("target.scale=[0, 2]", "target.scale[1] must be greater than 0"),
-        ("motion={type: random_walk, sigma: {nose: 0.1, default: 0.2}}", '"nose" in motion.sigma is no part of the target'),
+        ("motion={type: random_walk, sigma: {nose: 0.1, default: 0.2}}", '"nose" in motion.sigma is no part'),
         ("likelihood={type: colour_ratio}", "write product or skin_ncc"),
         ("filter={type: factorized, particles: 9}", "write sir or auxiliary"),
         ("prior={type: parzen, file: mouth_prior.npz, sigma: 0.1}", "write null"),
