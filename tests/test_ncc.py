@@ -5,7 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.kernels import ncc as kernel
@@ -67,6 +67,7 @@ def test_sums_are_read_off_bilinearly(seed, shape, share, corner):
     template=st.tuples(st.integers(2, 9), st.integers(2, 9)),
     picture=st.tuples(st.integers(1, 60), st.integers(1, 60)),
 )  # fmt: skip
+@example(boxes=[(9.75, 3.0, 1.0)], factor=1, offset=(0.5, 0.0), template=(2, 2), picture=(8, 10))
 def test_what_boxes_see_is_in_the_area(boxes, factor, offset, template, picture):
     (th, tw), (height, width) = template, picture
     found, seen, low, high, area, same = kernel.place(states(boxes), factor, offset, th, tw, width, height)
@@ -182,6 +183,8 @@ def test_template_adapts_only_while_it_knows_the_first_one():
     darker = learned(light)[1].template.first
     np.testing.assert_allclose(after.now, 0.75 * first + 0.25 * darker, atol=0.01)
     np.testing.assert_array_equal(after.first, first)
+    again = likelihood.learn(dataclasses.replace(known, template=after), frame(light), here, none).template
+    np.testing.assert_allclose(again.now, 0.75 * after.now + 0.25 * darker, atol=0.01)
     assert likelihood.learn(known, frame(light), there, none).template.now is known.template.now
     # what counts is the first template: one that has drifted does not vouch for itself
     ground = dataclasses.replace(known.template, now=matching.learn_template(frame(scene()), SIZE, there, None).now)
