@@ -111,3 +111,10 @@ def test_any_face_is_survived(face):
 def test_tiny_and_flat_pictures_are_survived(size):
     frame = Frame(0, 0.0, np.full((*size, 3), USUAL[::-1], np.uint8))
     assert len(found(frame, 2, (0, 0, 2, 2))) <= 2
+
+
+def test_skin_out_of_reach_is_somebody_elses():
+    near, far = (110, 180, 15, 20), (700, 180, 18, 22)
+    frame = scene(near, far, width=800)
+    [box] = found(frame, 2)
+    assert_at(box, near)

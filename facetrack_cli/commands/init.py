@@ -27,11 +27,22 @@ SUFFIXES = (".yaml", ".yml", ".json")
 @click.option("--init-frame", metavar="N", type=FRAME, default=0, help="Frame where the search begins, or of --box.")
 @click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face's box in that frame: place the points in it.")
 @click.option(
+    "--config",
+    metavar="RECIPE",
+    help="Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
+)
+@click.option(
     "--preview", metavar="FILE.png", type=click.Path(path_type=Path), help="Also draw the result on its frame."
 )
 @click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
 def command(
-    clip: Path, out: str | None, init_frame: int, box: Box | None, preview: Path | None, overwrite: bool
+    clip: Path,
+    out: str | None,
+    init_frame: int,
+    box: Box | None,
+    config: str | None,
+    preview: Path | None,
+    overwrite: bool,
 ) -> None:
     """Write where the track of a clip begins, as a file to edit.
 
@@ -40,12 +51,14 @@ def command(
     there already is replaced without --overwrite.
 
     Recipes of regions need no points: to follow a head or hands, write boxes alone into such a file, or give --box to
-    `facetrack run`.
+    `facetrack run`. Of a recipe that follows a head and hands, --config finds the hands too, as the largest regions of
+    the face's skin colour apart from it.
 
     \b
     Examples:
       facetrack init clip.mp4 --preview look.png
       facetrack init clip.mp4 --init-frame 120 --box 310,96,140,140
+      facetrack init clip.mp4 --config head_hands --preview look.png
       facetrack init frames/ -o - > start.yaml
     """
     from facetrack_cli.start import default_path, find_init, write_init
@@ -54,7 +67,7 @@ def command(
     if out == "":
         raise OutputError("--out is empty; name a file, or - for standard output")
     _check_outputs(clip, path, preview, overwrite)
-    start, frame = _find(clip, init_frame, box)
+    start, frame = _find(clip, init_frame, box, config)
     if preview is not None:
         from facetrack_cli.start.preview import write_preview
 
@@ -65,7 +78,9 @@ def command(
     else:
         write_init(path, start, clip=clip.name, overwrite=overwrite)
         named = "" if find_init(clip) == path else f" --init {path}"
-        click.echo(f"{path}: a face in frame {start.frame}; edit it, then: facetrack run {clip}{named}", err=True)
+        named += "" if config is None else f" --config {config}"
+        what = ", ".join(start.targets) if len(start.targets) > 1 else "a face"
+        click.echo(f"{path}: {what} in frame {start.frame}; edit it, then: facetrack run {clip}{named}", err=True)
 
 
 def _check_outputs(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:
@@ -83,20 +98,27 @@ def _check_outputs(clip: Path, path: Path | None, preview: Path | None, overwrit
         raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
 
 
-def _find(clip: Path, init_frame: int, box: Box | None) -> tuple[Start, Frame]:
+def _find(clip: Path, init_frame: int, box: Box | None, config: str | None) -> tuple[Start, Frame]:
     """The start, and its frame."""
-    from facetrack_cli.start import box_start, haar_start
+    from facetrack_cli.recipe import load_recipe
+    from facetrack_cli.start import PARTS, box_start, haar_start, name_targets
     from facetrack_cli.video.source import open_source
+
+    recipe = None if config is None else load_recipe(config)
+    points, followed = (PARTS, ()) if recipe is None else (recipe.points, recipe.followed)
+
+    def complete(frame: Frame, start: Start) -> Start:
+        return name_targets(start, followed, frame, clip=str(clip))
 
     looked_at: list[Frame] = []
     with open_source(clip, start=init_frame) as source:
         frames = _last(source, looked_at)
         if box is None:
-            return haar_start(frames, clip=str(clip)), looked_at[0]
+            return haar_start(frames, points, clip=str(clip), complete=complete), looked_at[0]
         frame = next(frames, None)
         if frame is None:
             raise InputError(f"{clip}: has no frame {init_frame}; choose an earlier one with --init-frame")
-        return box_start(frame, box, clip=str(clip)), frame
+        return complete(frame, box_start(frame, box, points, clip=str(clip))), frame
 
 
 def _last(frames: Iterable[Frame], kept: list[Frame]) -> Iterator[Frame]:

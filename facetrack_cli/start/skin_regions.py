@@ -18,6 +18,7 @@ LEAST_P: Final = 0.2  # of a region's pixels, smoothed over a tenth of the face
 FACE: Final = (-0.3, -0.6, 1.3, 1.25)  # left, top, right, bottom
 NECK: Final = (0.0, 1.25, 1.0, 1.6)
 LEAST, MOST = 0.12, 5.0  # skin of a hand, with its arm, over that of the face
+ARM: Final = 5.0  # sizes of the face's box: hands are no farther from the face's middle
 
 
 def hand_regions(frame: Frame, face: Box, model: SkinModel, count: int) -> list[Box]:
@@ -25,7 +26,7 @@ def hand_regions(frame: Frame, face: Box, model: SkinModel, count: int) -> list[
 
     Boxes are (left, top, width, height) in pixels of the picture, within it, each side at most about the face's; of a
     larger region, such as a bare arm, the box holds as much skin as it can. Fewer if there are not so many of a hand's
-    size.
+    size within an arm's reach.
     """
     factor = factor_for(max(frame.size), LONGEST)
     picture, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
@@ -48,7 +49,9 @@ def hand_regions(frame: Frame, face: Box, model: SkinModel, count: int) -> list[
         region = np.where(labels[part] == k, p[part], 0.0)
         if LEAST * its_skin <= region.sum() <= MOST * its_skin:
             skin, (dx, dy, across, down) = _most_skin(region, most)
-            found.append((-skin, (x + dx, y + dy, across, down)))
+            middle = x + dx + across / 2, y + dy + down / 2
+            if math.dist(middle, (left + w / 2, top + h / 2)) <= ARM * max(w, h):
+                found.append((-skin, (x + dx, y + dy, across, down)))
     # by what a box holds, or a ceiling of nearly skin colour would be more of a hand than hands are
     boxes = [box for _, box in sorted(found)[:count]]
     return sorted(
