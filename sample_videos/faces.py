@@ -14,7 +14,7 @@ from clip_files import Clip, TruthRow, start_of
 from heads import SHUTTER, ZOOM, Stage, Window, placed, prove, reduced, render
 from heads_cutout import Cutout, astronaut_cutout
 from numpy.typing import NDArray
-from portraits import MARGIN, Picture, astronaut
+from portraits import MARGIN, Picture, Portrait, astronaut
 from render import SIZE, expose, face
 from timeline import Array, Keys, syllables, track
 from warp import Moment
@@ -35,6 +35,13 @@ class Before:
 Things = Callable[[int], list[Before]]
 
 
+def motion(path: Array, t: int) -> tuple[float, float]:
+    """Pixels a frame of a path (n, 2) about frame t."""
+    first, last = max(t - 1, 0), min(t + 1, len(path) - 1)
+    x, y = (path[last] - path[first]) / (last - first)
+    return float(x), float(y)
+
+
 def face_box(stage: Stage, t: int) -> Box:
     """The truth of frame t. The box goes with head and scale; what the face does in it does not move it."""
     left, top, right, bottom = stage.cutout.box
@@ -44,12 +51,12 @@ def face_box(stage: Stage, t: int) -> Box:
     return x, y, k * FACE[2], k * FACE[2]
 
 
-def talking(cutout: Cutout, values: dict[str, Array]) -> Callable[[int], tuple[Picture, Window]]:
-    """How the head of NASA's portrait looks in a frame, while mouth, brows and head do what `values` say."""
-    portrait = astronaut()
+def looks(portrait: Portrait, cutout: Cutout, values: dict[str, Array]) -> Callable[[int], tuple[Picture, Window]]:
+    """How a portrait's head, cut out of it, looks in a frame, while mouth, brows and head do what `values` say."""
     margin = ((MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0))
     inside = np.dstack([portrait.mouth, np.ones(portrait.mouth.shape[:2], np.float32)])
-    shown = replace(portrait, skin=np.pad(cutout.head, margin), mouth=inside.astype(np.float32))
+    h, w = (n - 2 * MARGIN for n in portrait.skin.shape[:2])
+    shown = replace(portrait, skin=np.pad(cutout.head[:h, :w], margin), mouth=inside.astype(np.float32))
 
     def look(t: int) -> tuple[Picture, Window]:
         return face(shown, Moment(**{name: float(v[t]) for name, v in values.items()}))[0], shown.origin
@@ -67,7 +74,7 @@ def standing(
     values = {name: track(keys, n) for name, keys in expression.items()}
     values |= {"jaw": 0.2 * opening, "pucker": 0.12 * rounding}
     light = np.full(n, 0.92)
-    return Stage(cutout, ground, corner, camera, head, scale, light, talking(cutout, values), seed)
+    return Stage(cutout, ground, corner, camera, head, scale, light, looks(astronaut(), cutout, values), seed)
 
 
 def cover(picture: Picture, thing: Before, soft: float, dark: float) -> Picture:

@@ -7,13 +7,13 @@ Based on Particle Filter", table 1.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import cv2
 import numpy as np
 from clip_files import Clip
-from faces import Before, face_clip, standing
+from faces import Before, face_clip, motion, standing
 from faces_ground import papered_wall
+from hands import skin
 from hands_draw import Skin, draw
 from hands_model import SHIFT, Pose
 from heads import Stage, path, unsteady
@@ -27,6 +27,7 @@ FINE = 3  # the map is drawn this many times finer than the clip
 SHEET = (104, 90)  # of the map, in pixels of the clip
 FOLDS = 4  # panels side by side
 ZIGZAG = 2.0  # how far the folds put the upper border up and down, in pixels
+CLOTH = (46.0, 96.0, 226.0)  # of the sleeves: the person's suit
 SOFT, DARK = 5.0, 0.35  # the shadow of what is before the person
 
 
@@ -91,26 +92,15 @@ def _folded(page: Picture, rng: np.random.Generator) -> Picture:
     return out
 
 
-def skin() -> Skin:
-    """Colour and grain of a cheek of the person's own portrait, and the cloth of her suit."""
-    from skimage import data
-
-    rgb = np.asarray(data.astronaut())  # type: ignore[no-untyped-call, unused-ignore]
-    cheek = np.ascontiguousarray(rgb[114:138, 185:205, ::-1]).astype(np.float32)
-    grey = cheek.mean(axis=2)
-    grain = cv2.resize(grey - cv2.GaussianBlur(grey, (0, 0), 3), None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-    tile = np.block([[grain, grain[:, ::-1]], [grain[::-1], grain[::-1, ::-1]]])
-    b, g, r = (float(v) for v in cheek.reshape(-1, 3).mean(axis=0))
-    return Skin((b, g, r), (tile / tile.std()).astype(np.float32), (46.0, 96.0, 226.0))
-
-
 @dataclass(frozen=True)
 class MapScene:
-    """Where the map is held: its middle (n, 2) in pixels and its tilt (n,) in radians, clockwise."""
+    """Who holds the map, and where: its middle (n, 2) in pixels and its tilt (n,) in radians, clockwise."""
 
     stage: Stage
     middle: Array
     tilt: Array
+    sheet: Picture  # as city_map draws it
+    skin: Skin
 
     def hands(self, t: int) -> tuple[Pose, Pose]:
         """Both hands at the map's borders, the fingers on it and the thumbs behind it."""
@@ -125,6 +115,10 @@ class MapScene:
             elbow = (body + side * 92.0 + 0.45 * (at[0] - body - side * 52.0), 330.0)
             out.append(Pose(*at, 0.84, -side * bend + tilt, 0.20, 0.35, elbow, side > 0))
         return out[0], out[1]
+
+    def things(self, t: int) -> list[Before]:
+        """Map and hands, as one thing before the person."""
+        return [_held(self, t)]
 
 
 def _drawn(pose: Pose, of: Skin) -> tuple[Picture, Picture]:
@@ -142,7 +136,7 @@ def _over(under: Picture, layer: Picture) -> Picture:
     return np.asarray(under * (1 - layer[..., 3:]) + layer, dtype=np.float32)
 
 
-def held(scene: MapScene, t: int, sheet: Picture, of: Skin) -> Before:
+def _held(scene: MapScene, t: int) -> Before:
     """Map and hands as one layer: the hands behind it, the map, the fingers before it with their shadow on it."""
     (x, y), tilt = scene.middle[t], float(scene.tilt[t])
     c, s = np.cos(tilt), np.sin(tilt)
@@ -150,10 +144,10 @@ def held(scene: MapScene, t: int, sheet: Picture, of: Skin) -> Before:
     grip = np.array([SHEET[0] * FINE / 2 + pad - 0.5, SHEET[1] * FINE / 2 + pad - 0.5])
     turn = np.array([[c, -s], [s, c]])
     shift = np.array([x, y]) * FINE + (FINE - 1) / 2 - turn @ grip
-    fine = cv2.warpAffine(sheet, np.column_stack([turn, shift]), (SIZE[0] * FINE, SIZE[1] * FINE),
+    fine = cv2.warpAffine(scene.sheet, np.column_stack([turn, shift]), (SIZE[0] * FINE, SIZE[1] * FINE),
                           flags=cv2.INTER_LINEAR)  # fmt: skip
     paper = np.asarray(cv2.resize(fine, SIZE, interpolation=cv2.INTER_AREA), dtype=np.float32)
-    drawn = [_drawn(pose, of) for pose in scene.hands(t)]
+    drawn = [_drawn(pose, scene.skin) for pose in scene.hands(t)]
     out = np.zeros_like(paper)
     for whole, _ in drawn:
         out = _over(out, whole)
@@ -165,10 +159,7 @@ def held(scene: MapScene, t: int, sheet: Picture, of: Skin) -> Before:
         # a shadow falls on the map alone
         out[..., :3] *= (1 - 0.4 * shadow * paper[..., 3])[..., None]
         out = _over(out, fingers)
-    n = len(scene.middle)
-    step = scene.middle[min(t + 1, n - 1)] - scene.middle[max(t - 1, 0)]
-    motion = step / (min(t + 1, n - 1) - max(t - 1, 0))
-    return Before(out, (float(motion[0]), float(motion[1])))
+    return Before(out, motion(scene.middle, t))
 
 
 def map_scene() -> MapScene:
@@ -205,17 +196,10 @@ def map_scene() -> MapScene:
     tremble = unsteady(n, 64, 0.5)
     tilt = track([(0, 0.03), (33, 0.0), (46, -0.05), (64, 0.03), (84, 0), (108, -0.16), (117, -0.12), (124, 0.06),
                   (140, -0.02), (150, 0.05), (180, 0.18), (206, -0.04), (226, 0.04), (249, 0)], n)  # fmt: skip
-    return MapScene(stage, middle + tremble, tilt)
-
-
-@cache
-def things() -> tuple[Picture, Skin]:
-    """The map and the skin of the hands."""
-    return city_map(), skin()
+    return MapScene(stage, middle + tremble, tilt, city_map(), skin(cloth=CLOTH, depth=1.0))
 
 
 def map_clip() -> Clip:
     """The clip, with the truth of the face."""
     scene = map_scene()
-    sheet, of = things()
-    return face_clip(scene.stage, lambda t: [held(scene, t, sheet, of)], soft=SOFT, dark=DARK, crf=20)
+    return face_clip(scene.stage, scene.things, soft=SOFT, dark=DARK, crf=20)

@@ -163,8 +163,11 @@ def _seen(pose: Pose, camera: Camera) -> Pose:
     return Pose(x, y, scale, turn, pose.curl, pose.spread, camera.see(*pose.elbow), pose.mirrored)
 
 
-def skin() -> Skin:
-    """Colour and grain of a cheek of NASA's portrait of Eileen Collins, which scikit-image carries."""
+def skin(cloth: tuple[float, float, float] = (120.0, 84.0, 60.0), depth: float = 1.25) -> Skin:
+    """Colour and grain of a cheek of NASA's portrait of Eileen Collins, as scikit-image has it, over the cloth given.
+
+    Hands are a little deeper in colour than a face made up for a portrait; `depth` 1 is the cheek itself.
+    """
     from skimage import data
 
     rgb = np.asarray(data.astronaut())  # type: ignore[no-untyped-call, unused-ignore]
@@ -173,9 +176,8 @@ def skin() -> Skin:
     grain = cv2.resize(grey - cv2.GaussianBlur(grey, (0, 0), 3), None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     # mirrored, so that it repeats without a seam
     tile = np.block([[grain, grain[:, ::-1]], [grain[::-1], grain[::-1, ::-1]]])
-    # hands are a little deeper in colour than a face made up for a portrait
-    b, g, r = (255 * (float(v) / 255) ** 1.25 for v in cheek.reshape(-1, 3).mean(axis=0))
-    return Skin((b, g, r), (tile / tile.std()).astype(np.float32), (120.0, 84.0, 60.0))
+    b, g, r = (255 * (float(v) / 255) ** depth for v in cheek.reshape(-1, 3).mean(axis=0))
+    return Skin((b, g, r), (tile / tile.std()).astype(np.float32), cloth)
 
 
 def compose(m: Moment, ground: Picture, movable: tuple[Sheet, ...], of: Skin) -> tuple[Picture, tuple[Layer, Layer]]:

@@ -83,9 +83,10 @@ def edges(profile: NDArray[np.floating[Any]]) -> tuple[float, float]:
     return float(first), float(j + (profile[j] - 0.5) / (profile[j] - profile[j + 1]))
 
 
-def _layer(picture: Picture, mask: NDArray[np.uint8], softness: float) -> Picture:
-    """The masked part with a soft rim; the rim's colours are from within, so that no fringe of the ground shows."""
-    within = cv2.erode(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))).astype(np.float32)
+def soft_layer(picture: Picture, mask: NDArray[np.uint8] | Picture, softness: float) -> Picture:
+    """What the mask (0..1) keeps, with a soft rim whose colours are from within: no fringe of the ground shows."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    within = cv2.erode((mask > 0.5).astype(np.uint8), disc).astype(np.float32)
     alpha = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), softness)
     out: Picture = np.dstack([spread(picture, within) * alpha[..., None], alpha]).astype(np.float32)
     return out
@@ -109,7 +110,7 @@ def astronaut_cutout() -> Cutout:
     bare = cv2.erode(whole & (1 - about), np.ones((3, 3), np.uint8))
     dark = spread(colours, np.asarray(bare, dtype=np.float32))
     behind = np.where((about & collar)[..., None] > 0, dark, colours)
-    top = _layer(colours, head, 0.9)
+    top = soft_layer(colours, head, 0.9)
     skull = np.asarray(top[..., 3] * chin, dtype=np.float32)
     (left, right), (upper, lower) = edges(skull.max(axis=0)), edges(skull.max(axis=1))
-    return Cutout(top, _layer(behind.astype(np.float32), body, 0.9), skull, (left, upper, right, lower))
+    return Cutout(top, soft_layer(behind.astype(np.float32), body, 0.9), skull, (left, upper, right, lower))

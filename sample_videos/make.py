@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from clip_files import Clip, Start, TruthRow, fastest, write_init, write_truth, write_video
 from faces_map import map_clip
+from faces_passerby import passerby
 from hands import hands
 from heads import textured, turning
 from numpy.typing import NDArray
@@ -86,6 +87,7 @@ CLIPS: Mapping[str, Callable[[], Clip]] = {
     "occlusion": lambda: talking_head(occlusion()),
     "hands": hands,
     "map": map_clip,
+    "passerby": passerby,
     "textured": textured,
     "turning": turning,
     "signing": signing,
