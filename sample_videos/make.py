@@ -16,6 +16,7 @@ import numpy as np
 from clip_files import Clip, Start, TruthRow, fastest, write_init, write_truth, write_video
 from faces_map import map_clip
 from faces_passerby import passerby
+from gestures import gestures
 from hands import hands
 from heads import textured, turning
 from numpy.typing import NDArray
@@ -91,6 +92,7 @@ CLIPS: Mapping[str, Callable[[], Clip]] = {
     "textured": textured,
     "turning": turning,
     "signing": signing,
+    "gestures": gestures,
 }
 
 

@@ -117,6 +117,13 @@ def wall(bgr: tuple[float, float, float], seed: int) -> Picture:
     return np.asarray(np.array(bgr) * (lamp * (1 + plaster))[..., None], dtype=np.float32)
 
 
+def wander(rng: np.random.Generator, frames: int, every: int, strength: float) -> Array:
+    """(frames,) a value that starts at 0 and goes smoothly to a new place in -strength..strength `every` frames."""
+    at = range(0, frames + every, every)
+    values = [0.0, *rng.uniform(-strength, strength, len(at) - 1)]
+    return track(list(zip(at, (float(v) for v in values), strict=True)), frames)
+
+
 def person(cloth: tuple[float, float, float], seed: int, frames: int, talks: tuple[tuple[int, int], ...]) -> Person:
     """Eileen Collins's head on a drawn body, talking in the spans of frames given, and looking about a little."""
     cutout, portrait = astronaut_cutout(), astronaut()
@@ -125,14 +132,12 @@ def person(cloth: tuple[float, float, float], seed: int, frames: int, talks: tup
     cut = replace(portrait, skin=np.pad(cutout.head, margin), mouth=inside.astype(np.float32))
     rng = np.random.default_rng(seed)
     opening, rounding = syllables(rng, talks, frames)
-    at = list(range(0, frames + 24, 24))
 
-    def wander(strength: float) -> Array:
-        values = [0.0, *rng.uniform(-strength, strength, len(at) - 1)]
-        return track(list(zip(at, (float(v) for v in values), strict=True)), frames)
+    def rove(strength: float) -> Array:
+        return wander(rng, frames, 24, strength)
 
-    moves = {"jaw": 0.20 * opening, "pucker": 0.12 * rounding, "yaw": wander(0.12), "pitch": wander(0.05),
-             "smile": wander(0.08), "brow": np.abs(wander(0.8)), "close": 0.4 + 0.4 * wander(1.0)}  # fmt: skip
+    moves = {"jaw": 0.20 * opening, "pucker": 0.12 * rounding, "yaw": rove(0.12), "pitch": rove(0.05),
+             "smile": rove(0.08), "brow": np.abs(rove(0.8)), "close": 0.4 + 0.4 * rove(1.0)}  # fmt: skip
     return Person(cut, cutout, sweater(cloth, seed + 1), moves)
 
 

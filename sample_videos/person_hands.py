@@ -114,6 +114,7 @@ class Scene:
     front: NDArray[np.int64]  # (n,) 0 or 1
     skin: Skin
     zoom: float  # pixels of the picture for one of the portrait, at scale 1
+    shots: int = 3  # odd; moments while the shutter is open, more for faster hands
 
     def place(self, t: float) -> tuple[Place, Place]:
         """Where the body and the head are at moment t: the head sways on the body."""
@@ -150,14 +151,15 @@ def _with_hands(picture: Picture, layers: Sequence[Layer], front: int) -> Pictur
 
 
 def render(scene: Scene, t: int) -> tuple[Picture, tuple[Layer, Layer]]:
-    """Frame t before light and noise, (H, W, 3), the mean of three moments, and the hands' layers at the middle one."""
+    """Frame t before light and noise, (H, W, 3), the mean of a few moments, and the hands' layers at the middle one."""
     head, at = scene.who.head(t)
     shown = []
-    for moment in (t, t - SHUTTER / 2, t + SHUTTER / 2):
+    for u in sorted(np.linspace(-0.5, 0.5, scene.shots).tolist(), key=abs):
+        moment = t + SHUTTER * u
         body, place = scene.place(moment)
         picture = reduced(over(over(scene.ground, body.lay(scene.who.body, BODY_AT)), place.lay(head, at)))
         layers = scene.layers(moment)
-        if moment == t:
+        if u == 0:
             middle = layers
         shown.append(cv2.GaussianBlur(_with_hands(picture, layers, int(scene.front[t])), (0, 0), 0.45))
     return np.asarray(np.mean(shown, axis=0), dtype=np.float32), middle

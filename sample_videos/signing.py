@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from clip_files import Clip, TruthRow, start_of
-from person import person, prove_face, wall
+from person import person, prove_face, wall, wander
 from person_hands import (
     TARGETS,
     Motion,
@@ -75,14 +75,8 @@ def _motion(name: str, rng: np.random.Generator) -> Motion:
 
 def _sway(rng: np.random.Generator) -> tuple[Array, Array]:
     """The middle of the face, (n, 2), and its scale, (n,)."""
-    at = list(range(0, FRAMES + 20, 20))
-
-    def wander(strength: float) -> Array:
-        values = [0.0, *rng.uniform(-strength, strength, len(at) - 1)]
-        return track(list(zip(at, (float(v) for v in values), strict=True)), FRAMES)
-
-    face = np.stack([160 + wander(9.0), 69 + wander(4.0)], axis=1)
-    return face, 1.0 + wander(0.05)
+    face = np.stack([160 + wander(rng, FRAMES, 20, 9.0), 69 + wander(rng, FRAMES, 20, 4.0)], axis=1)
+    return face, 1.0 + wander(rng, FRAMES, 20, 0.05)
 
 
 def scene() -> Scene:
