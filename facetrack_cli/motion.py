@@ -22,6 +22,10 @@ class RandomWalk:
         """x (N, K, D) moved by one frame."""
         return x + self.sigma[:, None] * rng.standard_normal(x.shape)
 
+    def expect(self, x: Array) -> Array:
+        """The mean of p(x_t | x_{t-1} = x), (N, K, D)."""
+        return x
+
     def log_transition(self, x: Array, parents: Array) -> Array:
         """log p(x_n | parents_m) of each part: x (N, K, D), parents (M, K, D) -> (N, M, K)."""
         d = x.shape[2]
@@ -54,6 +58,13 @@ class FirstOrder:
         beyond = (s < self.least) | (s > self.most)
         moved[..., 5] = np.where(beyond, 0.0, moved[..., 5])
         moved[..., 2] = np.clip(s, self.least, self.most)
+        return moved
+
+    def expect(self, x: Array) -> Array:
+        """The mean of p(x_t | x_{t-1} = x), (N, K, 6); the bounds of s are left out."""
+        moved = np.empty_like(x)
+        for i, (a, _) in enumerate((self.position, self.position, self.scale)):
+            moved[..., i::3] = x[..., i::3] @ a.T
         return moved
 
     def log_transition(self, x: Array, parents: Array) -> Array:

@@ -95,7 +95,7 @@ class OpenCvTarget:
             return state, self._result(state.box, "lost")
         return _State(state.tracker, box), self._result(box, "tracked")
 
-    def cover(self, state: _State) -> None:
+    def cover(self, state: _State, *, ahead: bool) -> None:
         """OpenCV's trackers know nothing of each other."""
 
     def _whole(self, frame: Frame) -> tuple[int, int, int, int]:

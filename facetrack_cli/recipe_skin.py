@@ -52,7 +52,7 @@ class SkinNcc(Section):
     """Skin in a rectangle of two regions (rho, eq. 9)."""
     ncc: Pattern | None = None
     """Normalised cross-correlation with a template (eq. 10)."""
-    cost: Literal["printed", "shifted", "product"] = "printed"
+    cost: Literal["shifted", "printed", "product"] = "shifted"
     """Eq. 11 compares k with rho / NCC as printed, with (1 + rho) / NCC, or, beyond the paper, with rho * NCC."""
     k: Annotated[float, Field(ge=-100, le=100)] | None = None
     """k of eq. 11; null: the value in the first frame."""

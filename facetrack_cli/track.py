@@ -42,6 +42,8 @@ class Motion(Protocol):
 
     def log_transition(self, x: Array, parents: Array) -> Array: ...
 
+    def expect(self, x: Array) -> Array: ...
+
 
 class Target(Protocol):
     """One target of a recipe, ready to track. `state` is a value that the loop keeps for it from frame to frame."""
@@ -65,8 +67,8 @@ class Target(Protocol):
     ) -> tuple[Any, TargetResult]:
         """The state after one more frame, and what there is to say of it; `covers`: what the other targets explain."""
 
-    def cover(self, state: Any) -> Cover | None:
-        """What of the picture it explains, which others may keep off; None if it does not say."""
+    def cover(self, state: Any, *, ahead: bool) -> Cover | None:
+        """What of the picture it explains, or, `ahead`, is expected to in the next frame; None if it does not say."""
 
 
 Tracker: TypeAlias = tuple[Target, ...]
@@ -76,7 +78,7 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "
     """Track over `frames`, the first of which is the one that the tracker's start belongs to.
 
     Targets take their turn in their order: those that came before are known where they are in this frame, the others
-    where they were in the last. The same tracker, frames and seed give the same results, bit for bit. Raises
+    where they are expected to be. The same tracker, frames and seed give the same results, bit for bit. Raises
     InputError, which names the `clip`, if the first frame does not show what a target needs.
     """
     rng = np.random.default_rng(seed)
@@ -85,7 +87,11 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "
         results = []
         if states:
             for i, target in enumerate(tracker):
-                covers = [o.cover(s) for j, (o, s) in enumerate(zip(tracker, states, strict=True)) if j != i]
+                covers = [
+                    other.cover(state, ahead=j > i)
+                    for j, (other, state) in enumerate(zip(tracker, states, strict=True))
+                    if j != i
+                ]
                 states[i], result = target.advance(rng, states[i], frame, [one for one in covers if one is not None])
                 results.append(result)
         else:
@@ -166,10 +172,12 @@ class ParticleTarget:
         state = State(particles, estimated, learned, judgement)
         return state, self._result(state, info, "tracked")
 
-    def cover(self, state: State) -> Cover | None:
+    def cover(self, state: State, *, ahead: bool) -> Cover | None:
         if len(self.parts) > 1:
             return None  # points between which nobody knows what there is
-        return Cover(state.estimated.mean[0, :2], self.space.windows(state.estimated)[0] / 2)
+        mean = state.estimated.mean
+        centre = self.motion.expect(mean[None])[0] if ahead else mean
+        return Cover(centre[0, :2], self.space.windows(state.estimated)[0] / 2)
 
     def _result(self, state: State, info: Info, otherwise: Status) -> TargetResult:
         """`otherwise` is the status where nothing judges."""

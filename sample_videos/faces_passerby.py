@@ -23,7 +23,8 @@ SOFT, DARK = 7.0, 0.22  # the shadow of who passes
 PORTRAIT = 0.57  # of the photograph, as portraits.py reduces it; outlines below are in pixels of the photograph
 MORE = (120, 60)  # rows and columns of cloth that the portrait does not show, at its lower and right border
 _BUTTON = (140, 22)  # its column in the last rows of the portrait, and how far from it cloth begins
-_CHROMA = (0.62, 0.5)  # of Cb and Cr
+_CHROMA = (1.12, 0.8)  # of Cb and Cr
+_MOST = 25.0  # levels of chroma, which no colour of hers goes beyond: about that of the other one's skin
 _HEAD = ((250, 23), (272, 25), (290, 32), (299, 41), (322, 50), (340, 64), (352, 86), (362, 87), (367, 95),
          (371, 140), (370, 176), (375, 192), (372, 216), (365, 240), (359, 258), (361, 272), (356, 288),
          (346, 300), (333, 306))  # fmt: skip
@@ -65,10 +66,11 @@ def _continued(picture: Picture) -> Picture:
 
 
 def _like_the_other(picture: Picture) -> Picture:
-    """With the colours of another camera: the mean skin of both portraits then has nearly the same Cb and Cr."""
+    """With the colours of another camera, paler and evener: the skin of both portraits then has nearly one Cb and Cr."""
     ycc = cv2.cvtColor(picture, cv2.COLOR_BGR2YCrCb)
-    for channel, share in ((2, _CHROMA[0]), (1, _CHROMA[1])):
-        ycc[..., channel] = 0.5 + share * (ycc[..., channel] - 0.5)  # of floats OpenCV has grey at 0.5
+    chroma = (ycc[..., 1:] - 0.5) * np.array(_CHROMA[::-1], np.float32)  # of floats OpenCV has grey at 0.5
+    strong = np.linalg.norm(chroma, axis=2, keepdims=True) / _MOST
+    ycc[..., 1:] = 0.5 + chroma * np.tanh(strong) / np.maximum(strong, 1e-6)
     return np.asarray(np.clip(1.08 * cv2.cvtColor(ycc, cv2.COLOR_YCrCb2BGR), 0, 255), dtype=np.float32)
 
 

@@ -52,6 +52,15 @@ def test_without_noise_the_dynamics_are_the_matrix():
     np.testing.assert_allclose(still.propagate(np.random.default_rng(0), x), x @ whole(A, SCALE_A).T)
 
 
+def test_what_is_expected_is_the_mean_of_the_draws():
+    model = FirstOrder((np.array([[1, 1], [0, 0.5]]), np.array([[2.0], [1.0]])),
+                       (np.array([[1, 0], [0, 0]]), np.array([[0.1], [0]])), 0.01, 100.0)  # fmt: skip
+    x = np.array([[[10.0, 20.0, 1.0, 3.0, -4.0, 0.0]]])
+    np.testing.assert_array_equal(model.expect(x), [[[13, 16, 1, 1.5, -2, 0]]])
+    drawn = model.propagate(np.random.default_rng(0), x.repeat(40_000, axis=0)).mean(axis=0)
+    np.testing.assert_allclose(drawn, model.expect(x)[0], atol=0.05)
+
+
 def test_scale_stops_at_its_bounds():
     wild = FirstOrder((A, B), (np.eye(2), np.array([[2.0], [1.0]])), 0.5, 2.0)
     x = np.tile(state_of_box(0, 0, 10, 10), (500, 1, 1))

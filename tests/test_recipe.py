@@ -37,7 +37,7 @@ REGIONS = [
     "histogram",
     "histogram_correlation",
 ]
-SKIN = ["ncc", "skin", "skin_ncc"]
+SKIN = ["ncc", "skin", "skin_ncc", "skin_ncc_robust"]
 SEVERAL = ["head_hands", "head_hands_cloud"]
 OPENCV = ["csrt", "kcf", "mil", "mosse"]
 
@@ -164,7 +164,7 @@ def test_a_recipe_is_found_by_name_and_by_path(write, tmp_path, monkeypatch):
 
 
 def test_a_miss_names_the_nearest_and_all(tmp_path):
-    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*auxiliary_prior, contour, .*skin_ncc$'):
+    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*auxiliary_prior, contour, .*skin_ncc_robust$'):
         load_recipe("factorised.yaml")
     with pytest.raises(RecipeError, match="neither a file nor a shipped recipe; give a file or a name; shipped are "):
         load_recipe("zzzz")
