@@ -1,5 +1,7 @@
 """From a start to the targets that a recipe names, and hands that nobody placed."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,9 @@ from facetrack_cli.errors import InputError
 from facetrack_cli.start import haar_start, name_targets, read_init
 from facetrack_cli.types import Frame, Start, TargetStart
 from facetrack_cli.video.source import open_source
-from tests.samples import SAMPLES
 from tests.test_skin_cloud import HEAD, LEFT, RIGHT, box, picture
 
+SAMPLES = Path(__file__).parent.parent / "sample_videos"
 ALL = ("head", "left_hand", "right_hand")
 FRAME = Frame(0, 0.0, picture(HEAD, LEFT, RIGHT))
 
