@@ -78,15 +78,18 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "
     """Track over `frames`, the first of which is the one that the tracker's start belongs to.
 
     Targets take their turn in their order: those that came before are known where they are in this frame, the others
-    where they are expected to be. The same tracker, frames and seed give the same results, bit for bit. Raises
-    InputError, which names the `clip`, if the first frame does not show what a target needs.
+    where they are expected to be. The same tracker, frames and seed give the same results, bit for bit, and so does a
+    target that keeps off no other one, whatever else is tracked after it. Raises InputError, which names the `clip`, if
+    the first frame does not show what a target needs.
     """
-    rng = np.random.default_rng(seed)
+    # a stream of its own for each target, so that one does not change by what others draw
+    streams = [np.random.SeedSequence(seed, spawn_key=(i,) if i else ()) for i in range(len(tracker))]
+    rngs = [np.random.default_rng(stream) for stream in streams]
     states: list[Any] = []
     for frame in frames:
         results = []
         if states:
-            for i, target in enumerate(tracker):
+            for i, (target, rng) in enumerate(zip(tracker, rngs, strict=True)):
                 covers = [
                     other.cover(state, ahead=j > i)
                     for j, (other, state) in enumerate(zip(tracker, states, strict=True))
@@ -96,7 +99,7 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "
                 results.append(result)
         else:
             try:
-                ended = [target.begin(rng, frame) for target in tracker]
+                ended = [target.begin(rng, frame) for target, rng in zip(tracker, rngs, strict=True)]
             except InputError as e:
                 raise InputError(f"{clip}: {e}" if clip else str(e)) from None
             states, results = [state for state, _ in ended], [result for _, result in ended]

@@ -149,3 +149,25 @@ def test_a_large_target_is_read_from_a_reduced_picture():
     a, b = (m.score(m.init(Frame(0, 0.0, p), None), Frame(0, 0.0, p), y, y)
             for m, p, y in ((model, small, x), (big, large, 4 * x + 1.5)))  # fmt: skip
     assert np.mean(np.abs(np.exp(a) - np.exp(b)) > 0.1) < 0.02
+
+
+def clouds(results, target):
+    return np.array([result.targets[target].cloud for result in results])
+
+
+@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
+@pytest.mark.parametrize("zoom", [1, 4])
+def test_a_target_that_keeps_off_none_does_not_change_by_what_is_tracked_beside_it(config, zoom):
+    """Nor by which parts of a frame others have asked for before: at the larger size they are reduced."""
+    clip = [cv2.resize(frame.bgr, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_LINEAR) for frame in frames(swing(5))]
+    at = {name: tuple(zoom * v for v in box(e)) for name, e in zip(ALL, (HEAD, LEFT, RIGHT), strict=True)}
+
+    def followed(*names):
+        begin = Start(0, {name: TargetStart(box=at[name]) for name in names}, "x")
+        left_out = [f"targets.{name}=null" for name in ALL if name not in names]
+        return run(config, [Frame(i, 0.0, bgr) for i, bgr in enumerate(clip)], begin, 2, ["exclusion=null", *left_out])
+
+    together, pair = followed(*ALL), followed("head", "left_hand")
+    np.testing.assert_array_equal(clouds(together, 0), clouds(followed("head"), 0))
+    for target in (0, 1):
+        np.testing.assert_array_equal(clouds(together, target), clouds(pair, target))
