@@ -72,6 +72,8 @@ class Overlay:
         self._stride = max(1, math.ceil(fps * trail_s / _SAMPLES)) if math.isfinite(fps * trail_s) else 1
         self._past: dict[str, deque[_Past]] = {}
         self._slots: dict[tuple[str, str], int] = {}
+        self._low: set[str] = set()  # targets whose names stand below them
+        self._weights: dict[tuple[str, str], int] = {}
         self._reach = 4.0 * max(size)
         self._count = 0
 
@@ -123,7 +125,10 @@ class Overlay:
     def _remember(self, shape: _Shape, now: float) -> list[_Past]:
         """The target's past and its present, oldest first."""
         past = self._past.setdefault(shape.target.name, deque(maxlen=_SAMPLES + 1))
-        if past and (past[-1].centres.shape != shape.centres.shape or not past[-1].time_s < now):
+        if past and not past[-1].time_s < now:
+            self._weights = {key: line for key, line in self._weights.items() if key[0] != shape.target.name}
+            past.clear()
+        if past and past[-1].centres.shape != shape.centres.shape:
             past.clear()
         while past and now - past[0].time_s > self.trail_s:
             past.popleft()
@@ -136,6 +141,8 @@ class Overlay:
     def _forget(self, names: set[str]) -> None:
         for name in [n for n in self._past if n not in names]:
             del self._past[name]
+        for key in [key for key in self._weights if key[0] not in names]:
+            del self._weights[key]
 
     # particles, then lines over them
 
@@ -186,9 +193,7 @@ class Overlay:
         order = np.argsort(shape.lost, kind="stable").tolist()  # what is lost lies on top
         for k in order:
             part, tint = shape.parts[k], tints[k]
-            # a box changes its size: its line is not to change weight back and forth with it
-            strong = (24 if part.name == BOX else 60) * line
-            weight = line if min(part.w, part.h) < strong else line + 1
+            weight = self._weight(shape.target.name, part)
             if part.status == "lost":
                 polylines(layer, list(fixed(dashes(local[k], 10 * line))), ink(tint, 1), weight)
             else:
@@ -235,6 +240,11 @@ class Overlay:
             yield broken, LOST, opacity
             start = end
 
+    def _weight(self, target: str, part: PartResult) -> int:
+        """The thickness of a part's window, in pixels: as its size is when it is first seen, or it would flicker."""
+        strong = (24 if part.name == BOX else 60) * self._line
+        return self._weights.setdefault((target, part.name), self._line + (min(part.w, part.h) >= strong))
+
     def _roomy(self, part: PartResult) -> bool:
         return min(part.w, part.h) >= 9 * self._line
 
@@ -275,8 +285,11 @@ class Overlay:
         for shape in shapes:
             taken += [(b[0], b[1], b[2], b[3]) for b in shape.bounds.tolist()]
         slots: dict[tuple[str, str], int] = {}
+        tags: list[Rect] = []
         for shape in shapes:
-            self._tag(image, shape, len(shapes) > 1, taken)
+            tags += self._tag(image, shape, len(shapes) > 1, tags)
+        taken += tags
+        for shape in shapes:
             if not shape.parts or len(taken) > 60:
                 continue
             middle = shape.centres.mean(axis=0)
@@ -307,8 +320,11 @@ class Overlay:
             return False
         return not any(x0 < t[2] and t[0] < x1 and y0 < t[3] and t[1] < y1 for t in taken)
 
-    def _tag(self, image: Image, shape: _Shape, named: bool, taken: list[Rect]) -> None:
-        """Above the target: who it is, if the tracker says so, or its name where there are several."""
+    def _tag(self, image: Image, shape: _Shape, named: bool, tags: list[Rect]) -> list[Rect]:
+        """Who a target is, if the tracker says so, or its name where there are several; the place that it took, if any.
+
+        It stands above the target, or below where another's `tags` or the picture's border are in the way.
+        """
         target = shape.target
         text = target.name if named else ""
         if target.identity is not None:
@@ -316,18 +332,23 @@ class Overlay:
             if target.identity_prob is not None and math.isfinite(target.identity_prob):
                 text += f" {target.identity_prob:.0%}"
         if not text or not shape.parts:
-            return
+            return []
         sprite = self._label_font.sprite(text, shape.colour, self._line)
         width, height = sprite.size
         low, high = shape.bounds[:, :2].min(axis=0), shape.bounds[:, 2:].max(axis=0)
         if high[0] < 0 or high[1] < 0 or low[0] > self.size[0] or low[1] > self.size[1]:
-            return
+            return []
         left = int(min(max((low[0] + high[0] - width) / 2, 0), max(self.size[0] - width, 0)))
-        top = int(low[1]) - height - 2 * self._line
-        if top < taken[0][3]:
-            top = min(int(high[1]) + 2 * self._line, self.size[1] - height)
-        stamp(image, sprite, left, top)
-        taken.append((left, top, left + width, top + height))
+        gap, bar = 2 * self._line, self._bar.height if self._bar else 0
+        above, below = int(low[1]) - height - gap, min(int(high[1]) + gap, self.size[1] - height)
+        tops = [above, below] if above >= bar else [below]
+        if target.name in self._low:  # stay there until that place is taken
+            tops.reverse()
+        boxes = [(left, top, left + width, top + height) for top in tops]
+        chosen = next((box for box in boxes if self._free(box, tags)), boxes[0])
+        (self._low.add if len(tops) > 1 and chosen[1] == below else self._low.discard)(target.name)
+        stamp(image, sprite, left, int(chosen[1]))
+        return [chosen]
 
 
 def _short(name: str) -> str:
