@@ -26,10 +26,9 @@ from facetrack_cli.priors import BoundPrior, bind, load_prior
 from facetrack_cli.recipe import OpenCvRecipe, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.resampling import SCHEMES
 from facetrack_cli.spaces import BoxSpace, CloudSpace, PointSpace, size_of_points, state_of_box
+from facetrack_cli.start.files import check_size
 from facetrack_cli.track import Likelihood, ParticleTarget, Tracker
 from facetrack_cli.types import BOX, Array, Box, Start
-
-LEAST_BOX = 6  # pixels of a side; in less there is nothing to see
 
 
 def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
@@ -151,9 +150,7 @@ def _cloud_target(given: ParticleFilter, name: str, start: Start) -> ParticleTar
 def _seen_box(start: Start, name: str) -> Box:
     """The target's box; InputError if it is too small to see anything in it."""
     box = _box(start, name)
-    if min(box[2:]) < LEAST_BOX:
-        least = f"{LEAST_BOX}x{LEAST_BOX} pixels"
-        raise InputError(f"{start.origin}: the box of {name} is smaller than {least}; give a larger one")
+    check_size(start.origin, name, box)
     return box
 
 

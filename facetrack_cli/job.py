@@ -233,7 +233,7 @@ def find_start(job: Job, stop: Stop) -> Start | None:
 
 
 def _look(job: Job, stop: Stop) -> Start | None:
-    from facetrack_cli.start import haar_start, name_targets
+    from facetrack_cli.start import haar_start
 
     origin = "the search" if job.init_frame is None else "--init-frame"
     first = job.start if job.init_frame is None else job.init_frame
@@ -244,7 +244,7 @@ def _look(job: Job, stop: Stop) -> Start | None:
                 _frames(source, first, origin, stop),
                 job.recipe.points,
                 clip=str(job.clip),
-                complete=lambda frame, start: name_targets(start, job.recipe.followed, frame, clip=str(job.clip)),
+                complete=lambda frame, start: _named(job, start, frame),
             )
         except InputError:
             if stop():
@@ -254,16 +254,17 @@ def _look(job: Job, stop: Stop) -> Start | None:
 
 def place_start(job: Job, start: Start) -> Start:
     """The start with what it does not say: points of a target that is a box alone, targets that the recipe names."""
-    from facetrack_cli.start import box_start, name_targets
+    from facetrack_cli.start import box_start, check_start
 
     _check_frame(job, start.frame, _origin(job, start))
     names = list(start.targets)
     if job.recipe.followed:
         if set(job.recipe.followed) <= set(names):
-            return name_targets(start, job.recipe.followed, None, clip=str(job.clip))
+            return _named(job, start, None)
         with _open(job, start.frame) as source:
             frame = next(_frames(source, start.frame, _origin(job, start)))
-        return name_targets(start, job.recipe.followed, frame, clip=str(job.clip))
+        check_start(start, frame.size, ())
+        return _named(job, start, frame)
     given = start.targets[names[0]]
     if len(names) > 1 or given.points or given.box is None or not job.recipe.points:
         return start
@@ -273,6 +274,13 @@ def place_start(job: Job, start: Start) -> Start:
     placed = box_start(frame, given.box, job.recipe.points, clip=said_in)
     [found] = placed.targets.values()
     return replace(start, targets={names[0]: replace(found, windows=given.windows)})
+
+
+def _named(job: Job, start: Start, frame: Frame | None) -> Start:
+    """The start with the targets that the recipe names, if it names any."""
+    from facetrack_cli.start import name_targets
+
+    return name_targets(start, job.recipe.followed, frame, left_out=job.recipe.left_out, clip=str(job.clip))
 
 
 def _origin(job: Job, start: Start) -> str:

@@ -24,7 +24,7 @@ from pydantic import (
 from facetrack_cli.errors import RecipeError
 from facetrack_cli.lengths import Length, PerPart, Window
 from facetrack_cli.recipe_base import Section
-from facetrack_cli.recipe_filter import ParticleFilter
+from facetrack_cli.recipe_filter import MOST_HYPOTHESES, ParticleFilter
 from facetrack_cli.recipe_messages import Refusal, locate, problems, refuse, suggest
 from facetrack_cli.recipe_regions import Contour, Correlation, FirstOrder, Histogram, Product, Region
 from facetrack_cli.recipe_sections import (
@@ -124,6 +124,11 @@ class Recipe(Section):
         return ()
 
     @property
+    def left_out(self) -> tuple[str, ...]:
+        """Names of targets that it knows and does not follow: where a start has them, they are passed over."""
+        return ()
+
+    @property
     def particles(self) -> int | None:
         """Number of particles, None for a tracker without."""
         return None
@@ -181,6 +186,10 @@ class ParticlesRecipe(Recipe):
         return tuple(self.filters)
 
     @property
+    def left_out(self) -> tuple[str, ...]:
+        return tuple(name for name, one in self.targets.items() if one is None)
+
+    @property
     def filters(self) -> Mapping[str, ParticleFilter]:
         """Those that are there, in their order; the first is the one whose face is looked for."""
         return {name: one for name, one in self.targets.items() if one is not None}
@@ -210,6 +219,10 @@ class ParticlesRecipe(Recipe):
         for i, name in enumerate(self.exclusion.first if self.exclusion is not None else ()):
             if name not in names:
                 found.append(Refusal(("exclusion", "first", i), f'there is no target "{name}"; {known}'))
+        hypotheses = sum(one.hypotheses for one in self.filters.values())
+        if hypotheses > MOST_HYPOTHESES:
+            message = f"the targets have {hypotheses:,} particles; no more than {MOST_HYPOTHESES:,} fit into memory"
+            found.append(Refusal(("targets",), message))
         refuse(found)
         return self
 
@@ -341,7 +354,12 @@ def _load(path: Path, overrides: Sequence[str]) -> Recipe:
 
 def _kind(root: Node) -> type[Recipe]:
     """The model of a recipe by its `type`: a particle filter where none is given."""
-    given = root.value.get("type") if isinstance(root.value, dict) else None
+    keys = root.value if isinstance(root.value, dict) else {}
+    given = keys.get("type")
+    if "targets" in keys and "target" not in keys and (given is None or given.value == "particle_filter"):
+        node = keys["targets"] if given is None else given
+        message = '"targets" is a key of several particle filters; write type: particle_filters'
+        raise YamlProblems([Problem((node.key or node.span) if given is None else node.span, message)])
     if given is None:
         return ParticleRecipe
     name = given.value if isinstance(given.value, str) else ""

@@ -52,6 +52,10 @@ class ParticleFilter(Section):
         return self.filter.particles
 
     @property
+    def hypotheses(self) -> int:
+        return self.filter.particles * max(len(self.target.parts), 1)
+
+    @property
     def judges(self) -> bool:
         given = self.likelihood
         return not isinstance(given, Product) or given.contour is not None or given.histogram is not None
@@ -67,9 +71,8 @@ class ParticleFilter(Section):
             if self.motion.scale and not isinstance(self.target, Region):
                 message = f"motion.scale is that of a region; a target of type {self.target.type} has none: remove it"
                 found.append(Refusal(("motion", "scale"), message))
-        hypotheses = self.filter.particles * max(len(self.target.parts), 1)
-        if hypotheses > MOST_HYPOTHESES:
-            message = f"particles times parts is {hypotheses:,}; no more than {MOST_HYPOTHESES:,} fit into memory"
+        if self.hypotheses > MOST_HYPOTHESES:
+            message = f"particles times parts is {self.hypotheses:,}; no more than {MOST_HYPOTHESES:,} fit into memory"
             found.append(Refusal(("filter", "particles"), message))
         match self.filter:
             case Factorized(reweight="transition", particles=n) if n > MOST_COMPARED:

@@ -34,6 +34,7 @@ _BOUNDS = {
     "string_too_short": ("min_length", "at least {} characters long"),
     "string_too_long": ("max_length", "at most {} characters long"),
 }
+_NAMES = "a name has small letters, digits and _, and begins with a letter"
 
 
 class Refusal(NamedTuple):
@@ -132,6 +133,9 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
             yield Problem(place, f'unknown {where} type "{wrong}"; {suggest(wrong, known, "it is one of")}')
         else:
             yield Problem(place, f"{where}.type cannot be {_shown(given)}; it is one of: {', '.join(known)}")
+    elif path[-1] == "[key]":  # how pydantic calls the name itself in a mapping from any name
+        rule = _NAMES if kind == "string_pattern_mismatch" else f"give {context['max_length']} characters at most"
+        yield Problem(node.key or node.span, f'"{keys[-1]}" cannot be one of {_dotted(keys[:-1])}; {rule}')
     else:
         yield Problem(_value_span(node), f"{where or 'the recipe'} {_must(details, node)}")
 
@@ -152,7 +156,7 @@ def _must(details: ErrorDetails, node: Node) -> str:
         known = [word.strip(" '") for word in str(context["expected"]).replace(" or ", ",").split(",")]
         return f"cannot be {given}; {suggest(str(node.value), known, 'it is one of')}"
     if kind == "string_pattern_mismatch":
-        return f"cannot be {given}; a name has small letters, digits and _, and begins with a letter"
+        return f"cannot be {given}; {_NAMES}"
     return f"{details['msg']}, not {given}"
 
 
@@ -207,7 +211,7 @@ def _type_name(model: type[BaseModel]) -> str:
 
 
 def _length(node: Node) -> int:
-    return len(node.value) if isinstance(node.value, list) else 0
+    return len(node.value) if isinstance(node.value, list | dict) else 0
 
 
 def _value_span(node: Node) -> Span:

@@ -179,5 +179,9 @@ class Result:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Lines for the user, each once, also where several targets learned from the same place."""
-        return tuple(dict.fromkeys(note for target in self.targets for note in target.notes))
+        """Lines for the user, each once, with the first target that it is said of where there are several."""
+        first: dict[str, str] = {}
+        for target in self.targets:
+            for note in target.notes:
+                first.setdefault(note, target.name)
+        return tuple(f"{name}: {note}" if len(self.targets) > 1 else note for note, name in first.items())

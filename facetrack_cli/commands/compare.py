@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -194,7 +195,7 @@ def _run(
     scores: dict[str, list[Score]] = {label: [] for label in named}
     moved: dict[str, InputError | None] = {}
     noted: list[str] = []
-    warned: list[str] = []
+    warned: dict[str, list[str]] = {label: [] for label in named}
     plans = []
     size = settings.size or begin.picture_size()
     family = (rank_by or "").partition(".")[0]
@@ -208,7 +209,7 @@ def _run(
                 raise UsageError(f"--rank-by {rank_by}: this truth measures {measured} of {label}; rank by these")
             plans.append(plan)
             if (far := far_from_truth(plan.start, truth)) is not None:
-                warned.append(far)
+                warned[label].append(far)
         except FacetrackError as e:
             if stop():
                 return []
@@ -221,7 +222,7 @@ def _run(
             try:
                 if isinstance(run, Failure):
                     raise run.error
-                warned += run.warnings
+                warned[run.label] += run.warnings
                 scores[run.label].append(score_run(run, truth, settings, noted.append))
                 if check_shift and run.label not in moved:
                     moved[run.label] = shifted(run, truth, settings)
@@ -235,7 +236,7 @@ def _run(
             if str(error) != str(first[1]):
                 shown.error(f"facetrack: error: {label}: {error}")
         raise first[1]
-    for line in dict.fromkeys(warned):
+    for line in dict.fromkeys(itertools.chain(*warned.values())):
         shown.say(f"facetrack: warning: {line}")
     for line in dict.fromkeys(noted):
         shown.say(f"facetrack: note: {line}")
@@ -249,6 +250,7 @@ def _run(
             str(refused[label]) if label in refused else "",
             deterministic=not recipe.random,
             begins=begins.get(label, ""),
+            warnings=tuple(dict.fromkeys(warned[label])),
         )
         for label, recipe in named.items()
     ]

@@ -105,10 +105,12 @@ def _find(clip: Path, init_frame: int, box: Box | None, config: str | None) -> t
     from facetrack_cli.video.source import open_source
 
     recipe = None if config is None else load_recipe(config)
-    points, followed = (PARTS, ()) if recipe is None else (recipe.points, recipe.followed)
+    points = PARTS if recipe is None else recipe.points
 
     def complete(frame: Frame, start: Start) -> Start:
-        return name_targets(start, followed, frame, clip=str(clip))
+        if recipe is None:
+            return start
+        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=str(clip))
 
     looked_at: list[Frame] = []
     with open_source(clip, start=init_frame) as source:

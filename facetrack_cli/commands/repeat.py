@@ -128,7 +128,8 @@ def command(
                 raise run.error
             runs.append(run)
         shown.close()
-        for line in dict.fromkeys(line for run in runs for line in run.warnings):
+        warned = tuple(dict.fromkeys(line for run in runs for line in run.warnings))
+        for line in warned:
             shown.say(f"facetrack: warning: {line}")
         if len(runs) < 2:
             shown.say(f"facetrack: {ending.reason} before two runs had begun; nothing was written")
@@ -143,6 +144,7 @@ def command(
             fraction=apart,
             truth=truth,
             complete=ending.code is None,
+            warnings=warned,
         )
         try:
             _write(found, folder, shown, plots=not no_plots)

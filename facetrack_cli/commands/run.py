@@ -210,7 +210,7 @@ def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> Exit
     failed = lost = 0
     for ended in itertools.chain(refused, run_batch(accepted, workers, stop, shown)):
         if ended.outcome is not None:
-            _report(ended.outcome, shown)
+            _report(ended.outcome, shown, named=True)
             lost += bool(ended.outcome.lost_at_end)
         if ended.failure:
             failed += 1
@@ -224,7 +224,9 @@ def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> Exit
     return ExitCode.BATCH if failed else ExitCode.LOST if lost else ExitCode.DONE
 
 
-def _report(outcome: Outcome, shown: Progress) -> None:
+def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
+    """Warnings, which say of which clip they are if `named`, and the summary."""
     for warning in outcome.warnings:
-        shown.say(f"facetrack: warning: {warning}")
+        of = f"{outcome.clip}: " if named and str(outcome.clip) not in warning else ""
+        shown.say(f"facetrack: warning: {of}{warning}")
     shown.say(outcome.summary())

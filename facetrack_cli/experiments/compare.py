@@ -86,6 +86,7 @@ class Entry:
     why: str = ""
     deterministic: bool = False
     begins: str = ""  # who said where, and the frame
+    warnings: tuple[str, ...] = ()
 
     def values(self, measure: str) -> Array:
         """(n,): the measure in the runs in which it is defined."""

@@ -207,6 +207,7 @@ def as_json(comparison: Comparison) -> str:
                 "error": entry.why or None,
                 "deterministic": entry.deterministic,
                 "begins": entry.begins or None,
+                "warnings": list(entry.warnings),
                 "failures": entry.failures,
                 "frames_per_s": _rounded(entry.frames_per_s, 2),
                 "mean": {n: _rounded(m) for n in names() if (m := entry.mean(n)) is not None},

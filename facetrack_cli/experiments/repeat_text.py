@@ -40,6 +40,7 @@ class Repetition:
     fraction: float
     truth: Path | None = None
     complete: bool = True
+    warnings: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -178,6 +179,7 @@ def as_json(found: Repetition) -> str:
         "parting": found.parting,
         "fraction": found.fraction,
         "notes": notes(found),
+        "warnings": list(found.warnings),
         "parts": [_part(one) for one in found.spreads],
         "recipe": to_dict(found.recipe),
     }

@@ -1,12 +1,13 @@
 """Where a track begins: an init file, a box, or the first face that the Haar cascades find."""
 
-from facetrack_cli.start.files import check_start, default_path, find_init, read_init, write_init
+from facetrack_cli.start.files import check_size, check_start, default_path, find_init, read_init, write_init
 from facetrack_cli.start.haar import PARTS, box_start, haar_start
 from facetrack_cli.start.targets import name_targets
 
 __all__ = [
     "PARTS",
     "box_start",
+    "check_size",
     "check_start",
     "default_path",
     "find_init",

@@ -31,6 +31,7 @@ TARGET: Final = "face"
 KEYS: Final = ("box", "points", "windows")
 MAX_PIXELS: Final = 1e6
 MAX_FRAME: Final = 10**9
+LEAST_BOX: Final = 6  # pixels of a side; in less there is nothing to see
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 Branch: TypeAlias = "dict[str, Node]"
 
@@ -196,6 +197,13 @@ def inside(point: Point, size: tuple[int, int]) -> bool:
 def centre_inside(box: Box, size: tuple[int, int]) -> bool:
     """Whether the centre of a box is on a pixel of the picture; its edges may stand out, as a face may."""
     return inside((box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2), size)
+
+
+def check_size(origin: str, name: str, box: Box) -> None:
+    """InputError if a target's box, which `origin` gave, is too small to see anything in it."""
+    if min(box[2:]) < LEAST_BOX:
+        least = f"{LEAST_BOX}x{LEAST_BOX} pixels"
+        raise InputError(f"{origin}: the box of {name} is smaller than {least}; give a larger one")
 
 
 def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frames: int | None = None) -> None:

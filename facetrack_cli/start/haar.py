@@ -74,7 +74,8 @@ def haar_start(
     if first is None:
         raise InputError(f"{clip}: no frame to look for a face in; ask for frames that the clip has")
     if lacking is not None:
-        raise lacking
+        later = "" if last == first else f"; no frame to {last} shows more"
+        raise InputError(f"{lacking}{later}")
     looked = f"frame {first}" if first == last else f"frames {first} to {last}"
     raise InputError(
         f"{clip}: no face found in {looked}; give its box with --box X,Y,W,H, an init file with --init FILE, "

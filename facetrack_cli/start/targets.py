@@ -12,23 +12,25 @@ from dataclasses import replace
 
 from facetrack_cli.errors import InputError
 from facetrack_cli.skin import learn_skin
-from facetrack_cli.start.files import TARGET
+from facetrack_cli.start.files import LEAST_BOX, TARGET, check_size
 from facetrack_cli.start.skin_regions import hand_regions
 from facetrack_cli.types import Box, Frame, Start, TargetStart
 
 NEAR = 0.3  # of the smaller box's area: a region that shares as much with a target that is known is that target
 
 
-def name_targets(start: Start, names: Sequence[str], frame: Frame | None, *, clip: str = "the clip") -> Start:
+def name_targets(
+    start: Start, names: Sequence[str], frame: Frame | None, *, left_out: Sequence[str] = (), clip: str = "the clip"
+) -> Start:
     """The start with all targets `names`, in their order; without names, as it is.
 
-    A single target called `face`, or by no name that the recipe knows, is the first one. `frame` is the start's, and
-    may be None if nothing is lacking. Raises InputError if there are targets that the recipe does not know, the first
-    one is lacking, or there are not as many regions of skin as hands.
+    A single target called `face`, or by no name that the recipe knows, is the first one. Those in `left_out` are known
+    and not wanted. `frame` is the start's, and may be None if nothing is lacking. Raises InputError if there are
+    targets that the recipe does not know, the first one is lacking, or there are not as many regions of skin as hands.
     """
     if not names:
         return start
-    given = dict(start.targets)
+    given = {name: target for name, target in start.targets.items() if name not in left_out}
     if len(given) == 1 and not set(given) & set(names):
         given = {names[0]: next(iter(given.values()))}
     elif names[0] not in given and TARGET in given:
@@ -40,12 +42,20 @@ def name_targets(start: Start, names: Sequence[str], frame: Frame | None, *, cli
             f"{start.origin}: has {', '.join(strangers)}, which the recipe does not know; it follows {known}: "
             "rename them in the init file, or in the recipe"
         )
-    if names[0] not in given or given[names[0]].box is None:
-        raise InputError(f"{start.origin}: has no box of {names[0]}, which the recipe begins with; it follows {known}")
+    head = given[names[0]].box if names[0] in given else None
+    if head is None:
+        raise InputError(
+            f"{start.origin}: has no box of {names[0]}, which the recipe begins with; it follows {known}: "
+            f"add one, as in {names[0]}: {{box: [x, y, w, h]}}, or look for a face with --init haar"
+        )
+    check_size(start.origin, names[0], head)
     missing = [name for name in names if name not in given]
     if missing:
         assert frame is not None
-        found = _others(frame, given, names[0], len(missing))
+        try:
+            found = _others(frame, given, names[0], len(missing))
+        except InputError as e:
+            raise InputError(f"{clip}: {names[0]}, {e}") from None
         if len(found) < len(missing):
             number = {0: "no region", 1: "one region"}.get(len(found), f"{len(found)} regions")
             remedy = f"begin elsewhere with --init-frame, or follow fewer, as by --set targets.{missing[-1]}=null"
@@ -63,7 +73,8 @@ def _others(frame: Frame, given: dict[str, TargetStart], head: str, count: int) 
     assert face is not None
     taken = [target.box for name, target in given.items() if name != head and target.box is not None]
     regions = hand_regions(frame, face, learn_skin(frame, face), count + len(taken))
-    free = [box for box in regions if all(_shared(box, other) < NEAR for other in taken)]
+    seen = [box for box in regions if min(box[2:]) >= LEAST_BOX]
+    free = [box for box in seen if all(_shared(box, other) < NEAR for other in taken)]
     return free[:count]
 
 
