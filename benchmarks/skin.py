@@ -66,11 +66,11 @@ class Boxes(NamedTuple):
 
 
 class Rate(NamedTuple):
-    """Shares, 0..1, of the frames of one run, `visible` of its visible ones; `away` at the end."""
+    """Shares, 0..1, of the frames of one run, `visible` of its visible ones if some are hidden; `away` at the end."""
 
     good: float
     strict: float
-    visible: float
+    visible: float | None
     away: bool
 
 
@@ -84,7 +84,8 @@ def rate(targets: Sequence[Boxes]) -> Rate:
         away = last[-max(int(TAIL * len(last)), 1) :].mean() < 0.5
         each.append((every.good_rate, every.strict_rate, visible.good_rate, away))
     good, strict, seen, gone = zip(*each, strict=True)
-    return Rate(float(np.mean(good)), float(np.mean(strict)), float(np.mean(seen)), any(gone))
+    hidden = any(not one.seen.all() for one in targets)
+    return Rate(float(np.mean(good)), float(np.mean(strict)), float(np.mean(seen)) if hidden else None, any(gone))
 
 
 def names_aside(a: Boxes, b: Boxes) -> list[Boxes]:
@@ -124,14 +125,15 @@ def runs_of(clip: Path, config: str, label: str, given: argparse.Namespace) -> l
     return pairs
 
 
-def cell(rates: Sequence[Rate], hidden: bool) -> str:
+def cell(rates: Sequence[Rate]) -> str:
     good = 100 * np.array([one.good for one in rates])
     text = f"{good.mean():.1f}"
     if len(good) > 1:
         text += f" ± {good.std(ddof=1):.1f}"
     text += f" / {100 * np.mean([one.strict for one in rates]):.1f}"
-    if hidden:
-        text += f" / {100 * np.mean([one.visible for one in rates]):.1f}"
+    visible = [one.visible for one in rates if one.visible is not None]
+    if visible:
+        text += f" / {100 * np.mean(visible):.1f}"
     away = sum(one.away for one in rates)
     return f"{text} ({away})" if away else text
 
@@ -189,11 +191,10 @@ def main() -> None:
 def table(found: dict[str, dict[str, list[Rate]]], refused: set[str], clips: Sequence[Path], seeds: int) -> None:
     columns = list(dict.fromkeys(name for row in found.values() for name in row))
     in_mean = [name for name in columns if name not in refused] if len(clips) > 1 else []
-    covered = {name: any(r.good != r.visible for row in found.values() for r in row.get(name, [])) for name in columns}
     print(f"\n{seeds} seeds\n\n| recipe | {' | '.join(columns)} |{' mean |' if in_mean else ''}")
     print("|---" * (1 + len(columns) + bool(in_mean)) + "|")
     for label, row in found.items():
-        cells = [cell(row[name], covered[name]) if name in row else "refused" for name in columns]
+        cells = [cell(row[name]) if name in row else "refused" for name in columns]
         if in_mean:
             means = np.mean([[np.mean([[r.good, r.strict] for r in row[name]], axis=0)] for name in in_mean], axis=0)
             cells.append(" / ".join(f"{100 * value:.1f}" for value in means[0]))

@@ -146,7 +146,7 @@ def test_command_lines_parse(arguments, xargs):
         return
     config = params.get("config")
     if config is not None and config.removesuffix(".yaml") in {path.stem for path in shipped_recipes()}:
-        load_recipe(config, [text for text in params["overrides"] if text != "KEY=VALUE"])
+        load_recipe(config, [text for text in params.get("overrides", ()) if text != "KEY=VALUE"])
 
 
 @pytest.mark.parametrize("wrong", [["run", "a.mp4", "--colour"], ["rnu"], ["run"], ["recipes", "shwo", "sir"]])
