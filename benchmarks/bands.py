@@ -27,12 +27,12 @@ import numpy as np
 
 from facetrack_cli.build import build_tracker
 from facetrack_cli.formats.table import Table, from_rows
-from facetrack_cli.recipe import ColourRatio, FirstOrder, ParticleRecipe, Product, RandomWalk, load_recipe
+from facetrack_cli.recipe import ColourRatio, FirstOrder, ParticleRecipe, Product, RandomWalk, SkinNcc, load_recipe
 from facetrack_cli.regression.bands import judge, measure
 from facetrack_cli.regression.goldens import Golden, find_goldens, read_golden
 from facetrack_cli.track import Likelihood, ParticleTarget, Tracker, track
 from facetrack_cli.trajectory import rows
-from facetrack_cli.types import Array, Frame, Particles
+from facetrack_cli.types import BOX, Array, Frame, Particles
 from facetrack_cli.video.source import open_source
 
 FIRST_SEED = 20_000
@@ -91,11 +91,11 @@ def _changes(recipe: ParticleRecipe, case: Case) -> list[str]:
     motion, likelihood = recipe.motion, recipe.likelihood
     found = []
     if case.motion != 1 and isinstance(motion, RandomWalk):
-        found.append(f"motion.sigma={motion.sigma.of(recipe.points[0]).value * case.motion:.6g}")
+        found.append(f"motion.sigma={motion.sigma.of((recipe.points or (BOX,))[0]).value * case.motion:.6g}")
     if case.motion != 1 and isinstance(motion, FirstOrder):
         rows = [[length.value * case.motion for length in row] for row in motion.position.B]
         found.append(f"motion.position.B={rows}")
-    if case.likelihood != 1 and isinstance(likelihood, ColourRatio):
+    if case.likelihood != 1 and isinstance(likelihood, ColourRatio | SkinNcc):
         found.append(f"likelihood.sigma={likelihood.sigma * case.likelihood:.6g}")
     if case.likelihood != 1 and isinstance(likelihood, Product):
         if likelihood.contour is not None:

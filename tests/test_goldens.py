@@ -160,6 +160,16 @@ def test_every_recipe_of_a_region_has_a_golden_of_each_head() -> None:
     assert {"hands.histogram.json", "hands.histogram_correlation.json"} <= found
 
 
+def test_every_recipe_of_skin_has_a_golden_of_each_clip_that_it_was_made_for() -> None:
+    found = {path.name for path in find_goldens(SAMPLES)}
+    recipes = {path.stem: load_recipe(str(path)) for path in shipped_recipes()}
+    several = [name for name, recipe in recipes.items() if recipe.followed]
+    faces = [name for name in recipes if name.split("_")[0] in ("skin", "ncc")]
+    assert len(several) == 2 and len(faces) == 4
+    assert {f"{clip}.{recipe}.json" for recipe in faces for clip in ("map", "gestures", "passerby")} <= found
+    assert {f"signing.{recipe}.json" for recipe in several} <= found
+
+
 @pytest.mark.parametrize("path", find_goldens(SAMPLES), ids=lambda path: path.stem)
 def test_a_shipped_golden_is_of_the_clip_and_the_recipe_that_are_here(path: Path) -> None:
     golden = read_golden(path)

@@ -282,6 +282,19 @@ def test_a_sigma_that_is_off_by_30_percent_fails(stem: str, change: str) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("change", ["motion.sigma=0.14", "likelihood.sigma=0.2"])
+def test_a_face_by_skin_with_another_sigma_fails(change: str) -> None:
+    (found,) = verdicts("map.skin_ncc_robust", change)
+    assert found.status == "fails" and found.verdict is not None and found.verdict.closest > 1.1
+
+
+@pytest.mark.slow
+def test_a_head_that_moves_more_fails_beside_hands_that_are_as_they_were() -> None:
+    (found,) = verdicts("signing.head_hands", "targets.head.motion.sigma=0.14")
+    assert found.status == "fails" and "head/box" in found.message
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("stem", FEW)
 def test_a_likelihood_shifted_by_a_pixel_and_a_half_fails(stem: str, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = ColourRatio.distances
@@ -291,7 +304,7 @@ def test_a_likelihood_shifted_by_a_pixel_and_a_half_fails(stem: str, monkeypatch
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stem", FEW)
+@pytest.mark.parametrize("stem", [*FEW, "map.skin_ncc_robust"])
 def test_twelve_unseen_seeds_pass(stem: str) -> None:
     for first_seed in (300, 400, 500):
         (found,) = verdicts(stem, first_seed=first_seed)
