@@ -176,7 +176,10 @@ class ParticlesRecipe(Recipe):
 
     type: Literal["particle_filters"]
     """Several particle filters, one for each target."""
-    targets: Annotated[dict[TargetName, ParticleFilter | None], Field(min_length=1, max_length=20)]
+    targets: Annotated[
+        dict[TargetName, ParticleFilter | None],
+        Field(min_length=1, max_length=20, json_schema_extra={"additionalProperties": False}),
+    ]
     """A particle filter for each target, by its name in the init file; null for none."""
     exclusion: Exclusion | None = None
     """How targets keep off each other; null: each is followed for itself."""

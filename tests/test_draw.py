@@ -303,6 +303,36 @@ def test_identity_and_names_stand_near_their_targets() -> None:
     assert touched(draw("Grace", None, y=40.0))[73:].sum() > touched(draw(None, None, y=40.0))[73:].sum() + 40
 
 
+def test_the_line_of_a_window_keeps_its_weight_while_its_size_changes() -> None:
+    def weight(overlay: Overlay, side: float, index: int) -> int:
+        box = part("box", 160, 120, w=side, h=side, cov=None)
+        image = overlay.draw(result((320, 240), box, index=index, ground=0, spread=0))
+        return int((image[120, 130:155].max(axis=1) > 60).sum())  # across the window's left side
+
+    for first, then in ((40, 20), (20, 40)):
+        overlay = Overlay((320, 240))
+        weights = [weight(overlay, side, i) for i, side in enumerate((first, then, first))]
+        assert len(set(weights)) == 1
+        assert weight(Overlay((320, 240)), then, 0) != weights[1], "seen first at that size it would be another"
+
+
+def test_names_of_targets_do_not_lie_on_each_other() -> None:
+    overlay = Overlay((320, 240))
+    for index, apart in enumerate((120, 30, 10, 4, 10, 120)):
+        one, two = (
+            result((320, 240), part("box", x, 120, w=40, h=40, cov=None), index=index, name=name).targets[0]
+            for name, x in (("left_hand", 160 - apart / 2), ("right_hand", 160 + apart / 2))
+        )
+        seen: list[tuple[float, float, float, float]] = []
+        shapes = [overlay._shape(target, (255, 255, 255)) for target in (one, two)]
+        image = np.zeros((240, 320, 3), np.uint8)
+        for shape in shapes:
+            seen += overlay._tag(image, shape, True, seen)
+        (a, b) = seen
+        assert a[2] <= b[0] or b[1] >= a[3] or a[1] >= b[3], f"{apart} apart"
+        assert [box[1] < 100 for box in seen] == [True, apart == 120], "above, where there is room"
+
+
 def luminance(image: Image) -> np.ndarray:
     linear = np.where(image / 255 <= 0.04045, image / 255 / 12.92, ((image / 255 + 0.055) / 1.055) ** 2.4)
     return np.asarray(linear @ np.array([0.0722, 0.7152, 0.2126]))

@@ -240,10 +240,11 @@ class _Page:
         said = "a row a part, from first to last" if self.many else "below each row: truth" if covered else ""
         add(self.ours_told, "status", [said], tall, lambda axes: self.pen.status(axes, self.lines))
         counted, ess = self._known(_particles), self._known(_ess)
+        alike = len({_particles(line.ours).tobytes() for line in self.lines}) == 1
         add(
             ess,
             "effective sample size",
-            [bands, "grey: particles" if counted else "", "log scale"],
+            [bands, ("grey" if alike or self.many else "pale") + ": particles" if counted else "", "log scale"],
             0.95,
             self._particles,
         )

@@ -219,7 +219,10 @@ class _Maker:
         if max(width, height) <= shown or not inside.any():
             return (0, 0, width, height), _fit((width, height))
         low, high = (x[inside].min(), y[inside].min()), (x[inside].max(), y[inside].max())
-        wide = max(_VIEW * self._unit, 1.5 * (high[0] - low[0]), 2 * (high[1] - low[1]))
+        half = np.nan_to_num([[s.w[at], s.h[at]] for s, at in rows])[inside] / 2
+        across = (x[inside] + half[:, 0]).max() - (x[inside] - half[:, 0]).min()
+        down = (y[inside] + half[:, 1]).max() - (y[inside] - half[:, 1]).min()
+        wide = max(_VIEW * self._unit, 1.5 * (high[0] - low[0]), 2 * (high[1] - low[1]), 1.2 * across, 1.8 * down)
         w = min(width, math.ceil(wide))
         h = min(height, math.ceil(0.75 * wide))
         left = round(min(max((low[0] + high[0] - w) / 2, 0), width - w))

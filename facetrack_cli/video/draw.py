@@ -143,6 +143,7 @@ class Overlay:
             del self._past[name]
         for key in [key for key in self._weights if key[0] not in names]:
             del self._weights[key]
+        self._low &= names
 
     # particles, then lines over them
 
@@ -314,10 +315,12 @@ class Overlay:
                         break
         self._slots = slots
 
-    def _free(self, box: Rect, taken: list[Rect]) -> bool:
+    def _free(self, box: Rect, taken: list[Rect], spare: int = 0) -> bool:
+        """Whether a box is in the picture, and `spare` pixels or more away from what is taken."""
         x0, y0, x1, y1 = box
         if x0 < 0 or y0 < 0 or x1 > self.size[0] or y1 > self.size[1]:
             return False
+        x0, y0, x1, y1 = x0 - spare, y0 - spare, x1 + spare, y1 + spare
         return not any(x0 < t[2] and t[0] < x1 and y0 < t[3] and t[1] < y1 for t in taken)
 
     def _tag(self, image: Image, shape: _Shape, named: bool, tags: list[Rect]) -> list[Rect]:
@@ -342,10 +345,11 @@ class Overlay:
         gap, bar = 2 * self._line, self._bar.height if self._bar else 0
         above, below = int(low[1]) - height - gap, min(int(high[1]) + gap, self.size[1] - height)
         tops = [above, below] if above >= bar else [below]
-        if target.name in self._low:  # stay there until that place is taken
-            tops.reverse()
         boxes = [(left, top, left + width, top + height) for top in tops]
-        chosen = next((box for box in boxes if self._free(box, tags)), boxes[0])
+        # back above only once there is room to spare, or it would jump to and fro
+        spare = height if target.name in self._low else 0
+        clear = [self._free(box, tags, spare if i == 0 else 0) for i, box in enumerate(boxes)]
+        chosen = boxes[clear.index(True)] if any(clear) else boxes[0]
         (self._low.add if len(tops) > 1 and chosen[1] == below else self._low.discard)(target.name)
         stamp(image, sprite, left, int(chosen[1]))
         return [chosen]
