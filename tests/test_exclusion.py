@@ -53,3 +53,7 @@ def test_weights_are_finite_and_between_what_is_left_and_all(strength, reach, x,
 
 def test_no_other_target_changes_nothing():
     assert at(Exclusion(0.9, 1.0), (1, 2), (50, 40), covers=()).tolist() == [0, 0]
+
+
+def test_what_is_wholly_forbidden_is_still_a_number():
+    assert np.isfinite(at(Exclusion(1.0, 1.0), (50, 40))).all()

@@ -192,3 +192,45 @@ def test_template_adapts_only_while_it_knows_the_first_one():
     assert likelihood.learn(drifted, frame(scene()), there, none).template.now is ground.now
     fixed, known = learned(scene())
     assert fixed.learn(known, frame(light), here, none).template.now is known.template.now
+
+
+def test_a_patch_without_a_pattern_has_no_correlation_at_all():
+    template = matching.learn_template(frame(scene()), SIZE, states(TRUTH)[0], None)
+    rng = np.random.default_rng(0)
+    x = states(np.column_stack([rng.uniform(50, 190, 200), rng.uniform(50, 120, 200), rng.uniform(0.5, 1.6, 200)]))
+    for level in (0, 77, 255):
+        keep, remove = matching.correlate(template, grey(np.full((170, 260), level)), x)
+        assert (remove == 0).all()
+        assert (keep > 0.5).all() if level else (keep == 0).all()
+
+
+def test_correlation_never_passes_1_where_areas_stand_in_for_points():
+    values = np.random.default_rng(0).integers(0, 256, (90, 90))
+    for place in ((40, 40, 2.5), (45.5, 38.2, 3.0), (44, 44, 1.7), (39, 48, 2.2)):
+        template = matching.learn_template(grey(values), (12.0, 10.0), states(place)[0], None)
+        for found in matching.correlate(template, grey(values), states(place)):
+            assert 0.5 < found[0] <= 1
+
+
+def test_a_start_at_another_scale_is_learned_from_whole_pixels():
+    values = smooth(7, 60, 70).round()
+    template = matching.learn_template(grey(values), (8.0, 7.0), states((31.3, 25.8, 2.0))[0], None)
+    np.testing.assert_array_equal(template.first, values[20:34:2, 24:40:2])
+
+
+def test_what_is_left_over_beside_the_last_block_is_not_seen():
+    bgr = scene()[:169, :257].copy()
+    template = matching.learn_template(frame(bgr), SIZE, states((99.5, 83.5))[0], 12.0)
+    assert (template.factor, template.offset) == (4, (0.0, 0.0))
+    # columns 256 and row 168 belong to no block of four
+    for x in (states((256 + SIZE[0] / 2 - 0.4, 80.0)), states((80.0, 168 + SIZE[1] / 2 - 0.4))):
+        for found in matching.correlate(template, frame(bgr), x):
+            assert found[0] == 0
+
+
+def test_an_adapted_template_matches_itself():
+    template = matching.learn_template(frame(scene()), SIZE, states(TRUTH)[0], None)
+    faint = dataclasses.replace(template, now=(0.4 * template.first + 30).astype(np.float32))
+    keep, remove = matching.correlate(faint, frame(scene()), states(TRUTH))
+    assert remove[0] == pytest.approx(1, abs=1e-5)
+    assert keep[0] == pytest.approx(naive.ncc(faint.now, template.first), abs=1e-5)

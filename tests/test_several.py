@@ -1,6 +1,6 @@
 """Several targets in one run: whose turn it is, what each is told of the others, and what a recipe says of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -96,6 +96,20 @@ def test_what_a_target_covers_is_its_box_where_it_is_or_will_be(space, half):
     now, next_ = (target.cover(state_of(target), ahead=ahead) for ahead in (False, True))
     np.testing.assert_allclose([now.centre, next_.centre], [(10, 20), (13, 18)])
     np.testing.assert_allclose([now.half, next_.half], [half, half])
+
+
+def test_notes_of_the_start_are_said_in_the_first_frame_alone():
+    class Noted(Still):
+        notes = ("one", "two")
+
+        def init(self, frame, x0):
+            return self
+
+        def learn(self, learned, frame, state, particles):
+            return learned
+
+    tracker = (replace(moving(CloudSpace()), likelihood=Noted()),)
+    assert [result.notes for result in track(tracker, frames(3), 0)] == [("one", "two"), (), ()]
 
 
 def test_what_is_learned_is_learned_at_the_new_estimate():

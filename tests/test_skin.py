@@ -280,3 +280,37 @@ def test_nothing_of_the_frame_is_changed():
     frame.bgr.flags.writeable = False
     learn_skin(frame, FACE)
     np.testing.assert_array_equal(frame.bgr, before)
+
+
+# --- which pixels are meant
+
+
+def one_column(column, height=15):
+    """Skin in a single column of a picture of cloth."""
+    bgr = np.full((height, 40, 3), BLUE_WALL[::-1], np.uint8)
+    bgr[:, column] = USUAL[::-1]
+    return Frame(0, 0.0, bgr)
+
+
+def test_a_box_has_the_pixels_whose_centres_it_covers():
+    for left, first, last in ((10.0, 10, 14), (10.4, 10, 14), (9.6, 10, 14), (10.6, 11, 15)):
+        seen = [column for column in range(40)
+                if not learn_skin(one_column(column), (left, 2.0, 5.0, 9.0), least_share=0).fallback]  # fmt: skip
+        assert seen == list(range(first, last + 1))
+
+
+def test_the_ellipse_lies_in_the_middle_of_the_box():
+    left, right = (learn_skin(one_column(column), (10.0, 3.0, 5.0, 9.0)).share for column in (10, 14))
+    assert left == right > 0
+
+
+def test_the_table_follows_colours_that_vary_together():
+    rng = np.random.default_rng(0)
+    light, warm = rng.normal(0, 1, (2, 60, 50, 1))
+    bgr = np.clip(np.array(USUAL[::-1]) + 5 * light + warm * np.array([-14, 0, 14]), 0, 255).round().astype(np.uint8)
+    model = learn_skin(Frame(0, 0.0, bgr), (0.0, 0.0, 50.0, 60.0))
+    assert abs(model.cov[0, 1]) > 0.5 * np.sqrt(model.cov[0, 0] * model.cov[1, 1])
+    for off in ((6, 6), (6, -6), (-3, 8), (10, 0)):
+        cb, cr = np.round(model.mean + off).astype(int)
+        d = np.array([cb, cr]) - model.mean
+        assert model.table[cb, cr] == pytest.approx(255 * np.exp(-d @ np.linalg.solve(model.cov, d) / 2), abs=0.51)

@@ -171,3 +171,46 @@ def test_a_target_that_keeps_off_none_does_not_change_by_what_is_tracked_beside_
     np.testing.assert_array_equal(clouds(together, 0), clouds(followed("head"), 0))
     for target in (0, 1):
         np.testing.assert_array_equal(clouds(together, target), clouds(pair, target))
+
+
+def noisy(width=260, height=200):
+    """Skin and cloth mixed pixel by pixel, in every shade."""
+    share = np.random.default_rng(2).uniform(0.6, 1, (height, width, 1))
+    return np.round(share * np.array(SKIN) + (1 - share) * np.array(WALL)).astype(np.uint8)
+
+
+def test_particles_are_pixels_of_the_reduced_picture():
+    bgr = noisy()
+    teacher = Frame(0, 0.0, picture(HEAD))
+    small = cv2.cvtColor(cv2.resize(bgr, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2YCrCb)
+    model = SkinCloud((50.0, 60.0), box(HEAD), max_size=32)
+    learned = model.init(teacher, None)
+    x = np.random.default_rng(0).uniform((0, 0), (259, 199), (300, 1, 2))
+    # the pixels 2 i and 2 i + 1 are one
+    column, row = np.floor((x[:, 0] + 0.5) / 2).astype(int).T
+    p = learned.table[small[row, column, 2], small[row, column, 1]] / 255
+    assert np.ptp(p) > 0.3 and (p < model.floor).any()
+    found = np.exp(model.score(learned, Frame(1, 0.0, bgr), x, x))[:, 0]
+    np.testing.assert_allclose(found, np.maximum(p, model.floor))
+
+
+def test_distances_look_at_the_middle_of_a_box_of_the_targets_shape():
+    bgr = np.full((200, 260, 3), WALL, np.uint8)
+    bgr[80:120, 90:170] = SKIN
+    learned = SkinCloud((80.0, 40.0), (90.0, 80.0, 80.0, 40.0)).init(Frame(0, 0.0, bgr), None)
+    there = np.array([[[129.5, 99.5]]])
+    wide, high, larger = (
+        SkinCloud(size, box(HEAD), max_size=None).distances(learned, Frame(0, 0.0, bgr), there)[0, 0]
+        for size in ((110.0, 55.0), (55.0, 110.0), (130.0, 65.0))
+    )
+    assert wide < 0.05 < larger and high > 0.3
+
+
+def test_least_share_arrives():
+    dark = Frame(0, 0.0, picture(HEAD, skin=(30, 36, 52)))
+    (said,) = SkinCloud((44.0, 56.0), box(HEAD)).init(dark, None).notes
+    assert said.startswith("Kovac")
+    # none of it passes as skin, so that only what does not need to can be learned without a word
+    usual = Frame(0, 0.0, picture(HEAD))
+    assert not SkinCloud((44.0, 56.0), box(HEAD)).init(usual, None).notes
+    assert SkinCloud((44.0, 56.0), box(HEAD), least_share=1.0).init(usual, None).notes

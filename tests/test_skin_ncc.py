@@ -186,3 +186,23 @@ def test_what_was_asked_of_a_frame_before_does_not_matter(max_size):
         asked.reduced(factor, (0, 0, 259, 169))
         asked.grey(factor, (0, 0, 259, 169))
     np.testing.assert_array_equal(likelihood.score(known, asked, x), likelihood.score(known, frame(scene()), x))
+
+
+def test_least_share_decides_what_teaches_the_colour():
+    assert learned(scene())[1].notes == ()
+    assert "Kovac" in learned(scene(), skin=Skin(least_share=1.0))[1].notes[0]
+
+
+def test_the_longer_side_decides_how_far_the_picture_is_reduced():
+    asked = frame(scene())
+    likelihood, known = learned(scene(), size=(20.0, 60.0), skin=Skin(max_size=32), ncc=None)
+    likelihood.rho(known, asked, states(TRUTH))
+    assert list(asked._reduced) == [2]
+
+
+def test_sums_of_a_picture_that_is_skin_throughout_are_exact():
+    """More than an int32 holds, of 8.4 million pixels and above."""
+    bgr = np.full((2900, 3000, 3), (120, 150, 205), np.uint8)
+    likelihood, known = learned(bgr, (1500.0, 1450.0), ncc=None)
+    rho = likelihood.rho(known, frame(bgr), states([(60, 60), (2900, 2800), (60, 2800)]))
+    np.testing.assert_allclose(rho, 0, atol=1e-9)

@@ -118,3 +118,12 @@ def test_skin_out_of_reach_is_somebody_elses():
     frame = scene(near, far, width=800)
     [box] = found(frame, 2)
     assert_at(box, near)
+
+
+def test_what_another_region_holds_is_not_counted_twice():
+    """An arm bent around a hand: their boxes are the same, their skin is not."""
+    frame = scene((100, 175, 18, 20))
+    cv2.line(frame.bgr, (55, 120), (55, 225), USUAL[::-1], 12)
+    cv2.line(frame.bgr, (55, 225), (150, 225), USUAL[::-1], 12)
+    boxes = found(frame, 2)
+    assert sum(abs(x + w / 2 - 100) < 8 and abs(y + h / 2 - 175) < 8 for x, y, w, h in boxes) == 1

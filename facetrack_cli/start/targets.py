@@ -72,9 +72,15 @@ def _others(frame: Frame, given: dict[str, TargetStart], head: str, count: int) 
     face = given[head].box
     assert face is not None
     taken = [target.box for name, target in given.items() if name != head and target.box is not None]
-    regions = hand_regions(frame, face, learn_skin(frame, face), count + len(taken))
-    seen = [box for box in regions if min(box[2:]) >= LEAST_BOX]
-    free = [box for box in seen if all(_shared(box, other) < NEAR for other in taken)]
+    model = learn_skin(frame, face)
+    free: list[Box] = []
+    # one more at a time: what comes in last is the smallest, and a hand that was placed need not be among them
+    for number in range(count, count + len(taken) + 1):
+        regions = hand_regions(frame, face, model, number)
+        seen = [box for box in regions if min(box[2:]) >= LEAST_BOX]
+        free = [box for box in seen if all(_shared(box, other) < NEAR for other in taken)]
+        if len(free) >= count:
+            break
     return free[:count]
 
 
