@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import cv2
@@ -62,6 +63,13 @@ class Template:
     now: NDArray[np.float32]
     offset: tuple[float, float]
 
+    @cached_property
+    def moments(self) -> tuple[NDArray[np.float32], float, float]:
+        """`now` without its mean, that mean, and the variance."""
+        mean = float(self.now.mean())
+        centred = self.now - np.float32(mean)
+        return centred, mean, float(np.mean(np.square(centred, dtype=np.float64)))
+
 
 def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size: float | None) -> Template:
     """The template of the box at x0 (1, 6). Raises InputError if nothing of it is in the picture."""
@@ -89,10 +97,7 @@ def has_pattern(template: Template) -> bool:
 def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]:
     """NCC of boxes x (N, 1, 6) with the template as it is now, with means kept and removed: (N,) each, -1..1."""
     view = _view(template, frame, x)
-    mean = float(template.now.mean())
-    centred = template.now - np.float32(mean)
-    variance = float(np.mean(np.square(centred, dtype=np.float64)))
-
+    centred, mean, variance = template.moments
     cross = _cross(view, centred) / centred.size
     sums = cv2.integral2(view.picture, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     level, square = kernel.means(*sums, view.boxes, *centred.shape).T
