@@ -222,8 +222,8 @@ def test_what_is_left_over_beside_the_last_block_is_not_seen():
     bgr = scene()[:169, :257].copy()
     template = matching.learn_template(frame(bgr), SIZE, states((99.5, 83.5))[0], 12.0)
     assert (template.factor, template.offset) == (4, (0.0, 0.0))
-    # columns 256 and row 168 belong to no block of four
-    for x in (states((256 + SIZE[0] / 2 - 0.4, 80.0)), states((80.0, 168 + SIZE[1] / 2 - 0.4))):
+    # column 256 belongs to no block of four
+    for x in (states((256 + SIZE[0] / 2 + off, 80.0)) for off in (-0.4, 1.6)):
         for found in matching.correlate(template, frame(bgr), x):
             assert found[0] == 0
 
