@@ -124,8 +124,8 @@ def test_what_another_region_holds_is_not_counted_twice():
     """An arm bent around a hand: their boxes are the same, their skin is not."""
     hand = (120, 165, 18, 20)
     frame = scene(hand)
-    cv2.line(frame.bgr, (40, 100), (40, 225), USUAL[::-1], 12)
-    cv2.line(frame.bgr, (40, 225), (150, 225), USUAL[::-1], 12)
+    cv2.line(frame.bgr, (40, 100), (40, 225), USUAL[::-1], 8)
+    cv2.line(frame.bgr, (40, 225), (150, 225), USUAL[::-1], 8)
     arm, other = found(frame, 2)
     assert_at(other, hand)
     assert arm[0] + arm[2] < 100
