@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from clip_files import Clip, TruthRow, start_of
-from heads import SHUTTER, ZOOM, Stage, Window, placed, prove, reduced, render
+from heads import SHUTTER, ZOOM, Stage, Window, placed, prove, reduced, render, unsteady
 from heads_cutout import Cutout, astronaut_cutout
 from numpy.typing import NDArray
 from portraits import MARGIN, Picture, Portrait, astronaut
@@ -40,6 +40,11 @@ def motion(path: Array, t: int) -> tuple[float, float]:
     first, last = max(t - 1, 0), min(t + 1, len(path) - 1)
     x, y = (path[last] - path[first]) / (last - first)
     return float(x), float(y)
+
+
+def panned(keys: Keys, frames: int, seed: int) -> Array:
+    """(frames, 2) a camera held by hand that pans to the sides, so that the face does not rest in the picture."""
+    return unsteady(frames, seed, 0.35) + np.stack([track(keys, frames), np.zeros(frames)], axis=1)
 
 
 def face_box(stage: Stage, t: int) -> Box:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from clip_files import Clip
-from faces import Before, face_clip, motion, standing
+from faces import Before, face_clip, motion, panned, standing
 from faces_ground import papered_wall
 from hands import skin
 from hands_draw import Skin, draw
@@ -20,7 +20,7 @@ from heads import Stage, path, unsteady
 from numpy.typing import NDArray
 from portraits import Picture
 from render import SIZE
-from timeline import Array, track
+from timeline import Array, Keys, track
 
 FRAMES = 250
 FINE = 3  # the map is drawn this many times finer than the clip
@@ -173,7 +173,9 @@ def map_scene() -> MapScene:
          (190, 93), (212, 90), (236, 97), (249, 92)],
         n,
     )  # fmt: skip
-    camera = unsteady(n, 62, 0.35)
+    pan: Keys = [(0, 0), (18, 0), (40, -30), (70, -34), (100, 38), (120, 34), (145, 10), (175, -38), (200, -30),
+                 (232, 0), (249, 36)]  # fmt: skip
+    camera = panned(pan, n, 62)
     scale = track([(0, 1.08), (40, 1.1), (92, 1.14), (130, 1.08), (168, 1.05), (200, 1.1), (249, 1.08)], n)
     stage = standing(
         papered_wall(400, 310), (-40.0, -35.0), camera, head + camera, scale,
@@ -196,7 +198,7 @@ def map_scene() -> MapScene:
     tremble = unsteady(n, 64, 0.5)
     tilt = track([(0, 0.03), (33, 0.0), (46, -0.05), (64, 0.03), (84, 0), (108, -0.16), (117, -0.12), (124, 0.06),
                   (140, -0.02), (150, 0.05), (180, 0.18), (206, -0.04), (226, 0.04), (249, 0)], n)  # fmt: skip
-    return MapScene(stage, middle + tremble, tilt, city_map(), skin(cloth=CLOTH, depth=1.0))
+    return MapScene(stage, middle + tremble + camera, tilt, city_map(), skin(cloth=CLOTH, depth=1.0))
 
 
 def map_clip() -> Clip:

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from clip_files import Clip
-from faces import Before, face_clip, looks, motion, standing
+from faces import Before, face_clip, looks, motion, panned, standing
 from faces_ground import brick_wall
-from heads import Stage, path, placed, reduced, unsteady
+from heads import Stage, path, placed, reduced
 from heads_cutout import Cutout, edges, soft_layer, spread
 from portraits import MARGIN, Picture, hopper
-from timeline import Array, track
+from timeline import Array, Keys, track
 
 FRAMES = 240
 SOFT, DARK = 7.0, 0.22  # the shadow of who passes
@@ -66,7 +66,7 @@ def _continued(picture: Picture) -> Picture:
 
 
 def _like_the_other(picture: Picture) -> Picture:
-    """With the colours of another camera, paler and evener: the skin of both portraits then has nearly one Cb and Cr."""
+    """With the colours of another camera, paler and evener: both portraits then have skin of nearly one Cb and Cr."""
     ycc = cv2.cvtColor(picture, cv2.COLOR_BGR2YCrCb)
     chroma = (ycc[..., 1:] - 0.5) * np.array(_CHROMA[::-1], np.float32)  # of floats OpenCV has grey at 0.5
     strong = np.linalg.norm(chroma, axis=2, keepdims=True) / _MOST
@@ -98,7 +98,7 @@ class PassingScene:
     def things(self, t: int) -> list[Before]:
         """Who passes, while she is in the picture."""
         p = self.passer
-        if not -110 < p.head[t, 0] < 430:
+        if not -150 < p.head[t, 0] < 478:
             return []
         layer, window = p.look(t)
         scale, at = float(p.scale[t]), p.head[t]
@@ -120,7 +120,9 @@ def passerby_scene() -> PassingScene:
     """What happens when: past from the left between 20 and 150, slowly, and from the right between 168 and 222."""
     n = FRAMES
     t = np.arange(n)
-    camera = unsteady(n, 72, 0.35)
+    pan: Keys = [(0, 0), (24, -30), (52, -36), (74, -20), (92, 10), (118, 38), (150, 30), (170, -20), (190, -38),
+                 (215, -36), (239, 20)]  # fmt: skip
+    camera = panned(pan, n, 72)
     head = path(
         [(0, 158), (22, 166), (50, 156), (80, 163), (110, 158), (136, 172), (160, 154), (186, 160), (212, 166),
          (239, 158)],
@@ -139,7 +141,7 @@ def passerby_scene() -> PassingScene:
         },
         [(12, 60), (136, 172)], 73,
     )  # fmt: skip
-    x = _walk([(18, -112), (66, 118), (98, 200), (148, 440), (168, 440), (222, -115)], n)
+    x = _walk([(10, -150), (66, 118), (98, 200), (156, 478), (161, 478), (229, -155)], n)
     pace = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)))]) / 52.0 * 2 * np.pi  # a step every 52 pixels
     y = 92.0 - 1.6 * np.cos(pace)
     way = np.stack([x + 0.8 * np.sin(pace / 2), y], axis=1) + camera

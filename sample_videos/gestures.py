@@ -12,7 +12,7 @@ from clip_files import Clip, TruthRow, start_of
 from person import person, prove_face, wall, wander
 from person_hands import Motion, Scene, face_covered, loose, matched_skin, render, unrest
 from render import expose
-from timeline import track
+from timeline import Array, track
 
 FRAMES = 260
 ZOOM = 0.64  # pixels of the picture for one of the portrait
@@ -33,20 +33,25 @@ STOPS = (
 )  # fmt: skip
 
 
-def _motion(stops: Sequence[tuple[int, float, float, float]], rng: np.random.Generator) -> Motion:
+# the person sways to the sides, hands and all
+SWAY = ((0, 0), (30, 28), (62, 34), (96, -30), (130, -36), (160, 0), (186, 30), (215, 34), (245, -28), (259, -34))
+
+
+def _motion(stops: Sequence[tuple[int, float, float, float]], sway: Array, rng: np.random.Generator) -> Motion:
     x, y, scale = (track([(stop[0], stop[i]) for stop in stops], FRAMES) for i in (1, 2, 3))
     shape = loose(rng, FRAMES, 1.0, (14, 30))
     # fingers straight and side by side more than spread or bent, since these gestures are meant to hide the face
     shape |= {"scale": scale, "curl": 0.5 * shape["curl"], "spread": 0.8 * shape["spread"]}
-    return Motion(np.stack([x, y], axis=1) + unrest(rng, FRAMES, 1.0, 2.0), **shape)
+    return Motion(np.stack([x + sway, y], axis=1) + unrest(rng, FRAMES, 1.0, 2.0), **shape)
 
 
 def scene() -> Scene:
     """What happens when."""
     rng = np.random.default_rng(71)
-    face = np.stack([160 + wander(rng, FRAMES, 26, 13.0), 86 + wander(rng, FRAMES, 26, 5.0)], axis=1)
+    sway = track(list(SWAY), FRAMES)
+    face = np.stack([160 + sway + wander(rng, FRAMES, 26, 13.0), 86 + wander(rng, FRAMES, 26, 5.0)], axis=1)
     scale = 1.0 + wander(rng, FRAMES, 26, 0.07)
-    motions = [_motion(stops, rng) for stops in STOPS]
+    motions = [_motion(stops, sway, rng) for stops in STOPS]
     who = person(CLOTH, 74, FRAMES, ((4, 70), (96, 170), (190, 250)))
     return Scene(who, wall((150.0, 158.0, 150.0), 73), face, scale, motions, np.ones(FRAMES, dtype=np.int64),
                  matched_skin(CLOTH, 1.1), ZOOM, 5)  # fmt: skip

@@ -16,7 +16,7 @@ from tests.samples import FOLDER, read_pictures, read_rows
 
 FRAMES = {"map": 250, "passerby": 240}
 # spans of frames in which more than half of the face is covered, and frames in which all of it is
-HIDDEN = {"map": ((40, 72), (120, 144), (196, 233)), "passerby": ((70, 94), (193, 198))}
+HIDDEN = {"map": ((40, 72), (120, 144), (196, 233)), "passerby": ((71, 93), (192, 198))}
 WHOLLY = {"map": ((46, 66), (124, 141), (204, 229)), "passerby": ((81, 85), (195, 195))}
 MODULES = {"map": "faces_map", "passerby": "faces_passerby"}
 SKIN = np.array([147.0, 110.0])  # Cr, Cb of the face
@@ -94,13 +94,19 @@ def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
     np.testing.assert_allclose((*middle, width, height), clip.boxes[0], atol=0.011)
 
 
+def test_a_box_that_rests_is_off_the_face_in_much_of_the_clip(clip: Clip) -> None:
+    """Or the clip could not tell a tracker from a resting box."""
+    off = np.abs(clip.boxes[:, :2] - clip.boxes[0, :2]).max(axis=1) / clip.boxes[:, 2]
+    assert (off > 0.5).mean() > 0.35 and (off > 0.25).mean() > 0.6
+
+
 def test_the_box_is_a_square_of_a_small_face_and_does_not_jump(clip: Clip) -> None:
     x, y, w, h = clip.boxes.T
     np.testing.assert_array_equal(w, h)
     assert w.min() > 54 and w.max() < 62
     assert (x - w / 2).min() > 40 and (x + w / 2).max() < 280 and (y - h / 2).min() > 30 and (y + h / 2).max() < 160
     steps = np.linalg.norm(np.diff(clip.boxes[:, :2], axis=0), axis=1)
-    low, high = (4, 5.2) if clip.name == "map" else (0.8, 2)
+    low, high = (6, 9) if clip.name == "map" else (3, 5)
     assert low < steps.max() < high
 
 
@@ -172,30 +178,32 @@ def test_behind_the_map_there_is_no_skin_but_two_hands_beside_it() -> None:
 
 
 def test_the_map_comes_from_below_from_the_left_and_from_the_right() -> None:
-    pictures = read_pictures("map")
+    clip = read_clip("map")
+    pictures = clip.pictures
 
     def pale(t: int) -> tuple[float, float]:
-        """The middle of what is nearly white: the paper."""
+        """The middle of what is nearly white, the paper: from the face's middle along x, in the picture along y."""
         paper = (pictures[t].min(axis=2) > 165) & (np.ptp(pictures[t].astype(int), axis=2) < 40)
         y, x = np.nonzero(cv2.erode(paper.astype(np.uint8), np.ones((2, 2), np.uint8)))
-        return float(np.median(x)), float(np.median(y))
+        return float(np.median(x) - clip.boxes[t, 0]), float(np.median(y))
 
     below, left, right = pale(30), pale(115), pale(186)
-    assert below[1] > 180 and 120 < below[0] < 190
-    assert left[0] < 90 and left[1] < 130
-    assert right[0] > 220 and right[1] < 130
+    assert below[1] > 180 and abs(below[0]) < 35
+    assert left[0] < -70 and left[1] < 130
+    assert right[0] > 60 and right[1] < 130
     # quickly from the left, slowly from the right
     assert pale(122)[0] - pale(118)[0] > 40 and pale(190)[0] - pale(194)[0] < 30
 
 
 def test_who_passes_has_a_face_of_about_the_same_size_and_colour() -> None:
-    pictures = read_pictures("passerby")
+    clip = read_clip("passerby")
+    pictures = clip.pictures
     cascade = cv2.CascadeClassifier(cv2.data.haarcascades + "haarcascade_frontalface_default.xml")
     seen = []
-    for t in (50, 56, 106, 112, 118):
+    for t in (46, 50, 56, 60, 100, 103, 106):
         boxes = cascade.detectMultiScale(cv2.cvtColor(pictures[t], cv2.COLOR_BGR2GRAY), 1.05, 4, minSize=(44, 44))
         for x, y, w, h in boxes:
-            if abs(x + w / 2 - 160) > 45 and w < 90:
+            if abs(x + w / 2 - clip.boxes[t, 0]) > 45 and w < 90:
                 part = pictures[t, y + h // 2 : y + 3 * h // 4, x + w // 4 : x + 3 * w // 4]
                 seen.append((w, *cv2.cvtColor(part, cv2.COLOR_BGR2YCrCb).reshape(-1, 3).mean(axis=0)[1:]))
     assert len(seen) >= 3

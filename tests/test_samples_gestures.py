@@ -72,7 +72,9 @@ def test_the_box_is_a_square_in_the_picture_that_moves_and_grows_a_little(clip: 
     np.testing.assert_array_equal(clip.boxes[:, 2], clip.boxes[:, 3])
     assert clip.boxes[:, 2].min() > 55 and clip.boxes[:, 2].max() < 70
     assert np.ptp(clip.boxes[:, 2]) > 5 and np.ptp(clip.boxes[:, 0]) > 15
-    assert np.linalg.norm(np.diff(clip.boxes[:, :2], axis=0), axis=1).max() < 2
+    off = np.abs(clip.boxes[:, 0] - clip.boxes[0, 0]) / clip.boxes[:, 2]
+    assert (off > 0.25).mean() > 0.6, "or a box that rests would be as good as a tracker"
+    assert np.linalg.norm(np.diff(clip.boxes[:, :2], axis=0), axis=1).max() < 4
 
 
 def test_the_face_is_hidden_when_both_hands_are_before_it_and_by_one_once(clip: Clip) -> None:

@@ -1,7 +1,7 @@
 """What a frame costs the trackers of faces by skin and template, as ratios measured within one run.
 
-    python benchmarks/faces.py                  all of them
-    python benchmarks/faces.py skin_ncc ncc     some
+    python benchmarks/face_speed.py                  all of them
+    python benchmarks/face_speed.py skin_ncc ncc     some
 
 The sample clip `signing`, enlarged to the paper's 720x576, with 1,500 particles for the head and 3,500 for each hand.
 What is timed is the whole step of all targets, once the frame is decoded: move, weigh, estimate, judge, learn. The
