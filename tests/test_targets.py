@@ -7,6 +7,7 @@ import pytest
 
 from facetrack_cli.errors import InputError
 from facetrack_cli.start import haar_start, name_targets, read_init
+from facetrack_cli.start.haar import NotHereError
 from facetrack_cli.types import Frame, Start, TargetStart
 from facetrack_cli.video.source import open_source
 from tests.test_skin_cloud import HEAD, LEFT, RIGHT, box, picture
@@ -92,7 +93,7 @@ def test_a_frame_that_lacks_hands_is_passed_over():
 
     def later(frame, start):
         if frame.index < 3:
-            raise InputError(f"not in frame {frame.index}")
+            raise NotHereError(f"not in frame {frame.index}")
         return start
 
     with open_source(path) as source:
@@ -121,3 +122,17 @@ def test_a_hand_that_was_placed_where_no_skin_is_does_not_let_a_speck_take_the_o
 def test_a_hand_within_a_larger_or_a_smaller_box_is_that_one(given):
     found = name_targets(start(head=box(HEAD), left_hand=given), ALL, FRAME).targets
     assert overlap(found["right_hand"].box, box(RIGHT)) > 0.7
+
+
+def test_a_grey_clip_is_refused_at_its_first_face_and_not_searched_to_its_end():
+    looked = []
+
+    def grey(source):
+        for frame in source:
+            looked.append(frame.index)
+            level = frame.bgr.mean(axis=2, keepdims=True).astype(np.uint8)
+            yield Frame(frame.index, frame.time_s, np.ascontiguousarray(level.repeat(3, axis=2)))
+
+    with open_source(SAMPLES / "signing.mp4") as source, pytest.raises(InputError, match="have a colour"):
+        haar_start(grey(source), (), complete=lambda frame, start: name_targets(start, ALL, frame))
+    assert looked == [0]

@@ -31,6 +31,10 @@ CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usua
 TARGET: Final = "face"
 
 
+class NotHereError(InputError):
+    """A frame lacks what a start needs; a later one may have it."""
+
+
 def haar_start(
     frames: Iterable[Frame],
     parts: Sequence[str] = PARTS,
@@ -42,13 +46,13 @@ def haar_start(
     """The start at the first of the frames that shows a face: its box, and the parts placed in it (pixels, to 0.01).
 
     Looks at no more than `bound` frames, on past faces too dark to follow; if all are, at the one of most contrast.
-    `complete` adds what else the frame must show, and raises InputError where it does not: then the next one is tried.
+    `complete` adds what else the frame must show; where it raises NotHereError the next frame is tried.
     Raises InputError, naming the `clip`, if none of the frames shows a face whose parts are all in the picture, or that
     of `complete`; UsageError if a part is asked for that is none of the five.
     """
     check_parts(parts)
     first = last = None
-    lacking: InputError | None = None
+    lacking: NotHereError | None = None
     dim: tuple[float, Start] | None = None
     for count, frame in enumerate(frames, start=1):
         first = frame.index if first is None else first
@@ -62,7 +66,7 @@ def haar_start(
                 continue
             try:
                 dim = contrast, complete(frame, _start(frame, box, points, parts, "haar"))
-            except InputError as e:
+            except NotHereError as e:
                 lacking = lacking or e
                 continue
             if contrast >= CONTRAST:

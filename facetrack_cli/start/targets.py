@@ -13,6 +13,7 @@ from dataclasses import replace
 from facetrack_cli.errors import InputError
 from facetrack_cli.skin import learn_skin
 from facetrack_cli.start.files import LEAST_BOX, TARGET, check_size
+from facetrack_cli.start.haar import NotHereError
 from facetrack_cli.start.skin_regions import hand_regions
 from facetrack_cli.types import Box, Frame, Start, TargetStart
 
@@ -26,7 +27,8 @@ def name_targets(
 
     A single target called `face`, or by no name that the recipe knows, is the first one. Those in `left_out` are known
     and not wanted. `frame` is the start's, and may be None if nothing is lacking. Raises InputError if there are
-    targets that the recipe does not know, the first one is lacking, or there are not as many regions of skin as hands.
+    targets that the recipe does not know, the first one is lacking, or the picture is grey; NotHereError if there are
+    not as many regions of skin as hands.
     """
     if not names:
         return start
@@ -59,7 +61,7 @@ def name_targets(
         if len(found) < len(missing):
             number = {0: "no region", 1: "one region"}.get(len(found), f"{len(found)} regions")
             remedy = f"begin elsewhere with --init-frame, or follow fewer, as by --set targets.{missing[-1]}=null"
-            raise InputError(
+            raise NotHereError(
                 f"{clip}: frame {start.frame} shows {number} of skin beside the {names[0]}, to begin "
                 f"{' and '.join(missing)} with; give their boxes in an init file, {remedy}"
             )
