@@ -2,7 +2,29 @@
 
 import signal
 
+import cv2
+import pytest
+
+from facetrack_cli.__main__ import main
+
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits
 # that: the tests of Ctrl-C would wait for a signal that never comes
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def facetrack(clips, tmp_path, monkeypatch, capfd):
+    """Run a command line in an empty folder, `IN` standing for the module's `clips`: exit code, stdout, stderr."""
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    monkeypatch.delenv("FACETRACK_DEBUG", raising=False)
+    threads = cv2.getNumThreads()
+
+    def call(*args):
+        code = main([str(arg).replace("IN/", f"{clips}/") for arg in args])
+        return code, *capfd.readouterr()
+
+    yield call
+    cv2.setNumThreads(threads)

@@ -4,11 +4,9 @@ import hashlib
 import weakref
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.__main__ import main
 from facetrack_cli.build import build_tracker
 from facetrack_cli.formats.table import read_trajectory
 from facetrack_cli.recipe import check_recipe, load_recipe
@@ -46,23 +44,6 @@ def clips(tmp_path_factory):
     rows = [f"{n},head,nose,120,90,visible" for n in range(FRAMES)]
     (folder / "points.truth.csv").write_text("\n".join(["frame,target,part,x,y,status", *rows]) + "\n")
     return folder
-
-
-@pytest.fixture
-def facetrack(clips, tmp_path, monkeypatch, capfd):
-    """Run a command line in an empty folder, `IN` standing for the clips' one: exit code, stdout, stderr."""
-    work = tmp_path / "work"
-    work.mkdir()
-    monkeypatch.chdir(work)
-    monkeypatch.delenv("FACETRACK_DEBUG", raising=False)
-    threads = cv2.getNumThreads()
-
-    def call(*args):
-        code = main([str(arg).replace("IN/", f"{clips}/") for arg in args])
-        return code, *capfd.readouterr()
-
-    yield call
-    cv2.setNumThreads(threads)
 
 
 def refused(result, code):

@@ -5,42 +5,32 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from itertools import groupby, pairwise
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from tests.samples import FOLDER, read_pictures, read_rows
+from tests.samples import FOLDER, BoxClip, read_boxes, read_rows
 
 # first and last frame in which more than 2 % of the face's box is covered
 PASSES = ((25, 32), (63, 78), (112, 120), (143, 152), (170, 187), (205, 208), (237, 248))
 
 
-class Clip(NamedTuple):
-    """pictures (T, H, W, 3) BGR; boxes (T, 4) middle, width, height in pixels; hidden (T,)."""
-
-    pictures: np.ndarray
-    boxes: np.ndarray
-    hidden: np.ndarray
-
-
 @pytest.fixture(scope="module")
-def clip() -> Clip:
-    rows = read_rows("gestures")
-    boxes = np.array([[float(r[k]) for k in "xywh"] for r in rows])
-    return Clip(read_pictures("gestures"), boxes, np.array([r["status"] == "hidden" for r in rows]))
+def clip() -> BoxClip:
+    read = read_boxes("gestures", 1)
+    return BoxClip(read.pictures, read.boxes[:, 0], read.hidden[:, 0])
 
 
-def face(clip: Clip, t: int) -> np.ndarray:
+def face(clip: BoxClip, t: int) -> np.ndarray:
     """(48, 48) grey face of frame t, cut out and made of one size."""
     x, y, w, h = clip.boxes[t]
     to = np.array([[48 / w, 0, 23.5 - x * 48 / w], [0, 48 / h, 23.5 - y * 48 / h]])
     return cv2.warpAffine(cv2.cvtColor(clip.pictures[t], cv2.COLOR_BGR2GRAY), to, (48, 48))
 
 
-def alike(clip: Clip) -> np.ndarray:
+def alike(clip: BoxClip) -> np.ndarray:
     """(T,) how well each frame's face correlates with the first one's, -1..1, where the truth says it is."""
     first = face(clip, 0)[3:-3, 3:-3]
     return np.array([
@@ -48,7 +38,7 @@ def alike(clip: Clip) -> np.ndarray:
     ])  # fmt: skip
 
 
-def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: Clip) -> None:
+def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: BoxClip) -> None:
     assert (FOLDER / "gestures.mp4").stat().st_size < 620_000
     assert clip.pictures.shape == (260, 240, 320, 3)
     rows = read_rows("gestures")
@@ -58,7 +48,7 @@ def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: Clip) 
     assert {r["status"] for r in rows} == {"visible", "hidden"}
 
 
-def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
+def test_the_init_file_is_the_truth_of_the_first_frame(clip: BoxClip) -> None:
     init = YAML(typ="safe").load((FOLDER / "gestures.init.yaml").read_text(encoding="utf-8"))
     assert init.pop("frame") == 0 and tuple(init) == ("face",)
     x, y, w, h = clip.boxes[0]
@@ -66,7 +56,7 @@ def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
     assert not clip.hidden[0]
 
 
-def test_the_box_is_a_square_in_the_picture_that_moves_and_grows_a_little(clip: Clip) -> None:
+def test_the_box_is_a_square_in_the_picture_that_moves_and_grows_a_little(clip: BoxClip) -> None:
     low, high = clip.boxes[:, :2] - clip.boxes[:, 2:] / 2, clip.boxes[:, :2] + clip.boxes[:, 2:] / 2
     assert low.min() > 0 and high[:, 0].max() < 319 and high[:, 1].max() < 239
     np.testing.assert_array_equal(clip.boxes[:, 2], clip.boxes[:, 3])
@@ -77,7 +67,7 @@ def test_the_box_is_a_square_in_the_picture_that_moves_and_grows_a_little(clip: 
     assert np.linalg.norm(np.diff(clip.boxes[:, :2], axis=0), axis=1).max() < 4
 
 
-def test_the_face_is_hidden_when_both_hands_are_before_it_and_by_one_once(clip: Clip) -> None:
+def test_the_face_is_hidden_when_both_hands_are_before_it_and_by_one_once(clip: BoxClip) -> None:
     starts = np.cumsum([0, *(len(list(run)) for _, run in groupby(clip.hidden))])
     runs = [(a, b - 1) for a, b in pairwise(starts) if clip.hidden[a]]
     within = [next(i for i, (first, last) in enumerate(PASSES) if first < a and b < last) for a, b in runs]
@@ -85,7 +75,7 @@ def test_the_face_is_hidden_when_both_hands_are_before_it_and_by_one_once(clip: 
     assert 8 < runs[1][1] - runs[1][0] < 18
 
 
-def test_the_face_looks_as_in_the_first_frame_but_for_the_passes(clip: Clip) -> None:
+def test_the_face_looks_as_in_the_first_frame_but_for_the_passes(clip: BoxClip) -> None:
     score = alike(clip)
     during = np.zeros(len(score), dtype=bool)
     for first, last in PASSES:
@@ -98,7 +88,7 @@ def test_the_face_looks_as_in_the_first_frame_but_for_the_passes(clip: Clip) -> 
     assert score[both].min() < 0.25
 
 
-def test_the_frontal_cascade_finds_the_face_where_the_box_says(clip: Clip) -> None:
+def test_the_frontal_cascade_finds_the_face_where_the_box_says(clip: BoxClip) -> None:
     cascade = cv2.CascadeClassifier(cv2.data.haarcascades + "haarcascade_frontalface_default.xml")
     for t in (0, 2, 4, 45, 100, 130, 225):
         found = cascade.detectMultiScale(cv2.cvtColor(clip.pictures[t], cv2.COLOR_BGR2GRAY), 1.05, 5, minSize=(50, 50))
@@ -108,7 +98,7 @@ def test_the_frontal_cascade_finds_the_face_where_the_box_says(clip: Clip) -> No
         assert np.linalg.norm(middle - clip.boxes[t, :2]) < 5 and 0.85 < w / clip.boxes[t, 2] < 1.15, f"frame {t}"
 
 
-def test_the_hands_have_the_colour_of_the_face(clip: Clip) -> None:
+def test_the_hands_have_the_colour_of_the_face(clip: BoxClip) -> None:
     def chroma(x: float, y: float, side: int) -> np.ndarray:
         part = cv2.getRectSubPix(clip.pictures[0], (side, side), (float(x), float(y)))
         middle: np.ndarray = np.median(cv2.cvtColor(part, cv2.COLOR_BGR2YCrCb).reshape(-1, 3)[:, 1:], axis=0)
@@ -122,7 +112,7 @@ def test_the_hands_have_the_colour_of_the_face(clip: Clip) -> None:
         assert np.abs(chroma(*at, 15) - skin).max() > 10
 
 
-def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
     monkeypatch.syspath_prepend(str(FOLDER))
     before = set(sys.modules)

@@ -3,35 +3,24 @@
 from __future__ import annotations
 
 import sys
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from tests.samples import FOLDER, read_pictures, read_rows
+from tests.samples import FOLDER, BoxClip, read_boxes, read_rows
 
 TARGETS = ("left_hand", "right_hand")
 CROSSINGS = (106, 150, 205, 235)  # the last frame before the hands change sides
 
 
-class Clip(NamedTuple):
-    """pictures (T, H, W, 3) BGR; boxes (T, 2, 4) middle, width, height in pixels; hidden (T, 2)."""
-
-    pictures: np.ndarray
-    boxes: np.ndarray
-    hidden: np.ndarray
-
-
 @pytest.fixture(scope="module")
-def clip() -> Clip:
+def clip() -> BoxClip:
     video = cv2.VideoCapture(str(FOLDER / "hands.mp4"))
     assert video.get(cv2.CAP_PROP_FPS) == 25
     video.release()
-    rows = read_rows("hands")
-    boxes = np.array([[float(r[k]) for k in "xywh"] for r in rows]).reshape(-1, 2, 4)
-    return Clip(read_pictures("hands"), boxes, np.array([r["status"] == "hidden" for r in rows]).reshape(-1, 2))
+    return read_boxes("hands", len(TARGETS))
 
 
 def overlap(boxes: np.ndarray) -> np.ndarray:
@@ -54,7 +43,7 @@ def apart(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.sqrt(max(0.0, 1.0 - np.sqrt(a * b).sum())))
 
 
-def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame_and_hand(clip: Clip) -> None:
+def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame_and_hand(clip: BoxClip) -> None:
     assert (FOLDER / "hands.mp4").stat().st_size < 620_000
     assert clip.pictures.shape == (250, 240, 320, 3)
     rows = read_rows("hands")
@@ -63,7 +52,7 @@ def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame_and_hand(cli
     assert {r["status"] for r in rows} == {"visible", "hidden"}
 
 
-def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
+def test_the_init_file_is_the_truth_of_the_first_frame(clip: BoxClip) -> None:
     init = YAML(typ="safe").load((FOLDER / "hands.init.yaml").read_text(encoding="utf-8"))
     assert init.pop("frame") == 0 and tuple(init) == TARGETS
     for target, (x, y, w, h) in zip(TARGETS, clip.boxes[0], strict=True):
@@ -71,7 +60,7 @@ def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
     assert not clip.hidden[0].any()
 
 
-def test_the_boxes_lie_in_the_picture_keep_their_shape_and_do_not_jump(clip: Clip) -> None:
+def test_the_boxes_lie_in_the_picture_keep_their_shape_and_do_not_jump(clip: BoxClip) -> None:
     low, high = clip.boxes[..., :2] - clip.boxes[..., 2:] / 2, clip.boxes[..., :2] + clip.boxes[..., 2:] / 2
     assert low.min() > 0 and high[..., 0].max() < 319 and high[..., 1].max() < 239
     np.testing.assert_allclose(clip.boxes[..., 2] / clip.boxes[..., 3], 56 / 64, atol=3e-4)
@@ -82,7 +71,7 @@ def test_the_boxes_lie_in_the_picture_keep_their_shape_and_do_not_jump(clip: Cli
     assert 8 < steps.max() < 10 and np.median(steps) < 5
 
 
-def test_the_hands_cross_four_times_and_each_is_hidden_at_some(clip: Clip) -> None:
+def test_the_hands_cross_four_times_and_each_is_hidden_at_some(clip: BoxClip) -> None:
     side = np.sign(clip.boxes[:, 0, 0] - clip.boxes[:, 1, 0])
     assert tuple(np.flatnonzero(np.diff(side))) == CROSSINGS
     assert side[0] == side[-1] == -1
@@ -99,12 +88,12 @@ def test_the_hands_cross_four_times_and_each_is_hidden_at_some(clip: Clip) -> No
     assert not clip.hidden[:164, 0].any() and not clip.hidden[164:, 1].any()
 
 
-def test_they_wave_to_the_same_side_at_once(clip: Clip) -> None:
+def test_they_wave_to_the_same_side_at_once(clip: BoxClip) -> None:
     left, right = np.diff(clip.boxes[52:88, :, 0], axis=0).T
     assert np.corrcoef(left, right)[0, 1] > 0.8
 
 
-def test_the_hands_have_the_same_colours_and_most_of_the_ground_has_others(clip: Clip) -> None:
+def test_the_hands_have_the_same_colours_and_most_of_the_ground_has_others(clip: BoxClip) -> None:
     picture = clip.pictures[0]
     palms = [colours(picture, x, y + 8, 24, 24) for x, y, *_ in clip.boxes[0]]
     assert apart(*palms) < 0.25
@@ -123,7 +112,7 @@ def test_the_hands_have_the_same_colours_and_most_of_the_ground_has_others(clip:
     assert apart(*whole) < min(apart(hand, ground) for hand in whole for ground in bare)
 
 
-def test_the_picture_moves_as_the_truth_says(clip: Clip) -> None:
+def test_the_picture_moves_as_the_truth_says(clip: BoxClip) -> None:
     errors = []
     for t, apart_x in enumerate(np.abs(clip.boxes[:-1, 0, 0] - clip.boxes[:-1, 1, 0])):
         for i in range(2):
@@ -140,7 +129,7 @@ def test_the_picture_moves_as_the_truth_says(clip: Clip) -> None:
     assert np.mean(np.array(errors) <= 1) > 0.97
 
 
-def test_the_camera_moves(clip: Clip) -> None:
+def test_the_camera_moves(clip: BoxClip) -> None:
     # a print on the desk that no hand covers in these frames, found again elsewhere
     first = clip.pictures[0][160:200, 150:180]
     shifts = []
@@ -151,7 +140,7 @@ def test_the_camera_moves(clip: Clip) -> None:
     assert np.ptp(np.array(shifts), axis=0).max() > 20
 
 
-def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
     monkeypatch.syspath_prepend(str(FOLDER))
     before = set(sys.modules)

@@ -4,32 +4,21 @@ from __future__ import annotations
 
 import sys
 from itertools import groupby
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from tests.samples import FOLDER, read_pictures, read_rows
+from tests.samples import FOLDER, BoxClip, read_boxes, read_rows
 
 TARGETS = ("head", "left_hand", "right_hand")
 BEFORE_CHEST, BEFORE_FACE = (46, 61, 111, 121), (149, 169, 220, 235)  # the last frame before the hands change sides
 
 
-class Clip(NamedTuple):
-    """pictures (T, H, W, 3) BGR; boxes (T, 3, 4) middle, width, height in pixels; hidden (T, 3)."""
-
-    pictures: np.ndarray
-    boxes: np.ndarray
-    hidden: np.ndarray
-
-
 @pytest.fixture(scope="module")
-def clip() -> Clip:
-    rows = read_rows("signing")
-    boxes = np.array([[float(r[k]) for k in "xywh"] for r in rows]).reshape(-1, 3, 4)
-    return Clip(read_pictures("signing"), boxes, np.array([r["status"] == "hidden" for r in rows]).reshape(-1, 3))
+def clip() -> BoxClip:
+    return read_boxes("signing", len(TARGETS))
 
 
 def overlaps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -47,7 +36,7 @@ def chroma(picture: np.ndarray, x: float, y: float, side: int) -> np.ndarray:
     return middle
 
 
-def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame_and_target(clip: Clip) -> None:
+def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame_and_target(clip: BoxClip) -> None:
     assert (FOLDER / "signing.mp4").stat().st_size < 620_000
     assert clip.pictures.shape == (250, 240, 320, 3)
     rows = read_rows("signing")
@@ -56,7 +45,7 @@ def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame_and_target(c
     assert {r["status"] for r in rows} == {"visible", "hidden"}
 
 
-def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
+def test_the_init_file_is_the_truth_of_the_first_frame(clip: BoxClip) -> None:
     init = YAML(typ="safe").load((FOLDER / "signing.init.yaml").read_text(encoding="utf-8"))
     assert init.pop("frame") == 0 and tuple(init) == TARGETS
     for target, (x, y, w, h) in zip(TARGETS, clip.boxes[0], strict=True):
@@ -65,7 +54,7 @@ def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
     assert clip.boxes[0, 1, 0] < clip.boxes[0, 0, 0] < clip.boxes[0, 2, 0]
 
 
-def test_the_boxes_lie_in_the_picture_and_keep_their_shape(clip: Clip) -> None:
+def test_the_boxes_lie_in_the_picture_and_keep_their_shape(clip: BoxClip) -> None:
     low, high = clip.boxes[..., :2] - clip.boxes[..., 2:] / 2, clip.boxes[..., :2] + clip.boxes[..., 2:] / 2
     assert low.min() > 0 and high[..., 0].max() < 319 and high[..., 1].max() < 239
     np.testing.assert_allclose(clip.boxes[:, 0, 2], clip.boxes[:, 0, 3])
@@ -73,7 +62,7 @@ def test_the_boxes_lie_in_the_picture_and_keep_their_shape(clip: Clip) -> None:
     assert clip.boxes[:, 0, 2].min() > 45 and clip.boxes[:, 0, 2].max() < 55
 
 
-def test_the_hands_are_fast_and_the_head_is_not(clip: Clip) -> None:
+def test_the_hands_are_fast_and_the_head_is_not(clip: BoxClip) -> None:
     steps = np.linalg.norm(np.diff(clip.boxes[..., :2], axis=0), axis=2)
     assert 10 < steps[:, 1:].max() <= 12 and np.median(steps[:, 1:]) > 4
     assert steps[:, 0].max() < 3
@@ -83,7 +72,7 @@ def test_the_hands_are_fast_and_the_head_is_not(clip: Clip) -> None:
         assert sum(1 for turned, _ in groupby(turns) if turned) > 12
 
 
-def test_the_hands_cross_before_the_chest_twice_and_then_before_the_face_twice(clip: Clip) -> None:
+def test_the_hands_cross_before_the_chest_twice_and_then_before_the_face_twice(clip: BoxClip) -> None:
     head, left, right = clip.boxes.transpose(1, 0, 2)
     side = np.sign(left[:, 0] - right[:, 0])
     # each time over and back
@@ -97,7 +86,7 @@ def test_the_hands_cross_before_the_chest_twice_and_then_before_the_face_twice(c
         assert overlaps(left, head)[t] > 0.5 and overlaps(right, head)[t] > 0.5
 
 
-def test_the_right_hand_passes_over_the_face_alone_before_that(clip: Clip) -> None:
+def test_the_right_hand_passes_over_the_face_alone_before_that(clip: BoxClip) -> None:
     head, left, right = clip.boxes[:130].transpose(1, 0, 2)
     over = overlaps(right, head)
     assert overlaps(left, head).max() == 0
@@ -106,7 +95,7 @@ def test_the_right_hand_passes_over_the_face_alone_before_that(clip: Clip) -> No
     assert over.max() > 0.8 and offset.min() < -15 and offset.max() > 15
 
 
-def test_the_head_is_hidden_four_times_and_a_hand_at_crossings_only(clip: Clip) -> None:
+def test_the_head_is_hidden_four_times_and_a_hand_at_crossings_only(clip: BoxClip) -> None:
     runs = [(bool(key), len(list(run))) for key, run in groupby(clip.hidden[:, 0])]
     assert [n for key, n in runs if key] and all(3 <= n <= 12 for key, n in runs if key)
     assert sum(key for key, _ in runs) == 4
@@ -116,7 +105,7 @@ def test_the_head_is_hidden_four_times_and_a_hand_at_crossings_only(clip: Clip) 
     assert not clip.hidden[:131, 1].any() and not clip.hidden[131:, 2].any()
 
 
-def test_hands_and_face_have_the_same_colour_and_clothes_and_ground_another(clip: Clip) -> None:
+def test_hands_and_face_have_the_same_colour_and_clothes_and_ground_another(clip: BoxClip) -> None:
     for t in (0, 30, 190, 249):
         head, left, right = clip.boxes[t]
         face = chroma(clip.pictures[t], head[0], head[1] + 4, 21)
@@ -126,7 +115,7 @@ def test_hands_and_face_have_the_same_colour_and_clothes_and_ground_another(clip
             assert np.abs(chroma(clip.pictures[t], x, y, 15) - face).max() > 10
 
 
-def test_the_frontal_cascade_finds_the_face_where_the_box_says(clip: Clip) -> None:
+def test_the_frontal_cascade_finds_the_face_where_the_box_says(clip: BoxClip) -> None:
     cascade = cv2.CascadeClassifier(cv2.data.haarcascades + "haarcascade_frontalface_default.xml")
     for t in (0, 2, 4, 30, 76, 128, 195):
         found = cascade.detectMultiScale(cv2.cvtColor(clip.pictures[t], cv2.COLOR_BGR2GRAY), 1.05, 5, minSize=(40, 40))
@@ -137,7 +126,7 @@ def test_the_frontal_cascade_finds_the_face_where_the_box_says(clip: Clip) -> No
         assert overlaps(clip.boxes[t : t + 1, 0], box)[0] > 0.75, f"frame {t}"
 
 
-def test_the_picture_moves_as_the_truth_says(clip: Clip) -> None:
+def test_the_picture_moves_as_the_truth_says(clip: BoxClip) -> None:
     errors = []
     for t in range(len(clip.boxes) - 1):
         for i in (1, 2):
@@ -154,7 +143,7 @@ def test_the_picture_moves_as_the_truth_says(clip: Clip) -> None:
     assert np.mean(np.array(errors) <= 1.5) > 0.95
 
 
-def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
     monkeypatch.syspath_prepend(str(FOLDER))
     before = set(sys.modules)

@@ -12,7 +12,6 @@ import cv2
 import pytest
 from click.testing import CliRunner
 
-from facetrack_cli.__main__ import main
 from facetrack_cli.cli import cli
 from facetrack_cli.recipe import check_recipe, json_schema, load_recipe, shipped_folder, shipped_recipes
 from facetrack_cli.start import read_init
@@ -43,23 +42,6 @@ def clips(tmp_path_factory):
     (folder / "dark.truth.csv").write_text((FOLDER / "signing.truth.csv").read_text())
     (folder / "dark.init.yaml").write_text((FOLDER / "signing.init.yaml").read_text())
     return folder
-
-
-@pytest.fixture
-def facetrack(clips, tmp_path, monkeypatch, capfd):
-    """Run a command line in an empty folder, `IN` standing for the clips' one: exit code, stdout, stderr."""
-    work = tmp_path / "work"
-    work.mkdir()
-    monkeypatch.chdir(work)
-    monkeypatch.delenv("FACETRACK_DEBUG", raising=False)
-    threads = cv2.getNumThreads()
-
-    def call(*args):
-        code = main([str(arg).replace("IN/", f"{clips}/") for arg in args])
-        return code, *capfd.readouterr()
-
-    yield call
-    cv2.setNumThreads(threads)
 
 
 def run(facetrack, *args, name="sign", config="head_hands"):
