@@ -175,7 +175,7 @@ def test_a_shipped_golden_is_of_the_clip_and_the_recipe_that_are_here(path: Path
     golden = read_golden(path)
     assert checksum(SAMPLES / golden.clip) == golden.sha256, "record anew: facetrack regress sample_videos --update"
     assert differences(completed(golden.settings), to_dict(load_recipe(golden.recipe))) == []
-    assert len(golden.recorded) == 40 and 4 <= golden.tested <= 12
+    assert 40 <= len(golden.recorded) <= 100 and 4 <= golden.tested <= 12
     assert path.stat().st_size < 60_000
     count = golden.frames[1] - golden.frames[0] + 1
     assert all(len(p.x) == count and len(p.reach) == -(-count // EVERY) for p in golden.paths)
