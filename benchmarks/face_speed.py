@@ -143,7 +143,9 @@ def main() -> None:
     *taken, decoded = (np.min(one, axis=0).mean() for one in zip(*rounds, strict=True))
     each = dict(zip(works, taken, strict=True))
     kcf = each.get("kcf")
-    print(f"{SIZE[0]}x{SIZE[1]}, head {start.targets['head'].box}; OpenCV's threads: {cv2.getNumThreads()}")
+    box = start.targets["head"].box
+    assert box is not None
+    print(f"{SIZE[0]}x{SIZE[1]}, head {box[2]:.0f}x{box[3]:.0f}; OpenCV's threads: {cv2.getNumThreads()}")
     print(f"{'a step over':36s} {'decoding':>9s} {'kcf':>9s} {'frames/s':>9s}")
     for label, seconds in each.items():
         beside = f"{seconds / kcf:9.3f}" if kcf else f"{'-':>9s}"
