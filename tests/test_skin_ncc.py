@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.kernels import ncc as kernel
+from facetrack_cli.kernels import skin as kernel
 from facetrack_cli.likelihoods import ncc as matching
 from facetrack_cli.likelihoods.skin_ncc import LEAST_NCC, Ncc, Skin, SkinNcc
 from facetrack_cli.skin import learn_skin

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from facetrack_cli.kernels.compiled import exact, fast, inline
+from facetrack_cli.kernels.integral import corner
 
 LARGEST = 1e6  # the largest scale, pixels from point to point
 
@@ -146,18 +147,6 @@ def bilinear(values: Any, places: Any, left: int, top: int) -> Any:
     return out
 
 
-@inline
-def _corner(integral: Any, x: float, y: float) -> Any:
-    """The integral image at fractional (x, y), edges of pixels at whole numbers; clipped to it."""
-    height, width = integral.shape[0] - 1, integral.shape[1] - 1
-    x, y = min(max(x, 0.0), 1.0 * width), min(max(y, 0.0), 1.0 * height)
-    x0, y0 = min(int(x), width - 1), min(int(y), height - 1)
-    fx, fy = x - x0, y - y0
-    return (1.0 - fy) * ((1.0 - fx) * integral[y0, x0] + fx * integral[y0, x0 + 1]) + fy * (
-        (1.0 - fx) * integral[y0 + 1, x0] + fx * integral[y0 + 1, x0 + 1]
-    )
-
-
 @exact
 def means(integral: Any, squares: Any, boxes: Any, th: int, tw: int) -> Any:
     """Area means of the picture and of its square over boxes (N, 3) = (u, v, s) -> (N, 2) float64.
@@ -171,32 +160,8 @@ def means(integral: Any, squares: Any, boxes: Any, th: int, tw: int) -> Any:
         x0, y0 = boxes[p, 0] - 0.5 * s + 0.5, boxes[p, 1] - 0.5 * s + 0.5
         x1, y1 = x0 + s * tw, y0 + s * th
         area = s * tw * s * th
-        out[p, 0] = _corner(integral, x1, y1) + _corner(integral, x0, y0)
-        out[p, 0] = (out[p, 0] - _corner(integral, x1, y0) - _corner(integral, x0, y1)) / area
-        out[p, 1] = _corner(squares, x1, y1) + _corner(squares, x0, y0)
-        out[p, 1] = (out[p, 1] - _corner(squares, x1, y0) - _corner(squares, x0, y1)) / area
+        out[p, 0] = corner(integral, x1, y1) + corner(integral, x0, y0)
+        out[p, 0] = (out[p, 0] - corner(integral, x1, y0) - corner(integral, x0, y1)) / area
+        out[p, 1] = corner(squares, x1, y1) + corner(squares, x0, y0)
+        out[p, 1] = (out[p, 1] - corner(squares, x1, y0) - corner(squares, x0, y1)) / area
     return out
-
-
-@exact
-def nested(x: Any, width: float, height: float, factor: int, left: float, top: float) -> Any:
-    """The inner and outer boxes of equal areas (inside, and around) at x (N, 1, D) = (cx, cy, s, ...), and their area.
-
-    Inner boxes are width * s by height * s pixels of the whole picture, outer ones sqrt(2) times as long. Returns both
-    (N, 4) as edges x0, y0, x1, y1 in pixels of the picture reduced by `factor` that begins at (left, top) of the whole,
-    and the area (N,) of the inner one; boxes that are none, or thinner than a pixel, have area 0 and lie at 0.
-    """
-    n = x.shape[0]
-    inner, outer, area = np.zeros((n, 4)), np.zeros((n, 4)), np.zeros(n)
-    longer = math.sqrt(2.0)
-    for p in range(n):
-        s = x[p, 0, 2] / factor
-        w, h = 0.5 * s * width, 0.5 * s * height
-        cx = (x[p, 0, 0] - left - 0.5 * (factor - 1)) / factor
-        cy = (x[p, 0, 1] - top - 0.5 * (factor - 1)) / factor
-        # comparisons with nan are false
-        if min(w, h) >= 0.5 and max(w, h) <= LARGEST and abs(cx) <= 10.0 * LARGEST and abs(cy) <= 10.0 * LARGEST:
-            inner[p, 0], inner[p, 1], inner[p, 2], inner[p, 3] = cx - w, cy - h, cx + w, cy + h
-            w, h, area[p] = longer * w, longer * h, 4.0 * w * h
-            outer[p, 0], outer[p, 1], outer[p, 2], outer[p, 3] = cx - w, cy - h, cx + w, cy + h
-    return inner, outer, area

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.kernels.compiled import exact, inline
+from facetrack_cli.kernels.integral import corner
 
 # OpenCV's fixed-point BT.601 of 8 bits, full range: 14 bits after the point, and a half to round by
 SHIFT, HALF, MIDDLE = np.int32(14), np.int32(1 << 13), np.int32((128 << 14) + (1 << 13))
 R_TO_Y, G_TO_Y, B_TO_Y = np.int32(4899), np.int32(9617), np.int32(1868)
 TO_CR, TO_CB = np.int32(11682), np.int32(9241)
-EIGHT, LARGEST = np.int32(8), np.int32(255)
+EIGHT, MOST = np.int32(8), np.int32(255)
+LARGEST = 1e6  # half a side of a box, pixels
 
 
 @inline
@@ -22,8 +24,8 @@ def _code(b: Any, g: Any, r: Any) -> Any:
     """256 Cb + Cr of one pixel. No colour has either below 0; pure blue and pure red would have 256."""
     b, g, r = np.int32(b), np.int32(g), np.int32(r)
     y = (r * R_TO_Y + g * G_TO_Y + b * B_TO_Y + HALF) >> SHIFT
-    cb = min(((b - y) * TO_CB + MIDDLE) >> SHIFT, LARGEST)
-    cr = min(((r - y) * TO_CR + MIDDLE) >> SHIFT, LARGEST)
+    cb = min(((b - y) * TO_CB + MIDDLE) >> SHIFT, MOST)
+    cr = min(((r - y) * TO_CR + MIDDLE) >> SHIFT, MOST)
     return (cb << EIGHT) + cr
 
 
@@ -55,21 +57,35 @@ def _within(edge: float, count: int) -> Any:
 
 
 @inline
-def _corner(integral: Any, u: float, v: float) -> Any:
-    """The integral image at (u, v), bilinear: the sum of all above and to the left, parts of pixels by their area."""
-    i, j = min(int(v), integral.shape[0] - 2), min(int(u), integral.shape[1] - 2)
-    fy, fx = v - i, u - j
-    upper = (1.0 - fx) * integral[i, j] + fx * integral[i, j + 1]
-    lower = (1.0 - fx) * integral[i + 1, j] + fx * integral[i + 1, j + 1]
-    return (1.0 - fy) * upper + fy * lower
-
-
-@inline
 def _box_sum(integral: Any, box: Any) -> Any:
     height, width = integral.shape[0] - 1, integral.shape[1] - 1
     x0, y0 = _within(box[0], width), _within(box[1], height)
     x1, y1 = max(_within(box[2], width), x0), max(_within(box[3], height), y0)
-    return _corner(integral, x1, y1) + _corner(integral, x0, y0) - _corner(integral, x1, y0) - _corner(integral, x0, y1)
+    return corner(integral, x1, y1) + corner(integral, x0, y0) - corner(integral, x1, y0) - corner(integral, x0, y1)
+
+
+@exact
+def nested(x: Any, width: float, height: float, factor: int, left: float, top: float) -> Any:
+    """The inner and outer boxes of equal areas (inside, and around) at x (N, 1, D) = (cx, cy, s, ...), and their area.
+
+    Inner boxes are width * s by height * s pixels of the whole picture, outer ones sqrt(2) times as long. Returns both
+    (N, 4) as edges x0, y0, x1, y1 in pixels of the picture reduced by `factor` that begins at (left, top) of the whole,
+    and the area (N,) of the inner one; boxes that are none, or thinner than a pixel, have area 0 and lie at 0.
+    """
+    n = x.shape[0]
+    inner, outer, area = np.zeros((n, 4)), np.zeros((n, 4)), np.zeros(n)
+    longer = math.sqrt(2.0)
+    for p in range(n):
+        s = x[p, 0, 2] / factor
+        w, h = 0.5 * s * width, 0.5 * s * height
+        cx = (x[p, 0, 0] - left - 0.5 * (factor - 1)) / factor
+        cy = (x[p, 0, 1] - top - 0.5 * (factor - 1)) / factor
+        # comparisons with nan are false
+        if min(w, h) >= 0.5 and max(w, h) <= LARGEST and abs(cx) <= 10.0 * LARGEST and abs(cy) <= 10.0 * LARGEST:
+            inner[p, 0], inner[p, 1], inner[p, 2], inner[p, 3] = cx - w, cy - h, cx + w, cy + h
+            w, h, area[p] = longer * w, longer * h, 4.0 * w * h
+            outer[p, 0], outer[p, 1], outer[p, 2], outer[p, 3] = cx - w, cy - h, cx + w, cy + h
+    return inner, outer, area
 
 
 @exact
@@ -97,5 +113,5 @@ def at_points(bgr: Any, table: Any, xy: Any) -> Any:
         if u >= 0.0 and u < width and v >= 0.0 and v < height:
             pixel = bgr[math.floor(v), math.floor(u)]
             code = _code(pixel[0], pixel[1], pixel[2])
-            out[n] = table[code >> EIGHT, code & LARGEST] / 255.0
+            out[n] = table[code >> EIGHT, code & MOST] / 255.0
     return out

@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 
 from facetrack_cli.kernels import patches
 from facetrack_cli.kernels import skin as kernel
-from facetrack_cli.kernels.ncc import nested
 from facetrack_cli.likelihoods import ncc as matching
 from facetrack_cli.likelihoods.ncc import Ncc as Ncc
 from facetrack_cli.skin import LEAST_SHARE, learn_skin, note
@@ -151,7 +150,7 @@ class SkinNcc:
         x1, y1 = (int(high - at) // factor + 2 for high, at in zip(extent[2:], (left, top), strict=True))
         skin = kernel.skin_map(picture[y0:y1, x0:x1], learned.table)
         integral = cv2.integral(skin, sdepth=cv2.CV_32S if skin.size <= MOST_EXACT else cv2.CV_64F)
-        inner, outer, area = nested(x, w, h, factor, left + x0 * factor, top + y0 * factor)
+        inner, outer, area = kernel.nested(x, w, h, factor, left + x0 * factor, top + y0 * factor)
         sums = kernel.differences(integral, inner, outer)
         rho = (sums[:, 1] - 2.0 * sums[:, 0]) / np.where(area > 0.0, 255.0 * area, 1.0)
         return np.asarray(np.clip(rho, -1.0, 1.0))
