@@ -1,6 +1,6 @@
 """Exclusion between targets: what one explains, the others should not.
 
-After the exclusion principle as Gianni, Collet & Dalle (2009) use it for a head and two hands, in the words of Gonzalez
+After the exclusion principle as Gianni, Collet & Dalle (2007) use it for a head and two hands, in the words of Gonzalez
 & Collet, section 3: particles are penalised when the objects are close, so that two filters do not track the same skin.
 The papers print no formula. Ours, for a particle at x and the other targets j, each an ellipse:
 

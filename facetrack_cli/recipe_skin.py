@@ -69,7 +69,7 @@ class SkinNcc(Section):
 
 
 class SkinCloud(Section):
-    """The probability that the colour of one pixel is skin; each particle is a pixel (Gianni et al. 2009)."""
+    """The probability that the colour of one pixel is skin; each particle is a pixel (Gianni et al. 2007)."""
 
     type: Literal["skin"]
     """The probability that a pixel is skin."""
@@ -84,7 +84,7 @@ class SkinCloud(Section):
 
 
 class Cloud(Section):
-    """A cloud of pixels, whose mean is the target's place and whose spread is its size (Gianni et al. 2009)."""
+    """A cloud of pixels, whose mean is the target's place and whose spread is its size (Gianni et al. 2007)."""
 
     type: Literal["cloud"]
     """A cloud in which each particle is a pixel."""

@@ -5,7 +5,7 @@ space         a part's state             image geometry
 ============  =========================  ==============================================================================
 PointSpace    x, y                       a window of fixed size around each point
 BoxSpace      x, y, s, and their speeds  an upright box, s times as large as at the start (Odobez 2003, section 3.2)
-CloudSpace    x, y of one pixel          an upright box about the whole cloud of particles (Gianni et al. 2009)
+CloudSpace    x, y of one pixel          an upright box about the whole cloud of particles (Gianni et al. 2007)
 ============  =========================  ==============================================================================
 """
 
