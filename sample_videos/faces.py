@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from clip_files import Clip, TruthRow, start_of
-from heads import SHUTTER, ZOOM, Stage, Window, placed, prove, reduced, render, unsteady
+from heads import SHUTTER, ZOOM, Stage, Window, placed, prove, render, unsteady
 from heads_cutout import Cutout, astronaut_cutout
+from layers import inside, reduced
 from numpy.typing import NDArray
 from portraits import MARGIN, Picture, Portrait, astronaut
 from render import SIZE, expose, face
@@ -98,23 +99,11 @@ def _moved(layer: Picture, x: float, y: float) -> Picture:
 
 def covered(at: Box, things: list[Before]) -> float:
     """The share of the box that is covered by any of the things."""
-    inside = _inside(at)
-    free = np.ones_like(inside)
+    within = inside(at)
+    free = np.ones_like(within)
     for thing in things:
         free = free * (1 - thing.layer[..., 3])
-    return float((inside * (1 - free)).sum() / inside.sum())
-
-
-def _inside(at: Box) -> Picture:
-    """How much of each pixel is in the box, (H, W) 0..1."""
-
-    def along(n: int, middle: float, length: float) -> Array:
-        k = np.arange(n)
-        both = np.minimum(k + 0.5, middle + length / 2) - np.maximum(k - 0.5, middle - length / 2)
-        return np.asarray(np.clip(both, 0, 1), dtype=np.float64)
-
-    x, y, w, h = at
-    return np.asarray(np.outer(along(SIZE[1], y, h), along(SIZE[0], x, w)), dtype=np.float32)
+    return float((within * (1 - free)).sum() / within.sum())
 
 
 def _prove(stage: Stage, t: int) -> None:

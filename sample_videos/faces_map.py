@@ -17,6 +17,7 @@ from hands import skin
 from hands_draw import Skin, draw
 from hands_model import SHIFT, Pose
 from heads import Stage, path, unsteady
+from layers import over, reduced
 from numpy.typing import NDArray
 from portraits import Picture
 from render import SIZE
@@ -132,10 +133,6 @@ def _drawn(pose: Pose, of: Skin) -> tuple[Picture, Picture]:
     return whole, np.asarray(1 - thumb, dtype=np.float32)
 
 
-def _over(under: Picture, layer: Picture) -> Picture:
-    return np.asarray(under * (1 - layer[..., 3:]) + layer, dtype=np.float32)
-
-
 def _held(scene: MapScene, t: int) -> Before:
     """Map and hands as one layer: the hands behind it, the map, the fingers before it with their shadow on it."""
     (x, y), tilt = scene.middle[t], float(scene.tilt[t])
@@ -146,19 +143,19 @@ def _held(scene: MapScene, t: int) -> Before:
     shift = np.array([x, y]) * FINE + (FINE - 1) / 2 - turn @ grip
     fine = cv2.warpAffine(scene.sheet, np.column_stack([turn, shift]), (SIZE[0] * FINE, SIZE[1] * FINE),
                           flags=cv2.INTER_LINEAR)  # fmt: skip
-    paper = np.asarray(cv2.resize(fine, SIZE, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    paper = reduced(np.asarray(fine, np.float32))
     drawn = [_drawn(pose, scene.skin) for pose in scene.hands(t)]
     out = np.zeros_like(paper)
     for whole, _ in drawn:
-        out = _over(out, whole)
-    out = _over(out, paper)
+        out = over(out, whole)
+    out = over(out, paper)
     for whole, front in drawn:
         fingers = whole * front[..., None]
         move = np.array([[1.0, 0.0, 1.2], [0.0, 1.0, 1.8]])
         shadow = cv2.GaussianBlur(cv2.warpAffine(fingers[..., 3], move, SIZE), (0, 0), 1.4)
         # a shadow falls on the map alone
         out[..., :3] *= (1 - 0.4 * shadow * paper[..., 3])[..., None]
-        out = _over(out, fingers)
+        out = over(out, fingers)
     return Before(out, motion(scene.middle, t))
 
 

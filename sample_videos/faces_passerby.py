@@ -13,8 +13,9 @@ import numpy as np
 from clip_files import Clip
 from faces import Before, face_clip, looks, motion, panned, standing
 from faces_ground import brick_wall
-from heads import Stage, path, placed, reduced
+from heads import Stage, path, placed
 from heads_cutout import Cutout, edges, soft_layer, spread
+from layers import over, reduced
 from portraits import MARGIN, Picture, hopper
 from timeline import Array, Keys, track
 
@@ -104,7 +105,7 @@ class PassingScene:
         scale, at = float(p.scale[t]), p.head[t]
         body = placed(p.cutout.body, (0.0, 0.0), p, p.body[t], scale)
         head = placed(layer, window, p, at, scale)
-        whole = reduced(np.asarray(body * (1 - head[..., 3:]) + head, dtype=np.float32))
+        whole = reduced(over(body, head))
         return [Before(whole, motion(p.head, t))]
 
 

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from clip_files import Clip, TruthRow, start_of
 from person import person, prove_face, wall, wander
-from person_hands import Motion, Scene, face_covered, loose, matched_skin, render, unrest
+from person_hands import Motion, Scene, face_covered, loose, matched_skin, render
 from render import expose
-from timeline import Array, track
+from timeline import Array, track, unrest
 
 FRAMES = 260
 ZOOM = 0.64  # pixels of the picture for one of the portrait

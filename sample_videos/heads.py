@@ -16,10 +16,11 @@ from clip_files import Clip, TruthRow, start_of
 from heads_cutout import Cutout, astronaut_cutout, edges
 from heads_grounds import FINE, foliage, room, trunk
 from heads_turn import unroll
+from layers import over, reduced
 from numpy.typing import NDArray
 from portraits import MARGIN, Picture, astronaut
 from render import SIZE, expose, face
-from timeline import Array, Keys, syllables, track
+from timeline import Array, Keys, syllables, track, unrest
 from warp import Moment
 
 ZOOM = 0.52  # clip pixels for one of the portrait, at scale 1
@@ -82,15 +83,6 @@ def _shifted(picture: Picture, x: float, y: float) -> Picture:
     move = np.array([[1, 0, FINE * x], [0, 1, FINE * y]], dtype=np.float64)
     size = (SIZE[0] * FINE, SIZE[1] * FINE)
     return np.asarray(cv2.warpAffine(picture, move, size, flags=cv2.INTER_LINEAR), dtype=np.float32)
-
-
-def over(under: Picture, layer: Picture) -> Picture:
-    out: Picture = under * (1 - layer[..., 3:]) + layer[..., :3]
-    return out
-
-
-def reduced(fine: Picture) -> Picture:
-    return np.asarray(cv2.resize(fine, SIZE, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def render(stage: Stage, t: int) -> Picture:
@@ -163,9 +155,7 @@ def path(xs: Keys, ys: Keys, frames: int) -> Array:
 
 def unsteady(frames: int, seed: int, strength: float) -> Array:
     """(frames, 2) the tremor of a camera held by hand, in pixels."""
-    raw = np.random.default_rng(seed).normal(0, 1, (frames + 40, 2))
-    smooth = cv2.GaussianBlur(raw, (1, 0), sigmaX=0.1, sigmaY=2.5)[20:-20]
-    return np.asarray(smooth / smooth.std() * strength, dtype=np.float64)
+    return unrest(np.random.default_rng(seed), frames, strength, 2.5)
 
 
 def textured_stage() -> Stage:

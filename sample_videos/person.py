@@ -14,6 +14,7 @@ import numpy as np
 from hands_draw import LIGHT
 from heads_cutout import Cutout, astronaut_cutout, edges
 from heads_grounds import FINE
+from layers import reduced
 from portraits import MARGIN, Picture, Portrait, astronaut
 from render import SIZE, face
 from timeline import Array, syllables, track
@@ -139,17 +140,6 @@ def person(cloth: tuple[float, float, float], seed: int, frames: int, talks: tup
     moves = {"jaw": 0.20 * opening, "pucker": 0.12 * rounding, "yaw": rove(0.12), "pitch": rove(0.05),
              "smile": rove(0.08), "brow": np.abs(rove(0.8)), "close": 0.4 + 0.4 * rove(1.0)}  # fmt: skip
     return Person(cut, cutout, sweater(cloth, seed + 1), moves)
-
-
-def over(under: Picture, layer: Picture) -> Picture:
-    """A picture (H, W, 3) with a premultiplied layer (H, W, 4) before it."""
-    out: Picture = under * (1 - layer[..., 3:]) + layer[..., :3]
-    return out
-
-
-def reduced(fine: Picture) -> Picture:
-    """A picture FINE times too large, by area means."""
-    return np.asarray(cv2.resize(fine, SIZE, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def prove_face(who: Person, place: Place, box: tuple[float, float, float, float]) -> None:

@@ -14,8 +14,9 @@ from hands import skin
 from hands_draw import Layer, Skin, draw
 from hands_model import Pose
 from heads_cutout import astronaut_cutout
+from layers import inside, over, reduced
 from numpy.typing import NDArray
-from person import BODY_AT, FACE, SHOULDERS, Person, Place, over, reduced
+from person import BODY_AT, FACE, SHOULDERS, Person, Place
 from portraits import Picture
 from render import SIZE
 from timeline import Array, Keys, track
@@ -74,12 +75,6 @@ def loose(rng: np.random.Generator, frames: int, scale: float, every: tuple[int,
         "curl": track(curls, frames),
         "spread": track(keys(0.45, 1.1), frames),
     }
-
-
-def unrest(rng: np.random.Generator, frames: int, strength: float, sigma: float) -> Array:
-    """(frames, 2) how far a hand strays from its smooth way, in pixels."""
-    raw = cv2.GaussianBlur(rng.normal(0, 1, (frames + 40, 2)), (1, 0), sigmaX=0.1, sigmaY=sigma)[20:-20]
-    return np.asarray(raw / raw.std() * strength, dtype=np.float64)
 
 
 def pose_at(motion: Motion, side: int, place: Place, t: float) -> Pose:
@@ -165,22 +160,12 @@ def render(scene: Scene, t: int) -> tuple[Picture, tuple[Layer, Layer]]:
     return np.asarray(np.mean(shown, axis=0), dtype=np.float32), middle
 
 
-def _inside(box: tuple[float, float, float, float]) -> Picture:
-    """(H, W) how much of each pixel is in the box (middle, width, height)."""
-    x, y, w, h = box
-    across = np.clip(np.minimum(np.arange(SIZE[0]) + 0.5, x + w / 2) - np.maximum(np.arange(SIZE[0]) - 0.5, x - w / 2),
-                     0, 1)  # fmt: skip
-    down = np.clip(np.minimum(np.arange(SIZE[1]) + 0.5, y + h / 2) - np.maximum(np.arange(SIZE[1]) - 0.5, y - h / 2),
-                   0, 1)  # fmt: skip
-    return np.asarray(np.outer(down, across), dtype=np.float32)
-
-
 def face_covered(box: tuple[float, float, float, float], layers: Sequence[Layer]) -> tuple[float, float, float]:
     """What share of the face's box is under the left hand or its arm, under the right one, and under either."""
-    inside = _inside(box)
+    within = inside(box)
     left, right = (layer.alpha for layer in layers)
-    area = float(inside.sum())
-    shares = [float((inside * alpha).sum()) / area for alpha in (left, right, left + right - left * right)]
+    area = float(within.sum())
+    shares = [float((within * alpha).sum()) / area for alpha in (left, right, left + right - left * right)]
     return shares[0], shares[1], shares[2]
 
 
@@ -209,7 +194,7 @@ def prove_hand(pose: Pose, layer: Layer, box: tuple[float, float, float, float])
     """
     off = _centroid(layer.dot) - (box[0], box[1])
     assert np.abs(off).max() < 0.1, f"the middle is off by {off} at {pose}"
-    share = float((layer.hand * _inside(box)).sum() / layer.hand.sum())
+    share = float((layer.hand * inside(box)).sum() / layer.hand.sum())
     assert share > 0.97, f"only {share:.3f} of the hand is in its box at {pose}"
 
 

@@ -19,10 +19,9 @@ from person_hands import (
     matched_skin,
     prove_hand,
     render,
-    unrest,
 )
 from render import expose
-from timeline import Array, track
+from timeline import Array, track, unrest
 
 FRAMES = 250
 ZOOM = 0.52  # pixels of the picture for one of the portrait

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +27,12 @@ def track(keys: Keys, frames: int) -> Array:
         inside = t >= t0
         out[inside] = a + (b - a) * smoothstep((t[inside] - t0) / (t1 - t0))
     return out
+
+
+def unrest(rng: np.random.Generator, frames: int, strength: float, sigma: float) -> Array:
+    """(frames, 2) how far what is held by hand strays from its smooth way, in pixels; smooth over `sigma` frames."""
+    raw = cv2.GaussianBlur(rng.normal(0, 1, (frames + 40, 2)), (1, 0), sigmaX=0.1, sigmaY=sigma)[20:-20]
+    return np.asarray(raw / raw.std() * strength, dtype=np.float64)
 
 
 def syllables(rng: np.random.Generator, spans: Sequence[tuple[int, int]], frames: int) -> tuple[Array, Array]:
