@@ -1,11 +1,13 @@
 """What holds for every test."""
 
 import signal
+import sys
 
 import cv2
 import pytest
 
 from facetrack_cli.__main__ import main
+from tests.samples import FOLDER
 
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits
 # that: the tests of Ctrl-C would wait for a signal that never comes
@@ -28,3 +30,15 @@ def facetrack(clips, tmp_path, monkeypatch, capfd):
 
     yield call
     cv2.setNumThreads(threads)
+
+
+@pytest.fixture
+def sample_scripts(monkeypatch):
+    """The scripts in sample_videos/ can be imported, and are forgotten after the test: their names are short."""
+    pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
+    monkeypatch.syspath_prepend(str(FOLDER))
+    before = set(sys.modules)
+    yield
+    for module in set(sys.modules) - before:
+        if str(FOLDER) in str(getattr(sys.modules[module], "__file__", "")):
+            del sys.modules[module]

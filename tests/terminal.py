@@ -16,3 +16,13 @@ def read_all(ours: int) -> str:
         data += more
     os.close(ours)
     return data.decode()
+
+
+def refusal(result: tuple[int, str, str], code: int) -> str:
+    """The one line of a command line that was refused: exit code, stdout and stderr hold nothing else."""
+    got, out, err = result
+    assert (got, out) == (code, ""), err
+    lines = [line for line in err.splitlines() if line.startswith("facetrack: ")]
+    assert len(lines) == 1 and lines[0].startswith("facetrack: error: "), err
+    assert "Traceback" not in err and "our fault" not in err
+    return lines[0]

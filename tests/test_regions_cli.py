@@ -14,6 +14,7 @@ from facetrack_cli.report.events import Clock, tell
 from facetrack_cli.track import track
 from facetrack_cli.types import Frame, Start, TargetStart
 from tests.media import write_pictures
+from tests.terminal import refusal
 from tests.test_regions import START, clip, truth
 
 ALL = "contour_histogram_correlation"
@@ -48,13 +49,9 @@ def clips(tmp_path_factory):
 
 def refused(result, code):
     """The one line of a refusal that left nothing behind."""
-    got, out, err = result
-    assert (got, out) == (code, ""), err
-    lines = [line for line in err.splitlines() if line.startswith("facetrack: ")]
-    assert len(lines) == 1 and lines[0].startswith("facetrack: error: "), err
-    assert "Traceback" not in err and "our fault" not in err
+    said = refusal(result, code)
     assert list(Path().iterdir()) == []
-    return lines[0]
+    return said
 
 
 def run(facetrack, *args, name="head", config=ALL):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import groupby
 from typing import NamedTuple
 
@@ -161,34 +160,26 @@ def test_the_nose_of_the_first_frame_is_found_at_the_truth_to_the_end(clip: Clip
 
 
 @pytest.mark.parametrize("name", CLIPS)
-def test_rendered_anew_a_few_frames_are_the_committed_ones(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
+@pytest.mark.usefixtures("sample_scripts")
+def test_rendered_anew_a_few_frames_are_the_committed_ones(name: str) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[samples]'")
-    monkeypatch.syspath_prepend(str(FOLDER))
-    before = set(sys.modules)
-    try:
-        import render
-        from occluders import cover
-        from scenes import SCENES
+    import render
+    from occluders import cover
+    from scenes import SCENES
 
-        scene = SCENES[name]()
-        rows = read_rows(name)
-        video = cv2.VideoCapture(str(FOLDER / f"{name}.mp4"))
-        for t, m in enumerate(scene.moments):
-            picture = video.read()[1]
-            where = render.truth(scene.portrait, m)
-            for row, part in zip(rows[5 * t : 5 * t + 5], PARTS, strict=True):
-                assert np.allclose(where[part], (float(row["x"]), float(row["y"])), atol=0.0051, rtol=0)
-            if t % 60 == 30:
-                drawn = render.face(scene.portrait, m)[0]
-                for held in scene.objects:
-                    drawn = cover(drawn, held, t)[0]
-                drawn = np.clip(drawn * scene.portrait.exposure * m.light, 0, 255)
-                assert np.abs(drawn - picture).mean() < 4
-        video.release()
-        assert len(rows) == 5 * len(scene.moments)
-    finally:
-        # the folder's modules have short names that others may use
-        for module in set(sys.modules) - before:
-            if str(FOLDER) in str(getattr(sys.modules[module], "__file__", "")):
-                del sys.modules[module]
+    scene = SCENES[name]()
+    rows = read_rows(name)
+    video = cv2.VideoCapture(str(FOLDER / f"{name}.mp4"))
+    for t, m in enumerate(scene.moments):
+        picture = video.read()[1]
+        where = render.truth(scene.portrait, m)
+        for row, part in zip(rows[5 * t : 5 * t + 5], PARTS, strict=True):
+            assert np.allclose(where[part], (float(row["x"]), float(row["y"])), atol=0.0051, rtol=0)
+        if t % 60 == 30:
+            drawn = render.face(scene.portrait, m)[0]
+            for held in scene.objects:
+                drawn = cover(drawn, held, t)[0]
+            drawn = np.clip(drawn * scene.portrait.exposure * m.light, 0, 255)
+            assert np.abs(drawn - picture).mean() < 4
+    video.release()
+    assert len(rows) == 5 * len(scene.moments)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
 from itertools import groupby
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from tests.samples import FOLDER, read_pictures, read_rows
+from tests.samples import FOLDER, BoxClip, read_boxes, read_rows
 
 FRAMES = {"map": 250, "passerby": 240}
 # spans of frames in which more than half of the face is covered, and frames in which all of it is
@@ -22,34 +19,18 @@ MODULES = {"map": "faces_map", "passerby": "faces_passerby"}
 SKIN = np.array([147.0, 110.0])  # Cr, Cb of the face
 
 
-class Clip(NamedTuple):
-    """pictures (T, H, W, 3) BGR; boxes (T, 4) middle, width, height in pixels; hidden (T,)."""
-
-    name: str
-    pictures: np.ndarray
-    boxes: np.ndarray
-    hidden: np.ndarray
-
-    @property
-    def bare(self) -> list[int]:
-        """Frames in which nothing is before the face, and in the next one neither."""
-        spans = HIDDEN[self.name]
-        away = 14 if self.name == "map" else 18
-        return [t for t in range(len(self.boxes) - 1) if all(t < a - away or t > b + away for a, b in spans)]
-
-
-def read_clip(name: str) -> Clip:
-    rows = read_rows(name)
-    boxes = np.array([[float(r[column]) for column in ("x", "y", "w", "h")] for r in rows])
-    return Clip(name, read_pictures(name), boxes, np.array([r["status"] == "hidden" for r in rows]))
+def bare(clip: BoxClip) -> list[int]:
+    """Frames in which nothing is before the face, and in the next one neither."""
+    away = 14 if clip.name == "map" else 18
+    return [t for t in range(len(clip.boxes) - 1) if all(t < a - away or t > b + away for a, b in HIDDEN[clip.name])]
 
 
 @pytest.fixture(scope="module", params=FRAMES)
-def clip(request: pytest.FixtureRequest) -> Clip:
-    return read_clip(request.param)
+def clip(request: pytest.FixtureRequest) -> BoxClip:
+    return read_boxes(request.param)
 
 
-def crop(clip: Clip, t: int, half: int = 20) -> np.ndarray:
+def crop(clip: BoxClip, t: int, half: int = 20) -> np.ndarray:
     """The grey face of frame t at the size of frame 0, about the middle of its box."""
     (x, y), s = clip.boxes[t, :2], clip.boxes[t, 2] / clip.boxes[0, 2]
     move = np.array([[s, 0, x - s * half], [0, s, y - s * half]])
@@ -68,14 +49,14 @@ def skin(picture: np.ndarray) -> np.ndarray:
     return np.asarray((np.abs(chroma[..., 1:] - SKIN).max(axis=2) < 9) & (chroma[..., 0] > 80))
 
 
-def within(clip: Clip, t: int, grow: float = 1.0) -> np.ndarray:
+def within(clip: BoxClip, t: int, grow: float = 1.0) -> np.ndarray:
     """(H, W) where the box of frame t is, made larger by `grow`."""
     y, x = np.mgrid[:240, :320]
     bx, by, w, h = clip.boxes[t]
     return np.asarray((np.abs(x - bx) < grow * w / 2) & (np.abs(y - by) < grow * h / 2))
 
 
-def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: Clip) -> None:
+def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: BoxClip) -> None:
     assert (FOLDER / f"{clip.name}.mp4").stat().st_size < 600_000
     video = cv2.VideoCapture(str(FOLDER / f"{clip.name}.mp4"))
     assert video.get(cv2.CAP_PROP_FPS) == 25
@@ -86,7 +67,7 @@ def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: Clip) 
     assert [(r["frame"], r["time_s"], r["target"], r["part"]) for r in read_rows(clip.name)] == expected
 
 
-def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
+def test_the_init_file_is_the_truth_of_the_first_frame(clip: BoxClip) -> None:
     init = YAML(typ="safe").load((FOLDER / f"{clip.name}.init.yaml").read_text(encoding="utf-8"))
     assert set(init) == {"frame", "face"} and init["frame"] == 0 and set(init["face"]) == {"box"}
     left, top, width, height = init["face"]["box"]
@@ -94,13 +75,13 @@ def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
     np.testing.assert_allclose((*middle, width, height), clip.boxes[0], atol=0.011)
 
 
-def test_a_box_that_rests_is_off_the_face_in_much_of_the_clip(clip: Clip) -> None:
+def test_a_box_that_rests_is_off_the_face_in_much_of_the_clip(clip: BoxClip) -> None:
     """Or the clip could not tell a tracker from a resting box."""
     off = np.abs(clip.boxes[:, :2] - clip.boxes[0, :2]).max(axis=1) / clip.boxes[:, 2]
     assert (off > 0.5).mean() > 0.35 and (off > 0.25).mean() > 0.6
 
 
-def test_the_box_is_a_square_of_a_small_face_and_does_not_jump(clip: Clip) -> None:
+def test_the_box_is_a_square_of_a_small_face_and_does_not_jump(clip: BoxClip) -> None:
     x, y, w, h = clip.boxes.T
     np.testing.assert_array_equal(w, h)
     assert w.min() > 54 and w.max() < 62
@@ -110,10 +91,10 @@ def test_the_box_is_a_square_of_a_small_face_and_does_not_jump(clip: Clip) -> No
     assert low < steps.max() < high
 
 
-def test_the_frontal_cascade_finds_the_face_in_the_box_while_it_is_bare(clip: Clip) -> None:
+def test_the_frontal_cascade_finds_the_face_in_the_box_while_it_is_bare(clip: BoxClip) -> None:
     cascade = cv2.CascadeClassifier(cv2.data.haarcascades + "haarcascade_frontalface_default.xml")
     found, off = 0, []
-    frames = clip.bare[::5]
+    frames = bare(clip)[::5]
     for t in frames:
         grey = cv2.cvtColor(clip.pictures[t], cv2.COLOR_BGR2GRAY)
         boxes = cascade.detectMultiScale(grey, 1.05, 5, minSize=(44, 44), maxSize=(76, 76))
@@ -126,18 +107,18 @@ def test_the_frontal_cascade_finds_the_face_in_the_box_while_it_is_bare(clip: Cl
     assert np.median(np.abs(off), axis=0).max() < 5
 
 
-def test_the_crop_at_the_truth_looks_like_the_first_unless_something_is_before_it(clip: Clip) -> None:
+def test_the_crop_at_the_truth_looks_like_the_first_unless_something_is_before_it(clip: BoxClip) -> None:
     first = crop(clip, 0)
     like = np.array([likeness(crop(clip, t), first) for t in range(len(clip.boxes))])
     # the mouth opens and shuts
-    assert np.median(like[clip.bare]) > 0.75 and like[clip.bare].min() > 0.55
+    assert np.median(like[bare(clip)]) > 0.75 and like[bare(clip)].min() > 0.55
     for a, b in WHOLLY[clip.name]:
         assert like[a : b + 1].max() < 0.35
 
 
-def test_the_face_moves_from_frame_to_frame_as_the_truth_says(clip: Clip) -> None:
+def test_the_face_moves_from_frame_to_frame_as_the_truth_says(clip: BoxClip) -> None:
     off = []
-    for t in clip.bare:
+    for t in bare(clip):
         score = cv2.matchTemplate(crop(clip, t + 1, 26), crop(clip, t), cv2.TM_CCOEFF_NORMED)
         j, i = np.unravel_index(int(score.argmax()), score.shape)
         off.append((i - 6, j - 6))
@@ -146,7 +127,7 @@ def test_the_face_moves_from_frame_to_frame_as_the_truth_says(clip: Clip) -> Non
     assert np.abs(np.mean(off, axis=0)).max() < 0.15
 
 
-def test_it_is_hidden_when_something_covers_it_and_only_then(clip: Clip) -> None:
+def test_it_is_hidden_when_something_covers_it_and_only_then(clip: BoxClip) -> None:
     runs, first = [], 0
     for key, run in groupby(clip.hidden):
         last = first + len(list(run)) - 1
@@ -155,14 +136,14 @@ def test_it_is_hidden_when_something_covers_it_and_only_then(clip: Clip) -> None
     assert tuple(runs) == HIDDEN[clip.name]
 
 
-def test_the_wall_has_other_colours_than_skin(clip: Clip) -> None:
+def test_the_wall_has_other_colours_than_skin(clip: BoxClip) -> None:
     share = skin(clip.pictures[0])
     assert share[within(clip, 0)].mean() > 0.4
     assert share[:30].mean() < 0.01 and share[:160, :70].mean() < 0.01 and share[:160, 250:].mean() < 0.01
 
 
 def test_behind_the_map_there_is_no_skin_but_two_hands_beside_it() -> None:
-    clip = read_clip("map")
+    clip = read_boxes("map")
     boxes = clip.boxes
     for a, b in WHOLLY["map"]:
         for t in range(a, b + 1, 4):
@@ -178,7 +159,7 @@ def test_behind_the_map_there_is_no_skin_but_two_hands_beside_it() -> None:
 
 
 def test_the_map_comes_from_below_from_the_left_and_from_the_right() -> None:
-    clip = read_clip("map")
+    clip = read_boxes("map")
     pictures = clip.pictures
 
     def pale(t: int) -> tuple[float, float]:
@@ -196,7 +177,7 @@ def test_the_map_comes_from_below_from_the_left_and_from_the_right() -> None:
 
 
 def test_who_passes_has_a_face_of_about_the_same_size_and_colour() -> None:
-    clip = read_clip("passerby")
+    clip = read_boxes("passerby")
     pictures = clip.pictures
     cascade = cv2.CascadeClassifier(cv2.data.haarcascades + "haarcascade_frontalface_default.xml")
     seen = []
@@ -212,21 +193,9 @@ def test_who_passes_has_a_face_of_about_the_same_size_and_colour() -> None:
     assert np.abs(np.array([cr, cb]) - SKIN).max() < 7
 
 
-@pytest.fixture
-def importable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
+@pytest.mark.usefixtures("sample_scripts")
+def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[samples]'")
-    monkeypatch.syspath_prepend(str(FOLDER))
-    before = set(sys.modules)
-    yield
-    # the folder's modules have short names that others may use
-    for module in set(sys.modules) - before:
-        if str(FOLDER) in str(getattr(sys.modules[module], "__file__", "")):
-            del sys.modules[module]
-
-
-@pytest.mark.usefixtures("importable")
-def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: Clip) -> None:
     import faces
 
     module = __import__(MODULES[clip.name])

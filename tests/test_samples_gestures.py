@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from itertools import groupby, pairwise
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from tests.samples import FOLDER, BoxClip, read_boxes, read_rows
+from tests.samples import FOLDER, BoxClip, chroma, read_boxes, read_rows
 
 # first and last frame in which more than 2 % of the face's box is covered
 PASSES = ((25, 32), (63, 78), (112, 120), (143, 152), (170, 187), (205, 208), (237, 248))
@@ -19,8 +18,7 @@ PASSES = ((25, 32), (63, 78), (112, 120), (143, 152), (170, 187), (205, 208), (2
 
 @pytest.fixture(scope="module")
 def clip() -> BoxClip:
-    read = read_boxes("gestures", 1)
-    return BoxClip(read.pictures, read.boxes[:, 0], read.hidden[:, 0])
+    return read_boxes("gestures")
 
 
 def face(clip: BoxClip, t: int) -> np.ndarray:
@@ -99,46 +97,34 @@ def test_the_frontal_cascade_finds_the_face_where_the_box_says(clip: BoxClip) ->
 
 
 def test_the_hands_have_the_colour_of_the_face(clip: BoxClip) -> None:
-    def chroma(x: float, y: float, side: int) -> np.ndarray:
-        part = cv2.getRectSubPix(clip.pictures[0], (side, side), (float(x), float(y)))
-        middle: np.ndarray = np.median(cv2.cvtColor(part, cv2.COLOR_BGR2YCrCb).reshape(-1, 3)[:, 1:], axis=0)
-        return middle
-
+    first = clip.pictures[0]
     x, y, w, _ = clip.boxes[0]
-    skin = chroma(x, y + 0.08 * w, 25)
+    skin = chroma(first, x, y + 0.08 * w, 25)
     for at in ((84, 200), (236, 206)):
-        assert np.abs(chroma(*at, 15) - skin).max() < 5
+        assert np.abs(chroma(first, *at, 15) - skin).max() < 5
     for at in ((20, 20), (300, 60), (160, 225)):
-        assert np.abs(chroma(*at, 15) - skin).max() > 10
+        assert np.abs(chroma(first, *at, 15) - skin).max() > 10
 
 
-def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
-    monkeypatch.syspath_prepend(str(FOLDER))
-    before = set(sys.modules)
-    try:
-        import gestures
-        import person_hands
-        from person import prove_face
+@pytest.mark.usefixtures("sample_scripts")
+def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip) -> None:
+    import gestures
+    import person_hands
+    from person import prove_face
 
-        scene = gestures.scene()
-        for t, box in enumerate(clip.boxes):
-            np.testing.assert_allclose(box, scene.box(t), atol=0.0051, rtol=0)
-        # the hands rest in this frame, so that fewer moments show the same
-        picture, layers = person_hands.render(replace(scene, shots=3), 178)
-        assert np.abs(np.clip(picture * gestures.LIGHT, 0, 255) - clip.pictures[178]).mean() < 3
-        assert person_hands.face_covered(scene.box(178), layers)[2] > 0.95
-        prove_face(scene.who, scene.place(178)[1], scene.box(178))
-        # both ends of the fastest pass, and which hands are before the face in the middle of each
-        for t, covered in ((204, False), (205, True), (209, False)):
-            assert (person_hands.face_covered(scene.box(t), scene.layers(t))[2] > 0.02) == covered
-        for (first, last), hands in zip(PASSES, ((0,), (1,), (0,), (1,), (0, 1), (0,), (0, 1)), strict=True):
-            middle = (first + last) // 2
-            shares = person_hands.face_covered(scene.box(middle), scene.layers(middle))
-            assert tuple(i for i in (0, 1) if shares[i] > 0.1) == hands
-            assert (shares[2] > 0.5) == clip.hidden[middle]
-    finally:
-        # the folder's modules have short names that others may use
-        for module in set(sys.modules) - before:
-            if str(FOLDER) in str(getattr(sys.modules[module], "__file__", "")):
-                del sys.modules[module]
+    scene = gestures.scene()
+    for t, box in enumerate(clip.boxes):
+        np.testing.assert_allclose(box, scene.box(t), atol=0.0051, rtol=0)
+    # the hands rest in this frame, so that fewer moments show the same
+    picture, layers = person_hands.render(replace(scene, shots=3), 178)
+    assert np.abs(np.clip(picture * gestures.LIGHT, 0, 255) - clip.pictures[178]).mean() < 3
+    assert person_hands.face_covered(scene.box(178), layers)[2] > 0.95
+    prove_face(scene.who, scene.place(178)[1], scene.box(178))
+    # both ends of the fastest pass, and which hands are before the face in the middle of each
+    for t, covered in ((204, False), (205, True), (209, False)):
+        assert (person_hands.face_covered(scene.box(t), scene.layers(t))[2] > 0.02) == covered
+    for (first, last), hands in zip(PASSES, ((0,), (1,), (0,), (1,), (0, 1), (0,), (0, 1)), strict=True):
+        middle = (first + last) // 2
+        shares = person_hands.face_covered(scene.box(middle), scene.layers(middle))
+        assert tuple(i for i in (0, 1) if shares[i] > 0.1) == hands
+        assert (shares[2] > 0.5) == clip.hidden[middle]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import cv2
 import numpy as np
 import pytest
@@ -140,30 +138,22 @@ def test_the_camera_moves(clip: BoxClip) -> None:
     assert np.ptp(np.array(shifts), axis=0).max() > 20
 
 
-def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
-    monkeypatch.syspath_prepend(str(FOLDER))
-    before = set(sys.modules)
-    try:
-        import hands
-        from hands_model import BOX
+@pytest.mark.usefixtures("sample_scripts")
+def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip) -> None:
+    import hands
+    from hands_model import BOX
 
-        moments, ground, movable, skin = hands.moments(), hands.desk(), hands.things(), hands.skin()
-        assert len(moments) == len(clip.pictures)
-        for t, m in enumerate(moments):
-            for pose, box in zip(m.hands, clip.boxes[t], strict=True):
-                expected = (pose.x, pose.y, BOX[0] * pose.scale, BOX[1] * pose.scale)
-                np.testing.assert_allclose(box, expected, atol=0.0051, rtol=0)
-        proof = hands.Proof(skin)
-        for t in (20, 107, 205):
-            picture, layers = hands.compose(moments[t], ground, movable, skin)
-            assert np.abs(np.clip(picture, 0, 255) - clip.pictures[t]).mean() < 5
-            for pose, layer in zip(moments[t].hands, layers, strict=True):
-                proof.hold(pose, layer)
-            shares = hands.covered(moments[t], layers)
-            assert [share > 0.5 for share in shares] == list(clip.hidden[t])
-    finally:
-        # the folder's modules have short names that others may use
-        for module in set(sys.modules) - before:
-            if str(FOLDER) in str(getattr(sys.modules[module], "__file__", "")):
-                del sys.modules[module]
+    moments, ground, movable, skin = hands.moments(), hands.desk(), hands.things(), hands.skin()
+    assert len(moments) == len(clip.pictures)
+    for t, m in enumerate(moments):
+        for pose, box in zip(m.hands, clip.boxes[t], strict=True):
+            expected = (pose.x, pose.y, BOX[0] * pose.scale, BOX[1] * pose.scale)
+            np.testing.assert_allclose(box, expected, atol=0.0051, rtol=0)
+    proof = hands.Proof(skin)
+    for t in (20, 107, 205):
+        picture, layers = hands.compose(moments[t], ground, movable, skin)
+        assert np.abs(np.clip(picture, 0, 255) - clip.pictures[t]).mean() < 5
+        for pose, layer in zip(moments[t].hands, layers, strict=True):
+            proof.hold(pose, layer)
+        shares = hands.covered(moments[t], layers)
+        assert [share > 0.5 for share in shares] == list(clip.hidden[t])

@@ -2,61 +2,44 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
 from itertools import groupby
-from types import ModuleType
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from tests.samples import FOLDER, read_pictures, read_rows
+from tests.samples import FOLDER, BoxClip, read_boxes, read_rows
 
 FRAMES = {"textured": 200, "turning": 220}
 INSIDE = 24  # half the side of a patch that lies within the head, in pixels at scale 1
 
 
-class Clip(NamedTuple):
-    """pictures (T, H, W, 3) BGR; boxes (T, 4) middle, width, height in pixels; hidden (T,)."""
-
-    name: str
-    pictures: np.ndarray
-    boxes: np.ndarray
-    hidden: np.ndarray
-
-    @property
-    def scale(self) -> np.ndarray:
-        return self.boxes[:, 2] / self.boxes[0, 2]
-
-
-def read_clip(name: str) -> Clip:
-    rows = read_rows(name)
-    boxes = np.array([[float(r[column]) for column in ("x", "y", "w", "h")] for r in rows])
-    return Clip(name, read_pictures(name), boxes, np.array([r["status"] == "hidden" for r in rows]))
-
-
-@pytest.fixture(scope="module")
-def textured() -> Clip:
-    return read_clip("textured")
-
-
-@pytest.fixture(scope="module")
-def turning() -> Clip:
-    return read_clip("turning")
-
-
-@pytest.fixture(params=FRAMES)
-def clip(request: pytest.FixtureRequest) -> Clip:
-    found: Clip = request.getfixturevalue(request.param)
+def scale(clip: BoxClip) -> np.ndarray:
+    """(T,) of the head, 1 in the first frame."""
+    found: np.ndarray = clip.boxes[:, 2] / clip.boxes[0, 2]
     return found
 
 
-def crop(clip: Clip, t: int, half: tuple[int, int] = (32, 36)) -> np.ndarray:
+@pytest.fixture(scope="module")
+def textured() -> BoxClip:
+    return read_boxes("textured")
+
+
+@pytest.fixture(scope="module")
+def turning() -> BoxClip:
+    return read_boxes("turning")
+
+
+@pytest.fixture(params=FRAMES)
+def clip(request: pytest.FixtureRequest) -> BoxClip:
+    found: BoxClip = request.getfixturevalue(request.param)
+    return found
+
+
+def crop(clip: BoxClip, t: int, half: tuple[int, int] = (32, 36)) -> np.ndarray:
     """The grey head of frame t, without the rim of its box, at scale 1, about the middle of the true box."""
-    x, y, s = clip.boxes[t, 0], clip.boxes[t, 1], clip.scale[t]
+    x, y, s = clip.boxes[t, 0], clip.boxes[t, 1], scale(clip)[t]
     move = np.array([[s, 0, x - s * half[0]], [0, s, y - s * half[1]]])
     size = (2 * half[0] + 1, 2 * half[1] + 1)
     grey = cv2.cvtColor(clip.pictures[t], cv2.COLOR_BGR2GRAY)
@@ -67,7 +50,7 @@ def likeness(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
 
 
-def moved_inside(clip: Clip, t: int, reach: int = 7) -> np.ndarray:
+def moved_inside(clip: BoxClip, t: int, reach: int = 7) -> np.ndarray:
     """(2,) how far the inside of the head moves from frame t to the next, beyond what the truth says, in pixels."""
     patch = crop(clip, t, (INSIDE, INSIDE))
     score = cv2.matchTemplate(crop(clip, t + 1, (INSIDE + reach, INSIDE + reach)), patch, cv2.TM_CCOEFF_NORMED)
@@ -75,7 +58,7 @@ def moved_inside(clip: Clip, t: int, reach: int = 7) -> np.ndarray:
     return np.array([i - reach, j - reach], dtype=float)
 
 
-def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: Clip) -> None:
+def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: BoxClip) -> None:
     assert (FOLDER / f"{clip.name}.mp4").stat().st_size < 800_000
     assert clip.pictures.shape == (FRAMES[clip.name], 240, 320, 3)
     rows = read_rows(clip.name)
@@ -84,15 +67,15 @@ def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: Clip) 
     assert {r["status"] for r in rows} <= {"visible", "hidden"}
 
 
-def test_the_box_keeps_its_shape_and_lies_in_the_picture(clip: Clip) -> None:
+def test_the_box_keeps_its_shape_and_lies_in_the_picture(clip: BoxClip) -> None:
     x, y, w, h = clip.boxes.T
     np.testing.assert_allclose(w / h, w[0] / h[0], rtol=3e-4)
-    assert 0.85 <= clip.scale.min() < 0.92 and 1.15 < clip.scale.max() <= 1.25
+    assert 0.85 <= scale(clip).min() < 0.92 and 1.15 < scale(clip).max() <= 1.25
     assert (x - w / 2).min() > 0 and (x + w / 2).max() < 319 and (y - h / 2).min() > 0 and (y + h / 2).max() < 239
     assert np.ptp(x) > 100
 
 
-def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
+def test_the_init_file_is_the_truth_of_the_first_frame(clip: BoxClip) -> None:
     init = YAML(typ="safe").load((FOLDER / f"{clip.name}.init.yaml").read_text(encoding="utf-8"))
     assert set(init) == {"frame", "head"} and init["frame"] == 0 and set(init["head"]) == {"box"}
     left, top, width, height = init["head"]["box"]
@@ -102,7 +85,7 @@ def test_the_init_file_is_the_truth_of_the_first_frame(clip: Clip) -> None:
     assert not clip.hidden[0]
 
 
-def test_the_first_frame_shows_a_face_in_the_middle_of_the_box(clip: Clip) -> None:
+def test_the_first_frame_shows_a_face_in_the_middle_of_the_box(clip: BoxClip) -> None:
     cascade = cv2.CascadeClassifier(cv2.data.haarcascades + "haarcascade_frontalface_default.xml")
     grey = cv2.cvtColor(clip.pictures[0], cv2.COLOR_BGR2GRAY)
     (found,) = cascade.detectMultiScale(grey, 1.05, 12, minSize=(40, 40), maxSize=(100, 100))
@@ -110,7 +93,7 @@ def test_the_first_frame_shows_a_face_in_the_middle_of_the_box(clip: Clip) -> No
     assert np.abs(middle - clip.boxes[0, :2]).max() < 12
 
 
-def test_the_box_ends_where_the_head_ends_before_the_plain_wall(turning: Clip) -> None:
+def test_the_box_ends_where_the_head_ends_before_the_plain_wall(turning: BoxClip) -> None:
     for t in (0, 6, 12):
         x, y, w, h = turning.boxes[t]
         left, top = round(x - w / 2 - 10), round(y - h / 2 - 10)
@@ -123,7 +106,7 @@ def test_the_box_ends_where_the_head_ends_before_the_plain_wall(turning: Clip) -
         assert np.abs(np.array(found) - (x - w / 2, x + w / 2, y - h / 2)).max() < 1.6, t
 
 
-def test_the_crop_at_the_truth_looks_like_the_first_unless_something_is_before_it(textured: Clip) -> None:
+def test_the_crop_at_the_truth_looks_like_the_first_unless_something_is_before_it(textured: BoxClip) -> None:
     first = crop(textured, 0)
     like = np.array([likeness(crop(textured, t), first) for t in range(len(textured.boxes))])
     free = np.r_[0:110, 152:200]
@@ -131,10 +114,10 @@ def test_the_crop_at_the_truth_looks_like_the_first_unless_something_is_before_i
     assert like[124:135].max() < 0.8
 
 
-def test_a_birch_passes_before_a_part_of_the_head(textured: Clip) -> None:
+def test_a_birch_passes_before_a_part_of_the_head(textured: BoxClip) -> None:
     def grey_share(t: int) -> float:
         """Of the crop, what has no colour: the bark, but neither skin nor hair."""
-        (x, y), s = textured.boxes[t, :2], textured.scale[t]
+        (x, y), s = textured.boxes[t, :2], scale(textured)[t]
         rows, columns = np.rint([y - 36 * s, y + 36 * s]).astype(int), np.rint([x - 32 * s, x + 32 * s]).astype(int)
         part = textured.pictures[t, slice(*rows), slice(*columns)].astype(int)
         return float((np.ptp(part, axis=2) < 28).mean())
@@ -144,11 +127,11 @@ def test_a_birch_passes_before_a_part_of_the_head(textured: Clip) -> None:
     assert share[124:135].min() > 0.2 and share.max() < 0.45
 
 
-def test_no_head_is_ever_more_hidden_than_seen(textured: Clip, turning: Clip) -> None:
+def test_no_head_is_ever_more_hidden_than_seen(textured: BoxClip, turning: BoxClip) -> None:
     assert not textured.hidden.any() and not turning.hidden.any()
 
 
-def test_the_head_moves_from_frame_to_frame_as_the_truth_says(textured: Clip) -> None:
+def test_the_head_moves_from_frame_to_frame_as_the_truth_says(textured: BoxClip) -> None:
     free = [t for t in range(199) if not 112 < t < 150]
     off = np.array([moved_inside(textured, t) for t in free])
     assert np.abs(off).mean() < 0.35
@@ -157,7 +140,7 @@ def test_the_head_moves_from_frame_to_frame_as_the_truth_says(textured: Clip) ->
     assert 6 < steps.max() < 8.5
 
 
-def test_the_ground_has_edges_everywhere_and_moves_apart_from_the_head(textured: Clip) -> None:
+def test_the_ground_has_edges_everywhere_and_moves_apart_from_the_head(textured: BoxClip) -> None:
     still = 0
     for t in range(0, 199, 6):
         a, b = (cv2.cvtColor(textured.pictures[k], cv2.COLOR_BGR2GRAY)[:44] for k in (t, t + 1))
@@ -174,7 +157,7 @@ def test_the_ground_has_edges_everywhere_and_moves_apart_from_the_head(textured:
     assert still < 17  # of 34
 
 
-def test_the_inside_of_the_head_turns_sideways_while_the_box_stays(turning: Clip) -> None:
+def test_the_inside_of_the_head_turns_sideways_while_the_box_stays(turning: BoxClip) -> None:
     off = np.array([moved_inside(turning, t) for t in range(219)])
     assert np.abs(off[:, 1]).mean() < 0.3
     assert (off[:, 0] >= 2).sum() > 10 and (off[:, 0] <= -2).sum() > 10
@@ -186,7 +169,7 @@ def test_the_inside_of_the_head_turns_sideways_while_the_box_stays(turning: Clip
     assert like[-1] > 0.85
 
 
-def test_the_camera_jumps_near_frame_60(turning: Clip) -> None:
+def test_the_camera_jumps_near_frame_60(turning: BoxClip) -> None:
     # the frame of the picture on the wall, which moves with the camera alone
     patch = turning.pictures[56, 10:60, 270:310]
 
@@ -203,7 +186,7 @@ def test_the_camera_jumps_near_frame_60(turning: Clip) -> None:
     assert steps[np.r_[0:55, 72:219]].max() < 3
 
 
-def test_the_head_goes_from_the_plain_wall_to_the_books_and_back(turning: Clip) -> None:
+def test_the_head_goes_from_the_plain_wall_to_the_books_and_back(turning: BoxClip) -> None:
     def busy(t: int) -> float:
         """The share of pixels with an edge beside and above the head."""
         x, y, w, h = turning.boxes[t]
@@ -216,27 +199,14 @@ def test_the_head_goes_from_the_plain_wall_to_the_books_and_back(turning: Clip) 
     assert max(busy(0), busy(8)) < 0.6 * min(busy(58), busy(70), busy(130), busy(150))
 
 
-@pytest.fixture
-def heads(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
-    pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
-    monkeypatch.syspath_prepend(str(FOLDER))
-    before = set(sys.modules)
-    try:
-        import heads
-
-        yield heads
-    finally:
-        # the folder's modules have short names that others may use
-        for module in set(sys.modules) - before:
-            if str(FOLDER) in str(getattr(sys.modules[module], "__file__", "")):
-                del sys.modules[module]
-
-
+@pytest.mark.usefixtures("sample_scripts")
 @pytest.mark.parametrize(("name", "some"), [("textured", (5, 129)), ("turning", (60, 96))])
 def test_rendered_anew_a_few_frames_are_the_committed_ones(
-    name: str, some: tuple[int, ...], heads: ModuleType, request: pytest.FixtureRequest
+    name: str, some: tuple[int, ...], request: pytest.FixtureRequest
 ) -> None:
-    clip: Clip = request.getfixturevalue(name)
+    import heads
+
+    clip: BoxClip = request.getfixturevalue(name)
     stage = getattr(heads, f"{name}_stage")()
     assert len(stage.scale) == len(clip.boxes)
     np.testing.assert_allclose([heads.box(stage, t) for t in range(len(clip.boxes))], clip.boxes, atol=0.0051, rtol=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import groupby
 
 import cv2
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from tests.samples import FOLDER, BoxClip, read_boxes, read_rows
+from tests.samples import FOLDER, BoxClip, chroma, read_boxes, read_rows
 
 TARGETS = ("head", "left_hand", "right_hand")
 BEFORE_CHEST, BEFORE_FACE = (46, 61, 111, 121), (149, 169, 220, 235)  # the last frame before the hands change sides
@@ -27,13 +26,6 @@ def overlaps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     high = np.minimum(a[:, :2] + a[:, 2:] / 2, b[:, :2] + b[:, 2:] / 2)
     share: np.ndarray = np.clip(high - low, 0, None).prod(axis=1) / b[:, 2:].prod(axis=1)
     return share
-
-
-def chroma(picture: np.ndarray, x: float, y: float, side: int) -> np.ndarray:
-    """(2,) median Cr and Cb of a square about (x, y)."""
-    part = cv2.getRectSubPix(picture, (side, side), (float(x), float(y)))
-    middle: np.ndarray = np.median(cv2.cvtColor(part, cv2.COLOR_BGR2YCrCb).reshape(-1, 3)[:, 1:], axis=0)
-    return middle
 
 
 def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame_and_target(clip: BoxClip) -> None:
@@ -143,32 +135,24 @@ def test_the_picture_moves_as_the_truth_says(clip: BoxClip) -> None:
     assert np.mean(np.array(errors) <= 1.5) > 0.95
 
 
-def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
-    monkeypatch.syspath_prepend(str(FOLDER))
-    before = set(sys.modules)
-    try:
-        import person_hands
-        import signing
-        from person import prove_face
+@pytest.mark.usefixtures("sample_scripts")
+def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip) -> None:
+    import person_hands
+    import signing
+    from person import prove_face
 
-        scene = signing.scene()
-        for t, (head, left, right) in enumerate(clip.boxes):
-            np.testing.assert_allclose(head, scene.box(t), atol=0.0051, rtol=0)
-            for pose, box in zip(scene.poses(t), (left, right), strict=True):
-                np.testing.assert_allclose(box, person_hands.hand_box(pose), atol=0.0051, rtol=0)
-        for t in (20, 149):
-            picture, layers = person_hands.render(scene, t)
-            drawn = np.clip(picture * signing.LIGHT, 0, 255)
-            assert np.abs(drawn - clip.pictures[t]).mean() < 3
-            prove_face(scene.who, scene.place(t)[1], scene.box(t))
-            for pose, layer in zip(scene.poses(t), layers, strict=True):
-                person_hands.prove_hand(pose, layer, person_hands.hand_box(pose))
-            shares = person_hands.hand_covered(layers, int(scene.front[t]))
-            assert [share > 0.5 for share in shares] == list(clip.hidden[t, 1:])
-            assert (person_hands.face_covered(scene.box(t), layers)[2] > 0.5) == clip.hidden[t, 0]
-    finally:
-        # the folder's modules have short names that others may use
-        for module in set(sys.modules) - before:
-            if str(FOLDER) in str(getattr(sys.modules[module], "__file__", "")):
-                del sys.modules[module]
+    scene = signing.scene()
+    for t, (head, left, right) in enumerate(clip.boxes):
+        np.testing.assert_allclose(head, scene.box(t), atol=0.0051, rtol=0)
+        for pose, box in zip(scene.poses(t), (left, right), strict=True):
+            np.testing.assert_allclose(box, person_hands.hand_box(pose), atol=0.0051, rtol=0)
+    for t in (20, 149):
+        picture, layers = person_hands.render(scene, t)
+        drawn = np.clip(picture * signing.LIGHT, 0, 255)
+        assert np.abs(drawn - clip.pictures[t]).mean() < 3
+        prove_face(scene.who, scene.place(t)[1], scene.box(t))
+        for pose, layer in zip(scene.poses(t), layers, strict=True):
+            person_hands.prove_hand(pose, layer, person_hands.hand_box(pose))
+        shares = person_hands.hand_covered(layers, int(scene.front[t]))
+        assert [share > 0.5 for share in shares] == list(clip.hidden[t, 1:])
+        assert (person_hands.face_covered(scene.box(t), layers)[2] > 0.5) == clip.hidden[t, 0]

@@ -17,6 +17,7 @@ from facetrack_cli.recipe import check_recipe, json_schema, load_recipe, shipped
 from facetrack_cli.start import read_init
 from tests.media import write_pictures
 from tests.samples import FOLDER, read_pictures
+from tests.terminal import refusal
 
 ALL = ["head", "left_hand", "right_hand"]
 HEAD, LEFT, RIGHT = "[135, 44, 50, 50]", "[82, 138, 48, 57]", "[188, 131, 50, 60]"
@@ -61,15 +62,6 @@ def rows(text):
     first = [row for row in csv.DictReader(text.splitlines()) if row["status"] == "init"]
     numbers = {row["target"]: [float(row[key]) for key in "xywh"] for row in first}
     return {name: [x - (w - 1) / 2, y - (h - 1) / 2, w, h] for name, (x, y, w, h) in numbers.items()}
-
-
-def refused(result, code):
-    got, out, err = result
-    assert (got, out) == (code, ""), err
-    lines = [line for line in err.splitlines() if line.startswith("facetrack: ")]
-    assert len(lines) == 1 and lines[0].startswith("facetrack: error: "), err
-    assert "Traceback" not in err and "our fault" not in err
-    return lines[0]
 
 
 # --- where to begin --------------------------------------------------------------------------------------------------
@@ -129,7 +121,7 @@ def test_a_target_set_to_null_is_passed_over_in_the_init_file(facetrack):
 )
 @pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
 def test_a_start_that_does_not_do_is_told_in_one_line(facetrack, config, begin, said):
-    assert said in refused(run(facetrack, *init(**begin), config=config), 3)
+    assert said in refusal(run(facetrack, *init(**begin), config=config), 3)
 
 
 @pytest.mark.parametrize("box", ["[135, -20, 50, 60]", "[0, 0, 320, 240]", "[155, 60, 6, 6]"])
@@ -143,7 +135,7 @@ def test_boxes_at_the_border_large_and_tiny_ones_are_followed(facetrack, box):
 @pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud", "skin", "skin_ncc", "skin_ncc_robust"])
 @pytest.mark.parametrize("begin", [["--box", "135,44,50,50"], ["--init", "haar", "--stop", "2"]])
 def test_a_grey_clip_is_refused_by_its_name_and_with_a_remedy(facetrack, clips, config, begin):
-    said = refused(run(facetrack, *begin, name="grey", config=config), 3)
+    said = refusal(run(facetrack, *begin, name="grey", config=config), 3)
     assert f"{clips}/grey: " in said and "of the face's box have a colour" in said and "as ncc" in said
 
 
@@ -151,7 +143,7 @@ def test_a_face_is_looked_for_until_hands_show_too(facetrack):
     code, out, err = run(facetrack, "-o", "-", name="late")
     assert (code, err) == (0, "")
     assert out.splitlines()[1].startswith("2,") and list(rows(out)) == ALL
-    said = refused(run(facetrack, name="bare"), 3)
+    said = refusal(run(facetrack, name="bare"), 3)
     assert "frame 0 shows no region of skin beside the head" in said and said.endswith("; no frame to 2 shows more")
 
 
@@ -172,7 +164,7 @@ def test_a_face_is_looked_for_until_hands_show_too(facetrack):
     ],
 )
 def test_a_wrong_value_is_told_once_with_its_key(facetrack, override, said):
-    assert said in refused(facetrack("run", "IN/sign", "--config", "head_hands", "--set", override), 2)
+    assert said in refusal(facetrack("run", "IN/sign", "--config", "head_hands", "--set", override), 2)
 
 
 @pytest.mark.parametrize(
