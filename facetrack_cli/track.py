@@ -26,7 +26,10 @@ class Likelihood(Measures, Protocol):
     """An observation model; what it has learned of a clip so far is a value that it returns and is given back."""
 
     def init(self, frame: Frame, x0: Array) -> Any:
-        """What is learned from the first frame with the parts at x0 (K, D)."""
+        """What is learned from the first frame with the parts at x0 (K, D).
+
+        If there is anything that the user should know of it, it has `notes`, a line each.
+        """
 
     def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, K): log p(y | x) of each part, x and parents (N, K, D)."""

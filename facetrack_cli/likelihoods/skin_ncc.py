@@ -78,7 +78,7 @@ class SkinNcc:
     size: tuple[float, float]
     skin: Skin | None = field(default_factory=Skin)
     ncc: Ncc | None = field(default_factory=Ncc)
-    cost: str = "printed"
+    cost: str = "shifted"
     k: float | None = None
     sigma: float = 0.1
 

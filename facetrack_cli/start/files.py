@@ -199,6 +199,13 @@ def centre_inside(box: Box, size: tuple[int, int]) -> bool:
     return inside((box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2), size)
 
 
+def common_area(a: Box, b: Box) -> float:
+    """Of two boxes, in pixels squared."""
+    across = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
+    down = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
+    return max(across, 0) * max(down, 0)
+
+
 def check_size(origin: str, name: str, box: Box) -> None:
     """InputError if a target's box, which `origin` gave, is too small to see anything in it."""
     if min(box[2:]) < LEAST_BOX:

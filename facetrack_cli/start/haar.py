@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.errors import InputError, UsageError
-from facetrack_cli.start.files import centre_inside, inside
+from facetrack_cli.start.files import centre_inside, common_area, inside
 from facetrack_cli.start.points import cascade, place
 from facetrack_cli.types import Box, Frame, Image, Point, Start, TargetStart
 
@@ -187,9 +187,7 @@ def _face_in(image: Image, box: Box) -> Box | None:
 
 def _overlap(a: Box, b: Box) -> float:
     """Common area over joint area of two boxes."""
-    across = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
-    down = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
-    common = max(across, 0) * max(down, 0)
+    common = common_area(a, b)
     return common / (a[2] * a[3] + b[2] * b[3] - common)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 
 from facetrack_cli.kernels.skin import skin_map
 from facetrack_cli.skin import SkinModel
+from facetrack_cli.start.files import common_area
 from facetrack_cli.types import Array, Box, Frame, factor_for
 
 LONGEST: Final = 400  # pixels of the picture's longer side, at most, when it is searched
@@ -18,11 +20,16 @@ LEAST_P: Final = 0.2  # of a region's pixels, smoothed over a tenth of the face
 FACE: Final = (-0.3, -0.6, 1.3, 1.25)  # left, top, right, bottom
 NECK: Final = (0.0, 1.25, 1.0, 1.6)
 LEAST, MOST = 0.12, 5.0  # skin of a hand, with its arm, over that of the face
+NEAR: Final = 0.3  # of the smaller box's area: a region that shares as much with a target that is known is that target
 ARM: Final = 5.0  # sizes of the face's box: hands are no farther from the face's middle
 
 
-def hand_regions(frame: Frame, face: Box, model: SkinModel, count: int) -> list[Box]:
+def hand_regions(
+    frame: Frame, face: Box, model: SkinModel, count: int, taken: Sequence[Box] = (), least: float = 0.0
+) -> list[Box]:
     """The `count` largest connected regions of skin colour apart from the face and its neck, from left to right.
+
+    Those that are in one of the boxes `taken`, or have a side of less than `least` pixels, are passed over.
 
     Boxes are (left, top, width, height) in pixels of the picture, within it, each side at most about the face's; of a
     larger region, such as a bare arm, the box holds as much skin as it can. Fewer if there are not so many of a hand's
@@ -53,11 +60,17 @@ def hand_regions(frame: Frame, face: Box, model: SkinModel, count: int) -> list[
             if math.dist(middle, (left + w / 2, top + h / 2)) <= ARM * max(w, h):
                 found.append((-skin, (x + dx, y + dy, across, down)))
     # by what a box holds, or a ceiling of nearly skin colour would be more of a hand than hands are
-    boxes = [box for _, box in sorted(found)[:count]]
-    return sorted(
+    boxes: list[Box] = [
         (float(x * factor), float(y * factor), float(across * factor), float(down * factor))
-        for x, y, across, down in boxes
-    )
+        for _, (x, y, across, down) in sorted(found)
+    ]
+    free = [box for box in boxes if min(box[2:]) >= least and all(_shared(box, other) < NEAR for other in taken)]
+    return sorted(free[:count])
+
+
+def _shared(a: Box, b: Box) -> float:
+    """Common area of two boxes over that of the smaller one."""
+    return common_area(a, b) / min(a[2] * a[3], b[2] * b[3])
 
 
 def _most_skin(region: Array, most: tuple[int, int]) -> tuple[float, tuple[int, int, int, int]]:

@@ -17,8 +17,6 @@ from facetrack_cli.start.haar import NotHereError
 from facetrack_cli.start.skin_regions import hand_regions
 from facetrack_cli.types import Box, Frame, Start, TargetStart
 
-NEAR = 0.3  # of the smaller box's area: a region that shares as much with a target that is known is that target
-
 
 def name_targets(
     start: Start, names: Sequence[str], frame: Frame | None, *, left_out: Sequence[str] = (), clip: str = "the clip"
@@ -74,20 +72,4 @@ def _others(frame: Frame, given: dict[str, TargetStart], head: str, count: int) 
     face = given[head].box
     assert face is not None
     taken = [target.box for name, target in given.items() if name != head and target.box is not None]
-    model = learn_skin(frame, face)
-    free: list[Box] = []
-    # one more at a time: what comes in last is the smallest, and a hand that was placed need not be among them
-    for number in range(count, count + len(taken) + 1):
-        regions = hand_regions(frame, face, model, number)
-        seen = [box for box in regions if min(box[2:]) >= LEAST_BOX]
-        free = [box for box in seen if all(_shared(box, other) < NEAR for other in taken)]
-        if len(free) >= count:
-            break
-    return free[:count]
-
-
-def _shared(a: Box, b: Box) -> float:
-    """Common area of two boxes over that of the smaller one."""
-    across = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
-    down = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
-    return max(across, 0.0) * max(down, 0.0) / min(a[2] * a[3], b[2] * b[3])
+    return hand_regions(frame, face, learn_skin(frame, face), count, taken, LEAST_BOX)
