@@ -155,6 +155,25 @@ class PartResult:
     cov: tuple[float, float, float] | None = None
     ess: float | None = None
     angle: float | None = None
+    corners: Array | None = None  # (4, 2) clockwise from the top left, of a part that is no rectangle
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a tracker that adapts says of one target in one frame, beside where it is; None is what it cannot tell.
+
+    `affine` is (a1, a2, a3, a4, tx, ty), the deformation since the start and the centre in pixels; `scale` is 1 at the
+    start. `error` is eps_t and `noise` eta, by which the noise is larger than usual. `posterior` over identities, and
+    its `entropy` in nats. `insets` are small grey pictures of what it knows, with their names.
+    """
+
+    affine: tuple[float, ...] | None = None
+    scale: float | None = None
+    error: float | None = None
+    noise: float | None = None
+    posterior: Mapping[str, float] | None = None
+    entropy: float | None = None
+    insets: tuple[tuple[str, Image], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +187,7 @@ class TargetResult:
     identity: str | None = None
     identity_prob: float | None = None
     notes: tuple[str, ...] = ()  # lines for the user, said in the first frame
+    told: Told | None = None
 
 
 @dataclass(frozen=True, slots=True)
