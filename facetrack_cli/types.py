@@ -7,7 +7,7 @@ Images are (H, W, 3) uint8 in OpenCV's order, blue first.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -22,6 +22,9 @@ Status: TypeAlias = Literal["init", "tracked", "lost"]
 
 Extent: TypeAlias = tuple[float, float, float, float]  # x from, y from, x to, y to
 
+# one step asks for the particles once more, and for a few single states in between
+MOST_REMEMBERED = 8
+
 
 @dataclass(slots=True)
 class Frame:
@@ -35,6 +38,7 @@ class Frame:
     bgr: Image
     _reduced: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _grey: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
+    _patches: dict[Hashable, tuple[Array, NDArray[np.float32]]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -70,6 +74,18 @@ class Frame:
             grey = np.asarray(cv2.cvtColor(picture[y0:y1, x0:x1], cv2.COLOR_BGR2GRAY), np.uint8)
             known = self._grey[factor] = grey, left + x0 * factor, top + y0 * factor, asked
         return known[0], known[1], known[2]
+
+    def remembered(self, key: Hashable, x: Array) -> NDArray[np.float32] | None:
+        """What was remembered with this key and this very array x; its values must not have changed since."""
+        known = self._patches.get((id(x), key))
+        return None if known is None else known[1]
+
+    def remember(self, key: Hashable, x: Array, values: NDArray[np.float32]) -> None:
+        """Keeps `values` for `remembered`, and the last few others."""
+        if len(self._patches) >= MOST_REMEMBERED:
+            del self._patches[next(iter(self._patches))]
+        # x is kept too, or its id would be another array's one day
+        self._patches[id(x), key] = x, values
 
     def _reduce(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         width, height = (max(side // factor, 1) for side in self.size)

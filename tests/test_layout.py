@@ -13,11 +13,13 @@ PACKAGE = Path(facetrack_cli.__file__).parent
 
 # lowest first; a unit imports only from the layers below its own. A folder is one unit.
 LAYERS = [
-    {"errors", "types", "kernels", "kernel_cache", "options", "recipe_base"},
-    {"exclusion", "resampling", "skin", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
+    {"digits", "errors", "types", "kernels", "kernel_cache", "options", "recipe_base"},
+    {"told"},
+    {"exclusion", "patches", "resampling", "skin", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
     {"confidence", "filters", "formats", "likelihoods", "motion", "priors", "recipe_messages", "start"},
+    {"guide"},
     {"evaluation", "lengths", "opencv", "prior_fit", "prior_picture", "track"},
-    {"pipeline", "plots", "recipe_regions", "recipe_skin"},
+    {"pipeline", "plots", "recipe_adaptive", "recipe_regions", "recipe_skin"},
     {"recipe_sections"},
     {"recipe_filter"},
     {"recipe"},
