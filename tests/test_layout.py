@@ -16,6 +16,8 @@ LAYERS = [
     {"digits", "errors", "types", "kernels", "kernel_cache", "options", "recipe_base"},
     {"told"},
     {"exclusion", "patches", "resampling", "skin", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
+    {"calibration", "subspaces"},
+    {"gallery"},
     {"confidence", "filters", "formats", "likelihoods", "motion", "priors", "recipe_messages", "start"},
     {"guide"},
     {"evaluation", "lengths", "opencv", "prior_fit", "prior_picture", "track"},
