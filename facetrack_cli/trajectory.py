@@ -1,22 +1,24 @@
 """The table of results: one row a frame, target and part. CSV, JSON and JSON lines, and the reader of the CSV.
 
 The CSV holds what was measured and nothing of when or where, so the same numbers give the same bytes. JSON holds the
-same rows, grouped by frame, between a header (source, recipe, seed, init) and a footer (how the run ended). JSON lines
-are the header, a line a frame, and the footer, each with its `type`. Truth files are CSV with the same columns, whose
-`status` is visible, hidden or absent.
+same rows, grouped by frame, with what a tracker that adapts tells of a target (told.py), between a header (source,
+recipe, seed, init) and a footer (how the run ended). JSON lines are the header, a line a frame, and the footer, each
+with its `type`. Truth files are CSV with the same columns, whose `status` is visible, hidden or absent.
 """
 
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeAlias
 
+from facetrack_cli.digits import dumps, fixed
 from facetrack_cli.errors import InputError
+from facetrack_cli.told import members
 
 if TYPE_CHECKING:
     from facetrack_cli.types import Result
@@ -156,7 +158,7 @@ class JsonWriter:
     def __init__(self, sink: Sink, header: Header) -> None:
         self._sink = sink
         self._between = ""
-        head = "".join(f"{_dumps(key)}: {_dumps(value)},\n" for key, value in _head(header).items())
+        head = "".join(f"{dumps(key)}: {dumps(value)},\n" for key, value in _head(header).items())
         sink.write("{\n" + head + '"frames": [\n')
 
     def write(self, result: Result) -> None:
@@ -167,7 +169,7 @@ class JsonWriter:
     def close(self, footer: Footer) -> None:
         def tail(records: int) -> str:
             pairs = _foot(footer, records - 1)
-            return "\n],\n" + ",\n".join(f"{_dumps(key)}: {_dumps(value)}" for key, value in pairs.items()) + "\n}\n"
+            return "\n],\n" + ",\n".join(f"{dumps(key)}: {dumps(value)}" for key, value in pairs.items()) + "\n}\n"
 
         self._sink.finish(tail)
 
@@ -177,13 +179,13 @@ class JsonLinesWriter:
 
     def __init__(self, sink: Sink, header: Header) -> None:
         self._sink = sink
-        sink.write(_dumps({"type": "header", **_head(header)}) + "\n")
+        sink.write(dumps({"type": "header", **_head(header)}) + "\n")
 
     def write(self, result: Result) -> None:
         self._sink.write('{"type":"frame",' + _frame(result) + "}\n")
 
     def close(self, footer: Footer) -> None:
-        self._sink.finish(lambda records: _dumps({"type": "footer", **_foot(footer, records - 1)}) + "\n")
+        self._sink.finish(lambda records: dumps({"type": "footer", **_foot(footer, records - 1)}) + "\n")
 
 
 WRITERS: Mapping[Format, Callable[[Sink, Header], Writer]] = {
@@ -214,13 +216,15 @@ def _foot(footer: Footer, frames: int) -> dict[str, Any]:
 def _frame(result: Result) -> str:
     """The members of one frame's object; numbers have the digits of the CSV."""
     targets: list[str] = []
-    for _, group in groupby(rows(result), key=lambda row: row.target):
+    told = {target.name: members(target.told) for target in result.targets if target.told is not None}
+    for name, group in groupby(rows(result), key=attrgetter("target")):
         parts: list[str] = []
         head: list[str] = []
         for row in group:
-            known = {name: text for name, form, value in zip(COLUMNS, _JSON, row, strict=True) if (text := form(value))}
+            known = {key: text for key, form, value in zip(COLUMNS, _JSON, row, strict=True) if (text := form(value))}
             head = head or _members(known, _OF_TARGET)
             parts.append("{" + ",".join(_members(known, _OF_PART)) + "}")
+        head += told.get(name, ())
         targets.append("{" + ",".join(head) + ',"parts":[' + ",".join(parts) + "]}")
     time_s = _JSON[COLUMNS.index("time_s")](result.frame.time_s) or "null"
     return f'"frame":{result.frame.index},"time_s":{time_s},"targets":[{",".join(targets)}]'
@@ -234,22 +238,6 @@ def _members(known: Mapping[str, str], names: Iterable[str]) -> list[str]:
     return [f'"{name}":{known[name]}' for name in names if name in known]
 
 
-def _fixed(decimals: int) -> Callable[[Any], str]:
-    spec, zero = f".{decimals}f", f"{0:.{decimals}f}"
-
-    def text(value: Any) -> str:
-        if value is None:
-            return ""
-        written = format(value, spec)
-        if written[0] in "-ni":  # a minus, nan or inf
-            if not math.isfinite(value):
-                return ""
-            return zero if written[1:] == zero else written
-        return written
-
-    return text
-
-
 def _whole(value: Any) -> str:
     return "" if value is None else str(value)
 
@@ -260,16 +248,12 @@ def _quoted(value: Any) -> str:
 
 
 def _string(value: Any) -> str:
-    return _dumps(value) if value else ""
+    return dumps(value) if value else ""
 
 
 # how the values of each column are written; "" is not known
-_CSV = tuple(_fixed(DECIMALS[name]) if name in DECIMALS else _whole if name in WHOLE else _quoted for name in COLUMNS)
+_CSV = tuple(fixed(DECIMALS[name]) if name in DECIMALS else _whole if name in WHOLE else _quoted for name in COLUMNS)
 _JSON = tuple(_string if form is _quoted else form for form in _CSV)
-
-
-def _dumps(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
 # --- reading -----------------------------------------------------------------------------------------------------

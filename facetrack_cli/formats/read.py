@@ -38,7 +38,7 @@ class _Reader(Protocol):
 def _read_facetrack(path: Path, *, shift: int = 0) -> Table:
     table = read_trajectory(path)
     moved = tuple(replace(one, frame=one.frame + shift) for one in table.series)
-    return replace(table, series=moved, header={**table.header, "read_as": "facetrack's own table"})
+    return replace(table, series=moved, told=(), header={**table.header, "read_as": "facetrack's own table"})
 
 
 _READERS: Final[dict[str, _Reader]] = {

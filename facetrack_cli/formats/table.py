@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import csv
 import itertools
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -22,7 +21,9 @@ from numpy.typing import NDArray
 
 from facetrack_cli.errors import InputError
 from facetrack_cli.formats.limits import check_columns, refuse_pipe
-from facetrack_cli.trajectory import REQUIRED, SCHEMA, VERSION, Row, read_csv
+from facetrack_cli.formats.records import read_records
+from facetrack_cli.formats.told import ToldSeries, from_columns, from_records
+from facetrack_cli.trajectory import REQUIRED, Row, read_csv
 from facetrack_cli.types import Array
 
 Whole: TypeAlias = NDArray[np.int64]
@@ -78,11 +79,15 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """All series of one file. `header` is what a JSON trajectory says of its run: source, recipe, seed, init."""
+    """All series of one file. `header` is what a JSON trajectory says of its run: source, recipe, seed, init.
+
+    `told` is what a tracker that adapts says of its targets, for those of which it says anything.
+    """
 
     path: Path
     series: tuple[Series, ...]
     header: Mapping[str, Any] = field(default_factory=dict)
+    told: tuple[ToldSeries, ...] = ()
 
     @property
     def frames(self) -> Whole:
@@ -132,6 +137,8 @@ class _Columns(NamedTuple):
     which: Whole
     frame: Whole
     status: Texts
+    identity: Texts
+    identity_prob: Array
     floats: Mapping[str, Array]
 
 
@@ -147,7 +154,9 @@ def from_rows(path: Path, rows: Iterable[Row], header: Mapping[str, Any] | None 
     which = _numbered(numbers, columns["target"], columns["part"])
     floats = {name: np.array(columns[name], dtype=np.float64) for name in _FLOATS}  # None becomes nan
     frame = np.array(columns["frame"], dtype=np.int64)
-    return _grouped(path, _Columns(list(numbers), which, frame, np.array(columns["status"]), floats), header)
+    status, identity = (np.array(columns[name], dtype=np.str_) for name in ("status", "identity"))
+    prob = np.array(columns["identity_prob"], dtype=np.float64)
+    return _grouped(path, _Columns(list(numbers), which, frame, status, identity, prob, floats), header)
 
 
 def _numbered(numbers: dict[tuple[str, str], int], targets: Iterable[str], parts: Iterable[str]) -> Whole:
@@ -174,7 +183,9 @@ def _grouped(path: Path, columns: _Columns | None, header: Mapping[str, Any] | N
                 f"{path}: frame {one.frame[twice[0]]} has two rows of {one.name}; keep one row a frame, target and part"
             )
         found.append(one)
-    return Table(path, tuple(found), header or {})
+    targets = (columns.names[number][0] for number in columns.which)
+    told = from_columns(path, targets, columns.frame, columns.identity, columns.identity_prob)
+    return Table(path, tuple(found), header or {}, told)
 
 
 def read_trajectory(path: Path) -> Table:
@@ -187,9 +198,10 @@ def read_trajectory(path: Path) -> Table:
     if first != b"{":
         columns = _csv_columns(path)
         return from_rows(path, read_csv(path)) if columns is None else _grouped(path, columns, None)
-    header, frames = _read_json(path)
-    columns = _json_columns(frames)
-    return from_rows(path, _json_rows(path, frames), header) if columns is None else _grouped(path, columns, header)
+    header, frames = read_records(path)
+    told, columns = from_records(path, frames), _json_columns(frames)
+    table = from_rows(path, _json_rows(path, frames), header) if columns is None else _grouped(path, columns, header)
+    return replace(table, told=told)
 
 
 def _inside(folder: Path) -> Iterator[Path]:
@@ -236,11 +248,11 @@ def _csv_block(cells: Mapping[str, Sequence[str]], rows: int, numbers: dict[tupl
     targets, parts = ([name.strip() for name in cells[column]] for column in ("target", "part"))
     if any("" in column for column in (targets, parts, cells["frame"])):
         raise ValueError
-    _floats(cells.get("identity_prob", blank))  # is not kept, and is to be a number all the same
     return {
         "which": _numbered(numbers, targets, parts),
         "frame": np.array(list(map(int, _digits(cells["frame"]))), dtype=np.int64),
-        "status": np.array([status.strip() for status in cells.get("status", blank)]),
+        **{name: np.array(list(map(str.strip, cells.get(name, blank)))) for name in ("status", "identity")},
+        "identity_prob": _floats(cells.get("identity_prob", blank)),
         **{name: _floats(cells.get(name, blank)) for name in _FLOATS},
         "particles": _floats(_digits(cells.get("particles", blank))),
     }
@@ -251,7 +263,8 @@ def _joined(numbers: Mapping[tuple[str, str], int], blocks: Sequence[_Block]) ->
     if not blocks:
         return None
     whole: dict[str, Any] = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-    return _Columns(list(numbers), whole.pop("which"), whole.pop("frame"), whole.pop("status"), whole)
+    own = {name: whole.pop(name) for name in ("which", "frame", "status", "identity", "identity_prob")}
+    return _Columns(list(numbers), **own, floats=whole)
 
 
 def _floats(cells: Sequence[str]) -> Array:
@@ -270,54 +283,6 @@ def _digits(cells: Sequence[str]) -> Sequence[str]:
     if text and (not (text.isascii() and text.isdigit()) or max(map(len, cells)) > 18):
         raise ValueError
     return cells
-
-
-def _read_json(path: Path) -> tuple[dict[str, Any], list[Any]]:
-    """Header and frames of a JSON or JSON-lines trajectory."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as e:
-        raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is UTF-8") from e
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}") from e
-    try:
-        whole = json.loads(text)
-    except RecursionError as e:
-        raise InputError(f"{path}: is nested too deep for a trajectory") from e
-    except json.JSONDecodeError as whole_error:
-        whole, frames = {}, []
-        for number, line in enumerate(text.splitlines(), 1):
-            if not line.strip():
-                continue
-            try:
-                record = json.loads(line)
-            except (json.JSONDecodeError, RecursionError):
-                # the first line of a JSON object is no record: then the error of the whole says more
-                place = f"{whole_error.lineno}" if number == 1 else str(number)
-                why = f"{whole_error.msg}; " if number == 1 else "is no whole record; remove this line: "
-                raise InputError(f"{path}:{place}: is not JSON: {why}was the run cut short?") from None
-            kind = record.get("type") if isinstance(record, dict) else None
-            if kind == "frame":
-                frames.append(record)
-            elif kind == "header":
-                whole = record
-        _check_schema(path, whole)
-        return whole, frames
-    if isinstance(whole, dict) and whole.get("type") == "header":  # JSON lines that end after their header
-        whole["frames"] = []
-    _check_schema(path, whole)
-    frames = whole.pop("frames", None)
-    if not isinstance(frames, list):
-        raise InputError(f'{path}: has no list "frames"; it is no trajectory of facetrack')
-    return whole, frames
-
-
-def _check_schema(path: Path, header: Any) -> None:
-    if not isinstance(header, dict) or header.get("schema") != SCHEMA:
-        raise InputError(f'{path}: does not say "schema": "{SCHEMA}"; it is no trajectory of facetrack')
-    version = header.get("version", VERSION)
-    if type(version) is not int or version > VERSION:
-        raise InputError(f"{path}: is of version {version!r}, and this facetrack reads {VERSION}; update facetrack")
 
 
 def _json_columns(frames: list[Any]) -> _Columns | None:
@@ -351,6 +316,8 @@ def _json_block(frames: list[Any], numbers: dict[tuple[str, str], int]) -> _Bloc
         "which": _numbered(numbers, columns["target"], columns["part"]),
         "frame": np.array(columns["frame"], dtype=np.int64),
         "status": np.array(columns["status"], dtype=np.str_),
+        "identity": np.full(len(parts), ""),  # of the targets: told.py reads it
+        "identity_prob": np.full(len(parts), np.nan),
         **{name: np.array(columns[name], dtype=np.float64) for name in _FLOATS},
     }
 
@@ -388,11 +355,11 @@ def _json_rows(path: Path, frames: list[Any]) -> Iterator[Row]:
 def _check_row(row: Row) -> None:
     if not isinstance(row.frame, int) or isinstance(row.frame, bool) or not 0 <= row.frame < 10**18:
         raise ValueError(f"frame {row.frame!r} is no whole number from 0 up")
-    for name in ("target", "part", "status"):
+    for name in ("target", "part", "status", "identity"):
         value = getattr(row, name)
-        if not isinstance(value, str) or (not value and name != "status"):
+        if not isinstance(value, str) or (not value and name in ("target", "part")):
             raise ValueError(f"{name} {value!r} is no name")
-    for name in _FLOATS:
+    for name in (*_FLOATS, "identity_prob"):
         value = getattr(row, name)
         if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
             raise ValueError(f"{name} {value!r} is no number")

@@ -27,7 +27,8 @@ def choose(table: Table, select: str | None) -> Table:
     if not found:
         names = [name for name in table.targets if name] + [one.name for one in table.series]
         raise UsageError(f"{table.path}: has no {select!r}; choose among {', '.join(names)}")
-    return replace(table, series=found)
+    told = tuple(one for one in table.told if any(one.target == series.target for series in found))
+    return replace(table, series=found, told=told)
 
 
 def blank_lost(table: Table) -> Table:
