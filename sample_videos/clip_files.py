@@ -20,7 +20,10 @@ HEADER = "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,p
 
 
 class TruthRow(NamedTuple):
-    """Where a part of a target is in one frame: its centre and, if it is a box, its size, in pixels."""
+    """Where a part of a target is in one frame: its centre and, if it is a box, its size, in pixels.
+
+    A box that rolls has its angle in degrees, clockwise as seen; w and h are then the lengths of its sides.
+    """
 
     frame: int
     target: str
@@ -30,6 +33,7 @@ class TruthRow(NamedTuple):
     w: float | None = None
     h: float | None = None
     hidden: bool = False
+    angle: float | None = None
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,8 @@ def write_truth(path: Path, rows: list[TruthRow]) -> None:
         for row in rows:
             size = ["" if side is None else f"{side:.2f}" for side in (row.w, row.h)]
             head = [row.frame, f"{row.frame / FPS:.2f}", row.target, row.part, f"{row.x:.2f}", f"{row.y:.2f}", *size]
-            out.writerow([*head, "", "", "hidden" if row.hidden else "visible"] + [""] * 6)
+            angle = "" if row.angle is None else f"{row.angle:.2f}"
+            out.writerow([*head, angle, "", "hidden" if row.hidden else "visible"] + [""] * 6)
 
 
 def write_init(path: Path, starts: Mapping[str, Start]) -> None:

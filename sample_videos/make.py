@@ -19,6 +19,7 @@ from faces_passerby import passerby
 from gestures import gestures
 from hands import hands
 from heads import textured, turning
+from lamp import lamp
 from numpy.typing import NDArray
 from occluders import cover
 from portraits import PARTS, Portrait
@@ -27,6 +28,7 @@ from scenes import Scene, expressions, occlusion
 from signing import signing
 from timeline import Array
 from warp import Moment, to_skin, to_skull
+from zoom import zoom
 
 Truth = list[dict[str, tuple[float, float]]]
 
@@ -93,6 +95,8 @@ CLIPS: Mapping[str, Callable[[], Clip]] = {
     "turning": turning,
     "signing": signing,
     "gestures": gestures,
+    "zoom": zoom,
+    "lamp": lamp,
 }
 
 
