@@ -80,5 +80,5 @@ class Patches:
 
 
 def scale_of(x: Array) -> Array:
-    """How large x (N, 1, 6) are, 1 at the start -> (N, 1): the root mean square of the deformation's singular values."""
+    """How large x (N, 1, 6) are, 1 at the start -> (N, 1): the RMS of the deformation's singular values."""
     return np.asarray(np.sqrt(0.5 * np.sum(np.square(x[..., 2:6]), axis=-1)))

@@ -47,14 +47,13 @@ _NEVER = -1e30
 class Mixture:
     """a_t: weights `m`, centres `mu`, standard deviations `sigma`, (3, d) float32 each, in the order w, s, f.
 
-    `M1` and `M2` (d,) are the moments of S; `state` (1, 6) the estimate at which the model last learned.
+    `moments` (2, d) are M_1 and M_2 of S; `state` (1, 6) the estimate at which the model last learned.
     """
 
     m: NDArray[np.float32]
     mu: NDArray[np.float32]
     sigma: NDArray[np.float32]
-    M1: Array
-    M2: Array
+    moments: Array
     state: Array
     laplace: bool = False
     outlier: float = 0.0
@@ -70,12 +69,6 @@ class Mixture:
                 rate = np.float32(0.5 / math.log(2.0)) / np.square(self.sigma)
                 log = np.log2(np.float32((1.0 - self.outlier) / math.sqrt(2.0 * math.pi)) * self.m / self.sigma)
         return rate, np.maximum(log, np.float32(_NEVER))
-
-    @cached_property
-    def templates(self) -> NDArray[np.float32]:
-        """S and F with mean 0 and length 1, (2, d); 0 if one is flat."""
-        centred = self.mu[1:] - self.mu[1:].mean(axis=1, keepdims=True)
-        return np.asarray(centred / np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), np.float32(1e-6)))
 
 
 @dataclass(frozen=True)
@@ -106,11 +99,10 @@ class Appearance:
             raise InputError(f"frame {frame.index}: {what}, so that there is no face to follow: choose another box")
         mixing = np.array(self.mixing) / sum(self.mixing)
         m, sigma = (np.repeat(np.array(v, np.float32)[:, None], face.size, axis=1) for v in (mixing, self.sigma))
-        first, s = face.astype(np.float64), m[1].astype(np.float64)
-        return Mixture(
-            m, np.repeat(face[None], 3, axis=0), sigma, s * first, s * (float(self.sigma[1]) ** 2 + np.square(first)),
-            x0, self.density == "laplace", self.outlier or 0.0,
-        )  # fmt: skip
+        first = face.astype(np.float64)
+        moments = m[1].astype(np.float64) * np.stack([first, float(self.sigma[1]) ** 2 + np.square(first)])
+        centres = np.repeat(face[None], 3, axis=0)
+        return Mixture(m, centres, sigma, moments, x0, self.density == "laplace", self.outlier or 0.0)
 
     def score(self, learned: Mixture, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a of x (N, 1, 6) -> (N, 1), eq. 6; parents do not matter."""
@@ -126,10 +118,10 @@ class Appearance:
             return learned
         rate, log = learned.terms
         m, mu, sigma, moments = kernel.update(
-            y, learned.m, learned.mu, learned.sigma, learned.M1, learned.M2, rate, log,
+            y, learned.m, learned.mu, learned.sigma, learned.moments, rate, log,
             learned.outlier / OUTLIER_RANGE, learned.laplace, self.alpha, self.least_sigma, self.least_mixing,
         )  # fmt: skip
-        return Mixture(m, mu, sigma, moments[0], moments[1], np.array(state), learned.laplace, learned.outlier)
+        return Mixture(m, mu, sigma, moments, np.array(state), learned.laplace, learned.outlier)
 
     def error(self, learned: Mixture, patches: NDArray[np.float32]) -> Array:
         """eps_t of section 3.1.2 for patches (N, d) -> (N,): phi = 1/d sum_pixels sum_i m_i ((y - mu_i) / sigma_i)^2.
@@ -142,9 +134,8 @@ class Appearance:
     def distances(self, learned: Mixture, frame: Frame, x: Array) -> Array:
         """1 less the NCC of x (N, 1, 6) with S or with F, whichever is larger -> (N, 1), 0..1; 0 is a perfect match."""
         y = self.patches.read(frame, x, self.patches.factor(learned.state))
-        lengths = np.maximum(np.linalg.norm(y, axis=1), np.float32(1e-6))
-        match = np.max(y @ learned.templates.T, axis=1) / lengths
-        return np.asarray(np.clip(1.0 - match.astype(np.float64), 0.0, 1.0))[:, None]
+        match = np.asarray(kernel.best_matches(y, learned.mu[1:]))
+        return np.clip(1.0 - match, 0.0, 1.0)[:, None]
 
     def tell(self, learned: Mixture) -> Told:
         """S and W as grey pictures, those that take part, as the paper's figure 3 shows them."""
@@ -154,4 +145,4 @@ class Appearance:
 
 def _grey(values: NDArray[np.float32]) -> Image:
     """Standard deviations as grey levels: 0 is a middle grey, and 2.5 either way black or white."""
-    return np.clip(values * np.float32(51.0) + np.float32(128.0), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(values * np.float32(51.0) + np.float32(128.0), 0, 255), np.uint8)
