@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from facetrack_cli.types import Array
 
 Patches: TypeAlias = NDArray[np.float32]
-Labels: TypeAlias = NDArray[np.int64]
 Residual: TypeAlias = Literal["held_out", "printed"]
 
 LEAST_RHO = 1e-3  # of the variance of a patch: noise of a camera, about one grey level
@@ -65,7 +64,7 @@ class Subspace:
         s = len(self.values)
         return -0.5 * float(np.log(2 * math.pi * self.values).sum() + (self.d - s) * math.log(2 * math.pi * self.rho))
 
-    def log_density(self, y: NDArray[np.floating]) -> Array:
+    def log_density(self, y: NDArray[np.floating[Any]]) -> Array:
         """(N,): log Q of y (N, d), eq. 14."""
         centred = np.asarray(y, np.float64) - self.mean
         q = centred @ self.vectors.T.astype(np.float64)
@@ -82,29 +81,35 @@ class Fitted:
 
 
 def fit_subspace(
-    x: NDArray[np.floating],
+    x: NDArray[np.floating[Any]],
     folds: Sequence[NDArray[np.bool_]] = (),
     *,
     energy: float = 0.9,
     centred: bool = False,
     residual: Residual = "held_out",
+    basis: Array | None = None,
 ) -> Fitted:
     """The subspace of rows x (n, d): as many components as hold `energy` of the variance, at most half of the rank.
 
-    `folds[k]` (n,) is true for the rows that are held out together; without folds rho is as printed. `centred`: the
-    mean is 0 by construction, and is not estimated. All subspaces have the one rho. Raises ValueError without rows.
+    `folds[k]` (n,) is true for the rows that are held out together; a fold of no row or of all of them holds nothing
+    out, and where all are such, rho is as printed. `centred`: the mean is 0 by construction, and is not estimated. All
+    subspaces have the one rho. `basis` (r, d), orthonormal, of a space that all rows are in, saves time where r is far
+    below d. Raises ValueError without rows.
     """
-    whole = _components(x, energy, centred)
-    parts = [_components(x[~fold], energy, centred) for fold in folds]
+    d = x.shape[1]
+    if basis is not None:
+        x = x @ basis.T
+    whole = _components(x, energy, centred, d)
+    parts = [_components(x[~fold], energy, centred, d) if fold.any() and not fold.all() else whole for fold in folds]
     rho = whole.remaining
-    if residual == "held_out" and parts:
-        errors = np.concatenate([part.errors(x[fold]) for part, fold in zip(parts, folds, strict=True)])
-        rho = max(rho, float(errors.mean()))
+    errors = [part.errors(x[fold]) for part, fold in zip(parts, folds, strict=True) if part is not whole]
+    if residual == "held_out" and errors:
+        rho = max(rho, float(np.concatenate(errors).mean()))
     rho = max(rho, LEAST_RHO)
-    return Fitted(whole.subspace(rho), tuple(part.subspace(rho) for part in parts))
+    return Fitted(whole.subspace(rho, basis), tuple(part.subspace(rho, basis) for part in parts))
 
 
-def folds_by(labels: Labels, most: int = FOLDS) -> list[NDArray[np.bool_]]:
+def folds_by(labels: NDArray[np.intp], most: int = FOLDS) -> list[NDArray[np.bool_]]:
     """Masks (n,) of the rows to hold out, a label together, `most` masks at most; none with fewer than two labels."""
     known, index = np.unique(labels, return_inverse=True)
     if len(known) < 2:
@@ -117,40 +122,41 @@ class _Components:
     mean: Array
     vectors: Array
     values: Array
-    remaining: float  # mean of the eigenvalues that are left, over d - s
+    remaining: float  # sum of the eigenvalues that are left, over d - s
+    d: int
 
-    def errors(self, x: NDArray[np.floating]) -> Array:
+    def errors(self, x: NDArray[np.floating[Any]]) -> Array:
         """(n,): what a row leaves over, err^2 / (d - s)."""
         centred = x - self.mean
         left = (centred**2).sum(1) - ((centred @ self.vectors.T) ** 2).sum(1)
-        return np.asarray(left / max(len(self.mean) - len(self.values), 1))
+        return np.asarray(left / max(self.d - len(self.values), 1))
 
-    def subspace(self, rho: float) -> Subspace:
+    def subspace(self, rho: float, basis: Array | None) -> Subspace:
         # a principal direction varies no less than those that were left out
         values = np.maximum(self.values, rho)
-        return Subspace(self.mean.astype(np.float32), self.vectors.astype(np.float32), values, rho)
+        mean, vectors = (self.mean, self.vectors) if basis is None else (self.mean @ basis, self.vectors @ basis)
+        # the sign of an eigenvector is arbitrary: its largest entry is positive
+        largest = np.abs(vectors).argmax(axis=1)
+        vectors = vectors * np.sign(vectors[np.arange(len(vectors)), largest])[:, None]
+        return Subspace(mean.astype(np.float32), vectors.astype(np.float32), values, rho)
 
 
-def _components(x: NDArray[np.floating], energy: float, centred: bool) -> _Components:
-    n, d = x.shape
+def _components(x: NDArray[np.floating[Any]], energy: float, centred: bool, d: int) -> _Components:
+    """Of rows x (n, r), which stand for rows of d numbers."""
+    n, r = x.shape
     if not n:
         raise ValueError("no rows to learn from")
-    mean = np.zeros(d) if centred else x.mean(0, dtype=np.float64)
+    mean = np.zeros(r) if centred else x.mean(0, dtype=np.float64)
     rows = x - mean
     freedom = n if centred else max(n - 1, 1)
-    if n < d:
-        values, left = np.linalg.eigh(rows @ rows.T / freedom)
-    else:
-        values, vectors = np.linalg.eigh(rows.T @ rows / freedom)
+    # of the smaller of the two products, which have the same eigenvalues
+    values, vectors = np.linalg.eigh((rows @ rows.T if n < r else rows.T @ rows) / freedom)
     values = np.maximum(values[::-1], 0.0)
     total = values.sum()
     rank = int((values > 1e-9 * max(total, 1e-12)).sum())
     enough = int(np.searchsorted(np.cumsum(values), energy * total)) + 1
     s = min(enough, max(rank // 2, 1), rank)
-    if n < d:
-        vectors = (rows.T @ left[:, ::-1][:, :s]) / np.sqrt(values[:s] * freedom)
-    else:
-        vectors = vectors[:, ::-1][:, :s]
-    # the sign of an eigenvector is arbitrary: its largest entry is positive
-    signs = np.sign(vectors[np.abs(vectors).argmax(0), np.arange(s)])
-    return _Components(mean, (vectors * signs).T, values[:s], float(values[s:].sum()) / max(d - s, 1))
+    vectors = vectors[:, ::-1][:, :s]
+    if n < r:
+        vectors = rows.T @ vectors / np.sqrt(values[:s] * freedom)
+    return _Components(mean, vectors.T, values[:s], float(values[s:].sum()) / max(d - s, 1), d)

@@ -16,7 +16,7 @@ LAYERS = [
     {"digits", "errors", "types", "kernels", "kernel_cache", "options", "recipe_base"},
     {"told"},
     {"exclusion", "patches", "resampling", "skin", "spaces", "stopping", "sinks", "trajectory", "video", "yaml_text"},
-    {"calibration", "subspaces"},
+    {"calibration", "differences", "plain_arrays", "subspaces"},
     {"gallery"},
     {"confidence", "filters", "formats", "likelihoods", "motion", "priors", "recipe_messages", "start"},
     {"guide"},
