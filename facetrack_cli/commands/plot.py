@@ -60,8 +60,9 @@ def command(
 
     TRAJECTORY is a trajectory.csv, .json or .jsonl, or the folder of a run. The page shows, over time, position and
     size of every part, confidence and what was lost, particles and their effective sample size, spread, and with
-    --truth the error. What the tracker does not tell is left out. A long track is drawn by the range and the mean of
-    as many frames as fall on a pixel, so that no peak is lost.
+    --truth the error; of a tracker that adapts also who it is, scale, and how noise follows error, from its JSON. What
+    the tracker does not tell is left out. A long track is drawn by the range and the mean of as many frames as fall on
+    a pixel, so that no peak is lost.
 
     \b
     Examples:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,16 @@ if TYPE_CHECKING:
 
 MANY = 12  # parts that have a line of their own in every panel
 TRACKED = "#D5E4EE"
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A plot of a page: what stands above it, as much of the notes between semicolons as fits; `height` in inches."""
+
+    title: str
+    note: str
+    height: float
+    draw: Callable[[Axes], None]
 
 
 @dataclass(frozen=True)

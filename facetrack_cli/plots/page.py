@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ from facetrack_cli.evaluation.boxes import iou
 from facetrack_cli.evaluation.rows import is_box
 from facetrack_cli.formats.table import Series, Table
 from facetrack_cli.plots.data import frames_of, quantiles
-from facetrack_cli.plots.lines import MANY, Line, Pen, columns_for, limit, lines_of, numbers
+from facetrack_cli.plots.lines import MANY, Line, Panel, Pen, columns_for, limit, lines_of, numbers
 from facetrack_cli.plots.style import (
     ABSENT,
     FAINT,
@@ -30,6 +29,7 @@ from facetrack_cli.plots.style import (
     style,
 )
 from facetrack_cli.plots.timeline import set_time
+from facetrack_cli.plots.told import adaptation, panels
 from facetrack_cli.types import Array
 
 if TYPE_CHECKING:
@@ -45,14 +45,6 @@ Of = Callable[[Series], Array]
 _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angle", "confidence", "particles", "ess"))
 
 
-@dataclass(frozen=True)
-class _Panel:
-    title: str
-    note: str
-    height: float  # inches
-    draw: Callable[[Axes], None]
-
-
 def page_figure(
     table: Table, pairs: Sequence[Pair] | None = None, *, title: str | None = None, width: float = WIDTH
 ) -> Figure:
@@ -61,7 +53,7 @@ def page_figure(
     `pairs` (match.py) bring the truth; the title names clip and recipe unless given; `width` is in inches, the height
     follows. Up to `MANY` parts have a line each; of more, all panels but position and size show the median, the middle
     80 % and the whole range over parts. Long tracks are drawn by their envelope (plot_data.py). Raises InputError where
-    nothing is known.
+    nothing is known. Of a tracker that adapts there is what it told, too (told.py).
     """
     with style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
@@ -117,7 +109,7 @@ class _Page:
     def figure(self, title: str) -> Figure:
         from matplotlib.legend_handler import HandlerTuple
 
-        panels = self._panels()
+        panels, foot = self._panels(), adaptation(self.table)
         if not panels:
             raise InputError(f"{self.table.path}: has no number that could be drawn in any row")
         legend = self._legend()
@@ -126,9 +118,10 @@ class _Page:
         above = 0.31 + 0.16 * len(said)
         top = above + 0.185 * rows
         body = sum(panel.height + 0.27 for panel in panels) + 0.55
-        figure = new_figure(self.width, top + body)
-        pieces: Any = figure.subfigures(2, 1, height_ratios=[top, body])
-        head, rest = pieces
+        below = [] if foot is None else [foot.height + 0.75]
+        figure = new_figure(self.width, top + body + sum(below))
+        pieces: Any = figure.subfigures(2 + len(below), 1, height_ratios=[top, body, *below])
+        head, rest = pieces[:2]
         head.text(0.012, 1 - 0.09 / top, clean(title, int(self.width * 8)), va="top", weight="bold", size=12)
         head.text(0.012, 1 - 0.31 / top, "\n".join(said), va="top", size=8.5, color=FAINT)
         if legend:
@@ -144,9 +137,13 @@ class _Page:
                 handler_map={tuple: HandlerTuple(ndivide=None, pad=0)},
             )
         self._stack(rest, panels)
+        if foot is not None:  # has an axis of its own
+            axes = pieces[2].subplots()
+            foot.draw(axes)
+            heading(axes, foot.title, self._fitting(foot))
         return figure
 
-    def _stack(self, figure: SubFigure, panels: Sequence[_Panel]) -> None:
+    def _stack(self, figure: SubFigure, panels: Sequence[Panel]) -> None:
         heights = {"height_ratios": [panel.height for panel in panels]}
         grid: Any = figure.subplots(len(panels), 1, sharex=True, squeeze=False, gridspec_kw=heights)
         column: list[Axes] = list(grid[:, 0])
@@ -182,7 +179,7 @@ class _Page:
                 found[f"{status} in truth"] = Patch(color=colour, linewidth=0)
         return found
 
-    def _fitting(self, panel: _Panel) -> str:
+    def _fitting(self, panel: Panel) -> str:
         """As much of a panel's note as there is room for."""
         notes, room = panel.note.split("; "), (self.width - 1.0) / 0.062 - 1.3 * len(panel.title)
         while notes and len("; ".join(notes)) > room:
@@ -216,12 +213,12 @@ class _Page:
 
     # which panels there are
 
-    def _panels(self) -> list[_Panel]:
-        found: list[_Panel] = []
+    def _panels(self) -> list[Panel]:
+        found: list[Panel] = []
 
         def add(there: bool, title: str, notes: Sequence[str], height: float, draw: Callable[[Axes], None]) -> None:
             if there:
-                found.append(_Panel(title, "; ".join(filter(None, notes)), height, draw))
+                found.append(Panel(title, "; ".join(filter(None, notes)), height, draw))
 
         truth = "dotted: truth" if self.pairs and not self.many else ""
         bands = "median, middle 80 % and range of the parts" if self.many else ""
@@ -251,6 +248,7 @@ class _Page:
         add(counted and not ess, "particles", [], 0.6, self._particles)
         notes = [bands, "standard deviation of the particles, both axes together"]
         add(self._known(spread), "spread (px)", notes, 0.95, lambda axes: self._positive(axes, spread))
+        found += panels(self.table, self.lines, self.pen)
         measured = any(np.isfinite(wrong).any() for wrong in self.errors)
         add(measured, "error (px)", [bands, *self._said_of_error()], 1.15, self._error)
         boxes = [is_box(pair.ours, pair.truth) for pair in self.pairs]
