@@ -15,7 +15,7 @@ _QUIET: Colour = (190, 190, 190)
 _TROUGH: Colour = (130, 130, 130)
 LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the strip
 # what stands in the bar beside the status; the last goes first where it is narrow
-_ITEMS = ("frame", "gauge", "clock", "title", "percent")
+_ITEMS = ("frame", "gauge", "clock", "title", "percent", "adaptation")
 
 
 class StatusBar:
@@ -50,6 +50,8 @@ class StatusBar:
             "title": font.width(self._title) + gap if self._title else 0,
             "percent": font.width("100%") + gap,
         }
+        if adapted := adaptation(result.targets):
+            room["adaptation"] = font.width(adapted) + gap
         shown, saying, spare = self._fit(sayings, room, self._width - 2 * gap - icon)
         if not sure:  # 0 % would be a lie of a tracker that does not say
             shown = tuple(item for item in shown if item not in ("gauge", "percent"))
@@ -76,15 +78,19 @@ class StatusBar:
             right -= room["percent"]
         if title:
             stamp(strip, font.sprite(title, _QUIET), right - font.width(title), row)
+            right -= font.width(title) + gap
+        if "adaptation" in shown:
+            stamp(strip, font.sprite(adapted, _QUIET), right - font.width(adapted), row)
 
     def _fit(self, sayings: Sequence[str], room: dict[str, int], width: int) -> tuple[tuple[str, ...], str, int]:
         """The items and the wording of the status that fit, and the room left: rather fewer items than fewer words."""
-        for counts in ((5, 4, 3), (2, 1, 0)):
+        items = tuple(item for item in _ITEMS if item in room)
+        for counts in ((6, 5, 4, 3), (2, 1, 0)):
             for saying in sayings:
                 for n in counts:
-                    left = width - self._font.width(saying) - sum(room[k] for k in _ITEMS[:n])
+                    left = width - self._font.width(saying) - sum(room[k] for k in items[:n])
                     if left >= 0:
-                        return _ITEMS[:n], saying, left
+                        return items[:n], saying, left
         return (), "", 0
 
     def _cut_title(self, room: int) -> str:
@@ -93,6 +99,16 @@ class StatusBar:
         while length > 7 and self._font.width(self._title[:length] + "..") > room:
             length -= 1
         return self._title[:length] + ".." if length > 7 else ""
+
+
+def adaptation(targets: Sequence[TargetResult]) -> str:
+    """Particles and scale of a single target that adapts both, always about as wide; "" of others."""
+    told = targets[0].told if len(targets) == 1 else None
+    if told is None or told.scale is None or not math.isfinite(told.scale):
+        return ""
+    scale = f"scale {min(told.scale, 99.0):.2f}"
+    count = targets[0].particles
+    return scale if count is None or told.noise is None else f"{count:3d} particles  {scale}"
 
 
 def summary(targets: Sequence[TargetResult]) -> tuple[Status, list[str]]:

@@ -19,16 +19,17 @@ from numpy.typing import NDArray
 
 from facetrack_cli.types import BOX, Array, Image, PartResult, Result, TargetResult
 from facetrack_cli.video.bar import StatusBar
-from facetrack_cli.video.marks import LOST, PALETTE, Colour, Points, dashes, fixed, ink, mark, polylines
+from facetrack_cli.video.insets import Insets, Rect, Shown
+from facetrack_cli.video.marks import LOST, PALETTE, WHITE, Colour, Points, dashes, fixed, ink, mark, polylines
 from facetrack_cli.video.text import Font, stamp
 
 _FADES = 4  # steps of opacity along a trail
 _SAMPLES = 32  # of the past, at most, for a trail
 _DOTS = 150  # particles shown a part, at most
+_DECIDED = 0.5  # a name less probable than that is a guess
+_DOUBTFUL: Colour = (190, 190, 190)
 _RIM = 0.7  # opacity of the dark rim around all lines
 _CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 33)[:-1]) for f in (np.cos, np.sin)], axis=1)  # (32, 2)
-
-Rect = tuple[float, float, float, float]  # x0, y0, x1, y1
 
 
 class _Shape(NamedTuple):
@@ -69,6 +70,7 @@ class Overlay:
         # a picture of a few lines has none to spare
         bar = StatusBar(width, max(cap, round(0.019 * scale)), self._line, title)
         self._bar = bar if height >= 48 and width >= 48 else None
+        self._insets = Insets(size, bar.height if self._bar else 0, self._line, self._label_font)
         self._stride = max(1, math.ceil(fps * trail_s / _SAMPLES)) if math.isfinite(fps * trail_s) else 1
         self._past: dict[str, deque[_Past]] = {}
         self._slots: dict[tuple[str, str], int] = {}
@@ -87,13 +89,14 @@ class Overlay:
             raise ValueError(f"frame {frame.index} is {frame.size}, the overlay {self.size}")
         image: Image = frame.bgr.copy()
         shapes = [self._shape(t, PALETTE[i % len(PALETTE)]) for i, t in enumerate(result.targets)]
+        corners = self._corner_pictures(image, shapes)  # below the lines, where they have to cross
         for shape in shapes:
             trail = self._remember(shape, frame.time_s)
             if shape.parts:
                 self._cloud(image, shape)
                 self._lines(image, shape, trail)
         self._forget({t.name for t in result.targets})
-        self._labels(image, shapes)
+        self._labels(image, shapes, corners)
         if self._bar:
             self._bar.draw(image, result)
         self._count += 1
@@ -116,6 +119,9 @@ class Overlay:
             x, y = corners[..., 0], corners[..., 1]
             corners = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
         corners = corners + table[:, None, :2]
+        for k, part in enumerate(parts):
+            if part.corners is not None and np.isfinite(part.corners).all():
+                corners[k] = np.clip(part.corners, -self._reach, self._reach)
         bounds = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
         lost = np.array([p.status == "lost" for p in parts], bool)
         return _Shape(target, parts, columns, table[:, :2], corners, bounds, lost, colour)
@@ -278,18 +284,28 @@ class Overlay:
 
     # words
 
-    def _labels(self, image: Image, shapes: Sequence[_Shape]) -> None:
+    def _corner_pictures(self, image: Image, shapes: Sequence[_Shape]) -> list[Rect]:
+        """What a target's tracker shows of what it knows, in corners that no window covers; the places taken."""
+        shown = [
+            Shown(s.target.name, s.target.told.insets, s.colour if len(shapes) > 1 else WHITE)
+            for s in shapes
+            if s.target.told is not None and s.target.told.insets
+        ]
+        windows = [(b[0], b[1], b[2], b[3]) for s in shapes for b in s.bounds.tolist()]
+        return self._insets.draw(image, shown, windows) if shown else []
+
+    def _labels(self, image: Image, shapes: Sequence[_Shape], corners: Sequence[Rect]) -> None:
         """Names beside the windows that are large enough for it, each where it covers nothing, or nowhere."""
         font, edge = self._label_font, self._line
         bar = self._bar.height if self._bar else 0
-        taken: list[Rect] = [(0, 0, self.size[0], bar)]
+        taken: list[Rect] = [(0, 0, self.size[0], bar), *corners]
         for shape in shapes:
             taken += [(b[0], b[1], b[2], b[3]) for b in shape.bounds.tolist()]
         slots: dict[tuple[str, str], int] = {}
-        tags: list[Rect] = []
+        tags = list(corners)
         for shape in shapes:
             tags += self._tag(image, shape, len(shapes) > 1, tags)
-        taken += tags
+        taken += tags[len(corners) :]
         for shape in shapes:
             if not shape.parts or len(taken) > 60:
                 continue
@@ -329,14 +345,16 @@ class Overlay:
         It stands above the target, or below where another's `tags` or the picture's border are in the way.
         """
         target = shape.target
-        text = target.name if named else ""
+        text, colour = target.name if named else "", shape.colour
         if target.identity is not None:
             text = target.identity
             if target.identity_prob is not None and math.isfinite(target.identity_prob):
+                if target.identity_prob < _DECIDED:  # pale, and with a question mark: more likely somebody else
+                    text, colour = f"{text}?", _DOUBTFUL
                 text += f" {target.identity_prob:.0%}"
         if not text or not shape.parts:
             return []
-        sprite = self._label_font.sprite(text, shape.colour, self._line)
+        sprite = self._label_font.sprite(text, colour, self._line)
         width, height = sprite.size
         low, high = shape.bounds[:, :2].min(axis=0), shape.bounds[:, 2:].max(axis=0)
         if high[0] < 0 or high[1] < 0 or low[0] > self.size[0] or low[1] > self.size[1]:
