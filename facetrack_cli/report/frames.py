@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias, cast
@@ -17,6 +17,7 @@ import numpy as np
 
 from facetrack_cli.errors import InputError
 from facetrack_cli.formats.table import Series, Table
+from facetrack_cli.report.told import corners, identity, told_of
 from facetrack_cli.types import Frame, Image, PartResult, Result, Status, TargetResult
 from facetrack_cli.video.draw import Overlay
 from facetrack_cli.video.images import listing
@@ -191,8 +192,15 @@ class _Maker:
                 for series in self._table.series
                 if series.target == name and (at := _row(series, frame.index)) is not None
             )
-            if parts:
-                targets.append(TargetResult(name, parts, 0, np.empty((0, len(parts), 2))))
+            if not parts:
+                continue
+            who: tuple[str | None, float | None] = (None, None)
+            if (known := told_of(self._table, name, frame.index)) is not None:
+                told, at = known
+                who = identity(told, at)
+                if len(parts) == 1:
+                    parts = (replace(parts[0], corners=corners(told.affine[at], parts[0])),)
+            targets.append(TargetResult(name, parts, 0, np.empty((0, len(parts), 2)), *who))
         return Result(frame, tuple(targets))
 
     def _typical(self) -> float:

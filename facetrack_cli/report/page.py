@@ -138,7 +138,9 @@ def _plots(content: Content) -> Html:
     wide, narrow = content.plot.wide, content.plot.narrow
     alt = (
         "Plots over time: position and size of each part, confidence with lost spans shaded, status, particles and "
-        "effective sample size, spread" + (", error against the truth." if content.truth else ".")
+        "effective sample size, spread"
+        + (", what the tracker told of identity, scale, noise and error" if content.table.told else "")
+        + (", error against the truth." if content.truth else ".")
     )
     picture = tag(
         "picture",

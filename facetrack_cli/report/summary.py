@@ -10,6 +10,7 @@ from facetrack_cli.report.content import Content
 from facetrack_cli.report.events import LostSpan
 from facetrack_cli.report.html import Html, join, section, table, tag
 from facetrack_cli.report.text import at_clock, count, ended, lasting, names, number, percent, sentences
+from facetrack_cli.report.told import named
 
 MOST_PARTS = 100  # rows of a table by part
 _BINS = 1000  # of the bar that shows when a part was lost
@@ -43,6 +44,7 @@ def summary(content: Content) -> Html:
         "summary",
         "Summary",
         tag("p", sentences(content.table, header, clock, story), class_="lead"),
+        *(tag("p", line) for line in named(content.table, clock)),
         tag("p", how, class_=f"ended {'good' if good else 'bad'}"),
         tag("dl", *cells, class_="figures"),
         *([box] if warnings else []),

@@ -106,7 +106,7 @@ class Insets:
             height, width = picture.shape
             cv2.rectangle(image, (x - line, top), (x + width + line - 1, top + height + 2 * line - 1), colour, -1)
             under = image[max(top + line, 0) : top + line + height, max(x, 0) : x + width]
-            under[:] = picture[: under.shape[0], : under.shape[1], None]
+            under[:] = cv2.cvtColor(picture[: under.shape[0], : under.shape[1]], cv2.COLOR_GRAY2BGR)
             sprite = font.sprite(name[:12], WHITE, line)
             if name and sprite.size[0] <= width and sprite.size[1] <= 0.5 * height:
                 stamp(image, sprite, x + width - sprite.size[0], top + line)
