@@ -11,7 +11,9 @@ from facetrack_cli import filters, recipe
 from facetrack_cli.confidence import Confidence
 from facetrack_cli.errors import InputError, RecipeError
 from facetrack_cli.exclusion import Exclusion
+from facetrack_cli.guide import Guide, Noise, Velocity
 from facetrack_cli.lengths import Length
+from facetrack_cli.likelihoods.appearance import Appearance
 from facetrack_cli.likelihoods.colour_ratio import ColourRatio
 from facetrack_cli.likelihoods.contour import Contour
 from facetrack_cli.likelihoods.correlation import Correlation
@@ -19,13 +21,22 @@ from facetrack_cli.likelihoods.histogram import Histogram
 from facetrack_cli.likelihoods.product import Factor, ObjectFactor, Product
 from facetrack_cli.likelihoods.skin_cloud import SkinCloud
 from facetrack_cli.likelihoods.skin_ncc import Ncc, Skin, SkinNcc
-from facetrack_cli.motion import FirstOrder, RandomWalk
+from facetrack_cli.motion import AffineWalk, FirstOrder, RandomWalk
 from facetrack_cli.opencv import OpenCvTarget
 from facetrack_cli.opencv import check as check_opencv
+from facetrack_cli.patches import Patches
 from facetrack_cli.priors import BoundPrior, bind, load_prior
 from facetrack_cli.recipe import OpenCvRecipe, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.resampling import SCHEMES
-from facetrack_cli.spaces import BoxSpace, CloudSpace, PointSpace, size_of_points, state_of_box
+from facetrack_cli.spaces import (
+    AffineSpace,
+    BoxSpace,
+    CloudSpace,
+    PointSpace,
+    affine_state_of_box,
+    size_of_points,
+    state_of_box,
+)
 from facetrack_cli.start.files import check_size
 from facetrack_cli.track import Likelihood, ParticleTarget, Tracker
 from facetrack_cli.types import BOX, Array, Box, Start
@@ -50,6 +61,8 @@ def _target(given: ParticleFilter, recipe_: Recipe, name: str, start: Start) -> 
             return _region_target(given, name, start)
         case recipe.Cloud():
             return _cloud_target(given, name, start)
+        case recipe.Affine():
+            return _affine_target(given, recipe_, name, start)
         case _:
             return _points_target(given, recipe_, name, start)
 
@@ -108,13 +121,12 @@ def _region_target(given: ParticleFilter, name: str, start: Start) -> ParticleTa
     )
 
 
-def _region_motion(
-    motion: recipe.FirstOrder | recipe.RandomWalk, bounds: tuple[float, float], unit: float
-) -> FirstOrder:
+def _region_motion(motion: recipe.Motion, bounds: tuple[float, float], unit: float) -> FirstOrder:
     least, most = bounds
     if isinstance(motion, recipe.FirstOrder):
         position = np.array(motion.position.A), _pixels(motion.position.B, unit)
         return FirstOrder(position, (np.array(motion.scale.A), np.array(motion.scale.B)), least, most)
+    assert isinstance(motion, recipe.RandomWalk)
     stay, step = np.array([[1.0, 0.0], [0.0, 0.0]]), motion.sigma.of(BOX).pixels(unit)
     return FirstOrder((stay, np.array([[step], [0.0]])), (stay, np.array([[motion.scale], [0.0]])), least, most)
 
@@ -144,6 +156,53 @@ def _cloud_target(given: ParticleFilter, name: str, start: Start) -> ParticleTar
         step=_step(given.filter),
         confidence=Confidence(**given.confidence.model_dump()),
         scatter=np.array([box[2:]]),
+    )
+
+
+def _affine_target(given: ParticleFilter, recipe_: Recipe, name: str, start: Start) -> ParticleTarget:
+    assert isinstance(given.target, recipe.Affine)
+    assert isinstance(given.motion, recipe.AffineWalk)
+    assert isinstance(given.likelihood, recipe.Appearance)
+    box = _seen_box(start, name)
+    columns, rows = given.likelihood.template
+    patches = Patches((box[2], box[3]), (rows, columns))
+    motion, velocity, noise = given.motion, given.motion.velocity, given.motion.noise
+    guide = None
+    if velocity is not None or noise is not None:
+        guide = Guide(
+            patches,
+            None if velocity is None else Velocity(**velocity.model_dump()),
+            None if noise is None else Noise(**noise.model_dump()),
+            given.filter.particles,
+        )
+    return ParticleTarget(
+        name=name,
+        parts=(BOX,),
+        space=AffineSpace((box[2], box[3])),
+        x0=affine_state_of_box(*box),
+        particles=given.particles,
+        motion=AffineWalk(motion.sigma.pixels(_size_of_box(start, name)), motion.deform, *given.target.scale),
+        likelihood=_appearance(given, recipe_, patches),
+        prior=None,
+        step=_step(given.filter),
+        confidence=Confidence(**given.confidence.model_dump()),
+        guide=guide,
+        best=given.target.estimate == "map",
+    )
+
+
+def _appearance(given: ParticleFilter, recipe_: Recipe, patches: Patches) -> Likelihood:
+    a = given.likelihood
+    assert isinstance(a, recipe.Appearance)
+    return Appearance(
+        patches,
+        alpha=a.alpha,
+        mixing=(a.mixing.w, a.mixing.s, a.mixing.f),
+        sigma=(a.sigma.w, a.sigma.s, a.sigma.f),
+        least_sigma=a.least_sigma,
+        least_mixing=a.least_mixing,
+        density=a.density,
+        outlier=a.outlier,
     )
 
 
@@ -263,7 +322,9 @@ def _prior(
         raise InputError(f"{origin}: {e}") from None
 
 
-def _step(given: recipe.Sir | recipe.Auxiliary | recipe.Factorized | recipe.Independent) -> filters.Step:
+def _step(given: recipe.Filter) -> filters.Step:
+    if isinstance(given, recipe.Adaptive):
+        return filters.Adaptive(given.particles, given.adapt, given.entropy, given.least)
     resample = SCHEMES[given.resampling]
     if isinstance(given, recipe.Sir):
         return filters.Sir(resample)

@@ -9,6 +9,7 @@ filter        proposal                                                     weigh
 sir           transition of resampled particles                            p(y|s) [p(s)]
 auxiliary     transition of particles that promise a high likelihood       p(y|s) [p(s)] / lambda
 factorized    product of the marginal posteriors of the parts              eq. 11, eq. 7, or 1 (independent)
+adaptive      noise around the place that the picture predicts             p(y|s)
 ============  ===========================================================  ================================
 """
 
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
@@ -24,6 +25,22 @@ from facetrack_cli.resampling import Resampling, effective_sample_size, logsumex
 from facetrack_cli.types import Array, Info, Particles
 
 Reweight: TypeAlias = Literal["prior", "transition", "none"]
+
+
+class Ahead(NamedTuple):
+    """Where a target is expected in this frame, before any particle is drawn (Zhou et al. 2003, section 3.1.2).
+
+    `state` (K, D) is the point estimate of the last frame and `shift` (K, D) what is added to it (nu_t, eq. 12);
+    `noise` is eta, by which the noise is larger than usual (eq. 13), and `error` the eps_t that it follows from.
+    `entropy_fell`: whether the identity became more certain from the last frame but one to the last; None if nobody is
+    recognised.
+    """
+
+    state: Array
+    shift: Array
+    noise: float = 1.0
+    error: float | None = None
+    entropy_fell: bool | None = None
 
 
 class FrameModel(Protocol):
@@ -40,6 +57,10 @@ class FrameModel(Protocol):
 
     def log_prior(self, x: Array) -> Array:
         """(N,): log p(x) of the shape, up to a constant; zeros without a prior."""
+
+    @property
+    def ahead(self) -> Ahead:
+        """Where the target is expected; `propagate` takes its shift and noise into account."""
 
     def propose_part(self, rng: np.random.Generator, x: Array, part: int) -> Array:
         """(N, D): part `part` drawn from the shape prior given the other parts of each particle."""
@@ -151,6 +172,40 @@ class Factorized:
             if rows.size:
                 moved[rows, i] = model.propose_part(rng, whole[rows if chosen is None else chosen[rows, i]], i)
         return moved
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """All particles around the one place that is predicted, as many as the prediction is worth (Zhou et al. 2003).
+
+    Figure 1: only the point estimate of the last frame is propagated, theta_t = theta_{t-1} + nu_t + u_t. With J_0 =
+    `particles` and d = `entropy`, their number is (eq. 17)
+
+        J_t = J_0 (eta + d)  if the entropy of the identity rose,  J_0 (eta - d)  if it did not,
+
+    and J_0 eta where nobody is recognised; never below `least`. Eq. 17 prints (-1)^I[H_{t-1} < H_{t-2}], which adds d
+    if the entropy stayed the same; the text says "otherwise we deduct", which is what is taken: a posterior that has
+    settled needs no more particles. `adapt` False keeps J_0.
+    """
+
+    particles: int
+    adapt: bool = True
+    entropy: float = 0.0
+    least: int = 10
+
+    def number(self, ahead: Ahead) -> int:
+        """J_t."""
+        if not self.adapt:
+            return self.particles
+        change = 0.0 if ahead.entropy_fell is None else -self.entropy if ahead.entropy_fell else self.entropy
+        return max(round(self.particles * (ahead.noise + change)), self.least)
+
+    def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
+        ahead = model.ahead
+        parents = np.repeat(ahead.state[None], self.number(ahead), axis=0)
+        x = model.propagate(rng, parents)
+        log_w = normalise(_log_observation(model, x, parents))
+        return Particles(x, log_w), _joint_info(x, log_w)
 
 
 def _log_observation(model: FrameModel, x: Array, parents: Array) -> Array:

@@ -84,6 +84,47 @@ class FirstOrder:
         return total
 
 
+@dataclass(frozen=True)
+class AffineWalk:
+    """Gaussian noise on the parameters of an affine map, theta_t = theta_{t-1} + u_t (Zhou et al. 2003, eq. 1).
+
+    The state is (x, y, a1, a2, a3, a4). `position` is the standard deviation of x and y, in pixels, `deform` that of
+    a1 to a4, r_0 u_0 of section 2.1. `least` and `most` bound the scale: a deformation beyond is brought back to it.
+    """
+
+    position: float
+    deform: float
+    least: float
+    most: float
+
+    def _sigma(self) -> Array:
+        return np.array([self.position] * 2 + [self.deform] * 4)
+
+    def propagate(self, rng: np.random.Generator, x: Array) -> Array:
+        """x (N, 1, 6) moved by one frame."""
+        return self.bounded(x + self._sigma() * rng.standard_normal(x.shape))
+
+    def bounded(self, x: Array) -> Array:
+        """x (N, 1, 6) with scales between `least` and `most`."""
+        scale = np.sqrt((x[..., 2:] ** 2).sum(axis=-1, keepdims=True) / 2)
+        wild = (scale < self.least) | (scale > self.most)
+        if not wild.any():
+            return x
+        moved = x.copy()
+        moved[..., 2:] *= np.where(wild, np.clip(scale, self.least, self.most) / np.maximum(scale, 1e-12), 1.0)
+        return moved
+
+    def expect(self, x: Array) -> Array:
+        """The mean of p(x_t | x_{t-1} = x), (N, 1, 6); the bounds of the scale are left out."""
+        return x
+
+    def log_transition(self, x: Array, parents: Array) -> Array:
+        """log p(x_n | parents_m): x (N, 1, 6), parents (M, 1, 6) -> (N, M, 1); the bounds are left out."""
+        sigma = self._sigma()
+        z = (x[:, None] - parents[None]) / sigma
+        return np.asarray(-0.5 * (z**2).sum(axis=3) - np.log(sigma).sum() - 3.0 * np.log(2 * np.pi))
+
+
 def _log_normal(off: Array, cov: Array) -> Array:
     """log N(off; 0, cov) over the last axis; of a singular cov, the density on its support."""
     values, vectors = np.linalg.eigh(cov)

@@ -23,6 +23,7 @@ from pydantic import (
 
 from facetrack_cli.errors import RecipeError
 from facetrack_cli.lengths import Length, PerPart, Window
+from facetrack_cli.recipe_adaptive import Adaptive, Affine, AffineWalk, Appearance, Recognition
 from facetrack_cli.recipe_base import Section
 from facetrack_cli.recipe_filter import MOST_HYPOTHESES, ParticleFilter
 from facetrack_cli.recipe_messages import Refusal, locate, problems, refuse, suggest
@@ -32,7 +33,9 @@ from facetrack_cli.recipe_sections import (
     ColourRatio,
     Confidence,
     Factorized,
+    Filter,
     Independent,
+    Motion,
     Parzen,
     Points,
     RandomWalk,
@@ -42,6 +45,10 @@ from facetrack_cli.recipe_skin import Cloud, Exclusion, Pattern, Skin, SkinCloud
 from facetrack_cli.yaml_text import Node, Problem, Source, Span, YamlProblems, assign, parse, read_source
 
 __all__ = [
+    "Adaptive",
+    "Affine",
+    "AffineWalk",
+    "Appearance",
     "Auxiliary",
     "Cloud",
     "ColourRatio",
@@ -50,10 +57,12 @@ __all__ = [
     "Correlation",
     "Exclusion",
     "Factorized",
+    "Filter",
     "FirstOrder",
     "Histogram",
     "Independent",
     "Length",
+    "Motion",
     "OpenCvRecipe",
     "ParticleFilter",
     "ParticleRecipe",
@@ -65,6 +74,7 @@ __all__ = [
     "Product",
     "RandomWalk",
     "Recipe",
+    "Recognition",
     "Region",
     "Sir",
     "Skin",
@@ -252,11 +262,20 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
     """Everything that is wrong with a recipe; also that the files it names are there."""
     try:
         recipe = _load(find_recipe(name_or_path), overrides)
-        if isinstance(recipe, ParticleRecipe) and recipe.prior is not None:
-            _find_file(recipe, recipe.prior.file)
+        for one in _filters(recipe):
+            if one.prior is not None:
+                _find_file(recipe, one.prior.file)
+            if one.recognition is not None and one.recognition.gallery is not None:
+                _find_file(recipe, one.recognition.gallery)
     except YamlProblems as refused:
         return list(refused.problems)
     return []
+
+
+def _filters(recipe: Recipe) -> Sequence[ParticleFilter]:
+    if isinstance(recipe, ParticlesRecipe):
+        return list(recipe.filters.values())
+    return [recipe] if isinstance(recipe, ParticleRecipe) else []
 
 
 def shipped_folder() -> Path:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from pydantic import model_validator
 
+from facetrack_cli.recipe_adaptive import Adaptive, AffineWalk, Recognition
 from facetrack_cli.recipe_base import Section
 from facetrack_cli.recipe_messages import Refusal, refuse
 from facetrack_cli.recipe_regions import Product, Region
@@ -40,6 +41,8 @@ class ParticleFilter(Section):
     """How the particles are proposed, weighted and resampled."""
     prior: Prior | None = None
     """Which shapes are likely: p(alpha); null for none."""
+    recognition: Recognition | None = None
+    """Who it is, of an affine target; null: nobody is recognised."""
     confidence: Confidence = Confidence()
     """When a part counts as lost, and when as found again."""
 
@@ -89,6 +92,9 @@ class ParticleFilter(Section):
             case Factorized(reweight="transition", from_prior=share) if share > 0:
                 message = "filter.from_prior above 0 goes with reweight: prior; eq. 7 knows the motion model alone"
                 found.append(Refusal(("filter", "from_prior"), message))
+            case Adaptive(adapt=True) if isinstance(self.motion, AffineWalk) and self.motion.noise is None:
+                message = "filter.adapt follows motion.noise, which is null; add noise: {}, or write adapt: false"
+                found.append(Refusal(("filter", "adapt"), message))
             case Independent() if self.prior is not None:
                 message = 'filter type "independent" makes no use of a prior; remove it, or write prior: null'
                 found.append(Refusal(("prior",), message))
@@ -108,11 +114,18 @@ class ParticleFilter(Section):
                 remedy = " or ".join("null" if one is None else one for one in types)
                 message = f'{section} type "{kind}" does not go with target type "{name}"; write {remedy}'
                 found.append(Refusal((section, "type"), message))
+        if self.recognition is not None and name != "affine":
+            message = f'recognition does not go with target type "{name}"; remove it, or follow an affine target'
+            found.append(Refusal(("recognition",), message))
         return found
 
 
 _GO_WITH: Mapping[str, Mapping[str, Sequence[str | None]]] = {
-    "points": {"motion": ["random_walk"], "likelihood": ["colour_ratio"]},
+    "points": {
+        "motion": ["random_walk"],
+        "likelihood": ["colour_ratio"],
+        "filter": ["sir", "auxiliary", "factorized", "independent"],
+    },
     "region": {
         "motion": ["first_order", "random_walk"],
         "likelihood": ["product", "skin_ncc"],
@@ -123,6 +136,12 @@ _GO_WITH: Mapping[str, Mapping[str, Sequence[str | None]]] = {
         "motion": ["random_walk", "first_order"],
         "likelihood": ["skin"],
         "filter": ["sir", "auxiliary"],
+        "prior": [None],
+    },
+    "affine": {
+        "motion": ["affine_walk"],
+        "likelihood": ["appearance"],
+        "filter": ["adaptive", "sir", "auxiliary"],
         "prior": [None],
     },
 }

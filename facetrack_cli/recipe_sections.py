@@ -12,6 +12,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import Field, model_validator
 
 from facetrack_cli.lengths import Length, LengthPerPart, WindowPerPart
+from facetrack_cli.recipe_adaptive import Adaptive, Affine, AffineWalk, Appearance
 from facetrack_cli.recipe_base import Section
 from facetrack_cli.recipe_messages import Refusal, refuse
 from facetrack_cli.recipe_regions import FirstOrder, Product, Region
@@ -146,8 +147,8 @@ class Confidence(Section):
 
 
 # where later trackers join: another member of a union, told apart by its `type`
-Target: TypeAlias = Annotated[Points | Region | Cloud, Field(discriminator="type")]
-Motion: TypeAlias = Annotated[RandomWalk | FirstOrder, Field(discriminator="type")]
-Likelihood: TypeAlias = Annotated[ColourRatio | Product | SkinNcc | SkinCloud, Field(discriminator="type")]
-Filter: TypeAlias = Annotated[Sir | Auxiliary | Factorized | Independent, Field(discriminator="type")]
+Target: TypeAlias = Annotated[Points | Region | Cloud | Affine, Field(discriminator="type")]
+Motion: TypeAlias = Annotated[RandomWalk | FirstOrder | AffineWalk, Field(discriminator="type")]
+Likelihood: TypeAlias = Annotated[ColourRatio | Product | SkinNcc | SkinCloud | Appearance, Field(discriminator="type")]
+Filter: TypeAlias = Annotated[Sir | Auxiliary | Factorized | Independent | Adaptive, Field(discriminator="type")]
 Prior: TypeAlias = Parzen

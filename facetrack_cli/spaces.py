@@ -6,6 +6,7 @@ space         a part's state             image geometry
 PointSpace    x, y                       a window of fixed size around each point
 BoxSpace      x, y, s, and their speeds  an upright box, s times as large as at the start (Odobez 2003, section 3.2)
 CloudSpace    x, y of one pixel          an upright box about the whole cloud of particles (Gianni et al. 2007)
+AffineSpace   x, y, a1, a2, a3, a4       the box of the start, turned, scaled and sheared (Zhou et al. 2003, section 4)
 ============  =========================  ==============================================================================
 """
 
@@ -20,10 +21,17 @@ from facetrack_cli.types import Array, Particles
 
 
 class Estimate(NamedTuple):
-    """Posterior mean of the state (K, D), and covariance (K, 2, 2) of the parts' centres, in pixels."""
+    """Point estimate of the state (K, D), and covariance (K, 2, 2) of the parts' centres, in pixels."""
 
-    mean: Array
+    state: Array
     cov: Array
+
+
+class Outline(NamedTuple):
+    """What a part is in the picture if no upright box: `angle` in degrees, `corners` (4, 2) clockwise from top left."""
+
+    angle: float
+    corners: Array
 
 
 class Space(Protocol):
@@ -31,6 +39,9 @@ class Space(Protocol):
 
     def windows(self, estimated: Estimate) -> Array:
         """(K, 2): width and height in pixels of each part."""
+
+    def outline(self, estimated: Estimate) -> Outline | None:
+        """Of the one part that is no upright box."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +53,9 @@ class PointSpace:
     def windows(self, estimated: Estimate) -> Array:
         return self.sides
 
+    def outline(self, estimated: Estimate) -> None:
+        return None
+
 
 @dataclass(frozen=True)
 class BoxSpace:
@@ -50,7 +64,10 @@ class BoxSpace:
     size: tuple[float, float]
 
     def windows(self, estimated: Estimate) -> Array:
-        return np.asarray(estimated.mean[:, 2:3] * np.array(self.size))
+        return np.asarray(estimated.state[:, 2:3] * np.array(self.size))
+
+    def outline(self, estimated: Estimate) -> None:
+        return None
 
 
 @dataclass(frozen=True)
@@ -63,13 +80,46 @@ class CloudSpace:
     def windows(self, estimated: Estimate) -> Array:
         return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
 
+    def outline(self, estimated: Estimate) -> None:
+        return None
 
-def estimate(particles: Particles) -> Estimate:
-    """Weighted mean of x (N, K, D), and covariance of its first two coordinates."""
+
+@dataclass(frozen=True)
+class AffineSpace:
+    """A box under affine maps: state (1, 6) = (x, y, a1, a2, a3, a4), [[a1, a2], [a3, a4]] from the start to now.
+
+    `size`: width, height in pixels at the start. Its sides are those of the parallelogram; its angle is the rotation
+    that is nearest to the deformation.
+    """
+
+    size: tuple[float, float]
+
+    def windows(self, estimated: Estimate) -> Array:
+        a = estimated.state[:, 2:].reshape(-1, 2, 2)
+        return np.asarray(np.sqrt((a**2).sum(axis=1)) * np.array(self.size))
+
+    def outline(self, estimated: Estimate) -> Outline:
+        a = estimated.state[0, 2:].reshape(2, 2)
+        angle = float(np.degrees(np.arctan2(a[1, 0] - a[0, 1], a[0, 0] + a[1, 1])))
+        # the border runs through the middle of the outermost pixels, as that of an upright box
+        half = np.maximum(np.array(self.size) - 1, 1) / 2
+        return Outline(angle, estimated.state[0, :2] + (_CORNERS * half) @ a.T)
+
+
+_CORNERS = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+
+
+def estimate(particles: Particles, *, best: bool = False) -> Estimate:
+    """Weighted mean of x (N, K, D), or the `best` particle; and covariance of its first two coordinates about the mean.
+
+    The best particle is the one of the greatest weight, the first of equals: the MAP estimate if all were drawn from
+    one place.
+    """
     w = np.exp(particles.log_w)
     mean = np.einsum("n,nkd->kd", w, particles.x)
     centred = particles.x[..., :2] - mean[:, :2]
-    return Estimate(mean, np.einsum("n,nkd,nke->kde", w, centred, centred))
+    cov = np.einsum("n,nkd,nke->kde", w, centred, centred)
+    return Estimate(particles.x[int(np.argmax(particles.log_w))] if best else mean, cov)
 
 
 def evenly(x0: Array, windows: Array) -> Estimate:
@@ -82,6 +132,11 @@ def evenly(x0: Array, windows: Array) -> Estimate:
 def size_of_points(x0: Array) -> float:
     """The unit of length of a recipe for points x0 (K, 2): the largest distance between two of them, in pixels."""
     return float(np.sqrt(np.sum((x0[:, None] - x0[None]) ** 2, axis=2)).max())
+
+
+def affine_state_of_box(left: float, top: float, w: float, h: float) -> Array:
+    """(1, 6): the affine state of a box at the start; pixel centres are whole numbers."""
+    return np.array([[left + (w - 1) / 2, top + (h - 1) / 2, 1.0, 0.0, 0.0, 1.0]])
 
 
 def state_of_box(left: float, top: float, w: float, h: float) -> Array:

@@ -8,18 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeAlias
+from functools import cached_property
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from facetrack_cli.confidence import Confidence, Judgement, Measures
 from facetrack_cli.errors import InputError
 from facetrack_cli.exclusion import Cover, Exclusion
-from facetrack_cli.filters import Step
+from facetrack_cli.filters import Ahead, Step
+from facetrack_cli.guide import Flow, Guide
+from facetrack_cli.patches import scale_of
 from facetrack_cli.priors import BoundPrior
 from facetrack_cli.resampling import uniform
-from facetrack_cli.spaces import Estimate, Space, estimate, evenly
-from facetrack_cli.types import Array, Frame, Info, Particles, PartResult, Result, Status, TargetResult
+from facetrack_cli.spaces import AffineSpace, Estimate, Space, estimate, evenly
+from facetrack_cli.types import Array, Frame, Info, Particles, PartResult, Result, Status, TargetResult, Told
 
 
 class Likelihood(Measures, Protocol):
@@ -36,6 +39,16 @@ class Likelihood(Measures, Protocol):
 
     def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any:
         """What is known after a frame with the estimate `state` (K, D), for the next one."""
+
+
+@runtime_checkable  # is asked once a target: it is slow
+class Adapts(Protocol):
+    """A likelihood of which a guide may ask how far patches are from what is known, and which tells what it knows."""
+
+    def error(self, learned: Any, patches: Any) -> Array:
+        """(N,): phi(y, a_t) of patches y (N, d)."""
+
+    def tell(self, learned: Any) -> Told: ...
 
 
 class Motion(Protocol):
@@ -111,12 +124,20 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "
 
 @dataclass(frozen=True)
 class State:
-    """What a particle filter carries on: particles, estimate, what was learned of the clip, how parts are judged."""
+    """What a particle filter carries on: particles, estimate, what was learned of the clip, how parts are judged.
+
+    `told` is what a likelihood that adapts tells of itself, `flow` what the guide has learned, `ahead` what that
+    predicted of this frame, and `entropy_before` the entropy of the identity in the frame before this one.
+    """
 
     particles: Particles
     estimated: Estimate
     learned: Any
     judgement: Judgement | None
+    told: Told | None = None
+    flow: Flow | None = None
+    ahead: Ahead | None = None
+    entropy_before: float | None = None
 
 
 @dataclass(frozen=True)
@@ -125,7 +146,8 @@ class ParticleTarget:
 
     `confidence` is None where the likelihood knows how the target moves and not what it looks like. `exclusion` is how
     it keeps off what other targets explain. With `scatter` (K, 2), particles begin evenly over so many pixels around
-    x0, which are then the size of each part at the start.
+    x0, which are then the size of each part at the start. `guide` predicts from the picture where it went, and `best`
+    takes the best particle for the estimate, not the mean.
     """
 
     name: str
@@ -140,6 +162,8 @@ class ParticleTarget:
     confidence: Confidence | None
     exclusion: Exclusion | None = None
     scatter: Array | None = None
+    guide: Guide | None = None
+    best: bool = False
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
@@ -161,27 +185,56 @@ class ParticleTarget:
         judgement = None
         if self.confidence is not None:
             judgement = self.confidence.begin(self.likelihood, learned, frame, self.x0, self.space.windows(still))
-        state = State(Particles(x, uniform(self.particles)), still, learned, judgement)
+        flow = None if self.guide is None else self.guide.begin(rng, frame, self.x0, self.motion)
+        state = State(Particles(x, uniform(self.particles)), still, learned, judgement, self._tell(learned), flow)
         result = self._result(state, Info(np.full(len(self.parts), float(self.particles))), "init")
         return state, replace(result, notes=getattr(learned, "notes", ()))
 
     def advance(
         self, rng: np.random.Generator, state: State, frame: Frame, covers: Sequence[Cover] = ()
     ) -> tuple[State, TargetResult]:
-        particles, info = self.step(rng, state.particles, Bound(self, state.learned, frame, covers))
-        estimated = estimate(particles)
+        bound = Bound(self, state, frame, covers)
+        particles, info = self.step(rng, state.particles, bound)
+        estimated = estimate(particles, best=self.best)
         judgement = state.judgement
-        if self.confidence is not None and judgement is not None:
-            distance = self.likelihood.distances(state.learned, frame, estimated.mean[None])[0]
+        if judgement is not None:
+            assert self.confidence is not None
+            distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
             judgement = self.confidence.judge(judgement, distance)
-        learned = self.likelihood.learn(state.learned, frame, estimated.mean, particles)
-        state = State(particles, estimated, learned, judgement)
+        learned = self.likelihood.learn(state.learned, frame, estimated.state, particles)
+        told = self._tell(learned)
+        if self.guide is None:
+            state = State(particles, estimated, learned, judgement, told)
+        else:
+            flow = self.guide.learn(frame, estimated.state, particles.x)
+            before = None if state.told is None else state.told.entropy
+            state = State(particles, estimated, learned, judgement, told, flow, bound.ahead, before)
         return state, self._result(state, info, "tracked")
+
+    @cached_property
+    def _adapts(self) -> Adapts | None:
+        return self.likelihood if isinstance(self.likelihood, Adapts) else None
+
+    def _tell(self, learned: Any) -> Told | None:
+        return None if self._adapts is None else self._adapts.tell(learned)
+
+    def predict(self, state: State, frame: Frame) -> Ahead:
+        """Where the target is expected in `frame`: where its guide says, or where it was."""
+        estimated = state.estimated.state
+        if self.guide is None:
+            return Ahead(estimated, np.zeros_like(estimated))
+        adapts, learned = self._adapts, state.learned
+        assert state.flow is not None and adapts is not None
+        ahead = self.guide.predict(state.flow, frame, lambda patches: adapts.error(learned, patches))
+        entropy = None if state.told is None else state.told.entropy
+        if entropy is None:
+            return ahead
+        return ahead._replace(entropy_fell=state.entropy_before is None or entropy <= state.entropy_before)
 
     def cover(self, state: State, *, ahead: bool) -> Cover | None:
         if len(self.parts) > 1:
             return None  # points between which nobody knows what there is
-        mean = state.estimated.mean
+        mean = state.estimated.state
         centre = self.motion.expect(mean[None])[0] if ahead else mean
         return Cover(centre[0, :2], self.space.windows(state.estimated)[0] / 2)
 
@@ -189,21 +242,37 @@ class ParticleTarget:
         """`otherwise` is the status where nothing judges."""
         judged, estimated = state.judgement, state.estimated
         windows = self.space.windows(estimated)
+        outline = self.space.outline(estimated)
         parts = tuple(
             PartResult(
                 name=name,
-                x=float(estimated.mean[i, 0]),
-                y=float(estimated.mean[i, 1]),
+                x=float(estimated.state[i, 0]),
+                y=float(estimated.state[i, 1]),
                 w=float(windows[i, 0]),
                 h=float(windows[i, 1]),
                 status=otherwise if judged is None else judged.status[i],
                 confidence=None if judged is None else float(judged.confidence[i]),
                 cov=(float(estimated.cov[i, 0, 0]), float(estimated.cov[i, 0, 1]), float(estimated.cov[i, 1, 1])),
                 ess=float(info.ess[i]),
+                angle=None if outline is None else outline.angle,
+                corners=None if outline is None else outline.corners,
             )
             for i, name in enumerate(self.parts)
         )
-        return TargetResult(self.name, parts, len(state.particles.x), state.particles.x[..., :2])
+        result = TargetResult(self.name, parts, len(state.particles.x), state.particles.x[..., :2])
+        return result if state.told is None else self._with_told(result, state.told, state)
+
+    def _with_told(self, result: TargetResult, told: Told, state: State) -> TargetResult:
+        """The result with what there is to tell, and who it is if somebody is recognised."""
+        if isinstance(self.space, AffineSpace):
+            x, y, *deformation = state.estimated.state[0].tolist()
+            told = replace(told, affine=(*deformation, x, y), scale=float(scale_of(state.estimated.state[None])[0, 0]))
+        if state.ahead is not None:
+            told = replace(told, error=state.ahead.error, noise=state.ahead.noise)
+        if not told.posterior:
+            return replace(result, told=told)
+        name = max(told.posterior, key=lambda one: (told.posterior or {})[one])
+        return replace(result, told=told, identity=name, identity_prob=told.posterior[name])
 
 
 @dataclass(frozen=True)
@@ -211,18 +280,27 @@ class Bound:
     """A target with one frame bound in: the model that filters see (`filters.FrameModel`)."""
 
     target: ParticleTarget
-    learned: Any
+    state: State
     frame: Frame
     covers: Sequence[Cover] = ()
 
+    @cached_property
+    def ahead(self) -> Ahead:
+        return self.target.predict(self.state, self.frame)
+
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
-        return self.target.motion.propagate(rng, x)
+        moved = self.target.motion.propagate(rng, x)
+        if self.target.guide is None:
+            return moved
+        # what the picture predicts is added to what the motion expects, and its noise is as large as eq. 13 says
+        expected = self.target.motion.expect(x)
+        return expected + self.ahead.shift + self.ahead.noise * (moved - expected)
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         return self.target.motion.log_transition(x, parents)
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
-        log_p = self.target.likelihood.score(self.learned, self.frame, x, parents)
+        log_p = self.target.likelihood.score(self.state.learned, self.frame, x, parents)
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + exclusion.log_weights(x, self.covers)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,9 @@ def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
 )
 @click.option("--seed", metavar="N", type=Whole(min=0), help="Seed of the random numbers, instead of the recipe's.")
+@click.option(
+    "--gallery", metavar="FILE", help="People to recognise, as by facetrack gallery fit; recipes of affine targets."
+)
 @options.init
 @options.face_box
 @click.option(
@@ -71,6 +75,7 @@ def command(
     config: str,
     overrides: tuple[str, ...],
     seed: int | None,
+    gallery: str | None,
     init: str | None,
     box: Box | None,
     init_frame: int | None,
@@ -101,6 +106,7 @@ def command(
       facetrack run clip.mp4
       facetrack run clip.mp4 --config sir --set filter.particles=500 -o out
       facetrack run clip.mp4 --config histogram --box 110,93,56,64
+      facetrack run clip.mp4 --config adaptive_recognition --gallery people.npz
       facetrack run frames/ --fps 25 -o - | head
       find . -name '*.mp4' -print0 | xargs -0 facetrack run -j 4 --no-video
 
@@ -125,6 +131,8 @@ def command(
         raise UsageError("--init is empty; name an init file, or haar to look for a face")
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
+    if gallery is not None:
+        overrides = (*overrides, f"recognition.gallery={json.dumps(gallery, ensure_ascii=False)}")
     recipe = load_recipe(config, overrides)
     if fail_on_lost and not recipe.judges:
         raise UsageError(

@@ -1,0 +1,134 @@
+"""Where the picture says a target went, before any particle is drawn (Zhou et al. 2003, section 3.1.2).
+
+Adaptive velocity (eq. 12). In the last frame, particles theta^(j) around the estimate theta and their patches y^(j)
+around its patch y tell how a change of the patch and a change of the motion go together, to first order:
+
+    X = [theta^(j) - theta],  Y = [y^(j) - y],  B = X V_q S_q^-1 U_q^T  with  Y = U S V^T,
+
+the least squares solution with the q largest singular values. The printed nu = B (T{z_t; theta} - y) has the wrong
+sign: if the target moved by nu, the new picture shows at the old place what the old one showed at theta - nu, so that
+B maps the difference to -nu. Taken is
+
+    nu = -B (T{z_t; theta} - y),
+
+repeated from theta + nu until the error eps = phi(T{z_t; theta + nu}, a_t) settles; the best of the steps is kept,
+none at all included. tests/test_guide.py proves on translated, turned and scaled pictures that it points to the truth.
+
+Adaptive noise (eq. 13). r_t / r_0 = eta(eps) = a + (b - a) tanh(eps / c): tight after a good prediction, wide after a
+bad one. phi is that of the likelihood, the mean squared distance from the appearance in its standard deviations.
+
+V and S come from the eigenvectors of Y^T Y (J x J), and B is never written out: -B D = -X V_q S_q^-2 V_q^T Y^T D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.filters import Ahead
+from facetrack_cli.types import Array, Frame
+
+if TYPE_CHECKING:
+    from facetrack_cli.patches import Patches
+
+Rows: TypeAlias = NDArray[np.float32]
+# of the largest singular value: directions in which the patches differ by less are rounding
+RANK = 1e-3
+
+
+class Moves(Protocol):
+    """A motion model that draws particles around a place; see `motion.py`."""
+
+    def propagate(self, rng: np.random.Generator, x: Array) -> Array: ...
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """`components`: q; `iterations` at most; `settle`: it ends when eps falls by less than this share."""
+
+    components: int = 20
+    iterations: int = 10
+    settle: float = 0.02
+
+
+@dataclass(frozen=True)
+class Noise:
+    """a, b and c of eq. 13: `least`, `most` and `rate`."""
+
+    least: float = 0.5
+    most: float = 2.0
+    rate: float = 1.0
+
+    def eta(self, error: float) -> float:
+        """r_t / r_0 of eps_t = `error`."""
+        return self.least + (self.most - self.least) * float(np.tanh(error / self.rate))
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """What the last frame tells: the estimate (1, 6), its patch (d,), and B as `gain` (6, J) times `rows` (J, d)."""
+
+    state: Array
+    patch: Rows
+    gain: Array
+    rows: Rows
+
+
+@dataclass(frozen=True)
+class Guide:
+    """`velocity` None: the target is expected where it was; `noise` None: the noise is as usual.
+
+    `particles` are drawn around the start, where there is no last frame to learn B from.
+    """
+
+    patches: Patches
+    velocity: Velocity | None
+    noise: Noise | None
+    particles: int
+
+    def begin(self, rng: np.random.Generator, frame: Frame, x0: Array, motion: Moves) -> Flow:
+        """The flow after the first frame, with the target at x0 (1, 6)."""
+        if self.velocity is None:
+            return self.learn(frame, x0, x0[None])
+        return self.learn(frame, x0, motion.propagate(rng, np.repeat(x0[None], self.particles, axis=0)))
+
+    def learn(self, frame: Frame, state: Array, x: Array) -> Flow:
+        """The flow after a frame with the estimate `state` (1, 6) and the particles x (J, 1, 6)."""
+        factor = self.patches.factor(state)
+        patch = self.patches.read(frame, state[None], factor)[0]
+        if self.velocity is None:
+            return Flow(state, patch, np.zeros((6, 0)), np.zeros((0, len(patch)), np.float32))
+        rows = self.patches.read(frame, x, factor) - patch
+        return Flow(state, patch, gain(x[:, 0] - state[0], rows, self.velocity.components), rows)
+
+    def predict(self, flow: Flow, frame: Frame, error: Callable[[Rows], Array]) -> Ahead:
+        """Where the target is expected in `frame`; `error` is phi of patches (N, d) -> (N,)."""
+        factor = self.patches.factor(flow.state)
+        shift = best = np.zeros_like(flow.state)
+        patch = self.patches.read(frame, flow.state[None], factor)
+        least = float(error(patch)[0])
+        for _ in range(0 if self.velocity is None else self.velocity.iterations):
+            assert self.velocity is not None
+            shift = shift - (flow.gain @ (flow.rows @ (patch[0] - flow.patch))[:, None]).T
+            patch = self.patches.read(frame, (flow.state + shift)[None], factor)
+            now = float(error(patch)[0])
+            settled = now > least * (1 - self.velocity.settle)
+            if now < least:
+                least, best = now, shift
+            if settled:
+                break
+        return Ahead(flow.state, best, 1.0 if self.noise is None else self.noise.eta(least), least)
+
+
+def gain(x: Array, rows: Rows, components: int) -> Array:
+    """X V_q S_q^-2 V_q^T (6, J), of motions x (J, 6) and the differences of their patches, `rows` (J, d)."""
+    values, vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))
+    q = min(components, len(values))
+    values, vectors = values[-q:], vectors[:, -q:]
+    kept = values > max(RANK**2 * float(values[-1]), 1e-12) if q else np.zeros(0, bool)
+    values, vectors = values[kept], vectors[:, kept]
+    return np.asarray((x.T @ vectors / values) @ vectors.T)
