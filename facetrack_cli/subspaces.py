@@ -7,9 +7,10 @@ A Gaussian whose covariance has s principal directions e_i with variances lambda
 with q_i = e_i' (x - mean) and err^2 = |x - mean|^2 - sum_i q_i^2. Two slips of the print: rho is the mean of the d - s
 eigenvalues that are left (not of d - q), and err^2 is measured after the mean is removed, as q_i is.
 
-n pictures have at most n - 1 eigenvalues that are not 0. Where n is less than d, the rest of them is far below what a
-new picture leaves over, so rho is, unless `printed` is asked for, what maximises the density of pictures held out:
-mean err^2 / (d - s) of each picture, reconstructed from the others. With n far above d both are the same.
+The eigenvalues that are left, of n pictures, fall short of what a new picture leaves over: by (n - 1 - s) / (n - 1)
+where all are independent, and by far more where they are frames of a few clips. So rho is, unless `printed` is asked
+for, what maximises the density of pictures held out: the mean of err^2 / (d - s) of each, reconstructed from those of
+other people. With many people both are the same.
 """
 
 from __future__ import annotations
