@@ -75,17 +75,16 @@ class Frame:
             known = self._grey[factor] = grey, left + x0 * factor, top + y0 * factor, asked
         return known[0], known[1], known[2]
 
-    def remembered(self, key: Hashable, x: Array) -> NDArray[np.float32] | None:
-        """What was remembered with this key and this very array x; its values must not have changed since."""
-        known = self._patches.get((id(x), key))
+    def remembered(self, key: Hashable) -> NDArray[np.float32] | None:
+        """What was remembered with this key."""
+        known = self._patches.get(key)
         return None if known is None else known[1]
 
-    def remember(self, key: Hashable, x: Array, values: NDArray[np.float32]) -> None:
-        """Keeps `values` for `remembered`, and the last few others."""
+    def remember(self, key: Hashable, of: Array, values: NDArray[np.float32]) -> None:
+        """Keeps `values` for `remembered`, and the last few others, and `of`, whose id may be part of the key."""
         if len(self._patches) >= MOST_REMEMBERED:
             del self._patches[next(iter(self._patches))]
-        # x is kept too, or its id would be another array's one day
-        self._patches[id(x), key] = x, values
+        self._patches[key] = of, values
 
     def _reduce(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         width, height = (max(side // factor, 1) for side in self.size)

@@ -155,7 +155,7 @@ def test_the_same_face_is_the_same_patch_at_every_scale():
         assert float(np.mean(y * reference)) > 0.97
 
 
-def test_the_frame_remembers_patches_by_the_array_itself():
+def test_the_frame_remembers_the_last_patches():
     f, patches, x = frame(smooth(9)), Patches(SIZE), states((70, 60), (71, 60))
     first = patches.read(f, x, 1)
     assert patches.read(f, x, 1) is first
@@ -166,10 +166,14 @@ def test_the_frame_remembers_patches_by_the_array_itself():
     assert Patches((26.0, 31.0)).read(f, x, 1) is not first
     with pytest.raises(ValueError, match="read-only"):
         first[0, 0] = 1
+    # a single state is asked for again and again, each time in another array
+    single = patches.read(f, state(70, 60), 1)
+    assert patches.read(f, states((70, 60)), 1) is single
+    assert patches.read(f, states((71, 60)), 1) is not single
     # arrays that are gone give their id to others: each must be read anew
     for k in range(3 * MOST_REMEMBERED):
-        y = patches.read(f, states((70 + k, 60)), 1)
-        np.testing.assert_array_equal(y, patches.read(frame(smooth(9)), states((70 + k, 60)), 1))
+        y = patches.read(f, states((70 + k, 60), (60, 50)), 1)
+        np.testing.assert_array_equal(y, patches.read(frame(smooth(9)), states((70 + k, 60), (60, 50)), 1))
     assert len(f._patches) <= MOST_REMEMBERED
 
 
