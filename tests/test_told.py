@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from facetrack_cli.__main__ import main
 from facetrack_cli.errors import InputError
 from facetrack_cli.formats import table as module
 from facetrack_cli.formats.table import Table, read_trajectory
@@ -224,3 +226,32 @@ def test_columns_and_rows_of_a_csv_tell_the_same(
     with monkeypatch.context() as patch:
         patch.setattr(module, "_csv_columns", lambda _: None)
         assert read() == quick
+
+
+# --- what else reads trajectories ---
+
+
+@pytest.mark.parametrize("form", ["mot", "otb", "got10k", "vot", "coco", "dlc", "eaf"])
+def test_exports_are_those_of_a_tracker_that_tells_nothing(tmp_path: Path, form: str) -> None:
+    header = {"source": {"path": "clip.mp4", "size": [6, 4], "fps": 25.0}}
+    found = []
+    for name, told in (("plain", None), ("told", TOLD)):
+        folder = tmp_path / name
+        folder.mkdir()
+        writer = WRITERS["json"](FileSink(folder / "trajectory.json"), header)
+        for index in range(5):
+            writer.write(result(index, target(told)))
+        writer.close(Footer())
+        out = tmp_path / f"{name}.out"
+        assert main(["export", str(folder), "--to", form, "-o", str(out)]) == 0
+        text = out.read_text()
+        found.append(re.sub(r'DATE="[^"]*"|urn:nl-mpi-tools-elan-eaf:[^<"]*', "", text.replace(name, "")))
+    assert found[0] == found[1] and found[0]
+
+
+def test_it_is_measured_against_a_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / "t.json", [result(i, target(TOLD, who="anna", sure=0.9)) for i in range(5)])
+    truth = tmp_path / "truth.csv"
+    truth.write_text("frame,target,part,x,y,w,h\n" + "".join(f"{i},face,box,3,2,4,4\n" for i in range(5)))
+    assert main(["eval", str(path), "--truth", str(truth)]) == 0
+    assert "1.000" in capsys.readouterr().out

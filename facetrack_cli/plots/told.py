@@ -90,10 +90,10 @@ def adaptation(table: Table) -> Panel | None:
     if bounds is None or not errors.size:
         return None
     least, most, rate = bounds
+    # those far out share the last bar, or they would press all others, and the curve, flat
+    reach = min(max(2 * rate, 1.05 * float(np.quantile(errors, 0.98))), 5 * rate)
 
     def draw(axes: Axes) -> None:
-        # those far out share the last bar, or they would press all others flat
-        reach = max(2.0 * rate, 1.05 * float(np.quantile(errors, 0.98)))
         shares, edges = np.histogram(np.minimum(errors, reach), 60, (0, reach))
         low, high = min(least, most), max(least, most)
         tall = 0.9 * (high - low or 1.0) / max(int(shares.max()), 1)
@@ -114,6 +114,7 @@ def adaptation(table: Table) -> Panel | None:
         f"{least:.3g} + ({most:.3g} \N{MINUS SIGN} {least:.3g}) tanh(ε / {rate:.3g})",
         f"bars: the errors of this run, median {middle:.2f}",
         f"η there {float(eta(middle, least, most, rate)):.2f}",
+        *(["last bar: all beyond"] if (errors > reach).any() else []),
     ]
     return Panel("noise η over error ε", "; ".join(notes), 1.15, draw)
 

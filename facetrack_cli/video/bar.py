@@ -15,7 +15,7 @@ _QUIET: Colour = (190, 190, 190)
 _TROUGH: Colour = (130, 130, 130)
 LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the strip
 # what stands in the bar beside the status; the last goes first where it is narrow
-_ITEMS = ("frame", "gauge", "clock", "title", "percent", "adaptation")
+_ITEMS = ("frame", "gauge", "clock", "title", "percent", "scale", "particles")
 
 
 class StatusBar:
@@ -50,8 +50,8 @@ class StatusBar:
             "title": font.width(self._title) + gap if self._title else 0,
             "percent": font.width("100%") + gap,
         }
-        if adapted := adaptation(result.targets):
-            room["adaptation"] = font.width(adapted) + gap
+        adapted = adaptation(result.targets)
+        room |= {item: font.width(text) + gap for item, text in adapted.items()}
         shown, saying, spare = self._fit(sayings, room, self._width - 2 * gap - icon)
         if not sure:  # 0 % would be a lie of a tracker that does not say
             shown = tuple(item for item in shown if item not in ("gauge", "percent"))
@@ -79,13 +79,15 @@ class StatusBar:
         if title:
             stamp(strip, font.sprite(title, _QUIET), right - font.width(title), row)
             right -= font.width(title) + gap
-        if "adaptation" in shown:
-            stamp(strip, font.sprite(adapted, _QUIET), right - font.width(adapted), row)
+        for item, text in adapted.items():
+            if item in shown:
+                stamp(strip, font.sprite(text, _QUIET), right - font.width(text), row)
+                right -= room[item]
 
     def _fit(self, sayings: Sequence[str], room: dict[str, int], width: int) -> tuple[tuple[str, ...], str, int]:
         """The items and the wording of the status that fit, and the room left: rather fewer items than fewer words."""
         items = tuple(item for item in _ITEMS if item in room)
-        for counts in ((6, 5, 4, 3), (2, 1, 0)):
+        for counts in ((7, 6, 5, 4, 3), (2, 1, 0)):
             for saying in sayings:
                 for n in counts:
                     left = width - self._font.width(saying) - sum(room[k] for k in items[:n])
@@ -101,14 +103,18 @@ class StatusBar:
         return self._title[:length] + ".." if length > 7 else ""
 
 
-def adaptation(targets: Sequence[TargetResult]) -> str:
-    """Particles and scale of a single target that adapts both, always about as wide; "" of others."""
+def adaptation(targets: Sequence[TargetResult]) -> dict[str, str]:
+    """`scale`, and `particles` where their number follows the noise, of a single target that adapts; else nothing.
+
+    Each is about as wide in every frame.
+    """
     told = targets[0].told if len(targets) == 1 else None
     if told is None or told.scale is None or not math.isfinite(told.scale):
-        return ""
-    scale = f"scale {min(told.scale, 99.0):.2f}"
-    count = targets[0].particles
-    return scale if count is None or told.noise is None else f"{count:3d} particles  {scale}"
+        return {}
+    scale, count = f"scale {min(told.scale, 99.0):.2f}", targets[0].particles
+    return (
+        {"scale": scale} if count is None or told.noise is None else {"scale": scale, "particles": f"{count} particles"}
+    )
 
 
 def summary(targets: Sequence[TargetResult]) -> tuple[Status, list[str]]:
