@@ -326,6 +326,18 @@ def test_a_fixed_template_stays_as_it_was():
     np.testing.assert_array_equal(FIXED.score(learned, f, x), FIXED.score(start, f, x))
 
 
+def test_a_component_that_is_left_out_needs_no_sigma():
+    f, x = frame(smooth(15)), states((80, 60), (82, 61))
+    for mixing in ((0, 0, 2), (0, 1, 0), (1, 0, 1)):
+        with_, without = replace(MODEL, mixing=mixing), replace(MODEL, mixing=mixing)
+        without = replace(without, sigma=tuple(s if m else 0.0 for s, m in zip(MODEL.sigma, mixing, strict=True)))
+        a, b = (model.learn(model.init(f, TRUTH), f, TRUTH) for model in (with_, without))
+        np.testing.assert_array_equal(with_.score(a, f, x), without.score(b, f, x))
+        y = PATCHES.read(f, x, 1)
+        assert with_.error(a, y) == pytest.approx(without.error(b, y), rel=1e-6)
+        assert np.isfinite(with_.score(a, f, x)).all()
+
+
 def test_patches_are_read_at_the_scale_that_was_learned():
     # the same face, four times as large: the model's state says how far the picture is reduced
     grey = smooth(16, 120, 160, 4)

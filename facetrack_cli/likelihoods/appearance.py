@@ -98,9 +98,11 @@ class Appearance:
             )  # fmt: skip
             raise InputError(f"frame {frame.index}: {what}, so that there is no face to follow: choose another box")
         mixing = np.array(self.mixing) / sum(self.mixing)
-        m, sigma = (np.repeat(np.array(v, np.float32)[:, None], face.size, axis=1) for v in (mixing, self.sigma))
+        # a component that is left out may come without a sigma
+        sigmas = np.where(mixing > 0.0, self.sigma, 1.0)
+        m, sigma = (np.repeat(np.array(v, np.float32)[:, None], face.size, axis=1) for v in (mixing, sigmas))
         first = face.astype(np.float64)
-        moments = m[1].astype(np.float64) * np.stack([first, float(self.sigma[1]) ** 2 + np.square(first)])
+        moments = m[1].astype(np.float64) * np.stack([first, sigmas[1] ** 2 + np.square(first)])
         centres = np.repeat(face[None], 3, axis=0)
         return Mixture(m, centres, sigma, moments, x0, self.density == "laplace", self.outlier or 0.0)
 
