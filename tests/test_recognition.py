@@ -106,8 +106,9 @@ def test_everybody_is_named_within_ten_frames(shown, gallery, person, none):
     path = watch(recognition(gallery, none=none), x[10 * person + np.array([5, 6, 7, 8, 9, 5, 6, 7, 8, 9])])
     last = path[-1]
     assert max(last.posterior, key=last.posterior.get) == names[10 * person]
+    # of so few made-up people the threshold is a rough one: some frames speak for nobody
     assert last.posterior[names[10 * person]] > (0.75 if none else 0.9)
-    assert last.entropy < 0.3 < 0.5 * path[0].entropy
+    assert last.entropy < (0.6 if none else 0.3) < 0.5 * path[0].entropy
     assert path[1].posterior[names[10 * person]] < 0.7, "no frame decides alone"
 
 

@@ -128,8 +128,9 @@ class Recognition:
     def _log_joint(self, learned: Recognised, frame: Frame, x: Array) -> Array:
         """(N, L): log beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6)."""
         factor = self.appearance.patches.factor(learned.appearance.state)
-        key = self.gallery, self.none, self.sharpness, factor, self.appearance.patches
-        told = frame.remembered(key, x)
+        # of the array x itself, since `score` and `learn` ask for the same one
+        key = id(x), self.gallery, self.none, self.sharpness, factor, self.appearance.patches
+        told = frame.remembered(key)
         if told is None:
             patches = self.appearance.patches.read(frame, x, factor)
             frontal, log_n = self.gallery.log_scores(patches, sharpness=self.sharpness, none=self.none)
