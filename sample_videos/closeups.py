@@ -64,7 +64,7 @@ class Closeup:
         return np.asarray(shift.mean(axis=0))
 
 
-def _rotation(angle: float) -> Array:
+def rotation(angle: float) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
 
@@ -72,13 +72,13 @@ def _rotation(angle: float) -> Array:
 def box(shot: Closeup, t: int) -> tuple[float, float, float, float, float]:
     """The truth of frame t: middle, width, height, in pixels, and the roll in degrees, clockwise."""
     m, k, roll = shot.moments[t], float(shot.scale[t]), float(shot.roll[t])
-    shift = k * _rotation(roll) @ (shot.turned * (m.yaw, m.pitch))
+    shift = k * rotation(roll) @ (shot.turned * (m.yaw, m.pitch))
     x, y = shot.head[t] + shift
     side = k * shot.square[2]
     return float(x), float(y), side, side, float(np.degrees(roll))
 
 
-def _placed(layer: Picture, turn_by: Array, fixed: Array, at: Array) -> Picture:
+def placed(layer: Picture, turn_by: Array, fixed: Array, at: Array) -> Picture:
     """A layer of the portrait in the fine picture: scaled and rotated by `turn_by`, its point `fixed` at `at`."""
     a = FINE * turn_by
     k = float(np.sqrt(np.linalg.det(a)))
@@ -111,14 +111,14 @@ def render(shot: Closeup, t: int) -> Picture:
     for moment in (t + SHUTTER * u for u in _TIMES):
         k, roll = float(_at(shot.scale, moment)[0]), float(_at(shot.roll, moment)[0])
         head, camera = _at(shot.head, moment), _at(shot.camera, moment)
-        about = k * _rotation(roll)
+        about = k * rotation(roll)
         corner = np.array(shot.corner) + camera
         move = np.array([[1, 0, FINE * corner[0]], [0, 1, FINE * corner[1]]])
         moved = cv2.warpAffine(ground, move, (SIZE[0] * FINE, SIZE[1] * FINE), flags=cv2.INTER_LINEAR)
         picture = np.asarray(moved, dtype=np.float32)
         nape = head + about @ (neck - shot.middle)
-        picture = over(picture, _placed(body, k * _rotation(_BODY_ROLL * roll), neck, nape))
-        picture = over(picture, _placed(layer, about, shot.middle - np.array(shot.portrait.origin), head))
+        picture = over(picture, placed(body, k * rotation(_BODY_ROLL * roll), neck, nape))
+        picture = over(picture, placed(layer, about, shot.middle - np.array(shot.portrait.origin), head))
         shown.append(reduced(picture))
     return np.asarray(np.clip(np.mean(shown, axis=0), 0, None), dtype=np.float32)
 
@@ -142,11 +142,11 @@ def prove(shot: Closeup, t: int) -> None:
     middles = []
     for first in (left, left + side / 2):
         half = np.outer(along(top, side), along(first, side / 2))[..., None].astype(np.float32)
-        fine = _placed(np.dstack([half, half]), k * _rotation(roll), shot.middle, shot.head[t])
+        fine = placed(np.dstack([half, half]), k * rotation(roll), shot.middle, shot.head[t])
         alpha = reduced(fine)[..., 1].astype(np.float64)
         middles.append(np.array([(alpha * x).sum(), (alpha * y).sum()]) / alpha.sum())
     across = middles[1] - middles[0]
-    shift = k * _rotation(roll) @ (shot.turned * (m.yaw, m.pitch))
+    shift = k * rotation(roll) @ (shot.turned * (m.yaw, m.pitch))
     found = np.array([*(np.mean(middles, axis=0) + shift), 2 * np.hypot(*across)])
     bx, by, w, _, angle = box(shot, t)
     assert np.abs(found - (bx, by, w)).max() < 0.1, f"frame {t}: the face is at {found}, the truth says {bx, by, w}"

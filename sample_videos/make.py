@@ -1,4 +1,4 @@
-"""Render the sample clips anew, with their init files and their truth: `python sample_videos/make.py`.
+"""Render the sample clips and the gallery anew, with init files and truth: `python sample_videos/make.py`.
 
 Needs the `samples` extra (`pip install -e '.[samples]'`): the portraits are those that scikit-image and matplotlib
 carry.
@@ -22,6 +22,7 @@ from heads import textured, turning
 from lamp import lamp
 from numpy.typing import NDArray
 from occluders import cover
+from people import write_gallery
 from portraits import PARTS, Portrait
 from render import expose, face, truth
 from scenes import Scene, expressions, occlusion
@@ -100,26 +101,38 @@ CLIPS: Mapping[str, Callable[[], Clip]] = {
 }
 
 
+GALLERY = "gallery"
+
+
+def _write_clip(name: str, out: Path) -> None:
+    """The three files of a clip."""
+    clip = CLIPS[name]()
+    video = out / f"{name}.mp4"
+    write_video(video, clip.pictures, clip.crf)
+    write_truth(out / f"{name}.truth.csv", clip.truth)
+    write_init(out / f"{name}.init.yaml", clip.starts)
+    size, fast = video.stat().st_size / 1e6, fastest(clip.truth)
+    print(f"{video}: {len(clip.pictures)} frames, {size:.2f} MB, at most {fast:.1f} px a frame")
+
+
 def main() -> None:
-    """Render the clips named, or all."""
+    """Render the clips named, or all, and the gallery."""
+    names = [*CLIPS, GALLERY]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clips", nargs="*", metavar="CLIP", help=f"of {', '.join(CLIPS)}; all unless named")
+    parser.add_argument("clips", nargs="*", metavar="CLIP", help=f"of {', '.join(names)}; all unless named")
     parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent, help="folder (default: this one)")
     args = parser.parse_args()
-    for name in args.clips or CLIPS:
-        if name not in CLIPS:
-            parser.error(f"no clip {name!r}; there are {', '.join(CLIPS)}")
+    for name in args.clips or names:
+        if name not in names:
+            parser.error(f"no clip {name!r}; there are {', '.join(names)}")
+        args.out.mkdir(parents=True, exist_ok=True)
         try:
-            clip = CLIPS[name]()
+            if name == GALLERY:
+                write_gallery(args.out / GALLERY)
+            else:
+                _write_clip(name, args.out)
         except ModuleNotFoundError as error:
             parser.error(f"{error.name} is not installed; pip install -e '.[samples]'")
-        args.out.mkdir(parents=True, exist_ok=True)
-        video = args.out / f"{name}.mp4"
-        write_video(video, clip.pictures, clip.crf)
-        write_truth(args.out / f"{name}.truth.csv", clip.truth)
-        write_init(args.out / f"{name}.init.yaml", clip.starts)
-        size, fast = video.stat().st_size / 1e6, fastest(clip.truth)
-        print(f"{video}: {len(clip.pictures)} frames, {size:.2f} MB, at most {fast:.1f} px a frame")
 
 
 if __name__ == "__main__":
