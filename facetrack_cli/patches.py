@@ -60,10 +60,10 @@ class Patches:
         states = np.ascontiguousarray(x.reshape(-1, 6))
         (w, h), (width, height) = self.size, frame.size
         extent = affine.parallelograms_extent(states, w, h, width, height)
-        # between its border and the centre of its first block, a box is read from the block before too
-        grey, left, top = frame.grey(
-            factor, (extent[0] - factor, extent[1] - factor, extent[2] + factor, extent[3] + factor)
-        )
+        # between its border and the centre of its first block, a box is read from the block before too; after a single
+        # state mostly come particles around it
+        more = float(factor) if len(states) > 1 else factor + 0.15 * max(extent[2] - extent[0], extent[3] - extent[1])
+        grey, left, top = frame.grey(factor, (extent[0] - more, extent[1] - more, extent[2] + more, extent[3] + more))
         patches: NDArray[np.float32] = affine.read_patches(
             grey, left, top, factor, width, height, extent, states, w, h, *self.shape
         )

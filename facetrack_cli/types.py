@@ -65,8 +65,10 @@ class Frame:
         """The picture in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
         known = self._grey.get(factor)
         if known is None or not _within(extent, known[3]):
-            asked = _widened(extent, 6.0 * factor)
+            # what is reduced is widened there already
+            asked = _widened(extent, 6.0) if factor == 1 else extent
             picture, left, top = self.reduced(factor, asked)
+            asked = asked if factor == 1 else self._reduced[factor][3]
             height, width = picture.shape[:2]
             # what is reduced is already hardly more than the extent; the whole picture is much more
             x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
