@@ -19,6 +19,7 @@ COMMANDS = {
     "init": "Write where the track of a clip begins, as a file to edit.",
     "recipes": "List, show and check the recipes of trackers.",
     "prior": "Learn shape priors from annotated frames, and draw them.",
+    "gallery": "Learn who is who from pictures and videos, and draw it.",
     "eval": "Measure a trajectory against the truth.",
     "compare": "Run and rank several recipes on a clip with truth.",
     "repeat": "Show how far a recipe's runs differ from seed to seed.",
