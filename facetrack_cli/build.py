@@ -181,7 +181,12 @@ def _affine_target(given: ParticleFilter, recipe_: Recipe, name: str, start: Sta
         space=AffineSpace((box[2], box[3])),
         x0=affine_state_of_box(*box),
         particles=given.particles,
-        motion=AffineWalk(motion.sigma.pixels(_size_of_box(start, name)), motion.deform, *given.target.scale),
+        motion=AffineWalk(
+            motion.sigma.pixels(_size_of_box(start, name)),
+            motion.deform,
+            motion.deform if motion.shear is None else motion.shear,
+            *given.target.scale,
+        ),
         likelihood=_appearance(given, recipe_, patches),
         prior=None,
         step=_step(given.filter),

@@ -79,7 +79,9 @@ class AffineWalk(Section):
     sigma: Length
     """r_0 u_0 of the place: standard deviation along x and y."""
     deform: Annotated[float, Field(ge=0, le=1)]
-    """r_0 u_0 of a1 to a4, the deformation, which is 1, 0, 0, 1 at the start."""
+    """r_0 u_0 of the deformation [[a1, a2], [a3, a4]], the identity at the start: of its scale and its turn."""
+    shear: Annotated[float, Field(ge=0, le=1)] | None = None
+    """... and of its stretch along one side and its shear; null: the same; 0: the box keeps its shape."""
     velocity: Velocity | None = None
     """nu_t; null: none, the target is expected where it was."""
     noise: Noise | None = None
