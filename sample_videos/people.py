@@ -55,9 +55,9 @@ def _ines(head: Picture) -> Picture:
 
 
 def _viktor(head: Picture) -> Picture:
-    head = paint.dyed(head, (1.62, 1.62, 1.60), 0.75)
-    head = paint.brows(paint.moustache(head, (186.0, 192.0, 196.0), 321), (150.0, 156.0, 162.0), 322, 4.0)
-    return paint.glasses(head, (34.0, 38.0, 48.0), (2.4, 1.0), (17.0, 11.5), 3.5, 0.12)
+    head = paint.dyed(head, (1.62, 1.62, 1.6), 0.75)
+    head = paint.brows(paint.moustache(head, (206.0, 212.0, 216.0), 321), (150.0, 156.0, 162.0), 322, 4.0)
+    return paint.glasses(head, (40.0, 44.0, 56.0), (2.0, 0.5), (16.0, 11.0), 3.0, 0.0)
 
 
 def _marta(head: Picture) -> Picture:
