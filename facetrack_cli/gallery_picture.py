@@ -26,7 +26,10 @@ TITLE, HEAD, BODY = Font(15), Font(11), Font(9)
 
 
 def draw_gallery(gallery: Gallery, title: str) -> Image:
-    """(H, WIDTH, 3); H grows with the number of persons. A name longer than its face is wide is cut, numbers lead."""
+    """(H, WIDTH, 3), all of it grey; H grows with the number of persons.
+
+    A name that has no room on two lines is cut; the numbers are those of the list that `gallery show` prints.
+    """
     above = _heading(gallery, title)
     spaces = _spaces(gallery)
     people = _people(gallery)

@@ -9,6 +9,7 @@ import pytest
 from facetrack_cli.gallery import fit_gallery, load_gallery
 from facetrack_cli.gallery_picture import WIDTH, calibrated, draw_gallery, kept
 from tests.gallery_faces import NAMES, people_folder
+from tests.samples import FOLDER
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +63,13 @@ def test_fit_and_show(facetrack, clips):
     assert code == 2 and "own.png" in err and "--overwrite" in err
     assert facetrack("gallery", "show", "own.npz", "--overwrite")[0] == 0
     assert names_here() == ["own.npz", "own.png"]
+
+
+def test_the_sample_gallery_is_whole(facetrack):
+    code, _, err = facetrack("gallery", "fit", FOLDER / "gallery", "--jitter", "0")
+    assert code == 0 and "warning" not in err
+    gallery = load_gallery(Path("gallery.npz"))
+    assert len(gallery.names) == 6 and gallery.counts == (5,) * 6
 
 
 def test_equal_input_gives_equal_bytes(facetrack, clips):
@@ -140,6 +148,7 @@ def test_the_picture_has_everyone_in_it(count):
     gallery = some_gallery(names, pictures=2, shape=(15, 13))
     picture = draw_gallery(gallery, "gallery.npz")
     assert picture.shape[1:] == (WIDTH, 3) and picture.dtype == np.uint8 and picture.shape[0] < 4200
+    assert (picture == picture[..., :1]).all()  # it is stored as one channel
     # no text or face runs out of the page
     edge = np.concatenate([picture[:, :20], picture[:, -20:]], axis=1)
     assert (edge == 255).all() and (picture[-6:] == 255).all()

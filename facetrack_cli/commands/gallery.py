@@ -52,7 +52,7 @@ def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[i
     help="Where the gallery goes.",
 )
 @click.option(
-    "--frames", metavar="N", type=Whole(1, 10_000), default=15, show_default=True, help="Of each video, most."
+    "--frames", metavar="N", type=Whole(1, 10_000), default=15, show_default=True, help="Frames of each video, at most."
 )
 @click.option("--start", metavar="N", type=FRAME, default=0, help="First frame of videos that is used.")
 @click.option("--stop", metavar="N", type=FRAME, help="Frame of videos before which to stop.")
@@ -173,7 +173,8 @@ def show(file: Path, out: Path | None, overwrite: bool) -> None:
         raise OutputError(f"{out}: the picture is a PNG; let its name end in .png")
     gallery = load_gallery(file)
     check_new(out, overwrite=overwrite, inputs=[file])
-    done, data = cv2.imencode(".png", draw_gallery(gallery, file.name), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    grey = draw_gallery(gallery, file.name)[..., 0]
+    done, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     assert done
     write_new(out, data.tobytes(), overwrite=overwrite)
 
