@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -97,10 +98,17 @@ PEOPLE: Mapping[str, Person] = {
 }  # fmt: skip
 
 
+@cache
 def _source(name: str) -> tuple[Portrait, Cutout, tuple[float, float, float]]:
     if name == "hopper":
         return hopper(), hopper_cutout(), HOPPER
     return astronaut(), astronaut_cutout(), SQUARE
+
+
+@cache
+def _surface() -> Picture:
+    """Normals of the head in NASA's portrait."""
+    return normals(relief(astronaut_cutout()))
 
 
 def _suited(body: Picture, colour: Colour) -> Picture:
@@ -137,7 +145,7 @@ def picture(name: str, i: int) -> NDArray[np.uint8]:
     k = square[2] / SQUARE[2]
     move = np.array([[k, 0, square[0] - k * SQUARE[0]], [0, k, square[1] - k * SQUARE[1]]])
     h, w = cutout.head.shape[:2]
-    surface = cv2.warpAffine(normals(relief(astronaut_cutout())), move, (w, h), borderMode=cv2.BORDER_REPLICATE)
+    surface = cv2.warpAffine(_surface(), move, (w, h), borderMode=cv2.BORDER_REPLICATE)
     side = rng.uniform(0.1, 0.4)
     strength = np.array([[side, 0.0] if rng.uniform() < 0.5 else [0.0, side]])
     still = np.array([moment.yaw]), np.zeros(1), np.zeros((1, 2))
