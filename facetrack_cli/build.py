@@ -11,6 +11,7 @@ from facetrack_cli import filters, recipe
 from facetrack_cli.confidence import Confidence
 from facetrack_cli.errors import InputError, RecipeError
 from facetrack_cli.exclusion import Exclusion
+from facetrack_cli.gallery import load_gallery
 from facetrack_cli.guide import Guide, Noise, Velocity
 from facetrack_cli.lengths import Length
 from facetrack_cli.likelihoods.appearance import Appearance
@@ -19,6 +20,7 @@ from facetrack_cli.likelihoods.contour import Contour
 from facetrack_cli.likelihoods.correlation import Correlation
 from facetrack_cli.likelihoods.histogram import Histogram
 from facetrack_cli.likelihoods.product import Factor, ObjectFactor, Product
+from facetrack_cli.likelihoods.recognition import Recognition, TemplateError
 from facetrack_cli.likelihoods.skin_cloud import SkinCloud
 from facetrack_cli.likelihoods.skin_ncc import Ncc, Skin, SkinNcc
 from facetrack_cli.motion import AffineWalk, FirstOrder, RandomWalk
@@ -199,7 +201,7 @@ def _affine_target(given: ParticleFilter, recipe_: Recipe, name: str, start: Sta
 def _appearance(given: ParticleFilter, recipe_: Recipe, patches: Patches) -> Likelihood:
     a = given.likelihood
     assert isinstance(a, recipe.Appearance)
-    return Appearance(
+    appearance = Appearance(
         patches,
         alpha=a.alpha,
         mixing=(a.mixing.w, a.mixing.s, a.mixing.f),
@@ -209,6 +211,16 @@ def _appearance(given: ParticleFilter, recipe_: Recipe, patches: Patches) -> Lik
         density=a.density,
         outlier=a.outlier,
     )
+    if (r := given.recognition) is None:
+        return appearance
+    if r.gallery is None:
+        message = "nobody is known to recognise; give --gallery FILE, as facetrack gallery fit writes it"
+        raise recipe_.error("recognition.gallery", message)
+    path = recipe.resolve_file(recipe_, r.gallery)
+    try:
+        return Recognition(appearance, load_gallery(path), none=r.none, switch=r.switch, sharpness=r.sharpness)
+    except TemplateError as e:
+        raise recipe_.error("recognition.gallery", f"{path}: {e}") from None
 
 
 def _seen_box(start: Start, name: str) -> Box:
@@ -329,7 +341,7 @@ def _prior(
 
 def _step(given: recipe.Filter) -> filters.Step:
     if isinstance(given, recipe.Adaptive):
-        return filters.Adaptive(given.particles, given.adapt, given.entropy, given.least)
+        return filters.Adaptive(given.particles, given.adapt, given.entropy, given.least, given.centre)
     resample = SCHEMES[given.resampling]
     if isinstance(given, recipe.Sir):
         return filters.Sir(resample)

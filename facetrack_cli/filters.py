@@ -192,6 +192,7 @@ class Adaptive:
     adapt: bool = True
     entropy: float = 0.0
     least: int = 10
+    centre: bool = False
 
     def number(self, ahead: Ahead) -> int:
         """J_t."""
@@ -204,6 +205,8 @@ class Adaptive:
         ahead = model.ahead
         parents = np.repeat(ahead.state[None], self.number(ahead), axis=0)
         x = model.propagate(rng, parents)
+        if self.centre:
+            x[0] = ahead.state + ahead.shift
         log_w = normalise(_log_observation(model, x, parents))
         return Particles(x, log_w), _joint_info(x, log_w)
 

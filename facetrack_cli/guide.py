@@ -17,6 +17,10 @@ none at all included. tests/test_guide.py proves on translated, turned and scale
 Adaptive noise (eq. 13). r_t / r_0 = eta(eps) = a + (b - a) tanh(eps / c): tight after a good prediction, wide after a
 bad one. phi is that of the likelihood, the mean squared distance from the appearance in its standard deviations.
 
+Beyond the paper: `towards` "appearance" takes for y what the appearance model expects, so that small errors do not add
+up from frame to frame; `search` first looks for that patch over so much of the box around, by normalised correlation,
+and begins there if the error is less.
+
 V and S come from the eigenvectors of Y^T Y (J x J), and B is never written out: -B D = -X V_q S_q^-2 V_q^T Y^T D.
 """
 
@@ -24,16 +28,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.filters import Ahead
+from facetrack_cli.patches import Patches
 from facetrack_cli.types import Array, Frame
-
-if TYPE_CHECKING:
-    from facetrack_cli.patches import Patches
 
 Rows: TypeAlias = NDArray[np.float32]
 # of the largest singular value: directions in which the patches differ by less are rounding
@@ -48,11 +51,16 @@ class Moves(Protocol):
 
 @dataclass(frozen=True)
 class Velocity:
-    """`components`: q; `iterations` at most; `settle`: it ends when eps falls by less than this share."""
+    """`components`: q; `iterations` at most; `settle`: it ends when eps falls by less than this share.
+
+    `towards` is "last" as published, or "appearance"; `search` is in units of the box, 0 for none.
+    """
 
     components: int = 20
     iterations: int = 10
     settle: float = 0.02
+    towards: str = "last"
+    search: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -105,15 +113,27 @@ class Guide:
         rows = self.patches.read(frame, x, factor) - patch
         return Flow(state, patch, gain(x[:, 0] - state[0], rows, self.velocity.components), rows)
 
-    def predict(self, flow: Flow, frame: Frame, error: Callable[[Rows], Array]) -> Ahead:
-        """Where the target is expected in `frame`; `error` is phi of patches (N, d) -> (N,)."""
+    def predict(self, flow: Flow, frame: Frame, error: Callable[[Rows], Array], expected: Callable[[], Rows]) -> Ahead:
+        """Where the target is expected in `frame`.
+
+        `error` is phi of patches (N, d) -> (N,), `expected` the patch (d,) that the appearance model expects.
+        """
+        wanted = flow.patch
+        if self.velocity is not None and self.velocity.towards == "appearance":
+            wanted = expected()
         factor = self.patches.factor(flow.state)
         shift = best = np.zeros_like(flow.state)
         patch = self.patches.read(frame, flow.state[None], factor)
         least = float(error(patch)[0])
+        if self.velocity is not None and self.velocity.search > 0:
+            found = self._search(flow.state, frame, factor, expected())
+            there = self.patches.read(frame, (flow.state + found)[None], factor)
+            now = float(error(there)[0])
+            if now < least:
+                least, shift, best, patch = now, found, found, there
         for _ in range(0 if self.velocity is None else self.velocity.iterations):
             assert self.velocity is not None
-            shift = shift - (flow.gain @ (flow.rows @ (patch[0] - flow.patch))[:, None]).T
+            shift = shift - (flow.gain @ (flow.rows @ (patch[0] - wanted))[:, None]).T
             patch = self.patches.read(frame, (flow.state + shift)[None], factor)
             now = float(error(patch)[0])
             settled = now > least * (1 - self.velocity.settle)
@@ -122,6 +142,19 @@ class Guide:
             if settled:
                 break
         return Ahead(flow.state, best, 1.0 if self.noise is None else self.noise.eta(least), least)
+
+    def _search(self, state: Array, frame: Frame, factor: int, expected: Rows) -> Array:
+        """(1, 6): the shift to the place around `state` at which the picture is most like the expected patch (d,)."""
+        assert self.velocity is not None
+        rows, columns = self.patches.shape
+        w, h = self.patches.size
+        m, n = (max(round(self.velocity.search * side), 1) for side in (rows, columns))
+        around = Patches((w * (1 + 2 * n / columns), h * (1 + 2 * m / rows)), (rows + 2 * m, columns + 2 * n))
+        field = around.read(frame, state[None], factor)[0].reshape(around.shape)
+        match = cv2.matchTemplate(field, expected.reshape(self.patches.shape), cv2.TM_CCOEFF_NORMED)
+        _, _, _, (x, y) = cv2.minMaxLoc(match)
+        place = state[0, 2:].reshape(2, 2) @ ((x - n) * w / columns, (y - m) * h / rows)
+        return np.array([[*place, 0.0, 0.0, 0.0, 0.0]])
 
 
 def gain(x: Array, rows: Rows, components: int) -> Array:

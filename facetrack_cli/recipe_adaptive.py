@@ -52,6 +52,10 @@ class Velocity(Section):
     """How often the shift is corrected at most."""
     settle: Annotated[float, Field(ge=0, lt=1)] = 0.02
     """It ends when the error falls by less than this share."""
+    towards: Literal["last", "appearance"] = "last"
+    """What the picture should become again: the patch of the last frame, as published, or what the model expects."""
+    search: Annotated[float, Field(ge=0, le=3)] = 0.0
+    """Beyond the paper: first look for the face so far around, in units of its box; 0: do not."""
 
 
 class Noise(Section):
@@ -146,6 +150,8 @@ class Adaptive(Section):
     """d of eq. 17, by which there are more or fewer as the identity becomes less or more certain."""
     least: Annotated[int, Field(ge=1)] = 10
     """Never fewer particles than this."""
+    centre: bool = False
+    """Beyond the paper: the first particle is the predicted place itself."""
 
 
 class Recognition(Section):
@@ -157,3 +163,5 @@ class Recognition(Section):
     """Beyond the paper: whether it may also be none of them."""
     switch: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Probability that the identity changes from frame to frame (section 2.2)."""
+    sharpness: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Beyond the paper: below 1 a patch says less of who it is: the log of eq. 16 times this."""

@@ -48,6 +48,9 @@ class Adapts(Protocol):
     def error(self, learned: Any, patches: Any) -> Array:
         """(N,): phi(y, a_t) of patches y (N, d)."""
 
+    def expected(self, learned: Any) -> Any:
+        """(d,): the patch that the model expects, its mean."""
+
     def tell(self, learned: Any) -> Told: ...
 
 
@@ -225,7 +228,9 @@ class ParticleTarget:
             return Ahead(estimated, np.zeros_like(estimated))
         adapts, learned = self._adapts, state.learned
         assert state.flow is not None and adapts is not None
-        ahead = self.guide.predict(state.flow, frame, lambda patches: adapts.error(learned, patches))
+        ahead = self.guide.predict(
+            state.flow, frame, lambda patches: adapts.error(learned, patches), lambda: adapts.expected(learned)
+        )
         entropy = None if state.told is None else state.told.entropy
         if entropy is None:
             return ahead

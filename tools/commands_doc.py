@@ -209,6 +209,7 @@ def value(schema: Schema, field: Schema) -> str:
         return ", ".join(f"`{one}`" for one in field["enum"])
     words = {
         "null": "`null`",
+        "boolean": "`true` or `false`",
         "string": "text",
         "array": "list of names",
         "integer": "whole number",

@@ -139,6 +139,10 @@ class Appearance:
         match = np.asarray(kernel.best_matches(y, learned.mu[1:]))
         return np.clip(1.0 - match, 0.0, 1.0)[:, None]
 
+    def expected(self, learned: Mixture) -> NDArray[np.float32]:
+        """(d,): the mean of the mixture in each pixel."""
+        return np.asarray((learned.m * learned.mu).sum(axis=0))
+
     def tell(self, learned: Mixture) -> Told:
         """S and W as grey pictures, those that take part, as the paper's figure 3 shows them."""
         shown = [(name, i) for name, i in (("S", 1), ("W", 0)) if self.mixing[i] > 0] or [("F", 2)]

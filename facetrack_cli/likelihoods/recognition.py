@@ -35,6 +35,10 @@ _LEAST_WEIGHT = 1e-9
 _NEVER = -1e30
 
 
+class TemplateError(InputError):
+    """A gallery whose faces have another size than the tracker's template."""
+
+
 @dataclass(frozen=True, eq=False)
 class Recognised:
     """What is known after a frame: the appearance, and log beta (N,) of the identities `names`, with logsumexp 0."""
@@ -63,8 +67,8 @@ class Recognised:
 class Recognition:
     """A likelihood of the `Appearance` kind that also says who it is.
 
-    `sharpness` multiplies the log of eq. 16, 1 as published: below it a patch says less of who it is. Raises InputError
-    for a gallery of another template size.
+    `sharpness` multiplies the log of eq. 16, 1 as published: below it a patch says less of who it is. Raises
+    TemplateError for a gallery of another template size.
     """
 
     appearance: Appearance
@@ -79,7 +83,7 @@ class Recognition:
                 "{} points high and {} wide".format(*shape)
                 for shape in (self.appearance.patches.shape, self.gallery.shape)
             )
-            raise InputError(
+            raise TemplateError(
                 f"the gallery's faces are {its}, and the recipe's template is {mine}; "
                 "fit a gallery of that size, or change the template"
             )
@@ -119,6 +123,10 @@ class Recognition:
     def distances(self, learned: Recognised, frame: Frame, x: Array) -> Array:
         """(N, 1) of x (N, 1, 6), those of the appearance."""
         return self.appearance.distances(learned.appearance, frame, x)
+
+    def expected(self, learned: Any) -> Any:
+        """(d,): what the appearance model expects."""
+        return self.appearance.expected(learned.appearance)
 
     def tell(self, learned: Recognised) -> Told:
         """What the appearance tells, the posterior and its entropy."""
