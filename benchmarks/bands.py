@@ -141,7 +141,7 @@ def one_run(folder: Path, path: Path, case: Case, seed: int) -> Array | None:
     clip = folder / golden.clip
     results = track(tracker, frames_of(clip, golden, case.noise, seed), seed)
     table: Table = from_rows(clip, (row for result in results for row in rows(result)))
-    return measure([table], golden.statistics)
+    return measure([table], golden.statistics, golden.names)
 
 
 def cell(golden: Golden, case: Case, runs: Array) -> tuple[str, int, bool]:

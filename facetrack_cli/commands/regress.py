@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     help="Only this recipe, a file or a name; repeatable [default: all that have goldens].",
 )
 @click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Check with this key changed; repeatable.")
+@click.option(
+    "--gallery", metavar="FILE", type=click.Path(path_type=Path),
+    help="People that recipes with recognition know; a golden remembers its own.",
+)  # fmt: skip
 @click.option("--update", is_flag=True, help="Record goldens instead: of --config, else of all that have one.")
 @click.option("--seeds", metavar="N", type=Whole(min=20, max=500), help="Runs to record a golden from [default: 40].")
 @click.option("--stop", metavar="N", type=Whole(min=2), help="Record up to this frame only; for slow trackers.")
@@ -43,6 +47,7 @@ def command(
     folder: Path,
     configs: tuple[str, ...],
     overrides: tuple[str, ...],
+    gallery: Path | None,
     update: bool,
     seeds: int | None,
     stop: int | None,
@@ -65,6 +70,7 @@ def command(
     Examples:
       facetrack regress sample_videos -j 2 --junit regress.xml
       facetrack regress clips --config factorized --update
+      facetrack regress clips --config adaptive_recognition --gallery people.npz --update
       facetrack regress clips --update --seeds 60
       facetrack regress sample_videos --config sir --set motion.sigma=0.13
 
@@ -88,9 +94,9 @@ def command(
     with Stop().listening() as ending, contextlib.closing(progress(quiet)) as shown:
         shown.begin(str(folder), "frames", None)
         if update:
-            code = _update(folder, configs, seeds or 40, stop, workers, ending, shown)
+            code = _update(folder, configs, gallery, seeds or 40, stop, workers, ending, shown)
         else:
-            code = _check(folder, configs, overrides, junit, json_file, overwrite, workers, ending, shown)
+            code = _check(folder, configs, overrides, gallery, junit, json_file, overwrite, workers, ending, shown)
     ctx.exit(ending.code or code)
 
 
@@ -98,6 +104,7 @@ def _check(
     folder: Path,
     configs: tuple[str, ...],
     overrides: tuple[str, ...],
+    gallery: Path | None,
     junit: Path | None,
     json_file: Path | None,
     overwrite: bool,
@@ -119,6 +126,7 @@ def _check(
         goldens,
         given,
         overrides,
+        gallery=gallery,
         workers=workers,
         stopped=ending,
         report=lambda done, total: shown.update(done, total or None),
@@ -140,6 +148,7 @@ def _check(
 def _update(
     folder: Path,
     configs: tuple[str, ...],
+    gallery: Path | None,
     seeds: int,
     stop: int | None,
     workers: int,
@@ -154,6 +163,7 @@ def _update(
         configs,
         seeds,
         stop,
+        gallery=gallery,
         workers=workers,
         stopped=ending,
         report=lambda done, total: shown.update(done, total or None),

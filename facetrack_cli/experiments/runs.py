@@ -29,6 +29,7 @@ from facetrack_cli.batch import cores, use_threads, worker_context
 from facetrack_cli.build import build_tracker
 from facetrack_cli.errors import FacetrackError, InputError
 from facetrack_cli.formats.table import Table, Whole, series
+from facetrack_cli.formats.told import ToldSeries, from_columns
 from facetrack_cli.job import check_windows
 from facetrack_cli.recipe import Recipe
 from facetrack_cli.start import check_start
@@ -127,8 +128,13 @@ class _Log:
     def __init__(self) -> None:
         self._columns: dict[tuple[str, str], dict[str, array[float]]] = {}
         self._status: dict[tuple[str, str], list[str]] = {}
+        # of the targets, a row a frame each
+        self._who: list[tuple[str, int, str, float]] = []
 
     def add(self, result: Result) -> None:
+        for target in result.targets:
+            if target.identity and target.identity_prob is not None:
+                self._who.append((target.name, result.frame.index, target.identity, target.identity_prob))
         for row in rows(result):
             key = (row.target, row.part)
             if key not in self._columns:
@@ -144,7 +150,14 @@ class _Log:
         for (target, part), columns in self._columns.items():
             values = {name: np.array(column) for name, column in columns.items()}
             found.append(series(target, part, values.pop("frame"), status=self._status[target, part], **values))
-        return Table(source.path, tuple(found), _header(source.size))
+        return Table(source.path, tuple(found), _header(source.size), self._told(source.path))
+
+    def _told(self, path: Path) -> tuple[ToldSeries, ...]:
+        """Who each target is, of those of which anything is said."""
+        if not self._who:
+            return ()
+        targets, frames, names, probabilities = zip(*self._who, strict=True)
+        return from_columns(path, targets, np.array(frames), np.array(names, dtype=np.str_), np.array(probabilities))
 
 
 def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Table:

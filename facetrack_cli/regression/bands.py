@@ -7,7 +7,8 @@
 
 A single position says little: seeds differ, and on another processor rounding makes a run part from its twin like
 another seed. A statistic averages over a span of frames of one part: mean x and y over about 25 frames; over a quarter
-of the clip mean log std_x, std_y, ess and step length |x_t - x_{t-1}|, mean confidence, share of frames lost.
+of the clip mean log std_x, std_y, ess and step length |x_t - x_{t-1}|, mean confidence, share of frames lost; and of
+a tracker that gives them, mean log w, h and number of particles, mean angle and probability of who it is (`names.py`).
 
 *The test* is a permutation test (`exchange.py`) of three families of statistics, each with a false alarm probability
 of ALPHA at most, so together below 1 in 1000:
@@ -25,7 +26,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, TypeAlias
 
@@ -35,9 +36,12 @@ from numpy.typing import NDArray
 from facetrack_cli.formats.table import Mask, Series, Table
 from facetrack_cli.regression import exchange
 from facetrack_cli.regression.exchange import FAR
+from facetrack_cli.regression.names import names, probability
 from facetrack_cli.types import Array
 
-Name: TypeAlias = Literal["x", "y", "w", "h", "std_x", "std_y", "ess", "step", "confidence", "lost"]
+Name: TypeAlias = Literal[
+    "x", "y", "w", "h", "angle", "std_x", "std_y", "ess", "step", "particles", "confidence", "lost", "identity"
+]  # fmt: skip
 
 SEEN_SPREAD: Final = 0.22  # changes of mean logarithms that must be seen; see `runs_to_test`
 SEEN_STEP: Final = 0.13
@@ -67,12 +71,15 @@ QUANTITIES: Final[dict[Name, Quantity]] = {
     "y": Quantity(BLOCK, 0.05, 0.1, "mean y", " px"),
     "w": Quantity(BLOCK, 0.005, 0.01, "mean width", " px", 0.0),
     "h": Quantity(BLOCK, 0.005, 0.01, "mean height", " px", 0.0),
+    "angle": Quantity(BLOCK, 0.05, 0.1, "mean angle", "°"),
     "std_x": Quantity(QUARTER, 0.01, 0.03, "mean std_x", " px", 0.05),
     "std_y": Quantity(QUARTER, 0.01, 0.03, "mean std_y", " px", 0.05),
     "ess": Quantity(QUARTER, 0.01, 0.03, "mean ess", "", 0.0),
     "step": Quantity(QUARTER, 0.01, 0.03, "mean step", " px", 0.05),
+    "particles": Quantity(QUARTER, 0.005, 0.01, "mean number of particles", "", 0.0),
     "confidence": Quantity(QUARTER, 0.005, 0.02, "mean confidence"),
     "lost": Quantity(QUARTER, 0.005, 0.03, "share of frames lost"),
+    "identity": Quantity(QUARTER, 0.005, 0.02, "mean probability of who it is"),
 }
 
 
@@ -145,24 +152,28 @@ class Verdict:
 
 
 def choose(tables: Sequence[Table]) -> tuple[Statistic, ...]:
-    """The statistics that runs of this clip have: none that the tracker never gives, and no sizes that are fixed."""
+    """The statistics that runs of this clip have: none that the tracker never gives, and nothing that is fixed."""
     found = []
+    named = names(tables)
     for name, q in QUANTITIES.items():
         for i, one in enumerate(tables[0].series):
-            values = np.stack([_VALUES[name](table.series[i]) for table in tables])
+            values = np.stack([_values(name, table, table.series[i], named) for table in tables])
             told = np.isfinite(values)
-            if not told.any() or (name in ("w", "h") and np.ptp(values[told]) < 1e-9):
+            if not told.any() or (name in _MAY_BE_FIXED and np.ptp(values[told]) < 1e-9):
                 continue
             found += [Statistic(name, one.name, *span) for span in _spans(one.frame[1:].tolist(), q)]
     return tuple(found)
 
 
-def measure(tables: Sequence[Table], statistics: Sequence[Statistic]) -> Array:
+def measure(tables: Sequence[Table], statistics: Sequence[Statistic], named: Mapping[str, str] | None = None) -> Array:
     """(S, F), in whole units of each quantity, nan where a run has no value in a span.
+
+    `named` is whose probability is meant of each target that is named; by default who most of these runs say it is.
 
     Every table must have the series, and the frames, that the statistics were chosen from.
     """
     rows = []
+    named = names(tables) if named is None else named
     for table in tables:
         known: dict[tuple[str, str], Array] = {}
         by_name = {one.name: one for one in table.series}
@@ -170,7 +181,7 @@ def measure(tables: Sequence[Table], statistics: Sequence[Statistic]) -> Array:
         for s in statistics:
             one = by_name[s.series]
             if (s.quantity, s.series) not in known:
-                known[s.quantity, s.series] = _VALUES[s.quantity](one)
+                known[s.quantity, s.series] = _values(s.quantity, table, one, named)
             inside: Mask = (one.frame >= s.first) & (one.frame <= s.last)
             values = known[s.quantity, s.series][inside]
             values = values[np.isfinite(values)]
@@ -220,15 +231,25 @@ def _log(values: Array, offset: float | None) -> Array:
         return np.asarray(np.log(values + (offset or 0.0)))
 
 
+def _values(quantity: Name, table: Table, one: Series, named: Mapping[str, str]) -> Array:
+    """(T,) of a series; of who it is, the probability of who its target is said to be."""
+    if quantity == "identity":
+        return probability(table, one, named.get(one.target, ""))
+    return _VALUES[quantity](one)
+
+
+_MAY_BE_FIXED: Final = ("w", "h", "angle", "particles")
 _VALUES: Final[dict[Name, Callable[[Series], Array]]] = {
     "x": lambda one: one.x,
     "y": lambda one: one.y,
     "w": lambda one: _log(one.w, 0.0),
     "h": lambda one: _log(one.h, 0.0),
+    "angle": lambda one: one.angle,
     "std_x": lambda one: _log(one.std_x, QUANTITIES["std_x"].offset),
     "std_y": lambda one: _log(one.std_y, QUANTITIES["std_y"].offset),
     "ess": lambda one: _log(one.ess, 0.0),
     "step": lambda one: _log(_steps(one), QUANTITIES["step"].offset),
+    "particles": lambda one: _log(one.particles, 0.0),
     "confidence": lambda one: one.confidence,
     "lost": lambda one: np.asarray(one.status == "lost", dtype=float),
 }

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import itertools
-import os
+import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from facetrack_cli.errors import FacetrackError, InputError, RecipeError, UsageError
+from facetrack_cli.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.experiments.begin import find_plan_start
 from facetrack_cli.experiments.runs import Failure, Plan, Report, SeedRun, run_plans
 from facetrack_cli.opencv import find as find_opencv
-from facetrack_cli.recipe import OpenCvRecipe, Recipe, completed, load_recipe, shipped_folder, to_dict
+from facetrack_cli.recipe import (
+    OpenCvRecipe,
+    ParticleRecipe,
+    Recipe,
+    completed,
+    load_recipe,
+    resolve_file,
+    shipped_folder,
+    to_dict,
+)
 from facetrack_cli.regression.bands import Deviation, Verdict, judge, measure
 from facetrack_cli.regression.goldens import (
     FIRST_SEED,
+    Gallery,
     Golden,
+    beside,
     checksum,
     differences,
     find_goldens,
@@ -28,6 +39,7 @@ from facetrack_cli.regression.goldens import (
     versions,
     write_golden,
 )
+from facetrack_cli.regression.names import sentence
 from facetrack_cli.regression.paths import Leave, first_leave
 from facetrack_cli.start import find_init
 from facetrack_cli.stopping import Stop
@@ -98,6 +110,7 @@ def check(
     recipes: Sequence[Recipe] = (),
     overrides: Sequence[str] = (),
     *,
+    gallery: Path | None = None,
     first_seed: int = 0,
     workers: int = 1,
     stopped: Stop | None = None,
@@ -105,12 +118,12 @@ def check(
 ) -> Iterator[Checked]:
     """Run every golden's clip and judge what comes out, in their order; fewer results once `stopped` says so.
 
-    `recipes` are taken in place of the goldens' own of the same name, `overrides` are set in these. Seeds count from
-    `first_seed`.
+    `recipes` are taken in place of the goldens' own of the same name, `overrides` are set in these, and `gallery` is
+    taken in place of theirs. Seeds count from `first_seed`.
     """
     stopped = stopped or Stop()
     given = {recipe.name: recipe for recipe in recipes}
-    prepared = [_prepare(folder, path, golden, given, overrides, first_seed) for path, golden in goldens]
+    prepared = [_prepare(folder, path, golden, given, overrides, gallery, first_seed) for path, golden in goldens]
     plans = [one for one in prepared if isinstance(one, Plan)]
     runs = run_plans(plans, workers, stopped, report)
     for (path, golden), one in zip(goldens, prepared, strict=True):
@@ -131,7 +144,13 @@ def check(
 
 
 def _prepare(
-    folder: Path, path: Path, golden: Golden, given: Mapping[str, Recipe], overrides: Sequence[str], first_seed: int
+    folder: Path,
+    path: Path,
+    golden: Golden,
+    given: Mapping[str, Recipe],
+    overrides: Sequence[str],
+    gallery: Path | None,
+    first_seed: int,
 ) -> Plan | Checked:
     clip = folder / golden.clip
     if not clip.exists():
@@ -140,6 +159,8 @@ def _prepare(
         if checksum(clip) != golden.sha256:
             return _checked(path, golden, "fails", f"the clip {clip} is not the one recorded; restore it, or {UPDATE}")
         recipe = given.get(_name(golden)) or _load(folder, golden, overrides)
+        if golden.gallery is not None and (gallery or _gallery(recipe) is None):
+            recipe = _recognising(recipe, gallery or folder / golden.gallery.file, overrides)
     except FacetrackError as e:
         return _checked(path, golden, "fails", str(e))
     if reason := _cannot_run(recipe):
@@ -151,6 +172,23 @@ def _prepare(
 def _load(folder: Path, golden: Golden, overrides: Sequence[str] = ()) -> Recipe:
     beside = folder / golden.recipe
     return load_recipe(str(beside) if golden.recipe.endswith(".yaml") else golden.recipe, overrides)
+
+
+def _recognising(recipe: Recipe, gallery: Path, overrides: Sequence[str] = ()) -> Recipe:
+    """The same recipe with this gallery, if it recognises anybody."""
+    if not isinstance(recipe, ParticleRecipe) or recipe.recognition is None:
+        return recipe
+    if not gallery.is_file():
+        raise InputError(f"the gallery {gallery} is not there; put it back, or name another with --gallery")
+    set_ = f"recognition.gallery={json.dumps(str(gallery), ensure_ascii=False)}"
+    return load_recipe(str(recipe.path), (*overrides, set_))
+
+
+def _gallery(recipe: Recipe) -> Path | None:
+    """The gallery of a recipe, if it names one; RecipeError if that is nowhere."""
+    if not isinstance(recipe, ParticleRecipe) or recipe.recognition is None or recipe.recognition.gallery is None:
+        return None
+    return resolve_file(recipe, recipe.recognition.gallery)
 
 
 def _cannot_run(recipe: Recipe) -> str:
@@ -169,12 +207,16 @@ def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) ->
     seconds = sum(len(run.table.frames) / run.frames_per_s for run in runs)
     changed = differences(completed(golden.settings), to_dict(plan.recipe))
     notes = [f"recipe differs from the golden's: {', '.join(changed)}; {UPDATE}"] if changed else []
+    gallery = _gallery(plan.recipe)
+    if golden.gallery is not None and gallery is not None and checksum(gallery) != golden.gallery.sha256:
+        notes.append(f"the gallery {gallery} is not the one recorded, {golden.gallery.file}; {UPDATE}")
     name, seeds = _name(golden), len(runs)
     if shape := _other_shape(golden, tables[0].frames.tolist(), [one.name for one in tables[0].series]):
         return Checked(path, golden.clip, name, "fails", shape, tuple(notes), seconds, seeds)
-    verdict = judge(golden.statistics, golden.recorded, measure(tables, golden.statistics))
+    verdict = judge(golden.statistics, golden.recorded, measure(tables, golden.statistics, golden.names))
+    who = sentence(golden.names, tables)
     if verdict.passed:
-        message = f"the farthest statistic is at {100 * verdict.closest:.0f} % of its band"
+        message = f"the farthest statistic is at {100 * verdict.closest:.0f} % of its band{who and '; ' + who}"
         return Checked(path, golden.clip, name, "ok", message, tuple(notes), seconds, seeds, verdict)
     leave = first_leave(golden.paths, tables)
     lines = [f"{_where(golden, d.statistic.series, d.statistic.first, d.statistic.last)}: {d}" for d in _told(verdict)]
@@ -182,6 +224,8 @@ def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) ->
         lines.insert(1, f"{golden.short(leave.series)} {leave}")
     elif not any(d.statistic.quantity in ("x", "y") for d in verdict.deviations):
         lines.insert(1, "no part leaves its path; positions are as recorded")
+    if who:
+        lines.append(f"recorded was {_named(golden.names)}; now it is {who}")
     now = versions()
     other = [f"{key} {was} -> {now.get(key, 'none')}" for key, was in golden.versions.items() if now.get(key) != was]
     if other:
@@ -190,6 +234,10 @@ def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) ->
     return Checked(
         path, golden.clip, name, "fails", message, (*lines[1:], *notes), seconds, seeds, verdict, leave
     )  # fmt: skip
+
+
+def _named(recorded: Mapping[str, str]) -> str:
+    return ", ".join(recorded.values() if len(recorded) == 1 else map(": ".join, recorded.items())) or "nobody"
 
 
 def _told(verdict: Verdict) -> list[Deviation]:
@@ -221,12 +269,14 @@ def update(
     seeds: int,
     stop: int | None = None,
     *,
+    gallery: Path | None = None,
     workers: int = 1,
     stopped: Stop | None = None,
     report: Report = lambda done, total: None,
 ) -> Iterator[Updated]:
     """Record goldens: of every clip with an init file and these recipes, or of those that are there if none is given.
 
+    Recipes that recognise take `gallery`; where it is None, their own, or that of the golden which is recorded anew.
     Each file is written when its runs have ended, and replaces the one before. Raises InputError where there is nothing
     to record.
     """
@@ -234,10 +284,13 @@ def update(
     prepared: list[tuple[str, Updated | Plan]] = []  # with the recipe's name or path, as the golden keeps it
     for config in configs:
         load_recipe(config)  # a wrong one is refused before anything runs
-    for clip, config, last in _asked(folder, configs, stop):
+    for clip, config, last, known in _asked(folder, configs, stop):
         try:
             recipe = load_recipe(config)
-        except RecipeError as e:
+            file = gallery or (folder / known.file if known is not None and _gallery(recipe) is None else None)
+            if file is not None:
+                recipe = _recognising(recipe, file)
+        except FacetrackError as e:
             prepared.append((config, Updated(clip.name, Path(config).name, None, str(e))))
             continue
         one = _plan(clip, recipe, seeds, last, stopped)
@@ -258,15 +311,25 @@ def update(
             yield Updated(one.clip.name, name, None, str(found[0].error))
         elif len(tables) == len(one.seeds):
             golden = record(
-                tables, clip=one.clip, recipe=reference, settings=to_dict(one.recipe), start=one.start, stop=one.stop
+                tables,
+                clip=one.clip,
+                recipe=reference,
+                settings=to_dict(one.recipe),
+                start=one.start,
+                stop=one.stop,
+                gallery=_gallery(one.recipe),
             )
             path = golden_path(folder, one.clip.name, name)
             write_golden(path, golden)
-            yield Updated(one.clip.name, name, path, f"{len(tables)} seeds, {golden.tested} to test")
+            who = sentence(golden.names, tables)
+            message = f"{len(tables)} seeds, {golden.tested} to test{who and '; ' + who}"
+            yield Updated(one.clip.name, name, path, message)
 
 
-def _asked(folder: Path, configs: Sequence[str], stop: int | None) -> list[tuple[Path, str, int | None]]:
-    """Clip, recipe and last frame of each golden to record."""
+def _asked(
+    folder: Path, configs: Sequence[str], stop: int | None
+) -> list[tuple[Path, str, int | None, Gallery | None]]:
+    """Clip, recipe, last frame and gallery so far of each golden to record."""
     present = [read_golden(path) for path in find_goldens(folder)] if not configs else []
     if configs:
         clips = [
@@ -279,14 +342,22 @@ def _asked(folder: Path, configs: Sequence[str], stop: int | None) -> list[tuple
         twice = [name for name, count in Counter(clip.stem for clip in clips).items() if count > 1]
         if twice:
             raise UsageError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
-        return [(clip, config, stop) for clip in clips for config in configs]
+        return [(clip, config, stop, _known(folder, clip, config)) for clip in clips for config in configs]
     if not present:
         raise InputError(f"{folder}: has no goldens to record anew; name recipes with --config")
     beside = [str(folder / g.recipe) if g.recipe.endswith(".yaml") else g.recipe for g in present]
     return [
-        (folder / golden.clip, recipe, golden.stop if stop is None else stop)
+        (folder / golden.clip, recipe, golden.stop if stop is None else stop, golden.gallery)
         for golden, recipe in zip(present, beside, strict=True)
     ]
+
+
+def _known(folder: Path, clip: Path, config: str) -> Gallery | None:
+    """The gallery of the golden that is to be replaced, if there is one that can be read."""
+    try:
+        return read_golden(golden_path(folder, clip.name, Path(config).name.removesuffix(".yaml"))).gallery
+    except InputError:
+        return None
 
 
 def _plan(clip: Path, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> Plan | Updated:
@@ -315,4 +386,4 @@ def _reference(folder: Path, recipe: Recipe) -> str:
     """A shipped recipe's name, or the path of any other from the folder of clips."""
     if recipe.path.resolve().parent == shipped_folder().resolve():
         return recipe.name
-    return Path(os.path.relpath(recipe.path.resolve(), folder.resolve())).as_posix()
+    return beside(folder, recipe.path)

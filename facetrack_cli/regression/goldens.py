@@ -5,8 +5,8 @@
 A golden is JSON with a line a statistic: part, quantity, first and last frame, the median over seeds, and each seed's
 offset from it, both in the quantity's unit (`units`; means of logarithms for those that `bands.py` averages so).
 `paths` are the medians of x and y in every frame, with the band's reach for each five of them. What it takes to run
-the same again stands before them: the clip and its checksum, the recipe and its settings, the start, the seeds, the
-versions.
+the same again stands before them: the clip and its checksum, the recipe and its settings, the gallery if somebody is
+to be recognised, who that is, the start, the seeds, the versions.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -29,6 +30,7 @@ from facetrack_cli.errors import InputError
 from facetrack_cli.formats.table import Table
 from facetrack_cli.regression import bands, paths
 from facetrack_cli.regression.bands import QUANTITIES, Name, Statistic
+from facetrack_cli.regression.names import names
 from facetrack_cli.start.files import write_new
 from facetrack_cli.types import Array, Start, TargetStart
 from facetrack_cli.video.images import listing
@@ -36,13 +38,22 @@ from facetrack_cli.video.images import listing
 FOLDER: Final = "goldens"
 SCHEMA: Final = "facetrack-golden"
 FIRST_SEED: Final = 1000  # of those recorded; those tested count from 0
-NOT_COMPARED: Final = ("description", "seed")  # settings that change no band
+# settings that change no band; the gallery is a file, whose checksum is compared
+NOT_COMPARED: Final = ("description", "seed", "recognition.gallery")
+
+
+class Gallery(NamedTuple):
+    """The gallery of a golden: its path from the folder of clips, and its checksum."""
+
+    file: str
+    sha256: str
 
 
 @dataclass(frozen=True, eq=False)
 class Golden:
     """What was recorded. `clip` is a file name in the folder of clips, `recipe` a shipped name or a path from there.
 
+    `gallery` is that of a recipe that recognises, `names` who each target is, if anybody.
     `recorded` (S, F) as `bands.measure` gives it; `tested`: how many seeds a check runs, from 0;
     `frames`: first and last.
     """
@@ -59,6 +70,8 @@ class Golden:
     statistics: tuple[Statistic, ...]
     recorded: Array
     paths: tuple[paths.Path, ...]
+    gallery: Gallery | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def series(self) -> tuple[str, ...]:
@@ -91,8 +104,11 @@ def record(
     settings: Mapping[str, Any],
     start: Start,
     stop: int | None = None,
+    gallery: Path | None = None,
 ) -> Golden:
     """A golden of runs of one recipe on one clip with different seeds."""
+    if gallery is not None:  # a path from the clip's folder, wherever it was recorded from
+        settings = {**settings, "recognition": {**settings["recognition"], "gallery": beside(clip.parent, gallery)}}
     statistics = bands.choose(tables)
     recorded = bands.measure(tables, statistics)
     if bands.alike(recorded):  # a tracker without chance: one run says it all
@@ -111,7 +127,14 @@ def record(
         statistics=statistics,
         recorded=recorded,
         paths=paths.paths(tables),
+        gallery=None if gallery is None else Gallery(beside(clip.parent, gallery), checksum(gallery)),
+        names=names(tables),
     )
+
+
+def beside(folder: Path, file: Path) -> str:
+    """A file's path from the folder of clips."""
+    return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
 
 
 def versions() -> dict[str, str]:
@@ -176,6 +199,8 @@ def _text(golden: Golden) -> str:
         "clip": {"file": golden.clip, "sha256": golden.sha256},
         "recipe": golden.recipe,
         "settings": golden.settings,
+        **({} if golden.gallery is None else {"gallery": golden.gallery._asdict()}),
+        **({"names": golden.names} if golden.names else {}),
         "start": {
             "frame": golden.start.frame,
             "targets": {
@@ -226,6 +251,11 @@ class _Clip(_Strict):
     sha256: str
 
 
+class _Gallery(_Strict):
+    file: str = Field(min_length=1)
+    sha256: str
+
+
 class _Target(_Strict):
     box: tuple[float, float, float, float] | None = None
     points: dict[str, tuple[float, float]] = {}
@@ -255,6 +285,8 @@ class _File(_Strict):
     clip: _Clip
     recipe: str
     settings: dict[str, Any]
+    gallery: _Gallery | None = None
+    names: dict[str, str] = {}
     start: _Start
     stop: int | None
     seeds: _Seeds
@@ -306,6 +338,8 @@ def read_golden(path: Path) -> Golden:
         paths=tuple(
             paths.Path(name, _array(p.x), _array(p.y), np.array(p.reach, dtype=float)) for name, p in file.paths.items()
         ),
+        gallery=None if file.gallery is None else Gallery(file.gallery.file, file.gallery.sha256),
+        names=file.names,
     )
 
 
