@@ -185,7 +185,7 @@ def test_shipped_recipes_are_found_from_anywhere(tmp_path):
     rows = [line.split("\t") for line in done.stdout.splitlines()]
     particles = {name: count for name, count, _ in rows}
     assert (particles["factorized"], particles["independent"], particles["mil"]) == ("100", "1000", "-")
-    assert len(rows) == 23
+    assert len(rows) == 30
     assert all(len(text) > 20 for *_, text in rows)
     for name in ("factorized", "factorized.yaml"):
         done = facetrack("recipes", "show", name, cwd=tmp_path)

@@ -1,3 +1,4 @@
+import itertools
 import json
 import re
 from pathlib import Path
@@ -39,6 +40,16 @@ REGIONS = [
 ]
 SKIN = ["ncc", "skin", "skin_ncc", "skin_ncc_robust"]
 SEVERAL = ["head_hands", "head_hands_cloud"]
+# from the tracker that Zhou et al. improve on to the whole of theirs, in this order, and what goes beyond it
+STEPS = [
+    "fixed_template",
+    "adaptive_appearance",
+    "adaptive_velocity",
+    "adaptive_noise",
+    "adaptive",
+    "adaptive_recognition",
+]
+AFFINE = [*STEPS, "adaptive_robust"]
 OPENCV = ["csrt", "kcf", "mil", "mosse"]
 
 GOOD = """\
@@ -90,7 +101,7 @@ def under_caret(excerpt):
 
 
 def test_the_shipped_recipes_are_all_there():
-    assert [path.stem for path in shipped_recipes()] == sorted(NAMES + OPENCV + REGIONS + SKIN + SEVERAL)
+    assert [path.stem for path in shipped_recipes()] == sorted(NAMES + OPENCV + REGIONS + SKIN + SEVERAL + AFFINE)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -125,6 +136,52 @@ def test_shipped_recipes_differ_in_filter_and_prior_only_where_they_should():
     assert reweight == {"factorized": "prior", "factorized_robust": "prior", "factorized_transition": "transition"}
     assert recipes["factorized"].likelihood.floor is None
     assert recipes["factorized_robust"].likelihood.floor is not None
+
+
+@pytest.mark.parametrize("name", AFFINE)
+def test_a_recipe_that_adapts_reads_like_a_method_section(name):
+    assert check_recipe(name) == []
+    path = next(path for path in shipped_recipes() if path.stem == name)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 40 and max(map(len, lines)) <= 120
+    assert lines[0].startswith("# Zhou, Chellappa & Moghaddam") and "ICME 2003" in lines[0]
+    recipe = load_recipe(name)
+    assert len(recipe.description) <= 100 and recipe.particles == 100
+    beyond = [
+        recipe.motion.velocity is not None and recipe.motion.velocity.towards != "last",
+        recipe.motion.velocity is not None and recipe.motion.velocity.search > 0,
+        getattr(recipe.filter, "centre", False),
+        recipe.likelihood.outlier is not None,
+        recipe.recognition is not None and (recipe.recognition.none or recipe.recognition.sharpness != 1),
+    ]
+    assert any(beyond) == (name == "adaptive_robust"), "what goes beyond the paper is in no recipe that is published"
+
+
+def test_each_step_from_the_fixed_template_adapts_one_thing_more():
+    recipes = [to_dict(load_recipe(name)) for name in STEPS]
+    changed = [
+        {key for key in ("target", "motion", "likelihood", "filter", "recognition") if one[key] != other[key]}
+        for one, other in itertools.pairwise(recipes)
+    ]
+    assert changed == [{"likelihood"}, {"motion", "filter"}, {"motion"}, {"filter"}, {"recognition"}]
+    template, *adaptive = (one["likelihood"] for one in recipes)
+    assert template["mixing"] == {"w": 0, "s": 0, "f": 1} and template["alpha"] == 0
+    assert all(one == adaptive[0] and one["density"] == "gaussian" for one in adaptive)
+    velocity = [one["motion"]["velocity"] is not None for one in recipes]
+    noise = [one["motion"]["noise"] is not None for one in recipes]
+    number = [one["filter"].get("adapt", False) for one in recipes]
+    assert [sum(what) for what in zip(velocity, noise, number, strict=True)] == [0, 0, 1, 2, 3, 3]
+
+
+def test_a_gallery_is_sought_like_any_file_of_a_recipe(write, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = read_recipe(next(path for path in shipped_recipes() if path.stem == "adaptive_recognition"))
+    path = write(text.replace("recognition: {}", "recognition: {gallery: people.npz}"), "mine.yaml")
+    (problem,) = check_recipe(path)
+    assert 'there is no file "people.npz"' in str(problem)
+    (tmp_path / "people.npz").touch()
+    assert check_recipe(path) == []
+    assert "recognition does not go with target type" in refused("histogram", "recognition={}")[2]
 
 
 @pytest.mark.parametrize("name", OPENCV)
@@ -164,7 +221,7 @@ def test_a_recipe_is_found_by_name_and_by_path(write, tmp_path, monkeypatch):
 
 
 def test_a_miss_names_the_nearest_and_all(tmp_path):
-    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*auxiliary_prior, contour, .*skin_ncc_robust$'):
+    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*adaptive, .*contour, .*skin_ncc_robust$'):
         load_recipe("factorised.yaml")
     with pytest.raises(RecipeError, match="neither a file nor a shipped recipe; give a file or a name; shipped are "):
         load_recipe("zzzz")
@@ -273,7 +330,7 @@ def test_overrides_in_order_and_of_every_kind():
         ("filter.particles='200'", "must be a whole number, not the text \"200\"; remove the quotes", "'200'"),
         ("filter.particles=0", "filter.particles must be at least 1, not 0", "0"),
         ("filter.type=sri", 'unknown filter type "sri"; did you mean "sir"?', "sri"),
-        ("target.type=affine", "it is one of: points", "affine"),
+        ("target.type=sphere", "it is one of: points, region, cloud, affine", "sphere"),
         ("seed.x=1", '"seed" holds no keys', "x"),
         ("seed", "write --set KEY=VALUE", "seed"),
         ("=1", "a name is missing", "="),
@@ -485,7 +542,7 @@ def test_schema_describes_every_field():
         assert reference.removeprefix("#/$defs/") in schema["$defs"]
     of_filter = schema["$defs"]["ParticleRecipe"]["properties"]["filter"]["oneOf"]
     kinds = [ref["$ref"].rpartition("/")[2] for ref in of_filter]
-    assert kinds == ["Sir", "Auxiliary", "Factorized", "Independent"]
+    assert kinds == ["Sir", "Auxiliary", "Factorized", "Independent", "Adaptive"]
     length = json.dumps(schema["$defs"]["LengthPerPart"])
     assert '"maximum": 1000000.0' in length and "px" in length
     assert schema["$defs"]["ColourRatio"]["properties"]["robust"]["enum"][0] == "l1"

@@ -70,7 +70,7 @@ def command(
     Examples:
       facetrack regress sample_videos -j 2 --junit regress.xml
       facetrack regress clips --config factorized --update
-      facetrack regress clips --config adaptive_recognition --gallery people.npz --update
+      facetrack regress clips --config mine.yaml --gallery people.npz --update
       facetrack regress clips --update --seeds 60
       facetrack regress sample_videos --config sir --set motion.sigma=0.13
 
