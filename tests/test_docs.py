@@ -183,7 +183,7 @@ def test_examples_of_recipes_and_init_files_are_valid(tmp_path):
     assert recipes >= 3 and inits >= 3
 
 
-ANNOTATED = ["factorized", "contour_histogram_correlation_robust", "skin_ncc_robust", "head_hands"]
+ANNOTATED = ["factorized", "contour_histogram_correlation_robust", "skin_ncc_robust", "adaptive_recognition", "head_hands"]
 
 
 @pytest.mark.parametrize(("place", "shipped"), list(enumerate(ANNOTATED)))
@@ -206,7 +206,7 @@ def keys_of(settings, before=""):
 @pytest.mark.parametrize("shipped", ANNOTATED[1:])
 def test_the_annotated_recipes_of_boxes_have_every_key(shipped):
     written = YAML(typ="safe").load(blocks(ROOT / "docs" / "recipes.md", "yaml")[ANNOTATED.index(shipped)])
-    said = re.compile(r"type|seed|(.*\.)?(prior|filter\.resampling)")  # in words, above it
+    said = re.compile(r"type|seed|(.*\.)?(prior|recognition|filter\.resampling)")  # in words, above it
     every = {key for key in keys_of(to_dict(load_recipe(shipped))) if not said.fullmatch(key)}
     assert every == {key for key in keys_of(written) if not said.fullmatch(key)}
 

@@ -165,7 +165,9 @@ def section_rows(schema: Schema, key: str, sections: Sequence[Schema]) -> Iterat
 
 def row(schema: Schema, key: str, field: Schema, required: bool, note: str = "") -> str:
     default = field.get("default")
-    shown = "required" if required else f"`{'null' if default is None else default}`"
+    words = {None: "null", True: "true", False: "false"}
+    named = default is None or isinstance(default, bool)
+    shown = "required" if required else f"`{words[default] if named else default}`"
     return f"| `{key}` | {value(schema, field)} | {shown} | {note}{escape(field.get('description', ''))} |"
 
 
