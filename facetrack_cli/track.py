@@ -276,8 +276,12 @@ class ParticleTarget:
             told = replace(told, error=state.ahead.error, noise=state.ahead.noise)
         if not told.posterior:
             return replace(result, told=told)
-        name = max(told.posterior, key=lambda one: (told.posterior or {})[one])
-        return replace(result, told=told, identity=name, identity_prob=told.posterior[name])
+        # of equals, as in the first frame, nobody is named
+        best = max(told.posterior.values())
+        likeliest = [name for name, probability in told.posterior.items() if probability == best]
+        if len(likeliest) > 1:
+            return replace(result, told=told)
+        return replace(result, told=told, identity=likeliest[0], identity_prob=best)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ _SAMPLES = 32  # of the past, at most, for a trail
 _DOTS = 150  # particles shown a part, at most
 _DECIDED = 0.5  # a name less probable than that is a guess
 _DOUBTFUL: Colour = (190, 190, 190)
+_PLATE = 0.65  # opacity of the dark ground below a name
 _RIM = 0.7  # opacity of the dark rim around all lines
 _CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 33)[:-1]) for f in (np.cos, np.sin)], axis=1)  # (32, 2)
 
@@ -351,7 +352,8 @@ class Overlay:
             if target.identity_prob is not None and math.isfinite(target.identity_prob):
                 if target.identity_prob < _DECIDED:  # pale, and with a question mark: more likely somebody else
                     text, colour = f"{text}?", _DOUBTFUL
-                text += f" {target.identity_prob:.0%}"
+                # no posterior is certain
+                text += " >99%" if target.identity_prob >= 0.995 else f" {target.identity_prob:.0%}"
         if not text or not shape.parts:
             return []
         sprite = self._label_font.sprite(text, colour, self._line)
@@ -369,8 +371,17 @@ class Overlay:
         clear = [self._free(box, tags, spare if i == 0 else 0) for i, box in enumerate(boxes)]
         chosen = boxes[clear.index(True)] if any(clear) else boxes[0]
         (self._low.add if len(tops) > 1 and chosen[1] == below else self._low.discard)(target.name)
+        _shade(image, (left - self._line, int(chosen[1]), left + width + self._line, int(chosen[1]) + height))
         stamp(image, sprite, left, int(chosen[1]))
         return [chosen]
+
+
+def _shade(image: Image, box: tuple[int, int, int, int]) -> None:
+    """Darken a box of `image` in place: who it is must be read on any ground."""
+    x0, y0, x1, y1 = (max(v, 0) for v in box)
+    under = image[y0:y1, x0:x1]
+    if under.size:
+        cv2.convertScaleAbs(under, under, 1 - _PLATE)
 
 
 def _short(name: str) -> str:
