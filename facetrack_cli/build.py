@@ -188,6 +188,7 @@ def _affine_target(given: ParticleFilter, recipe_: Recipe, name: str, start: Sta
             motion.deform,
             motion.deform if motion.shear is None else motion.shear,
             *given.target.scale,
+            motion.turn,
         ),
         likelihood=_appearance(given, recipe_, patches),
         prior=None,
@@ -210,6 +211,7 @@ def _appearance(given: ParticleFilter, recipe_: Recipe, patches: Patches) -> Lik
         least_mixing=a.least_mixing,
         density=a.density,
         outlier=a.outlier,
+        pixels=a.pixels,
     )
     if (r := given.recognition) is None:
         return appearance

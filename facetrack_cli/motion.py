@@ -89,9 +89,9 @@ class AffineWalk:
     """Gaussian noise on the parameters of an affine map, theta_t = theta_{t-1} + u_t (Zhou et al. 2003, eq. 1).
 
     The state is (x, y, a1, a2, a3, a4). `position` is the standard deviation of x and y, in pixels, and of r_0 u_0 of
-    section 2.1; `deform` that of the scale and of the turn, `shear` that of the stretch along one side and of the
-    shear: the paper leaves u_0 open, and faces keep their shape more than their size. If both are the same it is that
-    of each of a1 to a4. `least` and `most` bound the scale: a deformation beyond is brought back to it.
+    section 2.1; `deform` that of the scale, `turn` of the turn (None: the same), `shear` of the stretch along one side
+    and of the shear: the paper leaves u_0 open, and faces keep their shape more than their size. If all are the same it
+    is that of each of a1 to a4. `least` and `most` bound the scale: a deformation beyond is brought back to it.
     """
 
     position: float
@@ -99,14 +99,15 @@ class AffineWalk:
     shear: float
     least: float
     most: float
+    turn: float | None = None
+
+    def _sigma(self) -> Array:
+        turn = self.deform if self.turn is None else self.turn
+        return np.array([self.position, self.position, self.deform, turn, self.shear, self.shear])
 
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
         """x (N, 1, 6) moved by one frame."""
-        u = rng.standard_normal(x.shape)
-        u[..., :2] *= self.position
-        u[..., 2:4] *= self.deform
-        u[..., 4:] *= self.shear
-        return self.bounded(x + u @ _AFFINE.T)
+        return self.bounded(x + (self._sigma() * rng.standard_normal(x.shape)) @ _AFFINE.T)
 
     def bounded(self, x: Array) -> Array:
         """x (N, 1, 6) with scales between `least` and `most`."""
@@ -124,8 +125,7 @@ class AffineWalk:
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         """log p(x_n | parents_m): x (N, 1, 6), parents (M, 1, 6) -> (N, M, 1); the bounds are left out."""
-        sigma = np.repeat([self.position, self.deform, self.shear], 2)
-        return _log_normal((x[:, None] - parents[None]) @ _AFFINE, np.diag(sigma**2))
+        return _log_normal((x[:, None] - parents[None]) @ _AFFINE, np.diag(self._sigma() ** 2))
 
 
 # from noise of (x, y, scale, turn, stretch, shear) to that of (x, y, a1, a2, a3, a4); orthogonal

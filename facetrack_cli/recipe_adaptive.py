@@ -83,7 +83,9 @@ class AffineWalk(Section):
     sigma: Length
     """r_0 u_0 of the place: standard deviation along x and y."""
     deform: Annotated[float, Field(ge=0, le=1)]
-    """r_0 u_0 of the deformation [[a1, a2], [a3, a4]], the identity at the start: of its scale and its turn."""
+    """r_0 u_0 of the deformation [[a1, a2], [a3, a4]], the identity at the start: of its scale."""
+    turn: Annotated[float, Field(ge=0, le=1)] | None = None
+    """... of its turn; null: the same; 0: the box stays upright."""
     shear: Annotated[float, Field(ge=0, le=1)] | None = None
     """... and of its stretch along one side and its shear; null: the same; 0: the box keeps its shape."""
     velocity: Velocity | None = None
@@ -124,6 +126,8 @@ class Appearance(Section):
     """N of eq. 6, or the Laplacian of the earlier tracker that the paper improves on."""
     outlier: Annotated[float, Field(gt=0, lt=1)] | None = None
     """Beyond the paper: share of a fourth component, uniform, for pixels that are covered; null: none."""
+    pixels: Annotated[float, Field(gt=0, le=16384)] | None = None
+    """Beyond the paper: how many pixels of the patch count as independent; null: all."""
 
     @model_validator(mode="after")
     def _check(self) -> Appearance:

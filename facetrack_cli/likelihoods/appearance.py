@@ -21,6 +21,8 @@ give F and sigma_s back; the printed m_s sigma_s^2 + F^2 does not. Ours beside i
   weights (0, 0, 1) it is the fixed template of the authors' earlier tracker.
 - `outlier`: a fourth component, the L of Jepson et al. (the paper's [3]), uniform over `OUTLIER_RANGE`, of that weight
   always; the other three share the rest.
+- `pixels`: neighbours in a patch are alike, and as independent factors they make the weights of eq. 6 so sharp that the
+  best particle has them all and the spread is nought. So many count as independent: log p_a times `pixels` / d.
 """
 
 from __future__ import annotations
@@ -86,6 +88,7 @@ class Appearance:
     least_mixing: float
     density: Literal["gaussian", "laplace"] = "gaussian"
     outlier: float | None = None
+    pixels: float | None = None
 
     def init(self, frame: Frame, x0: Array) -> Mixture:
         """The model of the patch at x0 (1, 6). Raises InputError if there is nothing to see."""
@@ -111,7 +114,8 @@ class Appearance:
         y = self.patches.read(frame, x, self.patches.factor(learned.state))
         uniform = learned.outlier / OUTLIER_RANGE
         rate, log = learned.terms
-        return np.asarray(kernel.log_densities(y, learned.mu, rate, log, uniform, learned.laplace))[:, None]
+        log_p = np.asarray(kernel.log_densities(y, learned.mu, rate, log, uniform, learned.laplace))[:, None]
+        return log_p if self.pixels is None else log_p * (self.pixels / y.shape[1])
 
     def learn(self, learned: Mixture, frame: Frame, state: Array, particles: Particles | None = None) -> Mixture:
         """The model after the patch at the estimate `state` (1, 6), eq. 7-11; particles do not matter."""
