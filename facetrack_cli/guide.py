@@ -17,11 +17,15 @@ none at all included. tests/test_guide.py proves on translated, turned and scale
 Adaptive noise (eq. 13). r_t / r_0 = eta(eps) = a + (b - a) tanh(eps / c): tight after a good prediction, wide after a
 bad one. phi is that of the likelihood, the mean squared distance from the appearance in its standard deviations.
 
+`samples`: B is estimated from so many of the particles at most, evenly chosen, which is what most of the time goes for;
+from 32 of 100 the predicted place is as good (0.20 and 0.21 px on `zoom`).
+
 Beyond the paper: `towards` "appearance" takes for y what the appearance model expects, so that small errors do not add
 up from frame to frame; `search` first looks for that patch over so much of the box around, by normalised correlation,
 and begins there if the error is less.
 
-V and S come from the eigenvectors of Y^T Y (J x J), and B is never written out: -B D = -X V_q S_q^-2 V_q^T Y^T D.
+V and S come from the eigenvectors of Y^T Y (J x J), and B is never written out: -B D = -X V_q S_q^-2 V_q^T Y^T D. Where
+matrices are small enough, BLAS uses one thread whatever it is allowed, so results do not depend on that.
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.filters import Ahead
+from facetrack_cli.kernels.affine import differences, mapped
 from facetrack_cli.patches import Patches
 from facetrack_cli.types import Array, Frame
 
@@ -53,7 +58,8 @@ class Moves(Protocol):
 class Velocity:
     """`components`: q; `iterations` at most; `settle`: it ends when eps falls by less than this share.
 
-    `towards` is "last" as published, or "appearance"; `search` is in units of the box, 0 for none.
+    `samples`: from how many particles at most B is estimated, None for all. `towards` is "last" as published, or
+    "appearance"; `search` is in units of the box, 0 for none.
     """
 
     components: int = 20
@@ -61,6 +67,7 @@ class Velocity:
     settle: float = 0.02
     towards: str = "last"
     search: float = 0.0
+    samples: int | None = 32
 
 
 @dataclass(frozen=True)
@@ -110,8 +117,9 @@ class Guide:
         patch = self.patches.read(frame, state[None], factor)[0]
         if self.velocity is None:
             return Flow(state, patch, np.zeros((6, 0)), np.zeros((0, len(patch)), np.float32))
-        rows = self.patches.read(frame, x, factor) - patch
-        return Flow(state, patch, gain(x[:, 0] - state[0], rows, self.velocity.components), rows)
+        chosen = _evenly(len(x), self.velocity.samples)
+        rows, products = differences(self.patches.read(frame, x, factor), chosen, patch)
+        return Flow(state, patch, gain(x[chosen, 0] - state[0], products, self.velocity.components), rows)
 
     def predict(self, flow: Flow, frame: Frame, error: Callable[[Rows], Array], expected: Callable[[], Rows]) -> Ahead:
         """Where the target is expected in `frame`.
@@ -133,7 +141,7 @@ class Guide:
                 least, shift, best, patch = now, found, found, there
         for _ in range(0 if self.velocity is None else self.velocity.iterations):
             assert self.velocity is not None
-            shift = shift - (flow.gain @ (flow.rows @ (patch[0] - wanted))[:, None]).T
+            shift = shift - mapped(flow.gain, flow.rows, patch[0], wanted)
             patch = self.patches.read(frame, (flow.state + shift)[None], factor)
             now = float(error(patch)[0])
             settled = now > least * (1 - self.velocity.settle)
@@ -157,11 +165,16 @@ class Guide:
         return np.array([[*place, 0.0, 0.0, 0.0, 0.0]])
 
 
-def gain(x: Array, rows: Rows, components: int) -> Array:
-    """X V_q S_q^-2 V_q^T (6, J), of motions x (J, 6) and the differences of their patches, `rows` (J, d)."""
-    values, vectors = np.linalg.eigh((rows @ rows.T).astype(np.float64))
+def _evenly(count: int, most: int | None) -> NDArray[np.int64]:
+    """Indices of all of `count`, or of `most` of them, evenly: particles of a filter that resamples come in order."""
+    return np.arange(count) if most is None or count <= most else np.arange(most) * count // most
+
+
+def gain(x: Array, products: Array, components: int) -> Array:
+    """X V_q S_q^-2 V_q^T (6, J), of motions x (J, 6) and Y^T Y (J, J), the products of the differences of patches."""
+    values, vectors = np.linalg.eigh(products)
     q = min(components, len(values))
     values, vectors = values[-q:], vectors[:, -q:]
     kept = values > max(RANK**2 * float(values[-1]), 1e-12) if q else np.zeros(0, bool)
     values, vectors = values[kept], vectors[:, kept]
-    return np.asarray((x.T @ vectors / values) @ vectors.T)
+    return np.ascontiguousarray((x.T @ vectors / values) @ vectors.T)
