@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -55,16 +56,16 @@ def pictures(clip: Path, box: list[float]) -> tuple[list[Image], Start]:
         assert target.box is not None
         box = list(target.box)
     with open_source(clip, stop=FRAMES) as source:
-        frames = [frame.bgr for frame in source]
-    height, width = frames[0].shape[:2]
+        read = [frame.bgr for frame in source]
+    height, width = read[0].shape[:2]
     zoom = SIZE[0] / width, SIZE[1] / height
     if zoom[0] > 1:  # a picture that was enlarged is smoother than a camera's
         rng = np.random.default_rng(0)
-        frames = [cv2.resize(one, SIZE, interpolation=cv2.INTER_CUBIC) for one in frames]
-        noise = (rng.normal(0, 1.5, (SIZE[1], SIZE[0], 1)) for _ in frames)
-        frames = [np.clip(one + grain, 0, 255).astype(np.uint8) for one, grain in zip(frames, noise, strict=True)]
+        large = [cv2.resize(one, SIZE, interpolation=cv2.INTER_CUBIC) for one in read]
+        noise = (rng.normal(0, 1.5, (SIZE[1], SIZE[0], 1)) for _ in large)
+        frames = [np.clip(one + grain, 0, 255).astype(np.uint8) for one, grain in zip(large, noise, strict=True)]
     else:
-        frames = [cv2.resize(one, SIZE, interpolation=cv2.INTER_AREA) for one in frames]
+        frames = [cv2.resize(one, SIZE, interpolation=cv2.INTER_AREA).astype(np.uint8) for one in read]
     left, top, w, h = (zoom[i % 2] * (value + 0.5 * (i < 2)) - 0.5 * (i < 2) for i, value in enumerate(box))
     return frames, Start(0, {"face": TargetStart(box=(left, top, w, h))}, str(clip))
 
@@ -86,9 +87,18 @@ def tracking(config: str, overrides: list[str], frames: list[Image], start: Star
     built = build_tracker(load_recipe(config, overrides), start)
 
     def work() -> list[float]:
-        # as new, or the reduced pictures of the last round would be there already
-        fresh = (Frame(i, i / 25, frame) for i, frame in enumerate(frames))
-        return seconds_each(track(built, fresh, 0))[1:]
+        copying: list[float] = []
+
+        def fresh() -> Iterator[Frame]:
+            # as a decoder leaves it: nothing derived of it yet, and its pixels not gone from the cache
+            for i, frame in enumerate(frames):
+                began = time.perf_counter()
+                copy = frame.copy()
+                copying.append(time.perf_counter() - began)
+                yield Frame(i, i / 25, copy)
+
+        taken = seconds_each(track(built, fresh(), 0))
+        return [whole - copied for whole, copied in zip(taken, copying, strict=True)][1:]
 
     work()
     return work

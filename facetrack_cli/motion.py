@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from facetrack_cli.kernels.affine import diffuse
 from facetrack_cli.types import Array
 
 
@@ -101,23 +103,20 @@ class AffineWalk:
     most: float
     turn: float | None = None
 
+    @cached_property
+    def _noise(self) -> Array:
+        """(6, 6): from standard noise to that of the state."""
+        return _AFFINE * self._sigma()
+
     def _sigma(self) -> Array:
         turn = self.deform if self.turn is None else self.turn
         return np.array([self.position, self.position, self.deform, turn, self.shear, self.shear])
 
-    def propagate(self, rng: np.random.Generator, x: Array) -> Array:
-        """x (N, 1, 6) moved by one frame."""
-        return self.bounded(x + (self._sigma() * rng.standard_normal(x.shape)) @ _AFFINE.T)
-
-    def bounded(self, x: Array) -> Array:
-        """x (N, 1, 6) with scales between `least` and `most`."""
-        scale = np.sqrt((x[..., 2:] ** 2).sum(axis=-1, keepdims=True) / 2)
-        wild = (scale < self.least) | (scale > self.most)
-        if not wild.any():
-            return x
-        moved = x.copy()
-        moved[..., 2:] *= np.where(wild, np.clip(scale, self.least, self.most) / np.maximum(scale, 1e-12), 1.0)
-        return moved
+    def propagate(self, rng: np.random.Generator, x: Array, shift: Array | None = None, noise: float = 1.0) -> Array:
+        """x (N, 1, 6) moved by one frame: by the `shift` (1, 6), nu_t, and `noise`, r_t / r_0, times the noise."""
+        moved = np.zeros((1, 6)) if shift is None else shift
+        u = rng.standard_normal(x.shape)
+        return np.asarray(diffuse(x[:, 0], u[:, 0], self._noise, moved[0], noise, self.least, self.most))[:, None]
 
     def expect(self, x: Array) -> Array:
         """The mean of p(x_t | x_{t-1} = x), (N, 1, 6); the bounds of the scale are left out."""

@@ -12,6 +12,7 @@ AffineSpace   x, y, a1, a2, a3, a4       the box of the start, turned, scaled an
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -95,18 +96,19 @@ class AffineSpace:
     size: tuple[float, float]
 
     def windows(self, estimated: Estimate) -> Array:
-        a = estimated.state[:, 2:].reshape(-1, 2, 2)
-        return np.asarray(np.sqrt((a**2).sum(axis=1)) * np.array(self.size))
+        _, _, a1, a2, a3, a4 = estimated.state[0].tolist()
+        return np.array([[math.hypot(a1, a3) * self.size[0], math.hypot(a2, a4) * self.size[1]]])
 
     def outline(self, estimated: Estimate) -> Outline:
-        a = estimated.state[0, 2:].reshape(2, 2)
-        angle = float(np.degrees(np.arctan2(a[1, 0] - a[0, 1], a[0, 0] + a[1, 1])))
+        cx, cy, a1, a2, a3, a4 = estimated.state[0].tolist()
         # the border runs through the middle of the outermost pixels, as that of an upright box
-        half = np.maximum(np.array(self.size) - 1, 1) / 2
-        return Outline(angle, estimated.state[0, :2] + (_CORNERS * half) @ a.T)
-
-
-_CORNERS = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+        x, y = (max(side - 1, 1) / 2 for side in self.size)
+        right, down = (a1 * x, a3 * x), (a2 * y, a4 * y)
+        corners = [
+            (cx + i * right[0] + j * down[0], cy + i * right[1] + j * down[1])
+            for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        return Outline(math.degrees(math.atan2(a3 - a2, a1 + a4)), np.array(corners))
 
 
 def estimate(particles: Particles, *, best: bool = False) -> Estimate:

@@ -18,6 +18,7 @@ from facetrack_cli.errors import InputError
 from facetrack_cli.exclusion import Cover, Exclusion
 from facetrack_cli.filters import Ahead, Step
 from facetrack_cli.guide import Flow, Guide
+from facetrack_cli.motion import AffineWalk
 from facetrack_cli.patches import scale_of
 from facetrack_cli.priors import BoundPrior
 from facetrack_cli.resampling import uniform
@@ -264,24 +265,29 @@ class ParticleTarget:
             )
             for i, name in enumerate(self.parts)
         )
-        result = TargetResult(self.name, parts, len(state.particles.x), state.particles.x[..., :2])
-        return result if state.told is None else self._with_told(result, state.told, state)
+        cloud = state.particles.x[..., :2]
+        if state.told is None:
+            return TargetResult(self.name, parts, len(cloud), cloud)
+        told, (identity, probability) = self._told(state, state.told), _likeliest(state.told.posterior)
+        return TargetResult(self.name, parts, len(cloud), cloud, identity, probability, told=told)
 
-    def _with_told(self, result: TargetResult, told: Told, state: State) -> TargetResult:
-        """The result with what there is to tell, and who it is if somebody is recognised."""
+    def _told(self, state: State, told: Told) -> Told:
+        """What the likelihood tells, with what there is to tell of the state and of the prediction."""
+        affine, scale, ahead = None, None, state.ahead
         if isinstance(self.space, AffineSpace):
             x, y, *deformation = state.estimated.state[0].tolist()
-            told = replace(told, affine=(*deformation, x, y), scale=float(scale_of(state.estimated.state[None])[0, 0]))
-        if state.ahead is not None:
-            told = replace(told, error=state.ahead.error, noise=state.ahead.noise)
-        if not told.posterior:
-            return replace(result, told=told)
-        # of equals, as in the first frame, nobody is named
-        best = max(told.posterior.values())
-        likeliest = [name for name, probability in told.posterior.items() if probability == best]
-        if len(likeliest) > 1:
-            return replace(result, told=told)
-        return replace(result, told=told, identity=likeliest[0], identity_prob=best)
+            affine, scale = (*deformation, x, y), float(scale_of(state.estimated.state[None])[0, 0])
+        error, noise = (None, None) if ahead is None else (ahead.error, ahead.noise)
+        return Told(affine, scale, error, noise, told.posterior, told.entropy, told.insets)
+
+
+def _likeliest(posterior: Mapping[str, float] | None) -> tuple[str | None, float | None]:
+    """Who it is, and its probability; of equals, as in the first frame, nobody is named."""
+    if not posterior:
+        return None, None
+    best = max(posterior.values())
+    likeliest = [name for name, probability in posterior.items() if probability == best]
+    return (likeliest[0], best) if len(likeliest) == 1 else (None, None)
 
 
 @dataclass(frozen=True)
@@ -298,12 +304,11 @@ class Bound:
         return self.target.predict(self.state, self.frame)
 
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
-        moved = self.target.motion.propagate(rng, x)
+        motion = self.target.motion
         if self.target.guide is None:
-            return moved
-        # what the picture predicts is added to what the motion expects, and its noise is as large as eq. 13 says
-        expected = self.target.motion.expect(x)
-        return expected + self.ahead.shift + self.ahead.noise * (moved - expected)
+            return motion.propagate(rng, x)
+        assert isinstance(motion, AffineWalk)
+        return motion.propagate(rng, x, self.ahead.shift, self.ahead.noise)
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         return self.target.motion.log_transition(x, parents)

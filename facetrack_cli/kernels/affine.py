@@ -235,3 +235,29 @@ def mapped(gain: Any, rows: Any, patch: Any, wanted: Any) -> Any:
         for i in range(len(gain)):
             out[i] += gain[i, n] * total
     return out
+
+
+@exact
+def diffuse(x: Any, u: Any, spread: Any, shift: Any, noise: float, least: float, most: float) -> Any:
+    """x + shift + noise * spread u of states x and standard noise u (N, 6), `spread` (6, 6), `shift` (6,) -> (N, 6).
+
+    Deformations with a scale beyond `least` or `most` are brought back to it; one of 0 becomes upright.
+    """
+    out = np.empty_like(x)
+    for n in range(len(x)):
+        for i in range(6):
+            total = 0.0
+            for j in range(6):
+                total += spread[i, j] * u[n, j]
+            out[n, i] = x[n, i] + shift[i] + noise * total
+        squares = 0.0
+        for i in range(2, 6):
+            squares += out[n, i] * out[n, i]
+        scale = math.sqrt(0.5 * squares)
+        if scale < least or scale > most:
+            if scale < 1e-12:
+                out[n, 2], out[n, 3], out[n, 4], out[n, 5], scale = 1.0, 0.0, 0.0, 1.0, 1.0
+            by = min(max(scale, least), most) / scale
+            for i in range(2, 6):
+                out[n, i] *= by
+    return out

@@ -230,3 +230,14 @@ def best_matches(y: Any, templates: Any) -> Any:
             lengths = math.sqrt(float(square) * squares[i])
             out[n] = max(out[n], cross / lengths if lengths > 1e-6 else 0.0)
     return out
+
+
+@fast
+def greys(values: Any) -> Any:
+    """Values (d,) float32 as grey levels uint8: 0 is 128, one is 51 levels, and beyond 0..255 it ends."""
+    out = np.empty(len(values), np.uint8)
+    for k in range(len(values)):
+        level = values[k] * np.float32(51.0) + np.float32(128.0)
+        level = level if level > _ZERO else _ZERO
+        out[k] = np.uint8(np.int32(level if level < np.float32(255.0) else np.float32(255.0)))
+    return out

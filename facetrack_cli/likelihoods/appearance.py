@@ -150,9 +150,8 @@ class Appearance:
     def tell(self, learned: Mixture) -> Told:
         """S and W as grey pictures, those that take part, as the paper's figure 3 shows them."""
         shown = [(name, i) for name, i in (("S", 1), ("W", 0)) if self.mixing[i] > 0] or [("F", 2)]
-        return Told(insets=tuple((name, _grey(learned.mu[i].reshape(self.patches.shape))) for name, i in shown))
+        return Told(insets=tuple((name, self._grey(learned.mu[i])) for name, i in shown))
 
-
-def _grey(values: NDArray[np.float32]) -> Image:
-    """Standard deviations as grey levels: 0 is a middle grey, and 2.5 either way black or white."""
-    return np.asarray(np.clip(values * np.float32(51.0) + np.float32(128.0), 0, 255), np.uint8)
+    def _grey(self, values: NDArray[np.float32]) -> Image:
+        """Standard deviations as grey levels: 0 is a middle grey, and 2.5 either way black or white."""
+        return np.asarray(kernel.greys(values)).reshape(self.patches.shape)
