@@ -52,6 +52,8 @@ class Velocity(Section):
     """How often the shift is corrected at most."""
     settle: Annotated[float, Field(ge=0, lt=1)] = 0.02
     """It ends when the error falls by less than this share."""
+    samples: Annotated[int, Field(ge=2)] | None = None
+    """From how many of the particles, evenly chosen, it is learned what a shift does to the patch; null: from all."""
     towards: Literal["last", "appearance"] = "last"
     """What the picture should become again: the patch of the last frame, as published, or what the model expects."""
     search: Annotated[float, Field(ge=0, le=3)] = 0.0
