@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from facetrack_cli.subspaces import Moments
 from facetrack_cli.types import Array
 
 Indices = NDArray[np.intp]
@@ -54,13 +55,45 @@ class Pictures:
             index.append(mine)
         return np.concatenate(rows), np.concatenate(index)
 
-    def to_others(self) -> tuple[Array, Indices, Indices]:
-        """Differences of each patch to what stands for each other person: (n (P - 1), d), which patch, which person."""
+    def to_others(self, basis: Array | None) -> Others:
+        """Differences of each patch to what stands for each other person, in the coordinates of a basis (r, d)."""
         faces = self.faces
-        n, p = len(self.x), len(faces)
-        patch, person = np.repeat(np.arange(n), p), np.tile(np.arange(p), n)
-        other = self.who[patch] != person
-        return self.x[patch[other]] - faces[person[other]], patch[other], person[other]
+        z, z_faces = (rows if basis is None else rows @ basis.T for rows in (self.x, faces))
+        return Others(self.who, z, z_faces, _squares(self.x), _squares(faces), self.x @ faces.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Others:
+    """The n (P - 1) differences of patches to other persons, not written out: their moments come from sums.
+
+    Coordinates `z` (n, r) of patches and `faces` (P, r) of what stands for each person, the squared lengths of both,
+    and `along` (n, P), their products.
+    """
+
+    who: Indices
+    z: Array
+    faces: Array
+    square: Array
+    face_square: Array
+    along: Array
+
+    def moments(self, patches: NDArray[np.bool_], persons: NDArray[np.bool_]) -> Moments:
+        """Of the differences of these patches (n,) to those of these persons (P,) who are others."""
+        z, who, faces = self.z[patches], self.who[patches], self.faces[persons]
+        known = persons[who][:, None]
+        apart = np.where(known, self.faces[who], 0.0)  # a patch is not compared with its own person
+        number = persons.sum() - known[:, 0]
+        asked = len(z) - np.bincount(who, minlength=len(persons))[persons]
+        cross = z.T @ (faces.sum(0) - apart)
+        products = (z.T * number) @ z - cross - cross.T + (faces.T * asked) @ faces
+        along = self.along[patches]
+        between = (along @ persons).sum() - along[np.arange(len(z)), who][known[:, 0]].sum()
+        square = number @ self.square[patches] - 2.0 * between + asked @ self.face_square[persons]
+        return Moments(int(number.sum()), number @ z - asked @ faces, products, max(float(square), 0.0))
+
+
+def _squares(x: Array) -> Array:
+    return np.asarray(np.einsum("nd,nd->n", x, x))
 
 
 def stand_in(pictures: Array) -> Array:

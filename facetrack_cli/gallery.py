@@ -24,21 +24,18 @@ What we take the paper to mean, and what is ours:
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.calibration import equal_errors, fit_logistic, logistic
-from facetrack_cli.differences import Pictures, off_the_mark
-from facetrack_cli.errors import InputError
+from facetrack_cli.calibration import logistic
 from facetrack_cli.plain_arrays import Kind, Stored
 from facetrack_cli.resampling import logsumexp
-from facetrack_cli.subspaces import Fitted, Patches, Residual, Subspace, fit_subspace, folds_by
+from facetrack_cli.subspaces import Patches, Subspace
 from facetrack_cli.types import Array
 
 NONE: Final = "none"  # what the posterior calls nobody of the gallery
@@ -221,107 +218,3 @@ def _from_arrays(stored: Stored) -> Gallery:
         tuple(calibration), stored.number("threshold"), stored.number("errors"), stored.whole("counts"),
         stored.number("most_frontal"), stored.texts("notes"),
     )  # fmt: skip
-
-
-def fit_gallery(
-    patches: NDArray[np.floating[Any]],
-    persons: Sequence[str],
-    shape: tuple[int, int],
-    *,
-    pictures: Sequence[int] | None = None,
-    negatives: NDArray[np.floating[Any]] | None = None,
-    energy: float = 0.9,
-    most_frontal: float = MOST_FRONTAL,
-    residual: Residual = "held_out",
-) -> Gallery:
-    """The gallery of patches (n, d), zero mean and unit variance, each of a person; persons in order of their names.
-
-    `pictures` (n,) says which picture a patch was cut from: the first of each is the picture, all further ones are
-    copies of it that were cut a little off. Without it each patch is a picture. `negatives` (m, d): patches cut off the
-    mark (displaced, turned, scaled); without them they are made of the patches. `energy` is the share of the variance
-    that a subspace keeps, `most_frontal` the upper bound of p_f, `residual` how rho is found (`subspaces.py`).
-    Raises InputError for fewer than two persons, and where no two patches are of one person.
-    """
-    x = np.asarray(patches, np.float64)
-    if x.ndim != 2 or x.shape[1] != shape[0] * shape[1] or len(x) != len(persons):
-        raise ValueError(f"patches of {x.shape} of {len(persons)} persons, and a template of {shape}")
-    for name in sorted(set(persons)):
-        if problem := name_problem(name):
-            raise InputError(f"{problem}; give the folder another name")
-    names, who = np.unique(np.array(persons, str), return_inverse=True)
-    if len(names) < 2:
-        raise InputError(
-            f"a gallery of {len(names)} person{'' if len(names) == 1 else 's'} tells nobody apart: how people differ "
-            "is learned from two or more; add another person"
-        )
-    of = np.unique(np.arange(len(x)) if pictures is None else np.asarray(pictures), return_inverse=True)[1]
-    shown = Pictures(x, who, of)
-    own, own_of = shown.to_own()
-    if not len(own):
-        raise InputError(
-            "there is one picture of each person, and how one face changes with light, expression and pose cannot be "
-            "learned from it; add a second picture of somebody, or copies that are cut a little off"
-        )
-    others, others_of, other = shown.to_others()
-
-    # persons that are held out together; where that leaves nothing to learn from, pictures are
-    folds = folds_by(who)
-    fold = np.argmax(folds, axis=0)
-    person_fold = np.array([fold[who == p][0] for p in range(len(names))])
-    # differences are in the space of the patches, which has few dimensions where these are few
-    settings = _Settings(energy, residual, np.linalg.svd(x, full_matrices=False)[2] if len(x) < x.shape[1] else None)
-    frontal = fit_subspace(x, folds, energy=energy, residual=residual, basis=settings.basis)
-    intra = _fit_differences(own, [fold[own_of] == k for k in range(len(folds))], of[own_of], settings)
-    without = [(fold[others_of] == k) | (person_fold[other] == k) for k in range(len(folds))]
-    extra = _fit_differences(others, without, of[others_of], settings)
-
-    wrong = off_the_mark(x[shown.first], shape) if negatives is None else np.asarray(negatives, np.float64)
-    right_q = np.concatenate([space.log_density(x[mask]) for space, mask in zip(frontal.without, folds, strict=True)])
-    wrong_q = np.mean([space.log_density(wrong) for space in frontal.without], axis=0)
-    strangers = _log_ratio(intra, extra, others, fold[others_of])
-    best = np.full(len(x), -np.inf)
-    np.maximum.at(best, others_of, strangers)
-    threshold, errors = equal_errors(_log_ratio(intra, extra, own, fold[own_of]), best)
-    counts = tuple(int((shown.first & (who == p)).sum()) for p in range(len(names)))
-    return Gallery(
-        tuple(map(str, names)), shown.faces.astype(np.float32), (int(shape[0]), int(shape[1])),
-        frontal.whole, intra.whole, extra.whole, fit_logistic(right_q, wrong_q), threshold, errors, counts,
-        most_frontal, _notes(names.tolist(), counts),
-    )  # fmt: skip
-
-
-class _Settings(NamedTuple):
-    energy: float
-    residual: Residual
-    basis: Array | None
-
-
-def _fit_differences(x: Array, folds: Sequence[NDArray[np.bool_]], of: NDArray[np.intp], settings: _Settings) -> Fitted:
-    """The space of differences x by `folds` of persons; rho from pictures `of` (n,) held out where no person can be."""
-    able = any(mask.any() and not mask.all() for mask in folds)
-    energy, residual, basis = settings
-    fitted = fit_subspace(
-        x, folds if able else folds_by(of), energy=energy, centred=True, residual=residual, basis=basis
-    )
-    return fitted if able else Fitted(fitted.whole, (fitted.whole,) * len(folds))
-
-
-def _log_ratio(intra: Fitted, extra: Fitted, differences: Array, fold: NDArray[np.intp]) -> Array:
-    """(n,): log of eq. 16 of differences (n, d), each by spaces that have not seen the persons of its fold."""
-    out = np.empty(len(differences))
-    for k, (within, between) in enumerate(zip(intra.without, extra.without, strict=True)):
-        mine = fold == k
-        out[mine] = within.log_density(differences[mine]) - between.log_density(differences[mine])
-    return out
-
-
-def _notes(names: Sequence[str], counts: Sequence[int]) -> tuple[str, ...]:
-    """What cannot be learned, for the user."""
-    single = [name for name, count in zip(names, counts, strict=True) if count == 1]
-    if not single:
-        return ()
-    each, their = (" each", "their faces change") if len(single) > 1 else ("", "this face changes")
-    return (
-        f"{', '.join(single)}: one picture{each}: how {their} with light, expression and pose cannot be learned from "
-        "it; add further pictures",
-    )

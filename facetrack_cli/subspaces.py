@@ -11,6 +11,10 @@ The eigenvalues that are left, of n pictures, fall short of what a new picture l
 where all are independent, and by far more where they are frames of a few clips. So rho is, unless `printed` is asked
 for, what maximises the density of pictures held out: the mean of err^2 / (d - s) of each, reconstructed from those of
 other people. With many people both are the same.
+
+Of many rows nothing is kept but their moments, in the coordinates of a basis (`Moments`). Up to MOST_DIRECTIONS of them
+it holds all that the rows are made of; beyond, the largest directions of the patches, and of the others the length
+alone, which is all that eq. 14 asks of what is outside of the principal ones.
 """
 
 from __future__ import annotations
@@ -30,6 +34,8 @@ Residual: TypeAlias = Literal["held_out", "printed"]
 
 LEAST_RHO = 1e-3  # of the variance of a patch: noise of a camera, about one grey level
 FOLDS = 10
+MOST_DIRECTIONS = 256  # of a basis; of ten people's patches what is beyond holds about 1 % of the variance
+MOST_ROWS = 1500  # from which a basis is found
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +78,20 @@ class Subspace:
         error = np.maximum((centred**2).sum(1) - (q**2).sum(1), 0.0) if len(self.values) < self.d else 0.0
         return np.asarray(self.log_constant - 0.5 * ((q**2 / self.values).sum(1) + error / self.rho))
 
+    def log_densities(self, y: Array, faces: Array) -> Array:
+        """(N, P): log Q of the differences of y (N, d) to faces (P, d), which are not written out."""
+        v = self.vectors.astype(np.float64)
+        faces = faces + self.mean
+        plain = 1.0 / self.rho if len(self.values) < self.d else 0.0
+        weight = 1.0 / self.values - plain
+        a, b = y @ v.T, faces @ v.T
+        lengths, those = (
+            plain * np.einsum("nd,nd->n", rows, rows) + (q**2) @ weight for rows, q in ((y, a), (faces, b))
+        )
+        return np.asarray(
+            self.log_constant - 0.5 * (lengths[:, None] + those - 2.0 * (plain * (y @ faces.T) + (a * weight) @ b.T))
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
@@ -79,6 +99,51 @@ class Fitted:
 
     whole: Subspace
     without: tuple[Subspace, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Of `count` rows: the sum (r,) of their coordinates and that of their products (r, r), and of squared lengths.
+
+    The lengths are those of the whole rows, also of what has no coordinate in the basis.
+    """
+
+    count: int
+    total: Array
+    products: Array
+    square: float
+
+    @staticmethod
+    def of(z: Array, square: Array) -> Moments:
+        """Of coordinates z (n, r) and squared lengths (n,)."""
+        return Moments(len(z), z.sum(0), z.T @ z, float(square.sum()))
+
+    def less(self, other: Moments) -> Moments:
+        """Of these rows without the others, which are among them."""
+        return Moments(
+            self.count - other.count,
+            self.total - other.total,
+            self.products - other.products,
+            self.square - other.square,
+        )
+
+
+def common_basis(x: Array, most: int = MOST_DIRECTIONS) -> Array | None:
+    """Orthonormal rows (r, d), r at most `most`: the largest directions of rows x (n, d); None for all directions.
+
+    Of more than MOST_ROWS rows of as many points so many are asked, evenly spread.
+    """
+    n, d = x.shape
+    if d <= most:
+        return None
+    if n <= most:
+        return np.asarray(np.linalg.svd(x, full_matrices=False)[2])
+    if min(n, d) > MOST_ROWS:
+        x = x[np.linspace(0, n - 1, MOST_ROWS).astype(int)]
+    if d <= len(x):
+        return np.ascontiguousarray(np.linalg.eigh(x.T @ x)[1][:, : -most - 1 : -1].T)
+    largest = np.linalg.eigh(x @ x.T)[1][:, : -most - 1 : -1]
+    return np.asarray(np.linalg.qr(x.T @ largest)[0].T)
 
 
 def fit_subspace(
@@ -94,18 +159,35 @@ def fit_subspace(
 
     `folds[k]` (n,) is true for the rows that are held out together; a fold of no row or of all of them holds nothing
     out, and where all are such, rho is as printed. `centred`: the mean is 0 by construction, and is not estimated. All
-    subspaces have the one rho. `basis` (r, d), orthonormal, of a space that all rows are in, saves time where r is far
-    below d. Raises ValueError without rows.
+    subspaces have the one rho. `basis` (r, d), orthonormal, of a space that the rows are in or nearly so, saves time
+    where r is far below d. Raises ValueError without rows.
     """
-    d = x.shape[1]
-    if basis is not None:
-        x = x @ basis.T
-    whole = _components(x, energy, centred, d)
-    parts = [_components(x[~fold], energy, centred, d) if fold.any() and not fold.all() else whole for fold in folds]
+    rows: Array = np.asarray(x, np.float64)
+    z: Array = rows if basis is None else rows @ basis.T
+    square = np.einsum("nd,nd->n", rows, rows)
+    without = [Moments.of(z[~fold], square[~fold]) for fold in folds]
+    return fit_moments(
+        Moments.of(z, square), without, x.shape[1], energy=energy, centred=centred, residual=residual, basis=basis
+    )
+
+
+def fit_moments(
+    all_rows: Moments,
+    without: Sequence[Moments],
+    d: int,
+    *,
+    energy: float = 0.9,
+    centred: bool = False,
+    residual: Residual = "held_out",
+    basis: Array | None = None,
+) -> Fitted:
+    """As `fit_subspace`, of the moments of all rows of d numbers and of those `without` each fold."""
+    whole = _components(all_rows, energy, centred, d)
+    parts = [_components(m, energy, centred, d) if 0 < m.count < all_rows.count else whole for m in without]
+    held = [(part, all_rows.less(moments)) for part, moments in zip(parts, without, strict=True) if part is not whole]
     rho = whole.remaining
-    errors = [part.errors(x[fold]) for part, fold in zip(parts, folds, strict=True) if part is not whole]
-    if residual == "held_out" and errors:
-        rho = max(rho, float(np.concatenate(errors).mean()))
+    if residual == "held_out" and held:
+        rho = max(rho, sum(part.errors(rows) for part, rows in held) / sum(rows.count for _, rows in held))
     rho = max(rho, LEAST_RHO)
     return Fitted(whole.subspace(rho, basis), tuple(part.subspace(rho, basis) for part in parts))
 
@@ -126,11 +208,13 @@ class _Components:
     remaining: float  # sum of the eigenvalues that are left, over d - s
     d: int
 
-    def errors(self, x: NDArray[np.floating[Any]]) -> Array:
-        """(n,): what a row leaves over, err^2 / (d - s)."""
-        centred = x - self.mean
-        left = (centred**2).sum(1) - ((centred @ self.vectors.T) ** 2).sum(1)
-        return np.asarray(left / max(self.d - len(self.values), 1))
+    def errors(self, rows: Moments) -> float:
+        """What rows leave over, the sum of err^2 / (d - s)."""
+        along = self.vectors @ self.mean
+        length = rows.square - 2.0 * self.mean @ rows.total + rows.count * self.mean @ self.mean
+        kept = np.einsum("si,ij,sj->", self.vectors, rows.products, self.vectors, optimize=True)
+        kept += -2.0 * along @ (self.vectors @ rows.total) + rows.count * along @ along
+        return max(float(length - kept), 0.0) / max(self.d - len(self.values), 1)
 
     def subspace(self, rho: float, basis: Array | None) -> Subspace:
         # a principal direction varies no less than those that were left out
@@ -139,25 +223,22 @@ class _Components:
         # the sign of an eigenvector is arbitrary: its largest entry is positive
         largest = np.abs(vectors).argmax(axis=1)
         vectors = vectors * np.sign(vectors[np.arange(len(vectors)), largest])[:, None]
-        return Subspace(mean.astype(np.float32), vectors.astype(np.float32), values, rho)
+        return Subspace(mean.astype(np.float32), np.ascontiguousarray(vectors, np.float32), values, rho)
 
 
-def _components(x: NDArray[np.floating[Any]], energy: float, centred: bool, d: int) -> _Components:
-    """Of rows x (n, r), which stand for rows of d numbers."""
-    n, r = x.shape
+def _components(rows: Moments, energy: float, centred: bool, d: int) -> _Components:
+    """Of rows that stand for rows of d numbers."""
+    n = rows.count
     if not n:
         raise ValueError("no rows to learn from")
-    mean = np.zeros(r) if centred else x.mean(0, dtype=np.float64)
-    rows = x - mean
+    mean = np.zeros_like(rows.total) if centred else rows.total / n
     freedom = n if centred else max(n - 1, 1)
-    # of the smaller of the two products, which have the same eigenvalues
-    values, vectors = np.linalg.eigh((rows @ rows.T if n < r else rows.T @ rows) / freedom)
+    values, vectors = np.linalg.eigh((rows.products - n * np.outer(mean, mean)) / freedom)
     values = np.maximum(values[::-1], 0.0)
-    total = values.sum()
+    # the lengths of the rows know of directions that are not in the basis
+    total = max(float(rows.square - n * mean @ mean) / freedom, float(values.sum()))
     rank = int((values > 1e-9 * max(total, 1e-12)).sum())
     enough = int(np.searchsorted(np.cumsum(values), energy * total)) + 1
     s = min(enough, max(rank // 2, 1), rank)
-    vectors = vectors[:, ::-1][:, :s]
-    if n < r:
-        vectors = rows.T @ vectors / np.sqrt(values[:s] * freedom)
-    return _Components(mean, vectors.T, values[:s], float(values[s:].sum()) / max(d - s, 1), d)
+    left = max(total - float(values[:s].sum()), 0.0)
+    return _Components(mean, vectors[:, ::-1][:, :s].T, values[:s], left / max(d - s, 1), d)

@@ -13,9 +13,10 @@ from scipy.stats import multivariate_normal
 from facetrack_cli.calibration import equal_errors, fit_logistic, logistic
 from facetrack_cli.differences import Pictures, off_the_mark, stand_in
 from facetrack_cli.errors import InputError, OutputError
-from facetrack_cli.gallery import NONE, Gallery, fit_gallery, load_gallery
+from facetrack_cli.gallery import NONE, Gallery, load_gallery
+from facetrack_cli.gallery_learn import fit_gallery
 from facetrack_cli.plain_arrays import Kind
-from facetrack_cli.subspaces import LEAST_RHO, Subspace, fit_subspace, folds_by
+from facetrack_cli.subspaces import LEAST_RHO, Moments, Subspace, common_basis, fit_subspace, folds_by
 from tests import naive_gallery
 
 SHAPE = (10, 8)
@@ -78,6 +79,14 @@ def test_density_agrees_with_its_plain_twin_and_with_scipy(d, s, seed):
     np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.parametrize("s", [0, 3, 9])
+def test_densities_of_differences_are_those_of_each(s):
+    rng = np.random.default_rng(s)
+    space, y, faces = some_subspace(rng, 9, s), rng.normal(size=(5, 9)), rng.normal(size=(3, 9))
+    expected = np.stack([space.log_density(y - face) for face in faces], axis=1)
+    np.testing.assert_allclose(space.log_densities(y, faces), expected, rtol=1e-6)
+
+
 @pytest.mark.parametrize("s", [0, 1, 2])
 def test_density_integrates_to_one(s):
     space = some_subspace(np.random.default_rng(s), 2, s)
@@ -131,6 +140,37 @@ def test_a_basis_changes_nothing():
         np.testing.assert_allclose(a.log_density(y), b.log_density(y), rtol=1e-4)
 
 
+def test_a_basis_of_the_largest_directions_changes_little():
+    rng = np.random.default_rng(8)
+    x = rng.normal(size=(60, 40)) * np.r_[np.linspace(6, 2, 10), np.full(30, 0.4)]
+    folds = folds_by(np.arange(60) // 6)
+    basis = common_basis(x, 15)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(15), atol=1e-9)
+    plain, reduced = fit_subspace(x, folds).whole, fit_subspace(x, folds, basis=basis).whole
+    assert len(plain.values) == len(reduced.values) < 12
+    np.testing.assert_allclose(reduced.values, plain.values, rtol=0.01)
+    # what the basis has no direction for still counts as left over
+    assert reduced.rho == pytest.approx(plain.rho, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("n", "d", "most", "rank"), [(9, 30, 12, 9), (40, 12, 12, None), (30, 40, 7, 7), (40, 30, 7, 7)]
+)
+def test_a_basis_has_the_largest_directions(monkeypatch, n, d, most, rank):
+    monkeypatch.setattr("facetrack_cli.subspaces.MOST_ROWS", 10_000)
+    x = np.random.default_rng(n).normal(size=(n, d)) * np.linspace(3, 0.1, d)
+    basis = common_basis(x, most)
+    if rank is None:
+        assert basis is None
+        return
+    largest = np.linalg.svd(x, full_matrices=False)[2][:rank]
+    np.testing.assert_allclose(np.abs(basis @ largest.T).round(6), np.eye(rank)[:, : len(largest)], atol=1e-6)
+    monkeypatch.setattr("facetrack_cli.subspaces.MOST_ROWS", 20)
+    some = common_basis(x, most)  # of evenly spread rows
+    assert some.shape == basis.shape
+    np.testing.assert_allclose(some @ some.T, np.eye(len(some)), atol=1e-9)
+
+
 def test_rows_that_are_all_alike_have_a_density():
     space = fit_subspace(np.ones((4, 6)), folds_by(np.arange(4))).whole
     assert space.rho == LEAST_RHO
@@ -160,10 +200,30 @@ def test_differences_agree_with_their_plain_twins():
     own, of = shown.to_own()
     order = np.argsort(who[of], kind="stable")
     np.testing.assert_allclose(own[order], naive_gallery.to_own(groups), atol=1e-12)
-    others, of, other = shown.to_others()
-    order = np.lexsort((other, of, who[of]))
-    np.testing.assert_allclose(others[order], naive_gallery.to_others(groups), atol=1e-12)
     np.testing.assert_allclose(shown.faces, [naive_gallery.stand_in(group) for group in groups], atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(0, 3), min_size=2, max_size=9), st.booleans(), st.integers(0, 999))
+def test_moments_of_differences_to_others_are_those_of_the_differences(labels, reduced, seed):
+    rng = np.random.default_rng(seed)
+    who = np.unique(labels, return_inverse=True)[1]
+    x = normalised(smooth(rng, len(who)))
+    patches, persons = rng.random(len(who)) < 0.7, rng.random(who.max() + 1) < 0.7
+    basis = common_basis(x, 4) if reduced else None
+    groups = [x[who == p].tolist() for p in range(who.max() + 1)]
+    asked = [
+        patches[np.flatnonzero(who == p)[k]] and persons[q]
+        for p, group in enumerate(groups) for k in range(len(group)) for q in range(len(groups)) if q != p
+    ]  # fmt: skip
+    rows = np.array(naive_gallery.to_others(groups)).reshape(-1, D)[np.array(asked, bool)]
+    got = Pictures(x, who, np.arange(len(x))).to_others(basis).moments(patches, persons)
+    z = rows if basis is None else rows @ basis.T
+    expected = Moments.of(z, (rows**2).sum(1))
+    assert got.count == expected.count
+    np.testing.assert_allclose(got.total, expected.total, atol=1e-9)
+    np.testing.assert_allclose(got.products, expected.products, atol=1e-9)
+    assert got.square == pytest.approx(expected.square, abs=1e-9)
 
 
 def test_one_picture_stands_for_a_person_as_published():

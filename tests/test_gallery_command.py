@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.gallery import fit_gallery, load_gallery
+from facetrack_cli.gallery import load_gallery
+from facetrack_cli.gallery_learn import fit_gallery
 from facetrack_cli.gallery_picture import WIDTH, calibrated, draw_gallery, kept
 from tests.gallery_faces import NAMES, people_folder
 from tests.samples import FOLDER

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.gallery import NONE, fit_gallery
+from facetrack_cli.gallery import NONE
+from facetrack_cli.gallery_learn import fit_gallery
 from facetrack_cli.likelihoods.appearance import Appearance
 from facetrack_cli.likelihoods.recognition import Recognition
 from facetrack_cli.patches import Patches

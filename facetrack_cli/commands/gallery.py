@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -96,7 +97,10 @@ def fit(
       facetrack gallery fit people/ -o gallery.npz
       facetrack gallery fit clips/ --stop 250      # the rest of each clip is kept to try it on
     """
-    from facetrack_cli.gallery import fit_gallery
+    # before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+    from facetrack_cli.gallery_learn import fit_gallery
     from facetrack_cli.gallery_people import Reading
     from facetrack_cli.start.files import check_new
 
