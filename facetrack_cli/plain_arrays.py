@@ -85,6 +85,9 @@ class Stored:
     def texts(self, key: str) -> tuple[str, ...]:
         return tuple(map(str, self._array(key, "U", 1)))
 
+    def text(self, key: str) -> str:
+        return str(self._array(key, "U", 0))
+
     def whole(self, key: str) -> tuple[int, ...]:
         return tuple(map(int, self._array(key, "iu", 1)))
 

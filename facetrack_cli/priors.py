@@ -19,9 +19,6 @@ The printed eq. 11 writes d(q(s_k)), h_j; the text below it names d(q(s_k), h_j)
 from __future__ import annotations
 
 import math
-import os
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,12 +26,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.errors import InputError, OutputError, RecipeError
+from facetrack_cli.errors import InputError, RecipeError
 from facetrack_cli.kernels.shape import LANES, PADDING, log_parzen, pick_shape
+from facetrack_cli.plain_arrays import Kind, Stored
 from facetrack_cli.types import Array
 
-FORMAT = "facetrack-shape-prior"
-VERSION = 1
+KIND = Kind("facetrack-shape-prior", 1, "shape prior", "facetrack prior fit")
 DEFAULT = "mouth_prior.npz"
 LEAST_SIGMA = 0.005  # of the unit; the float32 exponents of narrower kernels would be wrong by 0.001 and more
 
@@ -71,24 +68,15 @@ class ShapePrior:
 
     def save(self, path: Path) -> None:
         """Writes an .npz of plain arrays, whole or not at all; equal priors give equal bytes. Raises OutputError."""
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-        try:
-            try:
-                with temporary.open("wb") as file:
-                    np.savez(
-                        file,
-                        format=np.array(FORMAT),
-                        version=np.array(VERSION, "<i8"),
-                        parts=np.array(self.parts),
-                        stable=np.array(self.stable),
-                        scale=np.array(self.scale),
-                        shapes=np.ascontiguousarray(self.shapes, "<f8"),
-                    )
-                temporary.replace(path)
-            finally:
-                temporary.unlink(missing_ok=True)
-        except OSError as e:
-            raise OutputError(f"{path}: cannot be written: {e.strerror or e}; name another file with -o") from e
+        KIND.write(
+            path,
+            {
+                "parts": np.array(self.parts),
+                "stable": np.array(self.stable),
+                "scale": np.array(self.scale),
+                "shapes": np.ascontiguousarray(self.shapes, "<f8"),
+            },
+        )
 
     def spacing(self) -> float:
         """Mean distance of a shape to its nearest neighbour, in units of the scale; 0 for a single shape."""
@@ -108,37 +96,16 @@ def default_prior_path() -> Path:
 
 def load_prior(path: Path) -> ShapePrior:
     """The prior in a file that `save` wrote. Raises InputError for anything else; nothing in the file is executed."""
-    remedy = "make one with `facetrack prior fit`"
-    try:
-        with path.open("rb") as raw:
-            file = np.load(raw, allow_pickle=False)
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise InputError(f"{path}: is a bare array, not a shape prior; {remedy}")
-            found = {name: file[name] for name in ("format", "version") if name in file.files}
-            if str(found.get("format")) != FORMAT:
-                raise InputError(f"{path}: is not a shape prior; {remedy}")
-            if found.get("version") is None or found["version"].ravel()[0] != VERSION:
-                raise InputError(
-                    f"{path}: is a shape prior of format version {found.get('version')}, and this facetrack reads "
-                    f"version {VERSION}; fit it again with `facetrack prior fit`"
-                )
-            parts, scale = (tuple(str(name) for name in file[key].ravel()) for key in ("parts", "scale"))
-            if len(scale) != 2:
-                raise ValueError(f"scale names {len(scale)} parts where 2 belong")
-            return ShapePrior(parts, np.asarray(file["shapes"], np.float64), str(file["stable"]), (scale[0], scale[1]))
-    except FileNotFoundError as e:
-        raise InputError(f"{path}: there is no such prior; {remedy}") from e
-    except OSError as e:
-        raise InputError(
-            f"{path}: cannot be read: {e.strerror or e}; name a prior, as `facetrack prior fit` writes it"
-        ) from e
-    except KeyError as e:
-        raise InputError(f"{path}: the prior lacks an array: {e.args[0]}; {remedy}") from e
-    except ValueError as e:
-        reason = "it is no .npz of plain arrays" if "pickle" in str(e) else " ".join(str(e).split())
-        raise InputError(f"{path}: is not a usable shape prior: {reason}; {remedy}") from e
-    except (TypeError, IndexError, EOFError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error) as e:
-        raise InputError(f"{path}: is not a usable shape prior: it is no .npz of plain arrays; {remedy}") from e
+    return KIND.read(path, _made)
+
+
+def _made(stored: Stored) -> ShapePrior:
+    parts, scale = stored.texts("parts"), stored.texts("scale")
+    if len(scale) != 2:
+        raise ValueError(f"scale names {len(scale)} parts where 2 belong")
+    return ShapePrior(
+        parts, np.asarray(stored.reals("shapes", 3), np.float64), stored.text("stable"), (scale[0], scale[1])
+    )
 
 
 def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> BoundPrior:

@@ -340,7 +340,7 @@ def test_damaged_files_are_refused(tmp_path):
             load_prior(path)  # a flipped bit outside the checked content does no harm
         except InputError as error:
             assert "\n" not in str(error)
-    with pytest.raises(InputError, match="no such prior"):
+    with pytest.raises(InputError, match="no such shape prior"):
         load_prior(tmp_path / "absent.npz")
     with pytest.raises(InputError, match="cannot be read"):
         load_prior(tmp_path)
