@@ -57,6 +57,14 @@ def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
     return tuple(_target(recipe_, recipe_, name, start) for name in start.targets)
 
 
+def check_gallery(recipe_: Recipe) -> None:
+    """Raises what `build_tracker` would, of the galleries of a recipe alone, before any clip is opened."""
+    for above, given in recipe.filters(recipe_):
+        if given.recognition is not None and isinstance(given.likelihood, recipe.Appearance):
+            columns, rows = given.likelihood.template
+            _appearance(given, recipe_, above, Patches((columns, rows), (rows, columns)))
+
+
 def _target(given: ParticleFilter, recipe_: Recipe, name: str, start: Start) -> ParticleTarget:
     match given.target:
         case recipe.Region():
@@ -166,6 +174,7 @@ def _affine_target(given: ParticleFilter, recipe_: Recipe, name: str, start: Sta
     assert isinstance(given.motion, recipe.AffineWalk)
     assert isinstance(given.likelihood, recipe.Appearance)
     box = _seen_box(start, name)
+    above = f"targets.{name}." if isinstance(recipe_, ParticlesRecipe) else ""
     columns, rows = given.likelihood.template
     patches = Patches((box[2], box[3]), (rows, columns))
     motion, velocity, noise = given.motion, given.motion.velocity, given.motion.noise
@@ -190,7 +199,7 @@ def _affine_target(given: ParticleFilter, recipe_: Recipe, name: str, start: Sta
             *given.target.scale,
             motion.turn,
         ),
-        likelihood=_appearance(given, recipe_, patches),
+        likelihood=_appearance(given, recipe_, above, patches),
         prior=None,
         step=_step(given.filter),
         confidence=Confidence(**given.confidence.model_dump()),
@@ -199,7 +208,7 @@ def _affine_target(given: ParticleFilter, recipe_: Recipe, name: str, start: Sta
     )
 
 
-def _appearance(given: ParticleFilter, recipe_: Recipe, patches: Patches) -> Likelihood:
+def _appearance(given: ParticleFilter, recipe_: Recipe, above: str, patches: Patches) -> Likelihood:
     a = given.likelihood
     assert isinstance(a, recipe.Appearance)
     appearance = Appearance(
@@ -213,16 +222,24 @@ def _appearance(given: ParticleFilter, recipe_: Recipe, patches: Patches) -> Lik
         outlier=a.outlier,
         pixels=a.pixels,
     )
-    if (r := given.recognition) is None:
+    if given.recognition is None:
         return appearance
+    return _recognition(given, appearance, recipe_, f"{above}recognition.gallery")
+
+
+def _recognition(given: ParticleFilter, appearance: Appearance, recipe_: Recipe, key: str) -> Recognition:
+    r = given.recognition
+    assert r is not None
     if r.gallery is None:
-        message = "nobody is known to recognise; give --gallery FILE, as facetrack gallery fit writes it"
-        raise recipe_.error("recognition.gallery", message)
-    path = recipe.resolve_file(recipe_, r.gallery)
+        message = (
+            "nobody is known to recognise; give --gallery FILE, as facetrack gallery fit writes it, or name it here"
+        )
+        raise recipe_.error(key, message)
+    path = recipe.resolve_file(recipe_, r.gallery, key)
     try:
         return Recognition(appearance, load_gallery(path), none=r.none, switch=r.switch, sharpness=r.sharpness)
     except TemplateError as e:
-        raise recipe_.error("recognition.gallery", f"{path}: {e}") from None
+        raise recipe_.error(key, f"{path}: {e}") from None
 
 
 def _seen_box(start: Start, name: str) -> Box:

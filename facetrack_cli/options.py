@@ -71,3 +71,8 @@ init = click.option(
 face_box = click.option(
     "--box", metavar="X,Y,W,H", callback=box, help="The face, head or hand in the first frame, in pixels."
 )
+gallery = click.option(
+    "--gallery",
+    metavar="FILE",
+    help="People to recognise, as facetrack gallery fit writes them; for recipes of affine targets.",
+)

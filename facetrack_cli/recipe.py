@@ -83,6 +83,7 @@ __all__ = [
     "Window",
     "check_recipe",
     "completed",
+    "filters",
     "find_recipe",
     "json_schema",
     "load_recipe",
@@ -262,20 +263,21 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
     """Everything that is wrong with a recipe; also that the files it names are there."""
     try:
         recipe = _load(find_recipe(name_or_path), overrides)
-        for one in _filters(recipe):
+        for above, one in filters(recipe):
             if one.prior is not None:
-                _find_file(recipe, one.prior.file)
+                _find_file(recipe, one.prior.file, f"{above}prior.file")
             if one.recognition is not None and one.recognition.gallery is not None:
-                _find_file(recipe, one.recognition.gallery)
+                _find_file(recipe, one.recognition.gallery, f"{above}recognition.gallery")
     except YamlProblems as refused:
         return list(refused.problems)
     return []
 
 
-def _filters(recipe: Recipe) -> Sequence[ParticleFilter]:
+def filters(recipe: Recipe) -> Sequence[tuple[str, ParticleFilter]]:
+    """The particle filters of a recipe, each with what stands before its keys: nothing, or as in `targets.face.`."""
     if isinstance(recipe, ParticlesRecipe):
-        return list(recipe.filters.values())
-    return [recipe] if isinstance(recipe, ParticleRecipe) else []
+        return [(f"targets.{name}.", one) for name, one in recipe.filters.items()]
+    return [("", recipe)] if isinstance(recipe, ParticleRecipe) else []
 
 
 def shipped_folder() -> Path:
@@ -318,10 +320,13 @@ def read_recipe(path: Path) -> str:
         raise _error(refused.problems) from None
 
 
-def resolve_file(recipe: Recipe, name: str) -> Path:
-    """A file that the recipe names: beside the recipe, then among the shipped ones. RecipeError if it is nowhere."""
+def resolve_file(recipe: Recipe, name: str, key: str = "") -> Path:
+    """A file that the recipe names: beside the recipe, then among the shipped ones. RecipeError if it is nowhere.
+
+    `key` is where the recipe names it, as in `prior.file`; without it the first key of that value is taken.
+    """
     try:
-        return _find_file(recipe, name)
+        return _find_file(recipe, name, key)
     except YamlProblems as refused:
         raise _error(refused.problems) from None
 
@@ -391,8 +396,13 @@ def _kind(root: Node) -> type[Recipe]:
     return KINDS[name]
 
 
-def _find_file(recipe: Recipe, name: str) -> Path:
-    node = None if recipe._root is None else next((n for _, n in recipe._root.walk() if n.value == name), None)
+def _find_file(recipe: Recipe, name: str, key: str = "") -> Path:
+    node = None
+    if recipe._root is not None and key:
+        node, _, exact = locate(recipe._root, tuple(key.split(".")))
+        node = node if exact else None
+    elif recipe._root is not None:
+        node = next((n for _, n in recipe._root.walk() if n.value == name), None)
     said_in = [] if node is None else [node.span.source.folder]  # of --set: the working directory
     folders = [*said_in, recipe.path.parent, shipped_folder()]
     for folder in folders:

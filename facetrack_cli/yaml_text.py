@@ -73,11 +73,11 @@ class Span:
         line = lines[self.line] if self.line < len(lines) else ""
         first = 0 if self.column < 0.8 * EXCERPT_WIDTH else self.column - EXCERPT_WIDTH // 2
         shown = line[first : first + EXCERPT_WIDTH]
-        before = _clean(shown[: self.column - first])
-        under = _clean(shown[self.column - first : max(self.end, self.column + 1) - first])
+        before = printable(shown[: self.column - first])
+        under = printable(shown[self.column - first : max(self.end, self.column + 1) - first])
         gutter = f"{self.line + 1:>5} | " if self.source.is_file else "    "
         margin = f"{'|':>7} " if self.source.is_file else gutter
-        return f"{gutter}{_clean(shown)}\n{margin}{' ' * _cells(before)}{'^' * max(1, _cells(under))}"
+        return f"{gutter}{printable(shown)}\n{margin}{' ' * _cells(before)}{'^' * max(1, _cells(under))}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +163,7 @@ def assign(root: Node, option: str, assignment: str) -> None:
     The value is YAML, the path is keys with dots between them. Mappings on the way are made where nothing is.
     Raises YamlProblems with the place in the assignment.
     """
-    source = Source(f"{option} {_clean(assignment)}", assignment, Path(), is_file=False)
+    source = Source(f"{option} {printable(assignment)}", assignment, Path(), is_file=False)
     path, equals, _ = assignment.partition("=")
     whole = Span(source, 0, 0, max(1, len(path)))
     if not equals or any(c in path for c in "\n\r"):
@@ -333,7 +333,8 @@ def _lines(text: str) -> list[str]:
     return re.split(r"\r\n|[\n\r\x85\u2028\u2029]", text)
 
 
-def _clean(text: str) -> str:
+def printable(text: str) -> str:
+    """The text with what would break a line or a terminal replaced."""
     return "".join(char if char.isprintable() else " " if char == "\t" else "?" for char in text)
 
 

@@ -25,6 +25,7 @@ LAYERS = [
     {"recipe_sections"},
     {"recipe_filter"},
     {"recipe"},
+    {"recipe_gallery"},
     {"build"},
     {"outputs", "progress"},
     {"job"},

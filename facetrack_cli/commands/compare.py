@@ -47,6 +47,7 @@ PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 )
 @click.option("--seeds", metavar="N", type=Whole(min=1), default=10, show_default=True, help="Runs of each, seed 0 on.")
 @click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of all; repeatable.")
+@options.gallery
 @options.init
 @options.face_box
 @options.truth_format
@@ -73,6 +74,7 @@ def command(
     configs: tuple[str, ...],
     seeds: int,
     overrides: tuple[str, ...],
+    gallery: str | None,
     init: str | None,
     box: Box | None,
     truth_format: str,
@@ -121,6 +123,7 @@ def command(
     5 some of the recipes could not run, 130 interrupted, 143 terminated.
     """
     from facetrack_cli.batch import title
+    from facetrack_cli.build import check_gallery
     from facetrack_cli.experiments.begin import Begin, refuse_seed
     from facetrack_cli.experiments.compare import (
         PRIMARY,
@@ -136,16 +139,17 @@ def command(
     from facetrack_cli.formats.read import read_truth
     from facetrack_cli.progress import progress
     from facetrack_cli.recipe import load_recipe
+    from facetrack_cli.recipe_gallery import with_gallery
     from facetrack_cli.stopping import Stop
 
     begin = Begin.of(clip, init, box, stop, fps)
     if rank_by is not None:
         check_measure(rank_by)
     refuse_seed([*overrides, *(one for _, own in map(variant, configs) for one in own)])
-    named = {
-        label: load_recipe(name, (*overrides, *own))
-        for label, (name, own) in zip(labels(configs), map(variant, configs), strict=True)
-    }
+    recipes = with_gallery([load_recipe(name, (*overrides, *own)) for name, own in map(variant, configs)], gallery)
+    named = dict(zip(labels(configs), recipes, strict=True))
+    for recipe in recipes if gallery is not None else ():
+        check_gallery(recipe)
     file = default_truth(clip) if truth is None else truth
     known = read_truth(file, truth_format, shift=shift or 0)
     plots = () if no_plots else PLOTS

@@ -86,7 +86,7 @@ def fit(
     overwrite: bool,
     quiet: bool,
 ) -> None:
-    """Learn a gallery from a folder that has a folder for each person.
+    """Learn a gallery from a folder of people's folders.
 
     A person's folder is called as the person is, and holds pictures, videos, or folders of a video's frames. Of each
     picture the largest face is taken, of a video that of some frames, spread evenly. An init file beside a picture or
@@ -95,7 +95,7 @@ def fit(
     \b
     Examples:
       facetrack gallery fit people/ -o gallery.npz
-      facetrack gallery fit clips/ --stop 250      # the rest of each clip is kept to try it on
+      facetrack gallery fit clips/ --stop 250      # the rest is to try it on
     """
     # before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

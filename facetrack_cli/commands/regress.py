@@ -91,6 +91,12 @@ def command(
     for path in (junit, json_file):
         if path is not None:
             check_new(path, overwrite=overwrite)
+    if gallery is not None:  # a mistake in the option is no regression
+        from facetrack_cli.gallery import load_gallery
+        from facetrack_cli.recipe_gallery import check_file
+
+        check_file(str(gallery))
+        load_gallery(gallery)
     with Stop().listening() as ending, contextlib.closing(progress(quiet)) as shown:
         shown.begin(str(folder), "frames", None)
         if update:

@@ -31,6 +31,7 @@ PLOTS = ("spread.png",)
 @click.option(
     "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
 )
+@options.gallery
 @options.init
 @options.face_box
 @click.option("--start", metavar="N", type=FRAME, default=0, help="First frame, from 0, of --box or a face looked for.")
@@ -61,6 +62,7 @@ def command(
     config: str,
     seeds: int,
     overrides: tuple[str, ...],
+    gallery: str | None,
     init: str | None,
     box: Box | None,
     start: int,
@@ -98,6 +100,7 @@ def command(
     143 terminated.
     """
     from facetrack_cli.batch import title
+    from facetrack_cli.build import check_gallery
     from facetrack_cli.experiments.begin import Begin, refuse_seed
     from facetrack_cli.experiments.folder import Folder
     from facetrack_cli.experiments.repeat import spreads
@@ -107,11 +110,13 @@ def command(
     from facetrack_cli.formats.read import read_truth
     from facetrack_cli.progress import progress
     from facetrack_cli.recipe import load_recipe
+    from facetrack_cli.recipe_gallery import with_gallery
     from facetrack_cli.stopping import Stop
 
     begin = Begin.of(clip, init, box, stop, fps, start)
     refuse_seed(overrides)
-    recipe = load_recipe(config, overrides)
+    [recipe] = with_gallery([load_recipe(config, overrides)], gallery)
+    check_gallery(recipe)
     known = None if truth is None else read_truth(truth)
     names = FILES + (() if no_plots else PLOTS)
     with (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,9 +40,7 @@ def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
 )
 @click.option("--seed", metavar="N", type=Whole(min=0), help="Seed of the random numbers, instead of the recipe's.")
-@click.option(
-    "--gallery", metavar="FILE", help="People to recognise, as by facetrack gallery fit; recipes of affine targets."
-)
+@options.gallery
 @options.init
 @options.face_box
 @click.option(
@@ -116,9 +113,11 @@ def command(
     5 some of several inputs failed, 130 interrupted, 143 terminated.
     """
     from facetrack_cli.batch import absolute, cores
+    from facetrack_cli.build import check_gallery
     from facetrack_cli.job import HAAR, Job
     from facetrack_cli.progress import progress
     from facetrack_cli.recipe import load_recipe
+    from facetrack_cli.recipe_gallery import with_gallery
     from facetrack_cli.stopping import Stop
 
     if init is not None and box is not None:
@@ -131,9 +130,8 @@ def command(
         raise UsageError("--init is empty; name an init file, or haar to look for a face")
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
-    if gallery is not None:
-        overrides = (*overrides, f"recognition.gallery={json.dumps(gallery, ensure_ascii=False)}")
-    recipe = load_recipe(config, overrides)
+    [recipe] = with_gallery([load_recipe(config, overrides)], gallery)
+    check_gallery(recipe)
     if fail_on_lost and not recipe.judges:
         raise UsageError(
             f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
