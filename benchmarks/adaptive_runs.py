@@ -1,0 +1,171 @@
+"""Runs of trackers that adapt, with what they tell, for `adaptive.py` and `recognition.py`.
+
+The trajectories of `facetrack_cli.experiments.runs` hold neither corners nor scale nor posterior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from facetrack_cli.build import build_tracker
+from facetrack_cli.errors import InputError
+from facetrack_cli.evaluation.boxes import SUCCESS_THRESHOLDS, BoxMeasures, measure_boxes, share_above
+from facetrack_cli.experiments.begin import find_plan_start
+from facetrack_cli.experiments.compare import TAIL_IOU, default_truth, tail_overlap, variant
+from facetrack_cli.formats.read import read_truth
+from facetrack_cli.formats.table import Mask, Table
+from facetrack_cli.recipe import load_recipe
+from facetrack_cli.track import track
+from facetrack_cli.types import Array, Frame, Result, Start
+from facetrack_cli.video.source import open_source
+
+SAMPLES = Path(__file__).parent.parent / "sample_videos"
+MADE = ("zoom", "lamp")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run; T frames. `states` (T, 6), `corners` (T, 4, 2), `angle` in degrees; what is not known is nan."""
+
+    frame: Array
+    boxes: Array
+    states: Array
+    corners: Array
+    angle: Array
+    scale: Array
+    particles: Array
+    confidence: Array
+    lost: Mask
+    posterior: tuple[Mapping[str, float] | None, ...]
+    truth: Array
+    true_angle: Array
+
+    @cached_property
+    def measures(self) -> BoxMeasures:
+        return measure_boxes(self.boxes, self.truth)
+
+    @property
+    def ends_lost(self) -> bool:
+        tail = tail_overlap(self.measures.overlap)
+        return tail is not None and tail < TAIL_IOU
+
+    def polygon_auc(self) -> float:
+        """Success AUC with the overlap of the parallelograms and the true boxes, turned where the truth is."""
+        known = np.isfinite(self.truth).all(axis=1)
+        overlap = np.array(
+            [overlap_of(a, b) for a, b in zip(self.corners[known], self._true_corners[known], strict=True)]
+        )
+        overlap[0] = 1.0  # given
+        return float(share_above(overlap, SUCCESS_THRESHOLDS).mean())
+
+    @property
+    def _true_corners(self) -> Array:
+        turn = np.radians(np.nan_to_num(self.true_angle))
+        c, s = np.cos(turn), np.sin(turn)
+        return corners_of(self.truth, np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1))
+
+
+def corners_of(boxes: Array, turn: Array) -> Array:
+    """(T, 4, 2) of boxes (T, 4) under maps (T, 2, 2) around their centres."""
+    half = boxes[:, None, 2:] / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    corners: Array = (boxes[:, :2] + (boxes[:, 2:] - 1) / 2)[:, None] + np.einsum("tij,tkj->tki", turn, half)
+    return corners
+
+
+def overlap_of(a: Array, b: Array) -> float:
+    """Intersection over union of two convex polygons (n, 2)."""
+    a, b = a.astype(np.float32), b.astype(np.float32)
+    shared, _ = cv2.intersectConvexConvex(a, b)
+    return float(shared / max(cv2.contourArea(a) + cv2.contourArea(b) - shared, 1e-9))
+
+
+def clip_of(name: str, clips: Path | None) -> Path:
+    if name in MADE:
+        return SAMPLES / f"{name}.mp4"
+    if clips is None:
+        raise SystemExit(f"{name} is among the real clips; say where they are with --clips")
+    videos = [path for path in sorted((clips / name).iterdir()) if path.is_file() and path.suffix != ".csv"]
+    return videos[0] if videos else clips / name / "img"
+
+
+def follow(clip: Path, config: str, seeds: int, start: Start | None = None, more: Sequence[str] = ()) -> list[Run]:
+    """A recipe on a clip, one run a seed; a single one of what does not draw at random."""
+    cv2.setNumThreads(1)
+    name, overrides = variant(config)
+    recipe = load_recipe(name, [*overrides, *more])
+    try:
+        truth = read_truth(default_truth(clip))
+    except InputError:
+        if start is None:
+            raise
+        truth = Table(clip, ())
+    begin = start or find_plan_start(clip, recipe, truth=truth)
+    true = {
+        int(frame): (*box, angle)
+        for one in truth.series
+        for frame, box, angle in zip(one.frame, one.boxes, one.angle, strict=True)
+    }
+    with open_source(clip, start=begin.frame) as source:
+        frames = list(source)
+    tracker = build_tracker(recipe, begin)
+    found = []
+    for seed in range(seeds if recipe.random else 1):
+        # what is derived from a picture is kept in its frame
+        fresh = (Frame(frame.index, frame.time_s, frame.bgr) for frame in frames)
+        found.append(run_of(track(tracker, fresh, seed, clip=str(clip)), true))
+    return found
+
+
+def run_of(results: Iterable[Result], true: Mapping[int, Sequence[float]]) -> Run:
+    """Of the one target of some results; `true` has left, top, width, height and angle of frames."""
+    rows: list[tuple[float, ...]] = []
+    states, corners, posterior = [], [], []
+    nan = float("nan")
+    size = np.ones(2)
+    for result in results:
+        (target,) = result.targets
+        (part,), told = target.parts, target.told
+        if not rows:
+            size = np.array([part.w, part.h])
+        box = (part.x - (part.w - 1) / 2, part.y - (part.h - 1) / 2, part.w, part.h)
+        deformed = (1.0, 0.0, 0.0, 1.0) if told is None or told.affine is None else told.affine[:4]
+        states.append((part.x, part.y, *deformed))
+        if told is None or told.affine is None:
+            corners.append(corners_of(np.array([box]), np.eye(2)[None])[0])
+        else:
+            first = np.array([[part.x - (size[0] - 1) / 2, part.y - (size[1] - 1) / 2, *size]])
+            corners.append(corners_of(first, np.reshape(deformed, (1, 2, 2)))[0])
+        posterior.append(None if told is None else told.posterior)
+        scale = nan if told is None or told.scale is None else told.scale
+        sure = nan if part.confidence is None else part.confidence
+        here = (
+            result.frame.index,
+            *box,
+            part.angle or 0.0,
+            scale,
+            target.particles or nan,
+            sure,
+            part.status == "lost",
+        )
+        rows.append((*here, *true.get(result.frame.index, (nan,) * 5)))
+    table = np.array(rows, np.float64)
+    return Run(
+        frame=table[:, 0],
+        boxes=table[:, 1:5],
+        states=np.array(states),
+        corners=np.array(corners),
+        angle=table[:, 5],
+        scale=table[:, 6],
+        particles=table[:, 7],
+        confidence=table[:, 8],
+        lost=table[:, 9] > 0,
+        posterior=tuple(posterior),
+        truth=table[:, 10:14],
+        true_angle=table[:, 14],
+    )
