@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.recipe import completed, load_recipe, shipped_recipes, to_dict
+from facetrack_cli.recipe import ParticleRecipe, Recipe, completed, load_recipe, shipped_recipes, to_dict
 from facetrack_cli.regression.bands import QUANTITIES
 from facetrack_cli.regression.goldens import (
     Golden,
@@ -168,6 +168,21 @@ def test_every_recipe_of_skin_has_a_golden_of_each_clip_that_it_was_made_for() -
     assert len(several) == 2 and len(faces) == 4
     assert {f"{clip}.{recipe}.json" for recipe in faces for clip in ("map", "gestures", "passerby")} <= found
     assert {f"signing.{recipe}.json" for recipe in several} <= found
+
+
+def is_affine(recipe: Recipe) -> bool:
+    return isinstance(recipe, ParticleRecipe) and recipe.target.type == "affine"
+
+
+def test_every_recipe_that_adapts_has_a_golden_of_both_clips_and_of_who_it_is() -> None:
+    found = {path.name: path for path in find_goldens(SAMPLES)}
+    affine = [path.stem for path in shipped_recipes() if is_affine(load_recipe(str(path)))]
+    assert len(affine) == 7
+    for clip, who in (("zoom", "hopper"), ("lamp", "collins")):
+        assert {f"{clip}.{recipe}.json" for recipe in affine} <= set(found)
+        golden = read_golden(found[f"{clip}.adaptive_recognition.json"])
+        assert golden.names == {"face": who}
+        assert golden.gallery is not None and golden.gallery == ("people.npz", checksum(SAMPLES / "people.npz"))
 
 
 @pytest.mark.parametrize("path", find_goldens(SAMPLES), ids=lambda path: path.stem)
