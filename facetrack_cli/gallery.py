@@ -194,7 +194,9 @@ def name_problem(name: str) -> str | None:
     """Why a person cannot be called this, or None."""
     if not name or any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
         return f"{name!r} is no name of a person: it is empty, or has letters that cannot be written"
-    return f"{NONE!r} stands for nobody of the gallery, and is no name of a person" if name == NONE else None
+    if name.strip().casefold() == NONE:
+        return f"{name!r} stands for nobody of the gallery, and is no name of a person"
+    return None
 
 
 def load_gallery(path: Path) -> Gallery:

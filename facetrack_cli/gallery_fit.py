@@ -64,8 +64,8 @@ def read_faces(
                 advance(looked)
                 if frame is None or box is None:
                     faces.skip()
-                elif not faces.add(frame, box):
-                    warn(f"{place(item, frame)}: nothing to see in the face's box; skipped")
+                elif why := faces.add(frame, box, place(item, frame)):
+                    warn(f"{place(item, frame)}: {why}; skipped")
         if not faces.used[person.name]:
             raise InputError(
                 f"{person.folder}: no face of {person.name} was found; give its box in an init file beside a picture, "
@@ -87,6 +87,7 @@ class _Faces:
         self._pictures: list[int] = []
         self._patches: list[NDArray[np.float32]] = []
         self._off: list[NDArray[np.float32]] = []
+        self._seen: dict[bytes, tuple[str, str]] = {}
 
     def begin(self, name: str) -> None:
         self._name = name
@@ -95,8 +96,8 @@ class _Faces:
     def skip(self) -> None:
         self.skipped[self._name] += 1
 
-    def add(self, frame: Frame, box: Box) -> bool:
-        """Whether there is anything to see in the box."""
+    def add(self, frame: Frame, box: Box, at: str) -> str:
+        """Why the face in the box is not taken, if so; `at` says where it is."""
         number, copies = sum(self.used.values()), self._reading.jitter
         patches = Patches(size=(box[2], box[3]), shape=self._reading.shape)
         x = np.array([box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2, 1.0, 0.0, 0.0, 1.0])
@@ -105,14 +106,18 @@ class _Faces:
         read = patches.read(frame, every, patches.factor(every[0]))
         if not read[0].any():
             self.skip()
-            return False
+            return "nothing to see in the face's box"
+        same = self._seen.setdefault(read[0].tobytes(), (self._name, at))
+        if same != (self._name, at):
+            self.skip()
+            return f"the same face as {same[1]}" + ("" if same[0] == self._name else f", which is {same[0]}")
         faces, negatives = (part[part.any(axis=1)] for part in (read[: 1 + copies], read[1 + copies :]))
         self.used[self._name] += 1
         self._persons += [self._name] * len(faces)
         self._pictures += [number] * len(faces)
         self._patches.append(faces)
         self._off.append(negatives)
-        return True
+        return ""
 
     def whole(self) -> Faces:
         used, skipped = dict(self.used), dict(self.skipped)

@@ -21,6 +21,7 @@ from facetrack_cli.subspaces import Fitted, Residual, common_basis, fit_moments,
 from facetrack_cli.types import Array
 
 Mask: TypeAlias = NDArray[np.bool_]
+MOST_ERRORS = 0.25  # beyond them the user is told; half is chance
 
 
 def fit_gallery(
@@ -80,7 +81,7 @@ def fit_gallery(
     return Gallery(
         tuple(map(str, names)), shown.faces.astype(np.float32), (int(shape[0]), int(shape[1])),
         frontal.whole, intra.whole, extra.whole, fit_logistic(right_q, wrong_q), threshold, errors, counts,
-        most_frontal, _notes(names.tolist(), counts),
+        most_frontal, _notes(names.tolist(), counts, errors),
     )  # fmt: skip
 
 
@@ -137,13 +138,19 @@ def _genuine_and_strangers(
     return genuine, best
 
 
-def _notes(names: Sequence[str], counts: Sequence[int]) -> tuple[str, ...]:
+def _notes(names: Sequence[str], counts: Sequence[int], errors: float) -> tuple[str, ...]:
     """What cannot be learned, for the user."""
+    found = []
     single = [name for name, count in zip(names, counts, strict=True) if count == 1]
-    if not single:
-        return ()
-    each, their = (" each", "their faces change") if len(single) > 1 else ("", "this face changes")
-    return (
-        f"{', '.join(single)}: one picture{each}: how {their} with light, expression and pose cannot be learned from "
-        "it; add further pictures",
-    )
+    if single:
+        each, their = (" each", "their faces change") if len(single) > 1 else ("", "this face changes")
+        found.append(
+            f"{', '.join(single)}: one picture{each}: how {their} with light, expression and pose cannot be learned "
+            "from it; add further pictures"
+        )
+    if errors > MOST_ERRORS:
+        found.append(
+            f"by these pictures people are hardly told apart: {100 * errors:.0f} % of either error for somebody who is "
+            "not among those learned from; look whether each is in one folder alone, and add people and pictures"
+        )
+    return tuple(found)

@@ -8,6 +8,7 @@ that of some frames.
 from __future__ import annotations
 
 import math
+import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from facetrack_cli.start.haar import find_faces
 from facetrack_cli.types import Box, Frame, Start
 from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source
+from facetrack_cli.yaml_text import printable
 
 PASSED_OVER: Final = frozenset((*INIT_SUFFIXES, ".csv", ".txt", ".md", ".npz"))  # what may lie beside pictures
 Kind = Literal["picture", "clip"]
@@ -38,7 +40,7 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Person:
-    """A person by the name of the folder, and what is in it, in natural order."""
+    """A person by the name of the folder, without spaces around it, and what is in it, in natural order."""
 
     name: str
     folder: Path
@@ -73,7 +75,21 @@ def find_people(folder: Path, warn: Callable[[str], None]) -> list[Person]:
     people = [_person(one, warn) for one in folders]
     if len(people) < 2:
         raise InputError(f"{folder}: {people[0].name} is the only person in it; add another folder, to be told apart")
+    _check_names(people, warn)
     return people
+
+
+def _check_names(people: Sequence[Person], warn: Callable[[str], None]) -> None:
+    """Two of one name are refused, two that differ by capital letters alone are told."""
+    before: dict[str, Person] = {}
+    for one in people:
+        other = before.setdefault(one.name.casefold(), one)
+        if other is one:
+            continue
+        both = f"{one.folder} and {other.folder}"
+        if other.name == one.name:
+            raise InputError(f"{both}: are both called {one.name}; rename one, or put their pictures into one folder")
+        warn(f"{both}: are two persons; if they are one, put their pictures into one folder")
 
 
 def count(people: Sequence[Person], reading: Reading) -> int:
@@ -99,8 +115,10 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def _person(folder: Path, warn: Callable[[str], None]) -> Person:
-    if problem := name_problem(folder.name):
-        raise InputError(f"{folder}: {problem}; rename the folder")
+    # letters with marks may be written in two ways, which look alike
+    name = unicodedata.normalize("NFC", folder.name).strip()
+    if problem := name_problem(name):
+        raise InputError(f"{printable(str(folder))}: {problem}; rename the folder")
     items = []
     for one in _entries(folder):
         suffix = one.suffix.lower()
@@ -114,8 +132,8 @@ def _person(folder: Path, warn: Callable[[str], None]) -> Person:
         elif suffix not in PASSED_OVER:
             items.append(Item(one, "clip", find_init(one)))
     if not items:
-        raise InputError(f"{folder}: no picture or video in it; add one of {folder.name}, or remove the folder")
-    return Person(folder.name, folder, tuple(items))
+        raise InputError(f"{folder}: no picture or video in it; add one of {name}, or remove the folder")
+    return Person(name, folder, tuple(items))
 
 
 # --- faces ---------------------------------------------------------------------------------------------------------

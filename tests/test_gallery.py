@@ -390,6 +390,13 @@ def test_a_gallery_of_single_pictures():
     assert not fit_gallery(x, names, SHAPE).notes
 
 
+def test_people_who_are_hardly_told_apart_are_told():
+    x, _ = people(1, 24)
+    mixed = [f"person {k % 4}" for k in range(24)]  # one face under four names
+    [note] = fit_gallery(x, mixed, SHAPE).notes
+    assert "hardly told apart" in note and "% of either error" in note
+
+
 @pytest.mark.parametrize("number", [2, 3])
 @pytest.mark.parametrize("single", [True, False])
 def test_few_persons_are_told_apart(number, single):
@@ -407,7 +414,7 @@ def test_one_person_is_no_gallery():
         fit_gallery(x, ["anna"] * 3, SHAPE)
 
 
-@pytest.mark.parametrize("name", ["", "a\nb", "a\x7f", "\udc80", NONE])
+@pytest.mark.parametrize("name", ["", "a\nb", "a\x7f", "\udc80", NONE, "None", " none "])
 def test_names_that_are_none(name):
     x, _ = people(2, 2)
     with pytest.raises(InputError, match="no name of a person") as caught:

@@ -72,6 +72,35 @@ def test_what_is_no_gallery_is_refused(tmp_path):
     assert "'none'" in refused(folder) and "rename" in refused(folder)
 
 
+@pytest.mark.parametrize("name", ["None", " none", "NONE"])
+def test_nobody_is_called_none(people, name):
+    (people / "hopper").rename(people / name)
+    assert "stands for nobody of the gallery" in refused(people)
+
+
+def test_two_folders_of_one_name_are_refused_or_told(people):
+    said = []
+    (people / "hopper").rename(people / "Collins")
+    if not (people / "collins" / "1.png").samefile(people / "Collins" / "1.png"):
+        assert len(find_people(people, said.append)) == 2
+        assert len(said) == 1 and f"{people / 'Collins'}" in said[0] and "are two persons" in said[0]
+    (people / "Collins").rename(people / "Ame\u0301lie ")
+    (people / "collins").rename(people / "Am\u00e9lie")
+    assert "are both called Am\u00e9lie" in refused(people)
+    (people / "Am\u00e9lie").rename(people / "collins")
+    assert [one.name for one in find_people(people, said.append)] == ["Am\u00e9lie", "collins"]
+
+
+def test_a_face_counts_once(people):
+    for name in ("collins/9.png", "hopper/9.png"):
+        (people / name).write_bytes((people / "collins" / "1.png").read_bytes())
+    faces, said = faces_of(people)
+    assert faces.used == {"collins": 2, "hopper": 2} and faces.skipped == {"collins": 1, "hopper": 1}
+    first = people / "collins" / "1.png"
+    assert said[0] == f"{people / 'collins' / '9.png'}: the same face as {first}; skipped"
+    assert said[1] == f"{people / 'hopper' / '9.png'}: the same face as {first}, which is collins; skipped"
+
+
 def test_pictures_beside_the_folders_are_told(people):
     (people / "stray.jpg").touch()
     (people / "hopper" / "empty").mkdir()
