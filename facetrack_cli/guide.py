@@ -20,8 +20,11 @@ bad one. phi is that of the likelihood, the mean squared distance from the appea
 `samples`, a matter of speed: B is estimated from so many of the particles, evenly chosen; the paper takes all, None.
 From 32 of 100 the predicted place is as good (0.20 and 0.21 px on `zoom`), and a step takes half the time.
 
-V and S come from the eigenvectors of Y^T Y (J x J), and B is never written out: -B D = -X V_q S_q^-2 V_q^T Y^T D. Where
-matrices are small enough, BLAS uses one thread whatever it is allowed, so results do not depend on that.
+Beyond the paper: `towards` "appearance" takes for y what the appearance model expects, so that small errors do not add
+up from frame to frame; `search` first looks for that patch over so much of the box around, by normalised correlation,
+and begins there if the error is less.
+
+V and S come from the eigenvectors of Y^T Y (J x J), and B is never written out: -B D = -X V_q S_q^-2 V_q^T Y^T D.
 """
 
 from __future__ import annotations
@@ -35,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.filters import Ahead
-from facetrack_cli.kernels.affine import differences, mapped
+from facetrack_cli.kernels.least_squares import differences, gain, mapped
 from facetrack_cli.patches import Patches
 from facetrack_cli.types import Array, Frame
 
@@ -115,7 +118,7 @@ class Guide:
             return Flow(state, patch, np.zeros((6, 0)), np.zeros((0, len(patch)), np.float32))
         chosen = _evenly(len(x), self.velocity.samples)
         rows, products = differences(self.patches.read(frame, x, factor), chosen, patch)
-        return Flow(state, patch, gain(x[chosen, 0] - state[0], products, self.velocity.components), rows)
+        return Flow(state, patch, gain(x[chosen, 0] - state[0], products, self.velocity.components, RANK), rows)
 
     def predict(self, flow: Flow, frame: Frame, error: Callable[[Rows], Array], expected: Callable[[], Rows]) -> Ahead:
         """Where the target is expected in `frame`.
@@ -164,13 +167,3 @@ class Guide:
 def _evenly(count: int, most: int | None) -> NDArray[np.int64]:
     """Indices of all of `count`, or of `most` of them, evenly: particles of a filter that resamples come in order."""
     return np.arange(count) if most is None or count <= most else np.arange(most) * count // most
-
-
-def gain(x: Array, products: Array, components: int) -> Array:
-    """X V_q S_q^-2 V_q^T (6, J), of motions x (J, 6) and Y^T Y (J, J), the products of the differences of patches."""
-    values, vectors = np.linalg.eigh(products)
-    q = min(components, len(values))
-    values, vectors = values[-q:], vectors[:, -q:]
-    kept = values > max(RANK**2 * float(values[-1]), 1e-12) if q else np.zeros(0, bool)
-    values, vectors = values[kept], vectors[:, kept]
-    return np.ascontiguousarray((x.T @ vectors / values) @ vectors.T)

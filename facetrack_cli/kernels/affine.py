@@ -193,50 +193,6 @@ def read_patches(
     return out
 
 
-@fast
-def differences(y: Any, chosen: Any, patch: Any) -> Any:
-    """y[chosen] less `patch` (J, d), and the products of these rows with each other (J, J) float64.
-
-    y (N, d), `chosen` (J,) int64, `patch` (d,). J may be 0.
-    """
-    count, d = len(chosen), len(patch)
-    even = count + count % 2  # by pairs, of which the last may be filled with nothing
-    rows, products = np.zeros((even, d), np.float32), np.empty((even, even))
-    for n in range(count):
-        row, seen = rows[n], y[chosen[n]]
-        for k in range(d):
-            row[k] = seen[k] - patch[k]
-    # four sums for four reads, where one at a time would be two reads each
-    for i in range(0, even, 2):
-        a, b = rows[i], rows[i + 1]
-        for j in range(0, i + 2, 2):
-            c, e = rows[j], rows[j + 1]
-            ac, ae, bc, be = _ZERO, _ZERO, _ZERO, _ZERO
-            for k in range(d):
-                ac += a[k] * c[k]
-                ae += a[k] * e[k]
-                bc += b[k] * c[k]
-                be += b[k] * e[k]
-            products[i, j], products[i, j + 1], products[i + 1, j], products[i + 1, j + 1] = ac, ae, bc, be
-            products[j, i], products[j + 1, i], products[j, i + 1], products[j + 1, i + 1] = ac, ae, bc, be
-    return rows[:count], products[:count, :count].copy()
-
-
-@fast
-def mapped(gain: Any, rows: Any, patch: Any, wanted: Any) -> Any:
-    """gain (6, J) times rows (J, d) times (patch - wanted) (d,) -> (6,)."""
-    off, out = np.empty_like(patch), np.zeros(len(gain))
-    for k in range(len(off)):
-        off[k] = patch[k] - wanted[k]
-    for n in range(len(rows)):
-        row, total = rows[n], _ZERO
-        for k in range(len(off)):
-            total += row[k] * off[k]
-        for i in range(len(gain)):
-            out[i] += gain[i, n] * total
-    return out
-
-
 @exact
 def diffuse(x: Any, u: Any, spread: Any, shift: Any, noise: float, least: float, most: float) -> Any:
     """x + shift + noise * spread u of states x and standard noise u (N, 6), `spread` (6, 6), `shift` (6,) -> (N, 6).
