@@ -143,7 +143,7 @@ class Guide:
             shift = shift - mapped(flow.gain, flow.rows, patch[0], wanted)
             patch = self.patches.read(frame, (flow.state + shift)[None], factor)
             now = float(error(patch)[0])
-            settled = now > least * (1 - self.velocity.settle)
+            settled = now >= least * (1 - self.velocity.settle)
             if now < least:
                 least, best = now, shift
             if settled:
