@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from pydantic import model_validator
 
-from facetrack_cli.recipe_adaptive import Adaptive, AffineWalk, Recognition
+from facetrack_cli.recipe_adaptive import Adaptive, AffineWalk, Appearance, Recognition
 from facetrack_cli.recipe_base import Section
 from facetrack_cli.recipe_messages import Refusal, refuse
 from facetrack_cli.recipe_regions import Product, Region
@@ -25,6 +25,7 @@ from facetrack_cli.recipe_sections import (
 
 BOX = "box"  # the one part of a region or a cloud
 MOST_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
+MOST_POINTS = 100_000_000  # particles times points of a template: the same
 MOST_COMPARED = 2_000  # particles that are compared with each other: memory grows with their square
 
 
@@ -92,6 +93,11 @@ class ParticleFilter(Section):
             case Factorized(reweight="transition", from_prior=share) if share > 0:
                 message = "filter.from_prior above 0 goes with reweight: prior; eq. 7 knows the motion model alone"
                 found.append(Refusal(("filter", "from_prior"), message))
+            case _ if isinstance(self.likelihood, Appearance) and isinstance(self.motion, AffineWalk):
+                found += self._too_many(self.likelihood, self.motion)
+            case _:
+                pass
+        match self.filter:
             case Adaptive(adapt=True) if isinstance(self.motion, AffineWalk) and self.motion.noise is None:
                 message = "filter.adapt follows motion.noise, which is null; add noise: {}, or write adapt: false"
                 found.append(Refusal(("filter", "adapt"), message))
@@ -102,6 +108,26 @@ class ParticleFilter(Section):
                 pass
         refuse(found)
         return self
+
+    def _too_many(self, appearance: Appearance, motion: AffineWalk) -> list[Refusal]:
+        """What an affine target would not find the memory for, at its largest number of particles."""
+        n, (columns, rows) = self.filter.particles, appearance.template
+        if isinstance(self.filter, Adaptive) and self.filter.adapt and motion.noise is not None:
+            n = round(n * (motion.noise.most + self.filter.entropy))
+        found, where = [], ("filter", "particles")
+        if n * columns * rows > MOST_POINTS:
+            message = (
+                f"{n:,} particles of {columns}x{rows} points each; no more than {MOST_POINTS:,} points fit into memory"
+            )
+            found.append(Refusal(where, message))
+        if motion.velocity is not None and min(n, motion.velocity.samples or n) > MOST_COMPARED:
+            message = (
+                f"motion.velocity compares every two of up to {n:,} particles; give velocity.samples, as in samples: 32"
+            )
+            found.append(
+                Refusal(where if motion.velocity.samples is None else ("motion", "velocity", "samples"), message)
+            )
+        return found
 
     def _mismatched(self) -> list[Refusal]:
         """What does not go with the type of the target."""
