@@ -212,7 +212,7 @@ def diffuse(x: Any, u: Any, spread: Any, shift: Any, noise: float, least: float,
         scale = math.sqrt(0.5 * squares)
         if scale < least or scale > most:
             if scale < 1e-12:
-                out[n, 2], out[n, 3], out[n, 4], out[n, 5], scale = 1.0, 0.0, 0.0, 1.0, 1.0
+                out[n, 2], out[n, 3], out[n, 4], out[n, 5], scale = least, 0.0, 0.0, least, least
             by = min(max(scale, least), most) / scale
             for i in range(2, 6):
                 out[n, i] *= by
