@@ -39,7 +39,7 @@ from facetrack_cli.regression.goldens import (
     versions,
     write_golden,
 )
-from facetrack_cli.regression.names import sentence
+from facetrack_cli.regression.names import names, sentence
 from facetrack_cli.regression.paths import Leave, first_leave
 from facetrack_cli.start import find_init
 from facetrack_cli.stopping import Stop
@@ -224,8 +224,8 @@ def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) ->
         lines.insert(1, f"{golden.short(leave.series)} {leave}")
     elif not any(d.statistic.quantity in ("x", "y") for d in verdict.deviations):
         lines.insert(1, "no part leaves its path; positions are as recorded")
-    if who:
-        lines.append(f"recorded was {_named(golden.names)}; now it is {who}")
+    if names(tables) != golden.names or any(d.statistic.quantity == "identity" for d in verdict.deviations):
+        lines.append(f"recorded was {_named(golden.names)}; now it is {who or 'nobody'}")
     now = versions()
     other = [f"{key} {was} -> {now.get(key, 'none')}" for key, was in golden.versions.items() if now.get(key) != was]
     if other:
