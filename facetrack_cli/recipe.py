@@ -225,7 +225,7 @@ class ParticlesRecipe(Recipe):
         found = []
         for name, one in self.filters.items():
             if isinstance(one.target, Points):
-                message = "several targets are regions or clouds; follow points by a recipe of their own"
+                message = "several targets are regions, clouds or affine; follow points by a recipe of their own"
                 found.append(Refusal(("targets", name, "target", "type"), message))
             if isinstance(one.likelihood, SkinCloud) and one.likelihood.learn_from not in (None, *names):
                 message = f'there is no target "{one.likelihood.learn_from}" to learn from; {known}'

@@ -115,6 +115,8 @@ class ParticleFilter(Section):
         if isinstance(self.filter, Adaptive) and self.filter.adapt and motion.noise is not None:
             n = round(n * (motion.noise.most + self.filter.entropy))
         found, where = [], ("filter", "particles")
+        if isinstance(self.filter, Adaptive) and self.filter.adapt and self.filter.least > n:
+            n, where = self.filter.least, ("filter", "least")
         if n * columns * rows > MOST_POINTS:
             message = (
                 f"{n:,} particles of {columns}x{rows} points each; no more than {MOST_POINTS:,} points fit into memory"

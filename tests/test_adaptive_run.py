@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.gallery_learn import fit_gallery
-from facetrack_cli.recipe import load_recipe
+from facetrack_cli.recipe import check_recipe, load_recipe
 from facetrack_cli.recipe_gallery import with_gallery
 from tests.media import write_pictures
 from tests.samples import FOLDER, read_pictures
@@ -58,6 +58,37 @@ def refused(result, code):
 
 def run(facetrack, *args, config="adaptive_recognition", clip="zoom"):
     return facetrack("run", f"IN/{clip}", "--config", config, "--no-video", "-q", *args)
+
+
+# --- recipes -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("recipe", "keys", "said"),
+    [
+        ("adaptive", ["motion.noise=null"], "filter.adapt follows motion.noise, which is null"),
+        ("adaptive", ["filter.least=5000000"], "5,000,000 particles of 26x30 points each"),
+        ("adaptive", ["filter.particles=5000000"], "particles of 26x30 points each"),
+        ("adaptive", ["target.scale=[1, 1]"], "with 1, the size at the start, between them"),
+        ("adaptive", ["likelihood.template=[5, 30]"], "likelihood.template[1] must be at least 6, not 5"),
+        ("adaptive", ["likelihood.template=[26]"], "must have 2 items, not 1"),
+        ("adaptive", ["likelihood.mixing={w: 0, s: 0, f: 0}"], "likelihood.mixing is all 0"),
+        ("adaptive", ["likelihood.sigma.s=0"], "likelihood.sigma.s must be at least 0.001"),
+        ("adaptive", ["motion.noise={least: 3, most: 2}"], "motion.noise.most is below least"),
+        ("adaptive", ["motion.velocty=null"], 'did you mean "velocity"'),
+        ("adaptive", ["target.parts=[nose]"], '"parts" does not belong to target type "affine" but to points'),
+        ("adaptive", ["motion.sigma={nose: 1}"], "motion.sigma must be a length above 0"),
+        ("adaptive", ["filter={type: factorized, particles: 9}"], "write adaptive or sir or auxiliary"),
+        ("adaptive", ["recognition.galery=x"], 'did you mean "gallery"'),
+        ("adaptive", ["recognition=people.npz"], "recognition must be a mapping of keys"),
+        ("factorized", ["filter={type: adaptive, particles: 9}"], '"adaptive" does not go with target type "points"'),
+        ("histogram", ["filter={type: adaptive, particles: 9}"], '"adaptive" does not go with target type "region"'),
+        ("skin", ["recognition={}"], 'recognition does not go with target type "region"'),
+    ],
+)
+def test_mistakes_in_a_recipe_of_an_affine_target(recipe, keys, said):
+    found = check_recipe(recipe, keys)
+    assert len(found) == 1 and said in str(found[0])
 
 
 # --- --gallery -----------------------------------------------------------------------------------------------------
