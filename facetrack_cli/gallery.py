@@ -50,7 +50,8 @@ class Gallery:
 
     `faces` (P, d) are the I_n. `calibration` is (a, b) of p_f and `most_frontal` its upper bound; `threshold` the log
     ratio of "none of them", and `errors` the share of either error there, on the gallery. `counts` (P,) are the
-    pictures of each person, `notes` lines for the user. Raises ValueError for anything else.
+    pictures of each person, `notes` lines for the user. `proportion` is the width of a face's box over its height, None
+    where that is not known. Raises ValueError for anything else.
     """
 
     names: tuple[str, ...]
@@ -65,6 +66,7 @@ class Gallery:
     counts: tuple[int, ...]
     most_frontal: float = MOST_FRONTAL
     notes: tuple[str, ...] = ()
+    proportion: float | None = None
 
     def __post_init__(self) -> None:
         p = len(self.names)
@@ -87,6 +89,8 @@ class Gallery:
             raise ValueError("a number is not finite")
         if np.abs(self.faces).max() > 2.0 * np.sqrt(d):
             raise ValueError("a face is not of unit variance")
+        if self.proportion is not None and not 1e-3 < self.proportion < 1e3:
+            raise ValueError("a box has no such proportion")
         if self.calibration[0] < 0.0 or not 0.0 <= self.most_frontal <= 1.0:
             raise ValueError("p_f would not be a probability that grows with the density")
 
@@ -136,6 +140,8 @@ class Gallery:
             "most_frontal": np.array(self.most_frontal, "<f8"),
             "notes": np.array(self.notes, f"<U{max(map(len, self.notes), default=1)}"),
         }
+        if self.proportion is not None:
+            arrays["proportion"] = np.array(self.proportion, "<f8")
         for name in _SPACES:
             space: Subspace = getattr(self, name)
             arrays[f"{name}_mean"] = np.ascontiguousarray(space.mean, "<f4")
@@ -214,9 +220,13 @@ def _from_arrays(stored: Stored) -> Gallery:
         )
         for name in _SPACES
     )
-    shape, calibration = stored.whole("shape"), stored.reals("calibration", 1).tolist()
+    rows, *cols = stored.whole("shape")
+    if len(cols) != 1:
+        raise ValueError("shape is not two numbers")
+    shape, calibration = (rows, cols[0]), stored.reals("calibration", 1).tolist()
     return Gallery(
-        stored.texts("names"), stored.reals("faces", 2), (shape[0], shape[1]), frontal, intra, extra,
+        stored.texts("names"), stored.reals("faces", 2), shape, frontal, intra, extra,
         tuple(calibration), stored.number("threshold"), stored.number("errors"), stored.whole("counts"),
         stored.number("most_frontal"), stored.texts("notes"),
+        stored.number("proportion") if "proportion" in stored else None,
     )  # fmt: skip

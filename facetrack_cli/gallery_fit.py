@@ -31,7 +31,7 @@ class Faces:
 
     `patches` (n, d) float32, of `persons` (n,) by name; of each of `pictures` (n,) first the face as it was found, then
     its copies, cut a little off. `negatives` (k, d) are cut so far off that no face is in its place. `used` and
-    `skipped` are pictures and frames for each person.
+    `skipped` are pictures and frames for each person, `proportion` is the median of the boxes' width over height.
     """
 
     patches: NDArray[np.float32]
@@ -40,6 +40,7 @@ class Faces:
     negatives: NDArray[np.float32]
     used: dict[str, int]
     skipped: dict[str, int]
+    proportion: float
 
 
 def read_faces(
@@ -87,6 +88,7 @@ class _Faces:
         self._pictures: list[int] = []
         self._patches: list[NDArray[np.float32]] = []
         self._off: list[NDArray[np.float32]] = []
+        self._proportions: list[float] = []
         self._seen: dict[bytes, tuple[str, str]] = {}
 
     def begin(self, name: str) -> None:
@@ -117,12 +119,14 @@ class _Faces:
         self._pictures += [number] * len(faces)
         self._patches.append(faces)
         self._off.append(negatives)
+        self._proportions.append(box[2] / box[3])
         return ""
 
     def whole(self) -> Faces:
+        middle = float(np.median(self._proportions))
         used, skipped = dict(self.used), dict(self.skipped)
         patches, negatives = np.concatenate(self._patches), np.concatenate(self._off)
-        return Faces(patches, tuple(self._persons), tuple(self._pictures), negatives, used, skipped)
+        return Faces(patches, tuple(self._persons), tuple(self._pictures), negatives, used, skipped, middle)
 
 
 def near(first: int, number: int) -> Array:

@@ -34,13 +34,15 @@ def fit_gallery(
     energy: float = 0.9,
     most_frontal: float = MOST_FRONTAL,
     residual: Residual = "held_out",
+    proportion: float | None = None,
 ) -> Gallery:
     """The gallery of patches (n, d), zero mean and unit variance, each of a person; persons in order of their names.
 
     `pictures` (n,) says which picture a patch was cut from: the first of each is the picture, all further ones are
     copies of it that were cut a little off. Without it each patch is a picture. `negatives` (m, d): patches cut off the
     mark (displaced, turned, scaled); without them they are made of the patches. `energy` is the share of the variance
-    that a subspace keeps, `most_frontal` the upper bound of p_f, `residual` how rho is found (`subspaces.py`).
+    that a subspace keeps, `most_frontal` the upper bound of p_f, `residual` how rho is found (`subspaces.py`),
+    `proportion` the width of the faces' boxes over their height.
     Raises InputError for fewer than two persons, and where no two patches are of one person.
     """
     x = np.asarray(patches, np.float64)
@@ -81,7 +83,7 @@ def fit_gallery(
     return Gallery(
         tuple(map(str, names)), shown.faces.astype(np.float32), (int(shape[0]), int(shape[1])),
         frontal.whole, intra.whole, extra.whole, fit_logistic(right_q, wrong_q), threshold, errors, counts,
-        most_frontal, _notes(names.tolist(), counts, errors),
+        most_frontal, _notes(names.tolist(), counts, errors), proportion,
     )  # fmt: skip
 
 

@@ -94,6 +94,9 @@ class Stored:
     def number(self, key: str) -> float:
         return float(self._array(key, "f", 0))
 
+    def __contains__(self, key: str) -> bool:
+        return key in self.file.files
+
     def reals(self, key: str, ndim: int) -> NDArray[Any]:
         """An array of `ndim` axes, of the precision that it was stored in."""
         found = self._array(key, "f", ndim)

@@ -49,7 +49,7 @@ def people(number=4, pictures=6, seed=0, change=0.35):
 
 @pytest.fixture(scope="module")
 def gallery():
-    return fit_gallery(*people(), SHAPE)
+    return fit_gallery(*people(), SHAPE, proportion=0.8)
 
 
 def some_subspace(rng, d, s):
@@ -437,7 +437,7 @@ def same(a, b):
 def test_a_gallery_is_what_was_saved(gallery, tmp_path):
     x, _ = people(2, 4)
     named = fit_gallery(x, ["Ł. 王", "Ł. 王", "O'Neil, Jr", "O'Neil, Jr"] * 2, SHAPE)
-    for one in (gallery, named, dataclasses.replace(gallery, notes=("a", "longer"))):
+    for one in (gallery, named, dataclasses.replace(gallery, notes=("a", "longer"), proportion=None)):
         path = tmp_path / "faces.npz"
         one.save(path)
         read = load_gallery(path)
@@ -501,7 +501,10 @@ DAMAGE = {
     "not orthonormal": ("frontal_vectors", lambda a: 2 * a, "orthonormal"),
     "directions": ("intra_vectors", lambda a: a[:, :-1], "directions"),
     "template": ("shape", lambda a: a + 1, "template"),
-    "one number": ("shape", lambda a: a[:1], "not a usable gallery"),
+    "one number": ("shape", lambda a: a[:1], "not two numbers"),
+    "three": ("shape", lambda a: np.append(a, 1), "not two numbers"),
+    "flat": ("proportion", lambda a: a * 0, "no such proportion"),
+    "no proportion": ("proportion", lambda a: a * np.nan, "no such proportion"),
     "bytes": ("names", lambda a: a.astype("S"), "names is of"),
     "twice": ("names", lambda a: np.repeat(a[:1], len(a)), "each named once"),
     "control": ("names", lambda a: np.char.add(a, "\n"), "no name"),
@@ -538,7 +541,7 @@ def test_other_files_are_refused(gallery, tmp_path):
     ):
         np.savez(path, **(arrays | changed))
         assert said in refused(path)
-    for key in set(arrays) - {"format", "version"}:
+    for key in set(arrays) - {"format", "version", "proportion"}:
         np.savez(path, **{name: array for name, array in arrays.items() if name != key})
         assert f"lacks an array: {key}" in refused(path).replace(" is not a file in the archive", "")
     with path.open("wb") as file:

@@ -210,3 +210,13 @@ def test_a_gallery_of_another_template_is_refused(gallery):
 def test_a_start_without_a_face_is_refused(gallery):
     with pytest.raises(InputError, match="frame 0"):
         recognition(gallery).init(picture(np.zeros(D)), np.array([[40.0, 50.0, 0.5, 0, 0, 0.5]]))
+
+
+@pytest.mark.parametrize(
+    ("proportion", "told"), [(None, 0), (0.8, 0), (0.95, 0), (1.0, 1), (0.68, 0), (0.64, 1), (3.0, 1)]
+)
+def test_a_box_of_other_proportions_than_the_gallerys_is_told(gallery, shown, proportion, told):
+    model = recognition(dataclasses.replace(gallery, proportion=proportion))  # the box is 16 by 20
+    notes = model.init(picture(shown[0][0]), X0).notes
+    assert len(notes) == told
+    assert all("16x20 pixels" in note and f"{proportion:.2f} times" in note and "begin with" in note for note in notes)

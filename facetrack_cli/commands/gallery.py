@@ -112,7 +112,12 @@ def fit(
     faces = _read(folder, Reading(template, frames, start, stop, jitter), quiet)
     try:
         gallery = fit_gallery(
-            faces.patches, faces.persons, template, pictures=faces.pictures, negatives=faces.negatives
+            faces.patches,
+            faces.persons,
+            template,
+            pictures=faces.pictures,
+            negatives=faces.negatives,
+            proportion=faces.proportion,
         )
     except InputError as e:
         more = "" if jitter else ", or let copies stand for it with --jitter 4"
@@ -185,6 +190,8 @@ def show(file: Path, out: Path | None, overwrite: bool) -> None:
     rows, cols = gallery.shape
     click.echo(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} pictures")
     click.echo(f"template: {cols} points across, {rows} down")
+    if gallery.proportion is not None:
+        click.echo(f"boxes: {gallery.proportion:.2f} times as wide as high")
     for line in _summary(gallery):
         click.echo(line)
     for number, (name, pictures) in enumerate(zip(gallery.names, gallery.counts, strict=True), start=1):

@@ -29,6 +29,9 @@ from facetrack_cli.likelihoods.appearance import Appearance, Mixture
 from facetrack_cli.resampling import logsumexp, normalise
 from facetrack_cli.types import Array, Frame, Particles, Told
 
+# of a box's proportions against the gallery's: up to 1.2 all of 24 runs on twelve clips named the right one, at 1.25 22
+# of them, and at 1.5 16
+MOST_STRETCH = 1.2
 # of the largest weight: particles below it say nothing of the identity
 _LEAST_WEIGHT = 1e-9
 # in place of log 0, when a posterior has nothing left for an identity
@@ -41,11 +44,15 @@ class TemplateError(InputError):
 
 @dataclass(frozen=True, eq=False)
 class Recognised:
-    """What is known after a frame: the appearance, and log beta (N,) of the identities `names`, with logsumexp 0."""
+    """What is known after a frame: the appearance, and log beta (N,) of the identities `names`, with logsumexp 0.
+
+    `notes`: what the user should know of the start, a line each.
+    """
 
     appearance: Mixture
     names: tuple[str, ...]
     log_beta: Array = field(repr=False)
+    notes: tuple[str, ...] = ()
 
     @property
     def state(self) -> Array:
@@ -96,7 +103,17 @@ class Recognition:
     def init(self, frame: Frame, x0: Array) -> Recognised:
         """Every identity is as likely. Raises InputError as the appearance does."""
         n = len(self.names)
-        return Recognised(self.appearance.init(frame, x0), self.names, np.full(n, -math.log(n)))
+        return Recognised(self.appearance.init(frame, x0), self.names, np.full(n, -math.log(n)), self._notes())
+
+    def _notes(self) -> tuple[str, ...]:
+        w, h = self.appearance.patches.size
+        wanted = self.gallery.proportion
+        if wanted is None or 1 / MOST_STRETCH <= w / h / wanted <= MOST_STRETCH:
+            return ()
+        return (
+            f"the box of {w:.0f}x{h:.0f} pixels is {w / h:.2f} times as wide as high, and those of the gallery are "
+            f"{wanted:.2f} times: who it is may be told wrongly; begin with a box of their proportions",
+        )
 
     def score(self, learned: Recognised, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a + log sum_l beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6) -> (N, 1)."""
