@@ -1,7 +1,7 @@
 """The adaptive filter: its number of particles (eq. 17), and its posterior against the exact one."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,11 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.filters import Adaptive, Ahead
-from facetrack_cli.guide import Noise
+from facetrack_cli.guide import Guide, Noise, Velocity
+from facetrack_cli.likelihoods.appearance import Appearance
 from facetrack_cli.motion import AffineWalk
+from facetrack_cli.patches import Patches
 from facetrack_cli.resampling import uniform
-from facetrack_cli.spaces import estimate
+from facetrack_cli.spaces import AffineSpace, estimate
+from facetrack_cli.track import ParticleTarget
 from facetrack_cli.types import Particles
+from tests.test_patches import frame, smooth, state
 
 STATE, SHIFT = np.array([[10.0, 20.0, 1.0, 0.1, -0.1, 0.9]]), np.array([[3.0, -2.0, 0.05, 0.0, 0.0, 0.05]])
 SPREAD = np.array([2.0, 2.0, 0.05, 0.05, 0.05, 0.05])
@@ -136,3 +140,116 @@ def test_the_noise_of_the_walk_is_as_large_as_eq_13_says():
     one = walk.propagate(np.random.default_rng(0), parents) - STATE
     three = walk.propagate(np.random.default_rng(0), parents, SHIFT, 3.0) - STATE - SHIFT
     np.testing.assert_allclose(three, 3.0 * one, atol=1e-12)
+
+
+# --- in the loop over frames ---------------------------------------------------------------------------------------
+
+ENTROPIES = (1.0, 1.2, 0.7, 0.7, 0.9, 0.1)  # after each frame
+POSTERIORS = ((0.5, 0.5), (0.5, 0.5), (0.2, 0.8), (0.9, 0.1), (0.5, 0.5), (1.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Watching:
+    """The appearance, which says that somebody is recognised with these entropies."""
+
+    appearance: Appearance
+
+    def init(self, frame, x0):
+        return self.appearance.init(frame, x0), 0
+
+    def score(self, learned, frame, x, parents):
+        return self.appearance.score(learned[0], frame, x, parents)
+
+    def learn(self, learned, frame, state, particles):
+        return self.appearance.learn(learned[0], frame, state, particles), learned[1] + 1
+
+    def error(self, learned, patches):
+        return self.appearance.error(learned[0], patches)
+
+    def expected(self, learned):
+        return self.appearance.expected(learned[0])
+
+    def distances(self, learned, frame, x):
+        return self.appearance.distances(learned[0], frame, x)
+
+    def tell(self, learned):
+        told = self.appearance.tell(learned[0])
+        posterior = dict(zip("ab", POSTERIORS[learned[1]], strict=True))
+        return replace(told, posterior=posterior, entropy=ENTROPIES[learned[1]])
+
+
+BOX = (50.0, 56.0)
+PICTURE, JUMP = smooth(5, 180, 240, 6.0), (3, -2)
+
+
+def target(**settings):
+    patches = Patches(BOX)
+    model = Appearance(patches, 0.03, (0.3, 0.4, 0.3), (0.3, 0.5, 0.5), 0.1, 0.01)
+    made = ParticleTarget(
+        name="face", parts=("box",), space=AffineSpace(BOX), x0=state(110, 95), particles=100,
+        motion=AffineWalk(2.0, 0.02, 0.02, 0.2, 5.0), likelihood=Watching(model), prior=None,
+        step=Adaptive(100, entropy=0.2), confidence=None, guide=Guide(patches, Velocity(), None, 100),
+    )  # fmt: skip
+    return replace(made, **settings)
+
+
+def followed(made, frames=6):
+    """The states after each frame, and the results, of a picture that moves by JUMP a frame."""
+    rng, shown = np.random.default_rng(0), [
+        frame(np.roll(PICTURE, (t * JUMP[1], t * JUMP[0]), axis=(0, 1))) for t in range(frames)
+    ]  # fmt: skip
+    states = [made.begin(rng, shown[0])]
+    for one in shown[1:]:
+        states.append(made.advance(rng, states[-1][0], one))
+    return list(zip(*states, strict=True))
+
+
+def test_the_number_follows_the_entropy_of_the_last_frame_and_the_one_before():
+    states, results = followed(target())
+    assert [one.ahead.entropy_fell for one in states[1:]] == [True, False, True, True, False]
+    # at the start and where it stays the same it did not rise
+    assert [one.particles for one in results] == [100, 80, 120, 80, 80, 120]
+    unknown = followed(target(likelihood=target().likelihood.appearance))[0]
+    assert {one.ahead.entropy_fell for one in unknown[1:]} == {None}
+
+
+def test_who_it_is_is_said_where_one_is_likelier_than_all_others():
+    results = followed(target())[1]
+    assert [one.identity for one in results] == [None, None, "b", "a", None, "a"]
+    assert [one.identity_prob for one in results] == [None, None, 0.8, 0.9, None, 1.0]
+    assert [one.told.entropy for one in results] == list(ENTROPIES)
+    assert [tuple(one.told.posterior.values()) for one in results] == list(POSTERIORS)
+    assert all([name for name, _ in one.told.insets] == ["S", "W"] for one in results)
+
+
+@pytest.mark.parametrize("best", [False, True])
+def test_what_is_predicted_is_where_the_picture_went(best):
+    noise = Noise(0.5, 2.0, 4.0)
+    states, results = followed(target(best=best, guide=Guide(Patches(BOX), Velocity(), noise, 100)))
+    for before, after, result in zip(states, states[1:], results[1:], strict=False):
+        np.testing.assert_array_equal(after.ahead.state, before.estimated.state)
+        np.testing.assert_array_equal(after.flow.state, after.estimated.state)
+        x, log_w = after.particles
+        expected = x[np.argmax(log_w)] if best else np.einsum("n,nkd->kd", np.exp(log_w), x)
+        np.testing.assert_allclose(after.estimated.state, expected)
+        np.testing.assert_allclose(after.ahead.shift[0, :2], JUMP, atol=0.5)
+        # particles lie around the predicted place, with as much noise as is said
+        off = after.particles.x[:, 0] - (after.ahead.state + after.ahead.shift)
+        assert np.abs(off[:, :2].mean(axis=0)).max() < 4 * 2.0 * after.ahead.noise / math.sqrt(len(off))
+        assert off[:, :2].std() == pytest.approx(2.0 * after.ahead.noise, rel=0.35)
+        told = result.told
+        assert (told.error, told.noise) == (after.ahead.error, noise.eta(after.ahead.error))
+        cx, cy, *a = after.estimated.state[0]
+        assert told.affine == (*a, cx, cy) and told.scale == pytest.approx(math.sqrt(np.square(a).sum() / 2))
+    middle = states[-1].estimated.state[0, :2]
+    assert np.hypot(*(middle - (110, 95) - 5 * np.array(JUMP))) < 1.5
+    assert results[0].told.error is None and results[0].told.noise is None
+
+
+def test_without_a_guide_nothing_is_predicted():
+    still = target(guide=None, step=Adaptive(100))
+    (first, second), results = followed(still, 2)
+    ahead = still.predict(first, frame(PICTURE))
+    np.testing.assert_array_equal(ahead.state, first.estimated.state)
+    assert not ahead.shift.any() and ahead.noise == 1.0 and second.flow is None
+    assert results[1].particles == 100 and results[1].told.error is None
