@@ -1,6 +1,9 @@
 """The prediction of eq. 12 and 13: in pixels, against its twin, and where there is nothing to predict from."""
 
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from functools import partial
 
@@ -332,3 +335,35 @@ def test_the_start_learns_from_as_many_particles_as_it_is_told():
     assert flow_of(replace(GUIDE, particles=17)).gain.shape == (6, 17)
     still = flow_of(replace(GUIDE, velocity=None))
     assert isinstance(still, Flow) and still.gain.shape == (6, 0)
+
+
+THREADS = """
+import hashlib, sys
+import cv2, numpy as np
+from facetrack_cli.build import build_tracker
+from facetrack_cli.recipe import load_recipe
+from facetrack_cli.track import track
+from facetrack_cli.types import Frame, Start, TargetStart
+cv2.setNumThreads(int(sys.argv[1]))
+noise = cv2.GaussianBlur(np.random.default_rng(0).normal(size=(240, 320, 3)), (0, 0), 4)
+picture = np.clip(128 + 45 * noise / noise.std(), 0, 255).astype(np.uint8)
+recipe = load_recipe("adaptive", ["filter.particles=200", "motion.velocity.samples=null"])
+tracker = build_tracker(recipe, Start(0, {"face": TargetStart(box=(100, 80, 90, 100))}, "test"))
+frames = (Frame(t, 0.0, np.roll(picture, (2 * t, -3 * t), axis=(0, 1))) for t in range(5))
+told = [(one.targets[0].told.affine, one.targets[0].told.error) for one in track(tracker, frames, 0)]
+print(hashlib.sha256(repr(told).encode()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_how_many_threads_libraries_have():
+    names = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", THREADS, count],
+            env={**os.environ, **dict.fromkeys(names, count)}, stdout=subprocess.PIPE, text=True,
+        )
+        for count in ("1", "2")
+    ]  # fmt: skip
+    one, two = (process.communicate(timeout=200)[0] for process in running)
+    assert len(one) > 60 and one == two
