@@ -13,6 +13,7 @@ Galleries are made in a folder for the time of the run, by `facetrack gallery fi
     end       its posterior in the last frame, mean; and who is next, in the first run
     alone     share of frames whose patch at the estimate, without those before it, is most like the right person
     lead      by how many nats, in the median of the frames
+    truth     alone, of patches at the true boxes, where the clip has them
     p_f       of the patches at the estimates, median
     AUC       success AUC with recognition and without, where the clip has a truth
     overlap   mean overlap of the two tracks
@@ -38,7 +39,7 @@ from facetrack_cli.formats.read import read_truth
 from facetrack_cli.gallery import NONE, load_gallery
 from facetrack_cli.patches import Patches
 from facetrack_cli.start.haar import haar_start
-from facetrack_cli.types import Frame, Start
+from facetrack_cli.types import Array, Frame, Start
 from facetrack_cli.video.source import open_source
 
 GALLERY = Path(__file__).parent.parent / "sample_videos" / "gallery"
@@ -102,9 +103,12 @@ def row(name: str, clip: Path, start: Start | None, right: str, gallery: Path, g
         f"{max(after)} ({len(after)})" if after else "never",
         f"{np.mean(ends):.3f}, {rest[0]} {last[rest[0]]:.3f}",
     ]
-    alone, lead, frontal, second = evidence(clip, runs[0], right, gallery)
-    cells += [f"{100 * alone:.0f} %, {second}", f"{lead:.0f}", f"{frontal:.2f}"]
-    if np.isfinite(runs[0].truth).any():
+    alone, lead, frontal, second = evidence(clip, runs[0], runs[0].states, right, gallery)
+    cells += [f"{100 * alone:.0f} %, {second}", f"{lead:.0f}"]
+    known = np.isfinite(runs[0].truth).any()
+    cells += [f"{100 * evidence(clip, runs[0], true_states(runs[0]), right, gallery)[0]:.0f} %" if known else ""]
+    cells += [f"{frontal:.2f}"]
+    if known:
         cells.append(" / ".join(f"{np.mean([run.measures.auc for run in those]):.3f}" for those in (runs, plain)))
     else:
         cells.append("")
@@ -121,15 +125,25 @@ def same(a: Run, b: Run) -> float:
     return float(np.mean([overlap_of(p, q) for p, q in zip(a.corners, b.corners, strict=True)]))
 
 
-def evidence(clip: Path, run: Run, right: str, path: Path) -> tuple[float, float, float, str]:
-    """Share of frames that name the right one by themselves, the median lead in nats, of p_f, and who is next."""
+def true_states(run: Run) -> Array:
+    """(T, 6) of the true boxes, rolled where the truth is."""
+    turn, scale = np.radians(np.nan_to_num(run.true_angle)), run.truth[:, 2:] / run.boxes[0, 2:]
+    c, s = np.cos(turn), np.sin(turn)
+    maps = [c * scale[:, 0], -s * scale[:, 1], s * scale[:, 0], c * scale[:, 1]]
+    return np.column_stack([run.truth[:, :2] + (run.truth[:, 2:] - 1) / 2, *maps])
+
+
+def evidence(clip: Path, run: Run, at: Array, right: str, path: Path) -> tuple[float, float, float, str]:
+    """Of patches at (T, 6): share that names the right one by itself, medians of lead in nats and p_f, who is next."""
     gallery = load_gallery(path)
     patches = Patches((float(run.boxes[0, 2]), float(run.boxes[0, 3])), gallery.shape)
-    states = dict(zip(run.frame.astype(int).tolist(), run.states, strict=True))
+    states = dict(zip(run.frame.astype(int).tolist(), at, strict=True))
     leads, frontal, next_ = [], [], []
     with open_source(clip, start=int(run.frame[0])) as source:
         for frame in source:
             x = states[frame.index][None, None]
+            if not np.isfinite(x).all():
+                continue
             y = patches.read(Frame(frame.index, frame.time_s, frame.bgr), x, patches.factor(x[0]))
             p_f, log_n = gallery.log_scores(y, none=False)
             frontal.append(float(p_f[0]))
@@ -143,7 +157,17 @@ def evidence(clip: Path, run: Run, right: str, path: Path) -> tuple[float, float
 
 
 def heading(given: argparse.Namespace) -> None:
-    columns = ["", "right", *(["none"] if given.none else []), ".9 after", "end, next", "alone, next", "lead", "p_f"]
+    columns = [
+        "",
+        "right",
+        *(["none"] if given.none else []),
+        ".9 after",
+        "end, next",
+        "alone, next",
+        "lead",
+        "truth",
+        "p_f",
+    ]
     columns += ["AUC with / without", "overlap"]
     print(f"\n{given.seeds} seeds\n\n| {' | '.join(columns)} |\n{'|---' * len(columns)}|", flush=True)
 
