@@ -347,3 +347,23 @@ def test_patches_are_read_at_the_scale_that_was_learned():
     assert MODEL.distances(replace(learned, state=there), frame(large), there[None])[0, 0] < 0.01
     assert MODEL.learn(learned, frame(large), there).state is not there
     np.testing.assert_array_equal(MODEL.learn(learned, frame(large), there).state, there)
+
+
+def test_the_pictures_of_s_and_w_are_grey_levels_around_the_middle():
+    learned = MODEL.init(frame(smooth(1)), TRUTH)
+    mu = learned.mu.copy()
+    mu[S, :6], mu[W, :6] = (0, 1, -1, 2.49, 2.6, -40), (-2.5, -2.6, 40, 0.5, -0.5, 0)
+    told = dict(MODEL.tell(replace(learned, mu=mu)).insets)
+    assert told["S"].shape == told["W"].shape == PATCHES.shape and told["S"].dtype == np.uint8
+    assert told["S"].ravel()[:6].tolist() == [128, 179, 77, 254, 255, 0]
+    assert told["W"].ravel()[:6].tolist() == [0, 0, 255, 153, 102, 128]
+    assert [name for name, _ in FIXED.tell(learned).insets] == ["F"]
+    assert [name for name, _ in replace(MODEL, mixing=(0.5, 0, 0.5)).tell(learned).insets] == ["W"]
+
+
+def test_so_many_pixels_count_as_independent():
+    f, x = frame(smooth(1)), states((80, 60), (83, 60), (80, 64, 1.1, 0, 0, 1.1))
+    learned = MODEL.init(f, TRUTH)
+    all_ = MODEL.score(learned, f, x)
+    np.testing.assert_allclose(replace(MODEL, pixels=PATCHES.points).score(learned, f, x), all_)
+    np.testing.assert_allclose(replace(MODEL, pixels=5).score(learned, f, x), all_ * 5 / PATCHES.points)
