@@ -3,19 +3,23 @@
 import json
 import re
 import shutil
+import textwrap
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from facetrack_cli.gallery_learn import fit_gallery
-from facetrack_cli.recipe import check_recipe, load_recipe
+from facetrack_cli.recipe import check_recipe, load_recipe, shipped_recipes
 from facetrack_cli.recipe_gallery import with_gallery
 from tests.media import write_pictures
 from tests.samples import FOLDER, read_pictures
 from tests.terminal import refusal
 
 BOX = "[78.41, 79.91, 66, 66]"
+
+
+RECOGNITION = (FOLDER.parent / "configs" / "adaptive_recognition.yaml").read_text().partition("seed: 0\n")[2]
 
 
 def some_gallery(shape=(30, 26), names=("anna", "ben", "cleo")):
@@ -37,6 +41,11 @@ def clips(tmp_path_factory):
     for name in ("zoom", "other"):
         write_pictures(folder / name, pictures)
         (folder / f"{name}.init.yaml").write_text(f"frame: 0\nbox: {BOX}\n")
+    dark = [np.zeros_like(picture) for picture in pictures]
+    write_pictures(folder / "dark", dark)
+    write_pictures(folder / "fades", [*pictures[:2], *dark[:3]])
+    write_pictures(folder / "grey", [np.repeat(picture[..., 1:2], 3, axis=2) for picture in pictures])
+    write_pictures(folder / "pair", [np.hstack([one, one[:, ::-1]]) for one in pictures])
     gallery = some_gallery()
     gallery.save(folder / "people.npz")
     some_gallery((24, 20)).save(folder / "small.npz")
@@ -222,3 +231,87 @@ def test_several_clips_are_each_told_who_is_in_them(facetrack):
         facetrack("run", "IN/zoom", "IN/other", "--config", "adaptive_recognition", "--gallery=IN/half.npz"), 3
     )
     assert "half.npz" in told
+
+
+# --- clips ---------------------------------------------------------------------------------------------------------
+
+SEVEN = [path.stem for path in shipped_recipes() if re.match("adaptive|fixed_template", path.stem)]
+
+
+@pytest.mark.parametrize("config", SEVEN)
+def test_clips_and_boxes_of_every_kind(facetrack, config):
+    known = ["--gallery=IN/people.npz"] if config == "adaptive_recognition" else []
+
+    def track(clip, box):
+        return run(facetrack, "--box", box, "-o", "-", *known, config=config, clip=clip)
+
+    assert len(SEVEN) == 7
+    for clip, box in (
+        ("grey", "79,80,66,66"),
+        ("zoom", "-15,-15,66,66"),
+        ("zoom", "79,80,6,6"),
+        ("zoom", "0,0,320,240"),
+    ):
+        code, out, err = track(clip, box)
+        assert code == 0 and out.count("\n") == 7 and "nan" not in out and "inf" not in out
+        assert err == "" or err.count("times as wide as high") == 1
+    assert "one grey level" in refused(track("dark", "79,80,66,66"), 3)
+    assert "more than half of the box lies outside" in refused(track("zoom", "-32,-32,66,66"), 3)
+    assert "smaller than 6x6" in refused(track("zoom", "79,80,5,66"), 3)
+    assert "outside the picture" in refused(track("zoom", "500,80,66,66"), 3)
+    assert "larger than the picture" in refused(track("zoom", "0,0,640,240"), 3)
+
+
+def test_a_face_that_is_lost_is_known_still_and_told_by_the_exit_code(facetrack):
+    code, out, _ = run(facetrack, "--box=79,80,66,66", "--gallery=IN/people.npz", "-o", "-", clip="fades")
+    rows = [line.split(",") for line in out.splitlines()[1:]]
+    assert code == 0 and [row[10] for row in rows][-1] == "lost" and rows[-1][-2] == rows[1][-2] != ""
+    args = ["--box=79,80,66,66", "--gallery=IN/people.npz", "--fail-on-lost", "-o", "out"]
+    assert run(facetrack, *args, clip="fades")[0] == 4
+
+
+# --- several targets -----------------------------------------------------------------------------------------------
+
+
+def several(*targets, more=""):
+    """A recipe of these targets, of which each is a recipe's text."""
+    sections = "".join(f"  {name}:\n" + textwrap.indent(text, "    ") for name, text in targets)
+    Path("several.yaml").write_text(f"type: particle_filters\ndescription: several\ntargets:\n{sections}{more}")
+    Path("pair.yaml").write_text(f"frame: 0\nleft: {{box: {BOX}}}\nright: {{box: [494.59, 79.91, 66, 66]}}\n")
+    return ["--init", "pair.yaml"]
+
+
+@pytest.mark.parametrize("more", ["", "exclusion: {strength: 0.9, reach: 1.0}\n"])
+def test_two_faces_are_recognised_each_for_itself(facetrack, more):
+    start = several(("left", RECOGNITION), ("right", RECOGNITION), more=more)
+    assert refused(run(facetrack, *start, config="several.yaml", clip="pair"), 2).startswith("--gallery is missing")
+    code, out, err = run(
+        facetrack, *start, "--gallery=IN/people.npz", "-o", "-", "--format=jsonl", config="several.yaml", clip="pair"
+    )
+    assert (code, err) == (0, "")
+    header, *frames = [json.loads(line) for line in out.splitlines()][:-1]
+    galleries = [one["recognition"]["gallery"] for one in header["recipe"]["targets"].values()]
+    assert len(set(galleries)) == 1 and galleries[0].endswith("people.npz")
+    assert all(set(target["posterior"]) == {"anna", "ben", "cleo"} for frame in frames for target in frame["targets"])
+
+
+def test_of_several_targets_those_recognise_that_are_meant_to(facetrack):
+    plain = RECOGNITION.replace("recognition: {}\n", "")
+    start = several(("left", plain), ("right", RECOGNITION))
+    _, out, _ = run(facetrack, *start, "--gallery=IN/people.npz", "-o", "-", config="several.yaml", clip="pair")
+    rows = [line.split(",") for line in out.splitlines()[3:]]
+    assert {row[2]: bool(row[-2]) for row in rows} == {"left": False, "right": True}
+    # none of them asks for it: all are recognised
+    start = several(("left", plain), ("right", plain))
+    _, out, _ = run(facetrack, *start, "--gallery=IN/people.npz", "-o", "-", config="several.yaml", clip="pair")
+    rows = [line.split(",") for line in out.splitlines()[3:]]
+    assert {row[2]: bool(row[-2]) for row in rows} == {"left": True, "right": True}
+    told = refused(run(facetrack, *start, "--gallery=IN/small.npz", "-o", "-", config="several.yaml", clip="pair"), 2)
+    assert "small.npz" in told and "24 points high" in told
+
+
+def test_points_are_no_target_beside_an_affine_one(facetrack):
+    points = (FOLDER.parent / "configs" / "sir.yaml").read_text().partition("seed: 0\n")[2]
+    start = several(("left", RECOGNITION), ("right", points))
+    told = refused(run(facetrack, *start, "--gallery=IN/people.npz", config="several.yaml", clip="pair"), 2)
+    assert "several targets are regions, clouds or affine" in told

@@ -116,6 +116,8 @@ def command(
         --config histogram --config contour_histogram
       facetrack compare frames/ --truth groundtruth.txt \\
         --config sir:filter.particles=100 --config sir:filter.particles=500
+      facetrack compare clip.mp4 --config adaptive --config mine.yaml \\
+        --gallery people.npz
       facetrack compare clip.mp4 --config a.yaml --config b.yaml --csv -q
 
     \b

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the file that is there already.")
 JITTER = 4
+LEAST_SIDE, MOST_SIDE = 6, 128  # of a template, as in recipes
 
 
 @click.group()
@@ -36,8 +37,9 @@ def command() -> None:
 def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, int]:
     """(rows, columns) of COLUMNSxROWS."""
     found = re.fullmatch(r"(\d{1,4})[xX](\d{1,4})", value.strip())
-    if not found or not all(8 <= int(side) <= 200 for side in found.groups()):
-        raise click.BadParameter(f"{value!r}: give columns and rows from 8 to 200, as in 26x30 (26 wide, 30 high)")
+    if not found or not all(LEAST_SIDE <= int(side) <= MOST_SIDE for side in found.groups()):
+        sides = f"{LEAST_SIDE} to {MOST_SIDE}"
+        raise click.BadParameter(f"{value!r}: give columns and rows from {sides}, as in 26x30 (26 wide, 30 high)")
     return int(found[2]), int(found[1])
 
 
