@@ -367,3 +367,22 @@ def test_so_many_pixels_count_as_independent():
     all_ = MODEL.score(learned, f, x)
     np.testing.assert_allclose(replace(MODEL, pixels=PATCHES.points).score(learned, f, x), all_)
     np.testing.assert_allclose(replace(MODEL, pixels=5).score(learned, f, x), all_ * 5 / PATCHES.points)
+
+
+def test_what_is_expected_is_the_mean_of_the_mixture():
+    learned = mixture(np.random.default_rng(2), 780)
+    mean = sum(learned.m[i].astype(float) * learned.mu[i] for i in (W, S, F))
+    np.testing.assert_allclose(MODEL.expected(learned), mean, atol=1e-5)
+
+
+@pytest.mark.parametrize(("density", "outlier"), [("gaussian", None), ("gaussian", 0.3), ("laplace", 0.3)])
+def test_the_score_is_eq_6_of_the_patches_that_are_read(density, outlier):
+    f, x = frame(smooth(1)), states((81, 60), (85, 57, 1.1, 0, 0.1, 0.9))
+    model = replace(MODEL, density=density, outlier=outlier)
+    learned = model.init(f, TRUTH)
+    y = PATCHES.read(f, x, PATCHES.factor(TRUTH)).astype(np.float64)
+    expected = [
+        naive.log_density(v, learned.m, learned.mu, learned.sigma, density == "laplace", outlier or 0.0, OUTLIER_RANGE)
+        for v in y
+    ]
+    assert model.score(learned, f, x)[:, 0] == pytest.approx(expected, rel=1e-4)

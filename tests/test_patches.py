@@ -181,3 +181,12 @@ def test_scale_is_that_of_a_similarity_and_1_at_the_start():
     x = states((0, 0), (5, 5, 0, -3, 3, 0), (0, 0, 1, 0, 0, 0))
     assert scale_of(x)[:, 0] == pytest.approx([1, 3, np.sqrt(0.5)])
     assert scale_of(x).shape == (3, 1)
+
+
+def test_the_factor_of_a_sheared_box_goes_by_where_its_sides_go():
+    # a column is a step of 8 pixels by (a1, a3), a row one of 8 by (a2, a4)
+    patches = Patches((8.0 * 26, 8.0 * 30))
+    assert patches.factor(state(0, 0, 1, 0, 0, 1)) == 4
+    assert patches.factor(state(0, 0, 0.2, 5, 0.2, 5)) == 2  # columns are close to each other
+    assert patches.factor(state(0, 0, 5, 0.2, 5, 0.2)) == 2  # rows are
+    assert patches.factor(state(0, 0, 5, 5, 0.2, 0.2)) == 32
