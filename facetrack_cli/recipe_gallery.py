@@ -25,7 +25,7 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
     recognising = [one for one in recipes if any(given.recognition is not None for _, given in filters(one))]
     if file is None:
         for recipe in recognising:
-            if any(given.recognition is not None and given.recognition.gallery is None for _, given in filters(recipe)):
+            if wants_gallery(recipe):
                 raise UsageError(
                     f"--gallery is missing: {recipe.name} says who somebody is, of the people of a gallery; give "
                     f"--gallery FILE, {MADE_BY}, or name one in the recipe, in recognition.gallery"
@@ -36,6 +36,11 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
     if not able:
         raise UsageError(f"--gallery: {_why_not(recipes)}; take adaptive_recognition, or leave --gallery out")
     return [_put(one, file) if any(one is other for other in able) else one for one in recipes]
+
+
+def wants_gallery(recipe: Recipe) -> bool:
+    """Whether it recognises and does not say whom."""
+    return any(given.recognition is not None and given.recognition.gallery is None for _, given in filters(recipe))
 
 
 def check_file(file: str) -> None:

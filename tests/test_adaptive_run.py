@@ -315,3 +315,9 @@ def test_points_are_no_target_beside_an_affine_one(facetrack):
     start = several(("left", RECOGNITION), ("right", points))
     told = refused(run(facetrack, *start, "--gallery=IN/people.npz", config="several.yaml", clip="pair"), 2)
     assert "several targets are regions, clouds or affine" in told
+
+
+@pytest.mark.parametrize("config", ["adaptive_recognition", "adaptive"])
+def test_init_says_how_to_go_on(facetrack, config):
+    code, _, err = facetrack("init", FOLDER / "zoom.mp4", "--config", config, "-o", "start.yaml")
+    assert code == 0 and err.endswith(f"--config {config}" + " --gallery FILE" * (config != "adaptive") + "\n")

@@ -61,6 +61,8 @@ def command(
       facetrack init clip.mp4 --config head_hands --preview look.png
       facetrack init frames/ -o - > start.yaml
     """
+    from facetrack_cli.recipe import load_recipe
+    from facetrack_cli.recipe_gallery import wants_gallery
     from facetrack_cli.start import default_path, find_init, write_init
 
     path = None if out == "-" else Path(out) if out else default_path(clip)
@@ -78,7 +80,8 @@ def command(
     else:
         write_init(path, start, clip=clip.name, overwrite=overwrite)
         named = "" if find_init(clip) == path else f" --init {path}"
-        named += "" if config is None else f" --config {config}"
+        if config is not None:
+            named += f" --config {config}" + " --gallery FILE" * wants_gallery(load_recipe(config))
         what = ", ".join(start.targets) if len(start.targets) > 1 else "a face"
         click.echo(f"{path}: {what} in frame {start.frame}; edit it, then: facetrack run {clip}{named}", err=True)
 
