@@ -76,8 +76,8 @@ def run(facetrack, *args, config="adaptive_recognition", clip="zoom"):
     ("recipe", "keys", "said"),
     [
         ("adaptive", ["motion.noise=null"], "filter.adapt follows motion.noise, which is null"),
-        ("adaptive", ["filter.least=5000000"], "5,000,000 particles of 26x30 points each"),
-        ("adaptive", ["filter.particles=5000000"], "particles of 26x30 points each"),
+        ("adaptive", ["filter.least=5000000", "motion.velocity=null"], "5,000,000 particles of 26x30 points each"),
+        ("adaptive", ["filter.particles=5000000", "motion.velocity=null"], "particles of 26x30 points each"),
         ("adaptive", ["target.scale=[1, 1]"], "with 1, the size at the start, between them"),
         ("adaptive", ["likelihood.template=[5, 30]"], "likelihood.template[1] must be at least 6, not 5"),
         ("adaptive", ["likelihood.template=[26]"], "must have 2 items, not 1"),
