@@ -18,7 +18,7 @@ Adaptive noise (eq. 13). r_t / r_0 = eta(eps) = a + (b - a) tanh(eps / c): tight
 bad one. phi is that of the likelihood, the mean squared distance from the appearance in its standard deviations.
 
 `samples`, a matter of speed: B is estimated from so many of the particles, evenly chosen; the paper takes all, None.
-From 32 of 100 the predicted place is as good (0.20 and 0.21 px on `zoom`), and a step takes half the time.
+From 32 of 100 a step takes little more than half the time; docs/results.md has what it costs.
 
 Beyond the paper: `towards` "appearance" takes for y what the appearance model expects, so that small errors do not add
 up from frame to frame; `search` first looks for that patch over so much of the box around, by normalised correlation,

@@ -78,7 +78,8 @@ def test_other_targets_have_nothing_of_it():
 
 
 def test_many_particles_are_welcome_where_they_are_not_compared():
-    assert load_recipe("adaptive", ["filter.particles=20000"]).filter.particles == 20000
+    some = ["filter.particles=20000", "motion.velocity.samples=32"]
+    assert load_recipe("adaptive", some).filter.particles == 20000
     assert (
         load_recipe("adaptive", ["filter.particles=900", "motion.velocity.samples=null"]).motion.velocity.samples
         is None
