@@ -4,16 +4,7 @@ import pytest
 
 from facetrack_cli.errors import RecipeError
 from facetrack_cli.recipe import check_recipe, load_recipe, to_dict
-
-NAMES = [
-    "fixed_template",
-    "adaptive_appearance",
-    "adaptive_velocity",
-    "adaptive_noise",
-    "adaptive",
-    "adaptive_recognition",
-    "adaptive_robust",
-]
+from tests.test_recipe import AFFINE, STEPS
 
 
 def refused(*overrides, name="adaptive"):
@@ -22,7 +13,7 @@ def refused(*overrides, name="adaptive"):
     return str(caught.value)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", AFFINE)
 def test_a_recipe_reads_like_a_method_section(name):
     recipe = load_recipe(name)
     assert check_recipe(name) == [] and recipe.points == () and recipe.target.type == "affine"
@@ -36,7 +27,7 @@ def test_each_step_of_the_ablation_adds_one_thing():
         given = to_dict(load_recipe(name))
         return {key: given[key] for key in ("target", "motion", "likelihood", "filter", "prior", "confidence")}
 
-    steps = [settings(name) for name in NAMES[:5]]
+    steps = [settings(name) for name in STEPS[:5]]
     for before, after, section in zip(steps, steps[1:], ("likelihood", "motion", "motion", "filter"), strict=False):
         # the prediction comes with the filter that draws around it
         may = {section, "filter"} if after["filter"]["type"] != before["filter"]["type"] else {section}

@@ -5,10 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 
 from facetrack_cli.start.haar import find_faces
-from tests.samples import FOLDER, BoxClip, read_boxes, read_rows
+from tests.samples import FOLDER, BoxClip, check_files, check_init, likeness, read_boxes, read_rows
 
 FRAMES = {"zoom": 240, "lamp": 250}
 PEOPLE = ("collins", "hopper", "ines", "marta", "otto", "viktor")
@@ -39,10 +38,6 @@ def crop(clip: BoxClip, t: int, half: int = 24, at: int | None = None) -> np.nda
     return cv2.warpAffine(grey, move, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
 
 
-def likeness(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
-
-
 def patch(picture: np.ndarray, box: tuple[int, ...]) -> np.ndarray:
     """(780,) grey of the box, zero mean, unit variance."""
     x, y, w, h = box
@@ -52,24 +47,12 @@ def patch(picture: np.ndarray, box: tuple[int, ...]) -> np.ndarray:
 
 
 def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: BoxClip) -> None:
-    assert (FOLDER / f"{clip.name}.mp4").stat().st_size < 600_000
-    video = cv2.VideoCapture(str(FOLDER / f"{clip.name}.mp4"))
-    assert video.get(cv2.CAP_PROP_FPS) == 25
-    video.release()
-    n = FRAMES[clip.name]
-    assert clip.pictures.shape == (n, 240, 320, 3)
-    expected = [(str(t), f"{t / 25:.2f}", "face", "box", "visible") for t in range(n)]
-    assert [
-        tuple(r[k] for k in ("frame", "time_s", "target", "part", "status")) for r in read_rows(clip.name)
-    ] == expected
+    check_files(clip, FRAMES[clip.name])
+    assert {row["status"] for row in read_rows(clip.name)} == {"visible"}
 
 
 def test_the_init_file_is_the_truth_of_the_first_frame(clip: BoxClip) -> None:
-    init = YAML(typ="safe").load((FOLDER / f"{clip.name}.init.yaml").read_text(encoding="utf-8"))
-    assert set(init) == {"frame", "face"} and init["frame"] == 0 and set(init["face"]) == {"box"}
-    left, top, width, height = init["face"]["box"]
-    middle = left + (width - 1) / 2, top + (height - 1) / 2
-    np.testing.assert_allclose((*middle, width, height), clip.boxes[0], atol=0.011)
+    check_init(clip)
     assert angles(clip.name)[0] == 0
 
 

@@ -7,9 +7,8 @@ from itertools import groupby
 import cv2
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 
-from tests.samples import FOLDER, BoxClip, read_boxes, read_rows
+from tests.samples import BoxClip, check_files, check_init, likeness, read_boxes
 
 FRAMES = {"map": 250, "passerby": 240}
 # spans of frames in which more than half of the face is covered, and frames in which all of it is
@@ -39,10 +38,6 @@ def crop(clip: BoxClip, t: int, half: int = 20) -> np.ndarray:
     return cv2.warpAffine(grey, move, (side, side), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
 
 
-def likeness(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
-
-
 def skin(picture: np.ndarray) -> np.ndarray:
     """(H, W) where the colours are near those of the face."""
     chroma = cv2.GaussianBlur(cv2.cvtColor(picture, cv2.COLOR_BGR2YCrCb), (0, 0), 1.0).astype(float)
@@ -57,22 +52,11 @@ def within(clip: BoxClip, t: int, grow: float = 1.0) -> np.ndarray:
 
 
 def test_the_files_are_small_and_the_truth_has_a_row_for_each_frame(clip: BoxClip) -> None:
-    assert (FOLDER / f"{clip.name}.mp4").stat().st_size < 600_000
-    video = cv2.VideoCapture(str(FOLDER / f"{clip.name}.mp4"))
-    assert video.get(cv2.CAP_PROP_FPS) == 25
-    video.release()
-    n = FRAMES[clip.name]
-    assert clip.pictures.shape == (n, 240, 320, 3)
-    expected = [(str(t), f"{t / 25:.2f}", "face", "box") for t in range(n)]
-    assert [(r["frame"], r["time_s"], r["target"], r["part"]) for r in read_rows(clip.name)] == expected
+    check_files(clip, FRAMES[clip.name])
 
 
 def test_the_init_file_is_the_truth_of_the_first_frame(clip: BoxClip) -> None:
-    init = YAML(typ="safe").load((FOLDER / f"{clip.name}.init.yaml").read_text(encoding="utf-8"))
-    assert set(init) == {"frame", "face"} and init["frame"] == 0 and set(init["face"]) == {"box"}
-    left, top, width, height = init["face"]["box"]
-    middle = left + (width - 1) / 2, top + (height - 1) / 2
-    np.testing.assert_allclose((*middle, width, height), clip.boxes[0], atol=0.011)
+    check_init(clip)
 
 
 def test_a_box_that_rests_is_off_the_face_in_much_of_the_clip(clip: BoxClip) -> None:

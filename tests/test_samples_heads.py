@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from tests.samples import FOLDER, BoxClip, read_boxes, read_rows
+from tests.samples import FOLDER, BoxClip, likeness, read_boxes, read_rows
 
 FRAMES = {"textured": 200, "turning": 220}
 INSIDE = 24  # half the side of a patch that lies within the head, in pixels at scale 1
@@ -44,10 +44,6 @@ def crop(clip: BoxClip, t: int, half: tuple[int, int] = (32, 36)) -> np.ndarray:
     size = (2 * half[0] + 1, 2 * half[1] + 1)
     grey = cv2.cvtColor(clip.pictures[t], cv2.COLOR_BGR2GRAY)
     return cv2.warpAffine(grey, move, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-
-
-def likeness(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
 
 
 def moved_inside(clip: BoxClip, t: int, reach: int = 7) -> np.ndarray:
