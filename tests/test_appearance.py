@@ -311,7 +311,7 @@ def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture, words):
     with pytest.raises(InputError) as refused:
         MODEL.init(frame(picture), state(*place))
     assert str(refused.value).startswith(words)
-    assert str(refused.value).endswith("choose another box")
+    assert str(refused.value).endswith("or begin elsewhere with --init-frame")
     assert "\n" not in str(refused.value)
 
 

@@ -99,7 +99,10 @@ class Appearance:
                 "more than half of the box lies outside the picture" if self.patches.inside(frame, x0) < 0.5
                 else "the face's box is of one grey level throughout"
             )  # fmt: skip
-            raise InputError(f"frame {frame.index}: {what}, so that there is no face to follow: choose another box")
+            raise InputError(
+                f"frame {frame.index}: {what}, so that there is no face to follow: "
+                "choose another box, or begin elsewhere with --init-frame"
+            )
         mixing = np.array(self.mixing) / sum(self.mixing)
         # a component that is left out may come without a sigma
         sigmas = np.where(mixing > 0.0, self.sigma, 1.0)
