@@ -1,4 +1,4 @@
-"""The gallery: eq. 14 to 16 against plain twins and the normal density, what is learned of made-up people, calibration, files."""
+"""The gallery: eq. 14 to 16 against plain twins and the normal density, made-up people, calibration, files."""
 
 import dataclasses
 import io
