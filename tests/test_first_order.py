@@ -132,7 +132,7 @@ def test_the_bootstrap_filter_agrees_with_a_kalman_filter():
         particles, _ = Sir()(rng, particles, Seen(seen, r))
         found = estimate(particles)
         # in standard deviations of the posterior, speeds included
-        off.append((found.mean[0, [0, 1, 3, 4]] - mean[[0, 1, 3, 4]]) / np.sqrt(np.diag(cov)[[0, 1, 3, 4]]))
+        off.append((found.state[0, [0, 1, 3, 4]] - mean[[0, 1, 3, 4]]) / np.sqrt(np.diag(cov)[[0, 1, 3, 4]]))
         spread.append(found.cov[0] / cov[:2, :2].diagonal().mean())
     assert np.sqrt(np.mean(np.square(off))) < 0.05
     assert np.abs(np.mean(spread, axis=0) - np.eye(2)).max() < 0.05
