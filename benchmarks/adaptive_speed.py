@@ -40,6 +40,7 @@ FRAMES = 60
 ROUNDS = 25
 RECIPES: dict[str, tuple[str, list[str]]] = {
     "adaptive, always 100": ("adaptive", ["filter.adapt=false"]),
+    "... B from 32 of them": ("adaptive", ["filter.adapt=false", "motion.velocity.samples=32"]),
     "adaptive": ("adaptive", []),
     "adaptive_noise": ("adaptive_noise", []),
     "adaptive_velocity": ("adaptive_velocity", []),
