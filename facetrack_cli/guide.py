@@ -125,30 +125,34 @@ class Guide:
 
         `error` is phi of patches (N, d) -> (N,), `expected` the patch (d,) that the appearance model expects.
         """
-        wanted = flow.patch
-        if self.velocity is not None and self.velocity.towards == "appearance":
-            wanted = expected()
         factor = self.patches.factor(flow.state)
         shift = best = np.zeros_like(flow.state)
         patch = self.patches.read(frame, flow.state[None], factor)
         least = float(error(patch)[0])
-        if self.velocity is not None and self.velocity.search > 0:
-            found = self._search(flow.state, frame, factor, expected())
+        if (velocity := self.velocity) is None:
+            return self._ahead(flow.state, best, least)
+        towards = velocity.towards == "appearance"
+        model = expected() if towards or velocity.search > 0 else flow.patch
+        wanted = model if towards else flow.patch
+        if velocity.search > 0:
+            found = self._search(flow.state, frame, factor, model)
             there = self.patches.read(frame, (flow.state + found)[None], factor)
             now = float(error(there)[0])
             if now < least:
                 least, shift, best, patch = now, found, found, there
-        for _ in range(0 if self.velocity is None else self.velocity.iterations):
-            assert self.velocity is not None
+        for _ in range(velocity.iterations):
             shift = shift - mapped(flow.gain, flow.rows, patch[0], wanted)
             patch = self.patches.read(frame, (flow.state + shift)[None], factor)
             now = float(error(patch)[0])
-            settled = now >= least * (1 - self.velocity.settle)
+            settled = now >= least * (1 - velocity.settle)
             if now < least:
                 least, best = now, shift
             if settled:
                 break
-        return Ahead(flow.state, best, 1.0 if self.noise is None else self.noise.eta(least), least)
+        return self._ahead(flow.state, best, least)
+
+    def _ahead(self, state: Array, shift: Array, error: float) -> Ahead:
+        return Ahead(state, shift, 1.0 if self.noise is None else self.noise.eta(error), error)
 
     def _search(self, state: Array, frame: Frame, factor: int, expected: Rows) -> Array:
         """(1, 6): the shift to the place around `state` at which the picture is most like the expected patch (d,)."""

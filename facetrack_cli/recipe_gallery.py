@@ -35,7 +35,7 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
     able = recognising or [one for one in recipes if any(isinstance(g.target, Affine) for _, g in filters(one))]
     if not able:
         raise UsageError(f"--gallery: {_why_not(recipes)}; take adaptive_recognition, or leave --gallery out")
-    return [_put(one, file) if any(one is other for other in able) else one for one in recipes]
+    return [put(one, file) if any(one is other for other in able) else one for one in recipes]
 
 
 def wants_gallery(recipe: Recipe) -> bool:
@@ -62,7 +62,7 @@ def check_file(file: str) -> None:
     raise InputError(f"{shown}: no such file; correct the name, or make one with facetrack gallery fit")
 
 
-def _put(recipe: Recipe, file: str) -> Recipe:
+def put(recipe: Recipe, file: str) -> Recipe:
     """The recipe with this gallery in place of its own: where it recognises, else wherever it can."""
     assert recipe._root is not None
     affine = [(above, given) for above, given in filters(recipe) if isinstance(given.target, Affine)]

@@ -42,11 +42,12 @@ class Space(Protocol):
         """(K, 2): width and height in pixels of each part."""
 
     def outline(self, estimated: Estimate) -> Outline | None:
-        """Of the one part that is no upright box."""
+        """Of the one part that is no upright box; None where all are."""
+        return None
 
 
 @dataclass(frozen=True)
-class PointSpace:
+class PointSpace(Space):
     """Points: state (K, 2). `sides` (K, 2): the window of each, in pixels."""
 
     sides: Array
@@ -54,12 +55,9 @@ class PointSpace:
     def windows(self, estimated: Estimate) -> Array:
         return self.sides
 
-    def outline(self, estimated: Estimate) -> None:
-        return None
-
 
 @dataclass(frozen=True)
-class BoxSpace:
+class BoxSpace(Space):
     """A box: state (1, 6) = (x, y, s, and the speed of each, per frame). `size`: width, height in pixels at s = 1."""
 
     size: tuple[float, float]
@@ -67,12 +65,9 @@ class BoxSpace:
     def windows(self, estimated: Estimate) -> Array:
         return np.asarray(estimated.state[:, 2:3] * np.array(self.size))
 
-    def outline(self, estimated: Estimate) -> None:
-        return None
-
 
 @dataclass(frozen=True)
-class CloudSpace:
+class CloudSpace(Space):
     """A cloud in which each particle is a pixel: state (1, 2) = (x, y).
 
     Its box has four standard deviations a side, which is exact of an ellipse evenly filled.
@@ -81,12 +76,9 @@ class CloudSpace:
     def windows(self, estimated: Estimate) -> Array:
         return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
 
-    def outline(self, estimated: Estimate) -> None:
-        return None
-
 
 @dataclass(frozen=True)
-class AffineSpace:
+class AffineSpace(Space):
     """A box under affine maps: state (1, 6) = (x, y, a1, a2, a3, a4), [[a1, a2], [a3, a4]] from the start to now.
 
     `size`: width, height in pixels at the start. Its sides are those of the parallelogram; its angle is the rotation

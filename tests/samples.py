@@ -58,11 +58,12 @@ def check_files(clip: BoxClip, frames: int) -> None:
     assert [(r["frame"], r["time_s"], r["target"], r["part"]) for r in read_rows(clip.name)] == expected
 
 
-def check_init(clip: BoxClip) -> None:
-    """The init file of a clip of a face is the truth of its first frame."""
+def check_init(clip: BoxClip, target: str = "face") -> None:
+    """The init file of a clip of one target is the truth of its first frame."""
     init = YAML(typ="safe").load((FOLDER / f"{clip.name}.init.yaml").read_text(encoding="utf-8"))
-    assert set(init) == {"frame", "face"} and init["frame"] == 0 and set(init["face"]) == {"box"}
-    left, top, width, height = init["face"]["box"]
+    assert set(init) == {"frame", target} and init["frame"] == 0 and set(init[target]) == {"box"}
+    left, top, width, height = init[target]["box"]
+    # pixel centres are at whole numbers, so a box from `left` on has its middle half a pixel before left + width / 2
     middle = left + (width - 1) / 2, top + (height - 1) / 2
     np.testing.assert_allclose((*middle, width, height), clip.boxes[0], atol=0.011)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from facetrack_cli.recipe import (
     shipped_folder,
     to_dict,
 )
+from facetrack_cli.recipe_gallery import put
 from facetrack_cli.regression.bands import Deviation, Verdict, judge, measure
 from facetrack_cli.regression.goldens import (
     FIRST_SEED,
@@ -160,7 +160,7 @@ def _prepare(
             return _checked(path, golden, "fails", f"the clip {clip} is not the one recorded; restore it, or {UPDATE}")
         recipe = given.get(_name(golden)) or _load(folder, golden, overrides)
         if golden.gallery is not None and (gallery or _gallery(recipe) is None):
-            recipe = _recognising(recipe, gallery or folder / golden.gallery.file, overrides)
+            recipe = _recognising(recipe, gallery or folder / golden.gallery.file)
     except FacetrackError as e:
         return _checked(path, golden, "fails", str(e))
     if reason := _cannot_run(recipe):
@@ -174,14 +174,13 @@ def _load(folder: Path, golden: Golden, overrides: Sequence[str] = ()) -> Recipe
     return load_recipe(str(beside) if golden.recipe.endswith(".yaml") else golden.recipe, overrides)
 
 
-def _recognising(recipe: Recipe, gallery: Path, overrides: Sequence[str] = ()) -> Recipe:
+def _recognising(recipe: Recipe, gallery: Path) -> Recipe:
     """The same recipe with this gallery, if it recognises anybody."""
     if not isinstance(recipe, ParticleRecipe) or recipe.recognition is None:
         return recipe
     if not gallery.is_file():
         raise InputError(f"the gallery {gallery} is not there; put it back, or name another with --gallery")
-    set_ = f"recognition.gallery={json.dumps(str(gallery), ensure_ascii=False)}"
-    return load_recipe(str(recipe.path), (*overrides, set_))
+    return put(recipe, str(gallery))
 
 
 def _gallery(recipe: Recipe) -> Path | None:
