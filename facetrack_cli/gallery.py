@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from facetrack_cli.calibration import logistic
 from facetrack_cli.plain_arrays import Kind, Stored
 from facetrack_cli.resampling import logsumexp
-from facetrack_cli.subspaces import Patches, Subspace
+from facetrack_cli.subspaces import Rows, Subspace
 from facetrack_cli.types import Array
 
 NONE: Final = "none"  # what the posterior calls nobody of the gallery
@@ -55,7 +55,7 @@ class Gallery:
     """
 
     names: tuple[str, ...]
-    faces: Patches
+    faces: Rows
     shape: tuple[int, int]
     frontal: Subspace
     intra: Subspace
@@ -94,7 +94,7 @@ class Gallery:
         if self.calibration[0] < 0.0 or not 0.0 <= self.most_frontal <= 1.0:
             raise ValueError("p_f would not be a probability that grows with the density")
 
-    def log_scores(self, patches: Patches, *, sharpness: float = 1.0, none: bool = False) -> tuple[Array, Array]:
+    def log_scores(self, patches: Rows, *, sharpness: float = 1.0, none: bool = False) -> tuple[Array, Array]:
         """p_f (N,) and log p_n (N, P) of patches (N, d), the latter with logsumexp 0 over the identities.
 
         With `none` a column more, of nobody. `sharpness` multiplies the log of eq. 16 (1 as published). A patch of
@@ -160,7 +160,7 @@ class _Ratios:
     those of the other spaces, each times the root of its weight; `needed` is the number of columns without these.
     """
 
-    all: Patches
+    all: Rows
     needed: int
     constant: Array
     signs: Array

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from facetrack_cli.errors import InputError
 from facetrack_cli.gallery_people import Person, Reading, count, faces_of, place
 from facetrack_cli.patches import Patches
+from facetrack_cli.spaces import affine_state_of_box
 from facetrack_cli.types import Array, Box, Frame
 
 SHIFT, STRETCH, TURN = 0.03, 0.05, 3.0  # most of a copy: of the box's sides, of its size, degrees
@@ -102,7 +103,7 @@ class _Faces:
         """Why the face in the box is not taken, if so; `at` says where it is."""
         number, copies = sum(self.used.values()), self._reading.jitter
         patches = Patches(size=(box[2], box[3]), shape=self._reading.shape)
-        x = np.array([box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2, 1.0, 0.0, 0.0, 1.0])
+        [x] = affine_state_of_box(*box)
         ways = near(number * copies, copies), off(number * self._negatives, self._negatives)
         every = np.concatenate([x[None], *(moved(x, box, way) for way in ways)])[:, None]
         read = patches.read(frame, every, patches.factor(every[0]))

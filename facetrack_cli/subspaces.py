@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.types import Array
 
-Patches: TypeAlias = NDArray[np.float32]
+Rows: TypeAlias = NDArray[np.float32]
 Residual: TypeAlias = Literal["held_out", "printed"]
 
 LEAST_RHO = 1e-3  # of the variance of a patch: noise of a camera, about one grey level
@@ -45,8 +45,8 @@ class Subspace:
     Raises ValueError for what is no such density.
     """
 
-    mean: Patches
-    vectors: Patches
+    mean: Rows
+    vectors: Rows
     values: Array
     rho: float
 
