@@ -76,3 +76,4 @@ gallery = click.option(
     metavar="FILE",
     help="People to recognise, as facetrack gallery fit writes them; for recipes of affine targets.",
 )
+overwrite_file = click.option("--overwrite", is_flag=True, help="Replace the file that is there already.")

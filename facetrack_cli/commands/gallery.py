@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from facetrack_cli import options
 from facetrack_cli.errors import InputError, OutputError, UsageError
 from facetrack_cli.options import FRAME, Whole
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from facetrack_cli.gallery_fit import Faces
     from facetrack_cli.gallery_people import Reading
 
-OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the file that is there already.")
 JITTER = 4
 LEAST_SIDE, MOST_SIDE = 6, 128  # of a template, as in recipes
 
@@ -75,7 +75,7 @@ def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[i
     show_default=True,
     help="Points across and down a face; the recipe must have the same.",
 )
-@OVERWRITE
+@options.overwrite_file
 @click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
 def fit(
     folder: Path,
@@ -162,7 +162,7 @@ def _read(folder: Path, reading: Reading, quiet: bool) -> Faces:
     type=click.Path(path_type=Path),
     help="Picture [default: beside FILE, as gallery.png].",
 )
-@OVERWRITE
+@options.overwrite_file
 def show(file: Path, out: Path | None, overwrite: bool) -> None:
     """Summarise and draw a gallery; without FILE, gallery.npz.
 

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import click
 
+from facetrack_cli import options
 from facetrack_cli.errors import OutputError, UsageError
 from facetrack_cli.options import Whole
-
-OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the file that is there already.")
 
 
 @click.group()
@@ -64,7 +63,7 @@ def _scale(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option(
     "--max-shapes", metavar="N", type=Whole(1, 10_000), default=500, show_default=True, help="Keep so many at most."
 )
-@OVERWRITE
+@options.overwrite_file
 @click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
 def fit(
     truth: tuple[Path, ...],
@@ -111,7 +110,7 @@ def fit(
     type=click.Path(path_type=Path),
     help="Picture [default: beside FILE; mouth_prior.png for the shipped prior].",
 )
-@OVERWRITE
+@options.overwrite_file
 def show(file: Path | None, out: Path | None, overwrite: bool) -> None:
     """Summarise and draw a prior; without FILE, the shipped one.
 
