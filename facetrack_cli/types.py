@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 Image: TypeAlias = NDArray[np.uint8]
-Status: TypeAlias = Literal["init", "tracked", "lost"]
+Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
 
 
 Extent: TypeAlias = tuple[float, float, float, float]  # x from, y from, x to, y to
@@ -147,19 +147,41 @@ class TargetStart:
 
 
 @dataclass(frozen=True, slots=True)
+class Correction:
+    """What is put right by hand of one target at one frame, from which it begins anew.
+
+    `given`: its box, or points of it, as in a start, without windows. `kept`: where its other points were; what is
+    neither given nor kept stays where the tracker sees it. `absent`: parts that are not to be seen from there on, True
+    for all of them. `learn`: whether what it looks like is learned anew there; None is what its type does by itself.
+    """
+
+    frame: int
+    target: str
+    given: TargetStart = field(default_factory=TargetStart)
+    kept: Mapping[str, Point] = field(default_factory=dict)
+    absent: tuple[str, ...] | Literal[True] = ()
+    learn: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Start:
-    """Where a track begins: the source frame, each target, and what said so (a file's path, "haar", "--box")."""
+    """Where a track begins: the source frame, each target, and what said so (a file's path, "haar", "--box").
+
+    `corrections` follow in the order of their frames, all after `frame`; no target has two in one frame.
+    """
 
     frame: int
     targets: Mapping[str, TargetStart]
     origin: str
+    corrections: tuple[Correction, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class PartResult:
     """The estimate of one part in one frame. (x, y) is the centre of its window of w x h pixels.
 
-    `cov` is the posterior's 2x2 covariance as (xx, xy, yy) in pixels squared. None is what a tracker cannot tell.
+    `cov` is the posterior's 2x2 covariance as (xx, xy, yy) in pixels squared. None is what a tracker cannot tell. An
+    absent part has nan for x, y, w, h. `by_hand`: a correction said so at this very frame.
     """
 
     name: str
@@ -173,6 +195,7 @@ class PartResult:
     ess: float | None = None
     angle: float | None = None
     corners: Array | None = None  # (4, 2) clockwise from the top left, of a part that is no rectangle
+    by_hand: bool = False
 
 
 @dataclass(frozen=True, slots=True)
