@@ -144,10 +144,11 @@ def _track(
         return Outcome(job.clip, stopped=stop.reason)
 
     stopped = stop.reason if stop() else str(error) if error is not None else None
+    beyond = [] if stopped or job.stop is not None else _beyond(start, tally.last)
     footer = Footer(
         complete=source.complete and stopped is None,
         stopped=stopped,
-        warnings=(*source.warnings, *tally.notes),
+        warnings=(*source.warnings, *tally.notes, *beyond),
         lost_frames=tally.lost,
         variable_fps=source.variable,
     )
@@ -170,11 +171,21 @@ def _track(
     )
 
 
+def _beyond(start: Start, last: int) -> list[str]:
+    """A line for each correction that the clip never came to."""
+    return [
+        f"{start.origin}: the correction of {one.target} at frame {one.frame} is past the end, frame {last}"
+        for one in start.corrections
+        if one.frame > last
+    ]
+
+
 class _Tally:
     """Counts frames and lost parts, keeps notes, and measures the rate from the first frame on, start-up apart."""
 
     def __init__(self) -> None:
         self.frames = 0
+        self.last = 0
         self.lost: Counter[str] = Counter()
         self.lost_at_end: tuple[str, ...] = ()
         self.notes: tuple[str, ...] = ()
@@ -185,6 +196,7 @@ class _Tally:
             self._began = time.perf_counter()
             self.notes = result.notes
         self.frames += 1
+        self.last = result.frame.index
         self.lost_at_end = tuple(
             f"{target.name}/{part.name}" for target in result.targets for part in target.parts if part.status == "lost"
         )

@@ -18,7 +18,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from facetrack_cli.types import Array, Particles
+from facetrack_cli.types import Array, Box, Particles
 
 
 class Estimate(NamedTuple):
@@ -45,6 +45,10 @@ class Space(Protocol):
         """Of the one part that is no upright box; None where all are."""
         return None
 
+    def at(self, box: Box) -> Array:
+        """(1, D): the state, at rest, of a target that fills `box` at any time."""
+        raise TypeError("points are not placed by a box")
+
 
 @dataclass(frozen=True)
 class PointSpace(Space):
@@ -65,6 +69,12 @@ class BoxSpace(Space):
     def windows(self, estimated: Estimate) -> Array:
         return np.asarray(estimated.state[:, 2:3] * np.array(self.size))
 
+    def at(self, box: Box) -> Array:
+        """Its scale is that of the area: the shape stays the start's."""
+        state = state_of_box(*box)
+        state[0, 2] = math.sqrt(box[2] * box[3] / (self.size[0] * self.size[1]))
+        return state
+
 
 @dataclass(frozen=True)
 class CloudSpace(Space):
@@ -75,6 +85,9 @@ class CloudSpace(Space):
 
     def windows(self, estimated: Estimate) -> Array:
         return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
+
+    def at(self, box: Box) -> Array:
+        return state_of_box(*box)
 
 
 @dataclass(frozen=True)
@@ -90,6 +103,12 @@ class AffineSpace(Space):
     def windows(self, estimated: Estimate) -> Array:
         _, _, a1, a2, a3, a4 = estimated.state[0].tolist()
         return np.array([[math.hypot(a1, a3) * self.size[0], math.hypot(a2, a4) * self.size[1]]])
+
+    def at(self, box: Box) -> Array:
+        """Upright, and as wide and as high as the box."""
+        state = affine_state_of_box(*box)
+        state[0, [2, 5]] = box[2] / self.size[0], box[3] / self.size[1]
+        return state
 
     def outline(self, estimated: Estimate) -> Outline:
         cx, cy, a1, a2, a3, a4 = estimated.state[0].tolist()

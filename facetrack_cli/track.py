@@ -6,12 +6,14 @@ A tracker is a tuple of targets, put together by `build.py`: particle filters, o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.confidence import Confidence, Judgement, Measures
 from facetrack_cli.errors import InputError
@@ -22,8 +24,19 @@ from facetrack_cli.motion import AffineWalk
 from facetrack_cli.patches import scale_of
 from facetrack_cli.priors import BoundPrior
 from facetrack_cli.resampling import uniform
-from facetrack_cli.spaces import AffineSpace, Estimate, Space, estimate, evenly
-from facetrack_cli.types import Array, Frame, Info, Particles, PartResult, Result, Status, TargetResult, Told
+from facetrack_cli.spaces import AffineSpace, Estimate, PointSpace, Space, estimate, evenly
+from facetrack_cli.types import (
+    Array,
+    Frame,
+    Info,
+    Particles,
+    PartResult,
+    Result,
+    Status,
+    TargetResult,
+    TargetStart,
+    Told,
+)
 
 
 class Likelihood(Measures, Protocol):
@@ -131,7 +144,8 @@ class State:
     """What a particle filter carries on: particles, estimate, what was learned of the clip, how parts are judged.
 
     `told` is what a likelihood that adapts tells of itself, `flow` what the guide has learned, `ahead` what that
-    predicted of this frame, and `entropy_before` the entropy of the identity in the frame before this one.
+    predicted of this frame, and `entropy_before` the entropy of the identity in the frame before this one. `absent`
+    (K,) are the parts that are not to be seen, None if all are.
     """
 
     particles: Particles
@@ -142,6 +156,7 @@ class State:
     flow: Flow | None = None
     ahead: Ahead | None = None
     entropy_before: float | None = None
+    absent: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)
@@ -175,7 +190,18 @@ class ParticleTarget:
         return {part: (float(w), float(h)) for part, (w, h) in zip(self.parts, sides, strict=True)}
 
     def _start(self) -> Estimate:
-        return evenly(self.x0, np.zeros((len(self.x0), 2)) if self.scatter is None else self.scatter)
+        return self._still(self.x0, self.scatter)
+
+    @staticmethod
+    def _still(x0: Array, scatter: Array | None) -> Estimate:
+        return evenly(x0, np.zeros((len(x0), 2)) if scatter is None else scatter)
+
+    def _fresh(self, rng: np.random.Generator, x0: Array, scatter: Array | None) -> Particles:
+        """Particles that stand together at x0 (K, D), or evenly over `scatter` (K, 2) pixels around it."""
+        x = np.repeat(x0[None], self.particles, axis=0)
+        if scatter is not None:
+            x[..., :2] += scatter * (rng.random((*x.shape[:2], 2)) - 0.5)
+        return Particles(x, uniform(self.particles))
 
     def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[State, TargetResult]:
         try:
@@ -183,22 +209,69 @@ class ParticleTarget:
         except InputError as e:
             raise InputError(f"{self.name}, {e}") from None
         still = self._start()
-        x = np.repeat(self.x0[None], self.particles, axis=0)
-        if self.scatter is not None:
-            x[..., :2] += self.scatter * (rng.random((*x.shape[:2], 2)) - 0.5)
+        particles = self._fresh(rng, self.x0, self.scatter)
         judgement = None
         if self.confidence is not None:
             judgement = self.confidence.begin(self.likelihood, learned, frame, self.x0, self.space.windows(still))
         flow = None if self.guide is None else self.guide.begin(rng, frame, self.x0, self.motion)
-        state = State(Particles(x, uniform(self.particles)), still, learned, judgement, self._tell(learned), flow)
-        result = self._result(state, Info(np.full(len(self.parts), float(self.particles))), "init")
-        return state, replace(result, notes=getattr(learned, "notes", ()))
+        state = State(particles, still, learned, judgement, self._tell(learned), flow)
+        return state, replace(self._result(state, self._even, "init"), notes=getattr(learned, "notes", ()))
+
+    @property
+    def _even(self) -> Info:
+        return Info(np.full(len(self.parts), float(self.particles)))
+
+    def restart(
+        self, rng: np.random.Generator, frame: Frame, first: State, given: TargetStart, absent: Sequence[str] = ()
+    ) -> tuple[State, TargetResult]:
+        """As `begin`, where `given` says that the target is in `frame`, with what the `first` frame taught.
+
+        `given` has the target's box, or the points of all parts but those `absent`, which follow the others from then
+        on, in the shape that they have at the start, and have rows without a place.
+        """
+        hidden = np.array([part in absent for part in self.parts])
+        x0, scatter = self._placed(given, hidden)
+        particles = self._fresh(rng, x0, scatter)
+        judgement = first.judgement
+        if judgement is not None:
+            assert self.confidence is not None
+            judgement = self.confidence.judge(judgement, self.likelihood.distances(first.learned, frame, x0[None])[0])
+        learned = self.likelihood.learn(first.learned, frame, x0, particles)
+        flow = None if self.guide is None else self.guide.begin(rng, frame, x0, self.motion)
+        state = State(
+            particles,
+            self._still(x0, scatter),
+            learned,
+            judgement,
+            self._tell(learned),
+            flow,
+            absent=hidden if hidden.any() else None,
+        )
+        return state, self._result(state, self._even, "tracked")
+
+    def _placed(self, given: TargetStart, hidden: NDArray[np.bool_]) -> tuple[Array, Array | None]:
+        """The state (K, D) of what is given, and how far its particles are scattered."""
+        if not isinstance(self.space, PointSpace):
+            assert given.box is not None
+            return self.space.at(given.box), None if self.scatter is None else np.array([given.box[2:]])
+        nowhere = (0.0, 0.0)
+        x0 = np.array([given.points.get(part, nowhere) for part in self.parts], dtype=float)
+        return self.follow(x0[None], hidden)[0], None
+
+    def follow(self, x: Array, hidden: NDArray[np.bool_]) -> Array:
+        """x (N, K, 2) with the `hidden` parts (K,) where they are from the others at the start."""
+        x = x.copy()
+        away = self.x0[hidden] - self.x0[~hidden].mean(axis=0)
+        x[:, hidden] = x[:, ~hidden].mean(axis=1, keepdims=True) + away
+        return x
 
     def advance(
         self, rng: np.random.Generator, state: State, frame: Frame, covers: Sequence[Cover] = ()
     ) -> tuple[State, TargetResult]:
         bound = Bound(self, state, frame, covers)
         particles, info = self.step(rng, state.particles, bound)
+        if state.absent is not None:
+            particles = particles._replace(x=self.follow(particles.x, state.absent))
         estimated = estimate(particles, best=self.best)
         judgement = state.judgement
         if judgement is not None:
@@ -208,7 +281,7 @@ class ParticleTarget:
         learned = self.likelihood.learn(state.learned, frame, estimated.state, particles)
         told = self._tell(learned)
         if self.guide is None:
-            state = State(particles, estimated, learned, judgement, told)
+            state = State(particles, estimated, learned, judgement, told, absent=state.absent)
         else:
             flow = self.guide.learn(frame, estimated.state, particles.x)
             before = None if state.told is None else state.told.entropy
@@ -249,8 +322,11 @@ class ParticleTarget:
         judged, estimated = state.judgement, state.estimated
         windows = self.space.windows(estimated)
         outline = self.space.outline(estimated)
+        absent = state.absent
         parts = tuple(
-            PartResult(
+            absent_part(name)
+            if absent is not None and absent[i]
+            else PartResult(
                 name=name,
                 x=float(estimated.state[i, 0]),
                 y=float(estimated.state[i, 1]),
@@ -279,6 +355,11 @@ class ParticleTarget:
             affine, scale = (*deformation, x, y), float(scale_of(state.estimated.state[None])[0, 0])
         error, noise = (None, None) if ahead is None else (ahead.error, ahead.noise)
         return Told(affine, scale, error, noise, told.posterior, told.entropy, told.insets)
+
+
+def absent_part(name: str) -> PartResult:
+    """The row of a part that is not to be seen."""
+    return PartResult(name, math.nan, math.nan, math.nan, math.nan, "absent")
 
 
 def _likeliest(posterior: Mapping[str, float] | None) -> tuple[str | None, float | None]:
@@ -311,15 +392,22 @@ class Bound:
         return motion.propagate(rng, x, self.ahead.shift, self.ahead.noise)
 
     def log_transition(self, x: Array, parents: Array) -> Array:
-        return self.target.motion.log_transition(x, parents)
+        return self._of_present(self.target.motion.log_transition(x, parents))
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
-        log_p = self.target.likelihood.score(self.state.learned, self.frame, x, parents)
+        log_p = self._of_present(self.target.likelihood.score(self.state.learned, self.frame, x, parents))
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + exclusion.log_weights(x, self.covers)
 
     def log_prior(self, x: Array) -> Array:
-        return np.zeros(len(x)) if self.target.prior is None else self.target.prior.log_density(x)
+        if self.target.prior is None:
+            return np.zeros(len(x))
+        absent = self.state.absent
+        return self.target.prior.log_density(x if absent is None else self.target.follow(x, absent))
+
+    def _of_present(self, log_p: Array) -> Array:
+        """log_p (..., K), in which parts that are not to be seen say nothing."""
+        return log_p if self.state.absent is None else np.where(self.state.absent, 0.0, log_p)
 
     def propose_part(self, rng: np.random.Generator, x: Array, part: int) -> Array:
         if self.target.prior is None:
