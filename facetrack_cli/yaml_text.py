@@ -128,15 +128,13 @@ class YamlProblems(Exception):  # noqa: N818  (it carries several)
         self.problems = tuple(problems)
 
 
-def read_source(path: Path, name: str) -> Source:
-    """The text of a file; YamlProblems if it is longer than `MAX_BYTES` or not UTF-8, OSError as it comes."""
+def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
+    """The text of a file; YamlProblems if it is longer than `most` bytes or not UTF-8, OSError as it comes."""
     with path.open("rb") as file:
-        data = file.read(MAX_BYTES + 1)
+        data = file.read(most + 1)
     start = Span(Source(name, "", path.parent), 0, 0, 0)
-    if len(data) > MAX_BYTES:
-        raise YamlProblems(
-            [Problem(start, f"larger than {MAX_BYTES // 1000} kB, as no such file is; name the right one")]
-        )
+    if len(data) > most:
+        raise YamlProblems([Problem(start, f"larger than {most // 1000} kB, as no such file is; name the right one")])
     data = data.removeprefix(codecs.BOM_UTF8)
     try:
         text = data.decode()

@@ -7,41 +7,44 @@
       windows: {nose: [25, 25]}                # optional, pixels
 
 There may be several targets. With a single one `box`, `points` and `windows` may stand at the top level; the target is
-then called `face`.
+then called `face`. What was put right by hand in later frames follows as `corrections` (corrections.py).
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Final, NoReturn, TextIO, TypeAlias
+from typing import Final, TextIO
 
 from facetrack_cli.errors import InputError, OutputError
+from facetrack_cli.start.corrections import read_corrections
+from facetrack_cli.start.init_text import as_json, as_yaml
+from facetrack_cli.start.node_values import (
+    NAME,
+    Branch,
+    area,
+    box_of,
+    frame_number,
+    mapping,
+    named,
+    nearest,
+    numbers,
+    points_of,
+    refuse,
+)
 from facetrack_cli.types import Box, Point, Start, TargetStart
 from facetrack_cli.yaml_text import Node, Source, YamlProblems, parse, read_source
 
 SUFFIXES: Final = (".yaml", ".yml", ".json")
 TARGET: Final = "face"
 KEYS: Final = ("box", "points", "windows")
-MAX_PIXELS: Final = 1e6
-MAX_FRAME: Final = 10**9
+MAX_BYTES: Final = 10**6  # some thousand corrections, which take seconds to read
 LEAST_BOX: Final = 6  # pixels of a side; in less there is nothing to see
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
-Branch: TypeAlias = "dict[str, Node]"
-
-WHAT_PARTS_ARE: Final = {
-    "nose": "the tip of the nose",
-    "mouth_left": "the corner of the mouth on the picture's left",
-    "mouth_right": "the corner on the picture's right",
-    "lip_upper": "the middle of the upper lip, at its upper edge",
-    "lip_lower": "the middle of the lower lip, at its lower edge",
-}
+OF_CORRECTIONS: Final = ("kept", "absent", "learn")
 
 
 def find_init(clip: Path) -> Path | None:
@@ -65,7 +68,7 @@ def read_init(path: Path) -> Start:
     """
     name = str(path)
     try:
-        source = read_source(path, name)
+        source = read_source(path, name, MAX_BYTES)
         if path.suffix.lower() == ".json":  # JSON may be indented by tabs, YAML may not
             source = replace(source, text=source.text.replace("\t", " "))
         root = parse(source)
@@ -84,109 +87,52 @@ def read_init(path: Path) -> Start:
 
 
 def _start(root: Node, source: Source) -> Start:
-    top = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
+    top = mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
     if "frame" not in top:
-        _refuse(root, 'the key "frame" is missing; add frame: N, counted from 0')
-    frame = top["frame"].value
-    if isinstance(frame, bool) or not isinstance(frame, int) or not 0 <= frame <= MAX_FRAME:
-        _refuse(top["frame"], f"frame: {_shown(top['frame'])} is no frame; give a whole number, from 0")
-    rest = {key: node for key, node in top.items() if key != "frame"}
+        refuse(root, 'the key "frame" is missing; add frame: N, counted from 0')
+    frame = frame_number(top["frame"])
+    rest = {key: node for key, node in top.items() if key not in ("frame", "corrections")}
     if not rest:
-        _refuse(root, "neither a box nor points are given; add box: [left, top, width, height] or points:")
+        refuse(root, "neither a box nor points are given; add box: [left, top, width, height] or points:")
+    targets = _targets(rest, root)
+    found = read_corrections(top["corrections"], frame, targets) if "corrections" in top else ()
+    return Start(frame, targets, source.name, found)
+
+
+def _targets(rest: Branch, root: Node) -> dict[str, TargetStart]:
     if any(key in KEYS for key in rest):
-        return Start(frame, {TARGET: _target(rest, root, "")}, source.name)
+        return {TARGET: _target(rest, root, "")}
     targets = {}
     for key, node in rest.items():
-        near = get_close_matches(key, ("frame", *KEYS), n=1, cutoff=0.7)
-        if not isinstance(node.value, dict) or near or not _NAME.fullmatch(key):
+        if key in OF_CORRECTIONS:
+            refuse(node, f'"{key}" cannot name a target; it is a key of corrections', at_key=True)
+        near = get_close_matches(key, ("frame", "corrections", *KEYS), n=1, cutoff=0.7)
+        if not isinstance(node.value, dict) or near or not NAME.fullmatch(key):
             meant = f'did you mean "{near[0]}"?' if near else "a target holds box: and points:, indented below its name"
-            _refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
+            refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
         targets[key] = _target(node.value, node, f" of {key}")
-    return Start(frame, targets, source.name)
+    return targets
 
 
 def _target(found: Branch, node: Node, of: str) -> TargetStart:
     for key, child in found.items():
         if key not in KEYS:
-            near = get_close_matches(key, (*KEYS, "frame"), n=1)
-            meant = f'did you mean "{near[0]}"?' if near else f"keys{of} are {', '.join(KEYS)}"
-            _refuse(child, f'unknown key "{key}"{of}; {meant}', at_key=True)
+            keys = f"keys{of} are {', '.join(KEYS)}"
+            meant = "only corrections have it" if key in OF_CORRECTIONS else nearest(key, (*KEYS, "frame"), keys)
+            refuse(child, f'unknown key "{key}"{of}; {meant}', at_key=True)
     if "box" not in found and "points" not in found:
-        _refuse(node, f"neither a box nor points{of} are given; add box: [left, top, width, height] or points:")
-    box: Box | None = None
-    if "box" in found:
-        left, top, width, height = _numbers(found["box"], f"the box{of}", ("left", "top", "width", "height"))
-        box = (left, top, *_size((width, height), found["box"], f"the box{of}"))
-    points: dict[str, Point] = {}
-    if "points" in found:
-        for name, child in _parts(found["points"], f"points{of}", "nose: [x, y]").items():
-            x, y = _numbers(child, f"the point {name}{of}", ("x", "y"))
-            points[name] = (x, y)
+        refuse(node, f"neither a box nor points{of} are given; add box: [left, top, width, height] or points:")
+    box = box_of(found["box"], f"the box{of}") if "box" in found else None
+    points = points_of(found["points"], "points", "point", of) if "points" in found else {}
     windows: dict[str, tuple[float, float]] = {}
     if "windows" in found:
-        for name, child in _parts(found["windows"], f"windows{of}", "nose: [width, height]").items():
+        for name, child in named(found["windows"], f"windows{of}", "nose: [width, height]").items():
             if "points" in found and name not in points:
-                near = get_close_matches(name, points, n=1)
-                meant = f'did you mean "{near[0]}"?' if near else "give the point, or remove the window"
-                _refuse(child, f'a window for "{name}"{of}, which has no point; {meant}', at_key=True)
-            w, h = _numbers(child, f"the window of {name}{of}", ("width", "height"))
-            windows[name] = _size((w, h), child, f"the window of {name}{of}")
+                meant = nearest(name, points, "give the point, or remove the window")
+                refuse(child, f'a window for "{name}"{of}, which has no point; {meant}', at_key=True)
+            w, h = numbers(child, f"the window of {name}{of}", ("width", "height"))
+            windows[name] = area((w, h), child, f"the window of {name}{of}")
     return TargetStart(box, points, windows)
-
-
-def _mapping(node: Node, what: str, example: str) -> Branch:
-    if not isinstance(node.value, dict):
-        _refuse(node, f"{what} is a mapping, not {_shown(node)}; write {example}")
-    return node.value
-
-
-def _parts(node: Node, what: str, example: str) -> Branch:
-    found = _mapping(node, what, example)
-    if not found:
-        _refuse(node, f"{what} is empty; write {example}, or remove the key")
-    for name, child in found.items():
-        if not _NAME.fullmatch(name):
-            _refuse(child, f'"{name}" cannot name a part; use letters, digits, _ and -', at_key=True)
-    return found
-
-
-def _numbers(node: Node, what: str, wanted: Sequence[str]) -> tuple[float, ...]:
-    shape = f"[{', '.join(wanted)}]"
-    if not isinstance(node.value, list):
-        _refuse(node, f"{what} is {shape} in pixels, not {_shown(node)}; write {len(wanted)} numbers in brackets")
-    if len(node.value) != len(wanted):
-        _refuse(node, f"{what} has {len(node.value)} numbers; write {len(wanted)}: {shape}")
-    numbers = []
-    for name, child in zip(wanted, node.value, strict=True):
-        value = child.value
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            _refuse(child, f"{name} of {what} is {_shown(child)}; write a number of pixels")
-        if not abs(value) <= MAX_PIXELS:
-            _refuse(child, f"{name} of {what} is {_shown(child)}, beyond any picture; write a number of pixels")
-        numbers.append(float(value))
-    return tuple(numbers)
-
-
-def _size(size: tuple[float, float], node: Node, what: str) -> tuple[float, float]:
-    if min(size) <= 0:
-        _refuse(node, f"{what} has no area: width {size[0]:g}, height {size[1]:g}; both must be above 0")
-    return size
-
-
-def _shown(node: Node) -> str:
-    if isinstance(node.value, dict | list):
-        return "a mapping" if isinstance(node.value, dict) else "a list"
-    if node.value is None:
-        return "nothing"
-    text = str(node.value).lower() if isinstance(node.value, bool) else str(node.value)
-    text = json.dumps(text, ensure_ascii=False) if isinstance(node.value, str) else text
-    return text if len(text) <= 40 else f"{text[:37]}..."
-
-
-def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
-    # what is not there has no place of its own, its key has
-    span = node.key if (at_key or node.value is None) and node.key is not None else node.span
-    raise InputError(f"{span.source.place(span)}: {message}")
 
 
 def inside(point: Point, size: tuple[int, int]) -> bool:
@@ -254,9 +200,9 @@ def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bo
     Raises OutputError if the file exists and `overwrite` is not set, or cannot be written.
     """
     if not isinstance(to, Path):
-        to.write(_yaml(start, clip))
+        to.write(as_yaml(start, clip))
         return
-    text = _json(start) if to.suffix.lower() == ".json" else _yaml(start, clip)
+    text = as_json(start) if to.suffix.lower() == ".json" else as_yaml(start, clip)
     write_new(to, text.encode(), overwrite=overwrite)
 
 
@@ -311,59 +257,3 @@ def _is_same(path: Path, other: Path) -> bool:
 def _is_stream(path: Path) -> bool:
     """Whether there is a device or a pipe: to put a file in the place of /dev/null would break the whole machine."""
     return path.exists() and not path.is_file() and not path.is_dir()
-
-
-def _json(start: Start) -> str:
-    targets = []
-    for name, target in start.targets.items():
-        keys = [] if target.box is None else [f'"box": {_list(target.box)}']
-        for key, pairs in (("points", target.points), ("windows", target.windows)):
-            if pairs:
-                rows = ",\n".join(f'      "{part}": {_list(pair)}' for part, pair in pairs.items())
-                keys.append(f'"{key}": {{\n{rows}\n    }}')
-        targets.append(f'  "{name}": {{\n    ' + ",\n    ".join(keys) + "\n  }")
-    return f'{{\n  "frame": {start.frame},\n' + ",\n".join(targets) + "\n}\n"
-
-
-def _yaml(start: Start, clip: str) -> str:
-    how = {"haar": ", found by Haar cascades", "--box": ", placed in the box given"}.get(start.origin, "")
-    lines = [
-        f"# Where the track{f' of {_comment(clip)}' if clip else ''} begins{how}.",
-        "# Edit the numbers: pixels of this frame, x to the right, y down; the centre of the first pixel is 0, 0.",
-        f"frame: {start.frame}  # counted from 0",
-    ]
-    for name, target in start.targets.items():
-        lines.append(f"{_key(name)}:")
-        if target.box is not None:
-            lines.append(f"  box: {_list(target.box)}  # left, top, width, height")
-        lines += _pairs("points", "x, y of each part; left and right as seen in the picture", target.points)
-        if target.windows:
-            lines += _pairs("windows", "width, height of the window that is compared", target.windows)
-        elif target.points:
-            example = next(iter(target.points))
-            lines += [
-                "  # To compare a larger or smaller window than the recipe's, give its width and height:",
-                f"  # windows: {{{_key(example)}: [25, 25]}}",
-            ]
-    return "\n".join(lines) + "\n"
-
-
-def _pairs(key: str, about: str, pairs: Mapping[str, tuple[float, float]]) -> list[str]:
-    if not pairs:
-        return []
-    rows = [(f"    {_key(name)}: {_list(pair)}", WHAT_PARTS_ARE.get(name, "")) for name, pair in pairs.items()]
-    wide = max(len(row) for row, _ in rows)
-    told = [f"{row:<{wide}}  # {what}" if what and key == "points" else row for row, what in rows]
-    return [f"  {key}:  # {about}", *told]
-
-
-def _list(values: Sequence[float]) -> str:
-    return f"[{', '.join(repr(int(v)) if v == int(v) else repr(float(v)) for v in values)}]"
-
-
-def _key(name: str) -> str:
-    return f'"{name}"' if name.lower() in ("null", "true", "false", "yes", "no", "on", "off", "y", "n") else name
-
-
-def _comment(text: str) -> str:
-    return "".join(char if char.isprintable() else "?" for char in text)

@@ -23,18 +23,20 @@ def name_targets(
 ) -> Start:
     """The start with all targets `names`, in their order; without names, as it is.
 
-    A single target called `face`, or by no name that the recipe knows, is the first one. Those in `left_out` are known
-    and not wanted. `frame` is the start's, and may be None if nothing is lacking. Raises InputError if there are
-    targets that the recipe does not know, the first one is lacking, or the picture is grey; NotHereError if there are
-    not as many regions of skin as hands.
+    A single target called `face`, or by no name that the recipe knows, is the first one; its corrections go with it.
+    Those in `left_out` are known and not wanted. `frame` is the start's, and may be None if nothing is lacking. Raises
+    InputError if there are targets that the recipe does not know, the first one is lacking, or the picture is grey;
+    NotHereError if there are not as many regions of skin as hands.
     """
     if not names:
         return start
     given = {name: target for name, target in start.targets.items() if name not in left_out}
-    if len(given) == 1 and not set(given) & set(names):
-        given = {names[0]: next(iter(given.values()))}
-    elif names[0] not in given and TARGET in given:
-        given[names[0]] = given.pop(TARGET)
+    corrections = [one for one in start.corrections if one.target not in left_out]
+    sole = len(given) == 1 and not set(given) & set(names)
+    head_as = next(iter(given)) if sole else TARGET
+    if names[0] not in given and head_as in given:
+        given[names[0]] = given.pop(head_as)
+        corrections = [replace(one, target=names[0]) if one.target == head_as else one for one in corrections]
     known = ", ".join(names)
     strangers = [name for name in given if name not in names]
     if strangers:
@@ -64,7 +66,7 @@ def name_targets(
                 f"{' and '.join(missing)} with; give their boxes in an init file, {remedy}"
             )
         given |= {name: TargetStart(box=box) for name, box in zip(missing, found, strict=True)}
-    return replace(start, targets={name: given[name] for name in names})
+    return replace(start, targets={name: given[name] for name in names}, corrections=tuple(corrections))
 
 
 def _others(frame: Frame, given: dict[str, TargetStart], head: str, count: int) -> list[Box]:
