@@ -41,6 +41,7 @@ LAYERS = [
     {"batch"},
     {"experiments", "report"},
     {"regression"},
+    {"page"},
     {"commands"},
     {"cli"},
     {"__main__"},
