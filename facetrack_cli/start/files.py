@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -179,19 +179,36 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
                 f"{start.origin}: no point for {', '.join(missing)} of {name}, which the recipe follows; "
                 f"add it, or have all points placed with --box X,Y,W,H{boxes}"
             )
-        if target.box is not None and not centre_inside(target.box, size):
-            box = ", ".join(f"{value:g}" for value in target.box)
-            raise InputError(
-                f"{start.origin}: the centre of the box [{box}] of {name} is outside {picture}; correct it"
-            )
-        for part, (x, y) in target.points.items():
-            if not inside((x, y), size):
-                raise InputError(f"{start.origin}: {part} of {name} at [{x:g}, {y:g}] is outside {picture}; correct it")
+        _check_places(start.origin, name, target.box, target.points, size)
         for part, (w, h) in target.windows.items():
             if w > size[0] or h > size[1]:
                 raise InputError(
                     f"{start.origin}: the window of {part} of {name}, {w:g}x{h:g}, is larger than {picture}; shrink it"
                 )
+    for one in start.corrections:
+        if one.frame <= start.frame:
+            raise InputError(
+                f"{start.origin}: corrects {one.target} at frame {one.frame}, but the track begins at frame "
+                f"{start.frame}; remove that correction, or begin earlier"
+            )
+        name, box = f"{one.target} at frame {one.frame}", one.given.box
+        _check_places(start.origin, name, box, {**one.kept, **one.given.points}, size)
+        if box is not None and max(box[2] / size[0], box[3] / size[1]) > 1:
+            raise InputError(
+                f"{start.origin}: the box of {name}, {box[2]:g}x{box[3]:g} pixels, is larger than {picture}; make it "
+                "smaller"
+            )
+
+
+def _check_places(origin: str, name: str, box: Box | None, points: Mapping[str, Point], size: tuple[int, int]) -> None:
+    """InputError if the box's centre, or a point, is outside of a picture of that (width, height)."""
+    picture = f"the picture of {size[0]}x{size[1]} pixels"
+    if box is not None and not centre_inside(box, size):
+        numbers = ", ".join(f"{value:g}" for value in box)
+        raise InputError(f"{origin}: the centre of the box [{numbers}] of {name} is outside {picture}; correct it")
+    for part, (x, y) in points.items():
+        if not inside((x, y), size):
+            raise InputError(f"{origin}: {part} of {name} at [{x:g}, {y:g}] is outside {picture}; correct it")
 
 
 def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bool = False) -> None:
