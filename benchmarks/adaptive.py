@@ -41,8 +41,8 @@ from facetrack_cli.experiments.begin import find_plan_start
 from facetrack_cli.experiments.compare import default_truth
 from facetrack_cli.formats.read import read_truth
 from facetrack_cli.likelihoods.appearance import Appearance
+from facetrack_cli.particle_target import ParticleTarget
 from facetrack_cli.recipe import load_recipe
-from facetrack_cli.track import ParticleTarget
 from facetrack_cli.types import Array
 from facetrack_cli.video.source import open_source
 

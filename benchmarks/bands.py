@@ -27,10 +27,11 @@ import numpy as np
 
 from facetrack_cli.build import build_tracker
 from facetrack_cli.formats.table import Table, from_rows
+from facetrack_cli.particle_target import Likelihood, ParticleTarget
 from facetrack_cli.recipe import ColourRatio, FirstOrder, ParticleRecipe, Product, RandomWalk, SkinNcc, load_recipe
 from facetrack_cli.regression.bands import judge, measure
 from facetrack_cli.regression.goldens import Golden, find_goldens, read_golden
-from facetrack_cli.track import Likelihood, ParticleTarget, Tracker, track
+from facetrack_cli.track import Tracker, track
 from facetrack_cli.trajectory import rows
 from facetrack_cli.types import BOX, Array, Frame, Particles
 from facetrack_cli.video.source import open_source

@@ -23,9 +23,9 @@ from facetrack_cli.experiments.begin import find_plan_start
 from facetrack_cli.experiments.compare import default_truth
 from facetrack_cli.formats.read import read_truth
 from facetrack_cli.likelihoods.product import Product
+from facetrack_cli.particle_target import ParticleTarget
 from facetrack_cli.recipe import load_recipe
 from facetrack_cli.resampling import uniform
-from facetrack_cli.track import ParticleTarget
 from facetrack_cli.types import Frame, Particles
 from facetrack_cli.video.source import open_source
 

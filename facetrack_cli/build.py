@@ -27,6 +27,7 @@ from facetrack_cli.likelihoods.skin_ncc import Ncc, Skin, SkinNcc
 from facetrack_cli.motion import AffineWalk, FirstOrder, RandomWalk
 from facetrack_cli.opencv import OpenCvTarget
 from facetrack_cli.opencv import check as check_opencv
+from facetrack_cli.particle_target import Likelihood, ParticleTarget
 from facetrack_cli.patches import Patches
 from facetrack_cli.priors import BoundPrior, bind, load_prior
 from facetrack_cli.recipe import OpenCvRecipe, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe
@@ -43,7 +44,7 @@ from facetrack_cli.spaces import (
 from facetrack_cli.start.files import TARGET as FACE
 from facetrack_cli.start.files import check_size
 from facetrack_cli.start.haar import box_start
-from facetrack_cli.track import Likelihood, ParticleTarget, Target, Tracker
+from facetrack_cli.track import Target, Tracker
 from facetrack_cli.types import BOX, Array, Box, Correction, Frame, Start, TargetStart
 
 

@@ -20,7 +20,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.exclusion import Cover
-from facetrack_cli.track import ParticleTarget, Target, absent_part
+from facetrack_cli.particle_target import ParticleTarget, absent_part
+from facetrack_cli.track import Target
 from facetrack_cli.trajectory import DECIMALS
 from facetrack_cli.types import Correction, Frame, PartResult, Point, TargetResult, TargetStart
 

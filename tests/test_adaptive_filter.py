@@ -12,10 +12,10 @@ from facetrack_cli.filters import Adaptive, Ahead
 from facetrack_cli.guide import Guide, Noise, Velocity
 from facetrack_cli.likelihoods.appearance import Appearance
 from facetrack_cli.motion import AffineWalk
+from facetrack_cli.particle_target import ParticleTarget
 from facetrack_cli.patches import Patches
 from facetrack_cli.resampling import uniform
 from facetrack_cli.spaces import AffineSpace, estimate
-from facetrack_cli.track import ParticleTarget
 from facetrack_cli.types import Particles
 from tests.test_patches import frame, smooth, state
 

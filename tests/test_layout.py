@@ -20,7 +20,17 @@ LAYERS = [
     {"differences", "gallery"},
     {"confidence", "filters", "formats", "likelihoods", "motion", "priors", "recipe_messages", "start"},
     {"guide"},
-    {"evaluation", "gallery_people", "gallery_picture", "lengths", "opencv", "prior_fit", "prior_picture", "track"},
+    {
+        "evaluation",
+        "gallery_people",
+        "gallery_picture",
+        "lengths",
+        "opencv",
+        "prior_fit",
+        "particle_target",
+        "prior_picture",
+        "track",
+    },
     {
         "corrected",
         "gallery_fit",

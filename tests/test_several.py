@@ -10,9 +10,10 @@ from facetrack_cli.exclusion import Cover, Exclusion
 from facetrack_cli.filters import Sir
 from facetrack_cli.likelihoods.skin_cloud import SkinCloud
 from facetrack_cli.motion import FirstOrder
+from facetrack_cli.particle_target import ParticleTarget, State
 from facetrack_cli.recipe import load_recipe
 from facetrack_cli.spaces import BoxSpace, CloudSpace, evenly
-from facetrack_cli.track import ParticleTarget, State, track
+from facetrack_cli.track import track
 from facetrack_cli.types import Frame, Info, Particles, Start, TargetResult, TargetStart
 
 PICTURE = np.zeros((20, 30, 3), np.uint8)
