@@ -77,3 +77,10 @@ gallery = click.option(
     help="People to recognise, as facetrack gallery fit writes them; for recipes of affine targets.",
 )
 overwrite_file = click.option("--overwrite", is_flag=True, help="Replace the file that is there already.")
+port = click.option(
+    "--port",
+    metavar="N",
+    type=Whole(min=1, max=65535),
+    help="Port of the page on this machine [default: any that is free].",
+)
+browse = click.option("--open", "browse", is_flag=True, help="Also open the page in the browser.")

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from facetrack_cli.errors import InputError, OutputError
-from facetrack_cli.options import FRAME
+from facetrack_cli.errors import ExitCode, InputError, OutputError, UsageError
+from facetrack_cli.options import FRAME, browse, port
 from facetrack_cli.options import box as box_of
 
 if TYPE_CHECKING:
@@ -24,7 +24,12 @@ SUFFIXES = (".yaml", ".yml", ".json")
 @click.option(
     "-o", "--out", metavar="FILE", help="File to write [default: <clip>.init.yaml beside the clip]; - stdout."
 )
-@click.option("--init-frame", metavar="N", type=FRAME, default=0, help="Frame where the search begins, or of --box.")
+@click.option(
+    "--init-frame",
+    metavar="N",
+    type=FRAME,
+    help="Frame where the search begins, of --box, or shown first on the page.",
+)
 @click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face's box in that frame: place the points in it.")
 @click.option(
     "--config",
@@ -34,14 +39,24 @@ SUFFIXES = (".yaml", ".yml", ".json")
 @click.option(
     "--preview", metavar="FILE.png", type=click.Path(path_type=Path), help="Also draw the result on its frame."
 )
-@click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
+@click.option("--pick", is_flag=True, help="Choose on a page in the browser: boxes and points are drawn on the frame.")
+@port
+@browse
+@click.option(
+    "--overwrite", is_flag=True, help="Replace files that are there already; --pick begins with what they hold."
+)
+@click.pass_context
 def command(
+    ctx: click.Context,
     clip: Path,
     out: str | None,
-    init_frame: int,
+    init_frame: int | None,
     box: Box | None,
     config: str | None,
     preview: Path | None,
+    pick: bool,
+    port: int | None,
+    browse: bool,
     overwrite: bool,
 ) -> None:
     """Write where the track of a clip begins, as a file to edit.
@@ -54,22 +69,28 @@ def command(
     `facetrack run`. Of a recipe that follows a head and hands, --config finds the hands too, as the largest regions of
     the face's skin colour apart from it.
 
+    With --pick you choose yourself, on a page that is served to this machine alone: its address is printed, and Save
+    there writes the file and ends the command. On a machine far away, forward the port by ssh -L, as is printed too.
+
     \b
     Examples:
       facetrack init clip.mp4 --preview look.png
       facetrack init clip.mp4 --init-frame 120 --box 310,96,140,140
       facetrack init clip.mp4 --config head_hands --preview look.png
+      facetrack init clip.mp4 --pick --open
       facetrack init frames/ -o - > start.yaml
     """
-    from facetrack_cli.recipe import load_recipe
-    from facetrack_cli.recipe_gallery import wants_gallery
-    from facetrack_cli.start import default_path, find_init, write_init
+    from facetrack_cli.start import default_path, write_init
 
     path = None if out == "-" else Path(out) if out else default_path(clip)
     if out == "":
         raise OutputError("--out is empty; name a file, or - for standard output")
+    if not pick and (port is not None or browse):
+        raise UsageError(f"{'--port' if port is not None else '--open'} is for the page; add --pick")
     _check_outputs(clip, path, preview, overwrite)
-    start, frame = _find(clip, init_frame, box, config)
+    if pick:
+        ctx.exit(_pick(clip, path, init_frame, box, config, preview, port or 0, browse, overwrite))
+    start, frame = _find(clip, init_frame or 0, box, config)
     if preview is not None:
         from facetrack_cli.start.preview import write_preview
 
@@ -79,11 +100,89 @@ def command(
         write_init(sys.stdout, start, clip=clip.name)
     else:
         write_init(path, start, clip=clip.name, overwrite=overwrite)
-        named = "" if find_init(clip) == path else f" --init {path}"
-        if config is not None:
-            named += f" --config {config}" + " --gallery FILE" * wants_gallery(load_recipe(config))
         what = ", ".join(start.targets) if len(start.targets) > 1 else "a face"
-        click.echo(f"{path}: {what} in frame {start.frame}; edit it, then: facetrack run {clip}{named}", err=True)
+        click.echo(f"{path}: {what} in frame {start.frame}; edit it, then: {_next(clip, path, config)}", err=True)
+
+
+def _next(clip: Path, path: Path | None, config: str | None) -> str:
+    """The command that begins with the file, once it is there."""
+    from facetrack_cli.recipe import load_recipe
+    from facetrack_cli.recipe_gallery import wants_gallery
+    from facetrack_cli.start import default_path, find_init
+
+    found = (find_init(clip) or default_path(clip)) == path
+    named = "" if found else f" --init {'FILE' if path is None else path}"
+    if config is not None:
+        named += f" --config {config}" + " --gallery FILE" * wants_gallery(load_recipe(config))
+    return f"facetrack run {clip}{named}"
+
+
+def _pick(
+    clip: Path,
+    path: Path | None,
+    init_frame: int | None,
+    box: Box | None,
+    config: str | None,
+    preview: Path | None,
+    port: int,
+    browse: bool,
+    overwrite: bool,
+) -> int:
+    """Let somebody choose on the page; the exit code."""
+    from facetrack_cli.page.pick import PickSession
+    from facetrack_cli.page.pictures import Pictures
+    from facetrack_cli.page.run import run_page
+    from facetrack_cli.recipe import load_recipe
+    from facetrack_cli.start import read_init, write_init
+    from facetrack_cli.stopping import Stop
+    from facetrack_cli.video.seek import Frames
+
+    recipe = None if config is None else load_recipe(config)
+    begun = None
+    if path is not None and path.is_file():
+        try:
+            begun = read_init(path)
+        except InputError as e:  # it will be replaced in any case
+            click.echo(f"facetrack: warning: {e}; the page begins without it", err=True)
+    with Frames(clip) as frames, Stop().listening() as stop:
+        session = PickSession(
+            clip,
+            frames,
+            Pictures(frames),
+            out=path,
+            overwrite=overwrite,
+            recipe=recipe,
+            frame=init_frame,
+            box=box,
+            begun=begun,
+            next_=_next(clip, path, config),
+            preview=preview,
+        )
+        run_page(session, stop, lambda line: click.echo(line, err=True), port=port, browse=browse)
+    if session.ended is None:
+        click.echo(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), clip, path)}", err=True)
+        return stop.code if stop.code is not None else ExitCode.FAULT
+    if path is None and session.saved is not None:
+        write_init(sys.stdout, session.saved, clip=clip.name)
+    for line in session.ended["said"]:
+        click.echo(line, err=True)
+    click.echo(f"next: {session.ended['next']}", err=True)
+    return ExitCode.DONE
+
+
+def _keep_unsaved(start: Start | None, clip: Path, path: Path | None) -> str:
+    """Write what was chosen and not saved beside the file that it was for; what became of it."""
+    from facetrack_cli.start import default_path, write_init
+
+    if start is None:
+        return "nothing was written"
+    beside = path if path is not None else default_path(clip)
+    kept = beside.with_name(f"{beside.stem}.unsaved.yaml")
+    try:
+        write_init(kept, start, clip=clip.name, overwrite=True)
+    except OutputError as e:
+        return f"what was chosen is lost: {e}"
+    return f"what was chosen is kept in {kept}; go on with: facetrack init {clip} --pick -o {kept} --overwrite"
 
 
 def _check_outputs(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:

@@ -99,15 +99,18 @@ class Session(ABC):
             self.draft = draft
             self.revision += 1
 
-    def begin(self, what: str, total: int | None, work: Callable[[Report], None], *, closing: bool = False) -> None:
+    def begin(self, what: str, total: int | None, work: Callable[[Report], None], *, of: Draft | None = None) -> None:
         """Run `work` as the job, in its own thread. Raises RefusedError (409) as `refuse_if_busy`.
 
-        What it raises becomes the message: one line, and the session goes on. No draft is taken during a `closing` one.
+        What it raises becomes the message: one line, and the session goes on. With `of` it is the last job, of that
+        draft: refused (409) if there is another by now, and no draft is taken during it.
         """
         with self.lock:
             self.refuse_if_busy()
+            if of is not None and of is not self.draft:
+                raise RefusedError(409, "another window has changed the draft", self.state())
             self._job = {"what": what, "done": 0, "total": total}
-            self._closing = closing
+            self._closing = of is not None
             self.message = None
             self._worker = threading.Thread(target=self._run, args=(work,), daemon=True)
             self._worker.start()
@@ -121,7 +124,7 @@ class Session(ABC):
                 raise RefusedError(409, f"busy: {self._job['what']}; wait for its end", self.state())
 
     def fresh(self, base: object) -> Draft:
-        """The draft, if `base` is its revision. Raises RefusedError (409, with the state) if not, (400) if no number."""
+        """The draft, if `base` is its revision. Raises RefusedError: 409, with the state, if not; 400 for no number."""
         if isinstance(base, bool) or not isinstance(base, int):
             raise RefusedError(400, "base is the revision of the draft, a whole number")
         with self.lock:
@@ -247,7 +250,7 @@ class Session(ABC):
         draft = self.fresh(request.body.get("base"))
         self.refuse_if_busy()
         self.save(draft)
-        return Answer({}, 202)
+        return Answer({"job": self.state()["job"]}, 202)
 
     def _frame(self, request: Request) -> Answer:
         index = self._index(request)

@@ -9,6 +9,11 @@ from typing import Any, Final
 
 from facetrack_cli.types import Correction, Point, Start, TargetStart
 
+_HOW: Final = {
+    "haar": ", found by Haar cascades",
+    "--box": ", placed in the box given",
+    "the page": ", picked on the page",
+}
 WHAT_PARTS_ARE: Final = {
     "nose": "the tip of the nose",
     "mouth_left": "the corner of the mouth on the picture's left",
@@ -55,7 +60,7 @@ def members_of(correction: Correction) -> dict[str, Any]:
 
 def as_yaml(start: Start, clip: str = "") -> str:
     """As YAML that says what is what; `clip` is named at the top."""
-    how = {"haar": ", found by Haar cascades", "--box": ", placed in the box given"}.get(start.origin, "")
+    how = _HOW.get(start.origin, "")
     lines = [
         f"# Where the track{f' of {_comment(clip)}' if clip else ''} begins{how}.",
         "# Edit the numbers: pixels of this frame, x to the right, y down; the centre of the first pixel is 0, 0.",
