@@ -34,6 +34,7 @@ class Row(NamedTuple):
 
     `frame` is the 0-based source frame; (x, y) the centre and (w, h) the window in pixels; `angle` in degrees;
     `confidence` 0..1; `std_x`, `std_y` the posterior's spread in pixels. What is not known is None, or "" for text.
+    `by_hand`, which the CSV does not have, is whether a correction said so at this very frame.
     """
 
     frame: int
@@ -53,9 +54,10 @@ class Row(NamedTuple):
     ess: float | None = None
     identity: str = ""
     identity_prob: float | None = None
+    by_hand: bool = False
 
 
-COLUMNS = Row._fields
+COLUMNS = Row._fields[:-1]  # of the CSV
 REQUIRED = ("frame", "target", "part", "x", "y")
 # the bytes of a file are a function of the values: every column has its number of decimals
 DECIMALS = {
@@ -83,10 +85,10 @@ def rows(result: Result) -> Iterator[Row]:
                 time_s=result.frame.time_s,
                 target=target.name,
                 part=part.name,
-                x=part.x,
-                y=part.y,
-                w=part.w,
-                h=part.h,
+                x=_place(part.x),
+                y=_place(part.y),
+                w=_place(part.w),
+                h=_place(part.h),
                 angle=part.angle,
                 confidence=part.confidence,
                 status=part.status,
@@ -96,7 +98,13 @@ def rows(result: Result) -> Iterator[Row]:
                 ess=part.ess,
                 identity=target.identity or "",
                 identity_prob=target.identity_prob,
+                by_hand=part.by_hand,
             )
+
+
+def _place(value: float) -> float | None:
+    """nan, which an absent part has, is not known."""
+    return value if value == value else None
 
 
 # --- writing -----------------------------------------------------------------------------------------------------
@@ -135,7 +143,7 @@ class Footer(NamedTuple):
 
 def csv_lines(items: Iterable[Row]) -> str:
     """Rows as lines of CSV, without the header."""
-    return "".join(",".join([form(value) for form, value in zip(_CSV, row, strict=True)]) + "\n" for row in items)
+    return "".join(",".join([form(value) for form, value in zip(_CSV, row, strict=False)]) + "\n" for row in items)
 
 
 class CsvWriter:
@@ -221,7 +229,7 @@ def _frame(result: Result) -> str:
         parts: list[str] = []
         head: list[str] = []
         for row in group:
-            known = {key: text for key, form, value in zip(COLUMNS, _JSON, row, strict=True) if (text := form(value))}
+            known = {key: text for key, form, value in zip(_KEYS, _JSON, row, strict=True) if (text := form(value))}
             head = head or _members(known, _OF_TARGET)
             parts.append("{" + ",".join(_members(known, _OF_PART)) + "}")
         head += told.get(name, ())
@@ -231,7 +239,7 @@ def _frame(result: Result) -> str:
 
 
 _OF_TARGET = ("target", "particles", "identity", "identity_prob")
-_OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "std_x", "std_y", "ess")
+_OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", "std_x", "std_y", "ess")
 
 
 def _members(known: Mapping[str, str], names: Iterable[str]) -> list[str]:
@@ -251,9 +259,14 @@ def _string(value: Any) -> str:
     return dumps(value) if value else ""
 
 
+def _only_true(value: Any) -> str:
+    return "true" if value else ""
+
+
 # how the values of each column are written; "" is not known
 _CSV = tuple(fixed(DECIMALS[name]) if name in DECIMALS else _whole if name in WHOLE else _quoted for name in COLUMNS)
-_JSON = tuple(_string if form is _quoted else form for form in _CSV)
+_JSON = (*(_string if form is _quoted else form for form in _CSV), _only_true)
+_KEYS = Row._fields
 
 
 # --- reading -----------------------------------------------------------------------------------------------------
@@ -305,12 +318,10 @@ def _read(path: Path, lines: Any) -> Iterator[Row]:
                 )
             cells.append("")
             try:
-                yield Row._make([read(cells[at]) for read, at in readers])
+                yield Row(*[read(cells[at]) for read, at in readers])
             except ValueError:
                 line = f"{path}:{lines.line_num}"
-                yield Row._make(
-                    [_value(line, name, cells[at].strip()) for name, at in zip(COLUMNS, places, strict=True)]
-                )
+                yield Row(*[_value(line, name, cells[at].strip()) for name, at in zip(COLUMNS, places, strict=True)])
     except csv.Error as e:
         raise InputError(f"{path}:{lines.line_num}: is not CSV: {e}") from e
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -456,3 +457,84 @@ def test_no_result_makes_it_raise(
         picture = np.full((size[1], size[0], 3), 77, np.uint8)
         image = overlay.draw(Result(Frame(index, time_s, picture), tuple(of)))
         assert image.shape == picture.shape and (picture == 77).all()
+
+
+# --- corrections ---
+
+NOWHERE = {"x": float("nan"), "y": float("nan"), "w": float("nan"), "h": float("nan"), "cov": None, "confidence": None}
+
+
+def gone(name: str = "nose", **other: object) -> PartResult:
+    return part(name, **{**NOWHERE, "status": "absent", **other})  # type: ignore[arg-type]
+
+
+def test_an_absent_part_is_not_drawn_and_neither_is_its_name() -> None:
+    size = (640, 480)
+    shown = part("lip_lower", 420.0, 300.0, w=80.0, h=80.0)
+    alone = result(size, shown, spread=0.0)
+    both = replace(alone, targets=(replace(alone.targets[0], parts=(shown, gone())),))
+    ours, without = Overlay(size).draw(both), Overlay(size).draw(alone)
+    bar = Overlay(size)._bar
+    assert bar is not None
+    assert np.array_equal(ours[bar.height :], without[bar.height :])
+    assert not np.array_equal(ours[: bar.height], without[: bar.height]), "the bar tells"
+
+
+def test_an_absent_target_leaves_the_picture_as_it_is() -> None:
+    frame = Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8))
+    nothing = Result(frame, (TargetResult("face", (gone(), gone("lip_upper")), None, np.zeros((0, 2, 2))),))
+    overlay = Overlay((320, 240))
+    assert overlay._bar is not None
+    assert not touched(overlay.draw(nothing))[overlay._bar.height :].any()
+
+
+def test_a_trail_leads_neither_to_a_place_given_by_hand_nor_past_an_absence() -> None:
+    size = (320, 240)
+
+    def trail(*parts: PartResult) -> np.ndarray:
+        overlay = Overlay(size)
+        pictures = [overlay.draw(result(size, one, index=i, spread=0.0)) for i, one in enumerate(parts)]
+        return touched(pictures[-1])[100:140, 100:200]  # between the two places
+
+    here, there = part(x=60.0, y=120.0, cov=None), part(x=240.0, y=120.0, cov=None)
+    assert trail(here, there).any()
+    assert not trail(here, replace(there, status="init", by_hand=True)).any()
+    assert not trail(here, gone(), there).any()
+
+
+def test_what_a_correction_gave_has_a_filled_diamond() -> None:
+    size = (320, 240)
+
+    def middle(**other: object) -> np.ndarray:
+        one = part(x=160.0, y=120.0, w=61.0, h=61.0, cov=None, status="init", **other)
+        return Overlay(size).draw(result(size, one, spread=1e4))[120, 160]  # no dot of the cloud is near
+
+    assert (middle() == 128).all() and not (middle(by_hand=True) == 128).all()
+
+
+def test_the_bar_says_calmly_what_is_absent_and_what_was_given_by_hand() -> None:
+    def said(*parts: PartResult, other: tuple[PartResult, ...] = ()) -> tuple[str, list[str]]:
+        targets = [TargetResult("face", parts, 1, np.zeros((0, len(parts), 2)))]
+        targets += [TargetResult("hand", other, 1, np.zeros((0, len(other), 2)))] if other else []
+        return summary(targets)
+
+    lip, hand = part("lip"), part("box", status="init", by_hand=True)
+    assert said(lip, gone()) == ("tracked", ["tracked; nose absent", "nose absent", "absent 1/2", "tracked"])
+    assert said(gone(), gone("lip")) == ("absent", ["absent"])
+    lost = replace(lip, status="lost")
+    assert said(lost, gone()) == ("lost", ["lost: lip; nose absent", "lost: lip", "lost 1/2", "lost"])
+    assert said(replace(lip, status="init"), gone())[0] == "init"
+    assert said(gone(), gone("lip"), other=(part("box"),))[1][0] == "tracked; face absent"
+    assert said(lip, replace(hand, name="nose")) == ("init", ["nose by hand", "by hand"])
+    assert said(lip, other=(hand,))[1][0] == "hand by hand"
+
+
+def test_the_sign_of_what_is_absent_is_not_that_of_what_is_lost() -> None:
+    def bar(status: str) -> Image:
+        image = np.full((48, 320, 3), 128, np.uint8)
+        one = part(status=status)
+        StatusBar(320, 8, 1).draw(image, Result(Frame(0, 0.0, image), (TargetResult("f", (one,), 1, np.zeros(0)),)))
+        return image
+
+    vermilion = (bar("lost")[..., 2].astype(int) - bar("lost")[..., 0] > 60).any()
+    assert vermilion and not (bar("absent")[..., 2].astype(int) - bar("absent")[..., 0] > 60).any()

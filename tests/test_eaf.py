@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.formats.eaf import VOCABULARIES, lost_spans, write_eaf
+from facetrack_cli.formats.eaf import VOCABULARIES, spans_of, write_eaf
 from facetrack_cli.formats.motion import KINDS, LABELS
 from facetrack_cli.formats.table import Table, series
 
@@ -84,7 +84,7 @@ def check_schema(root):
     }  # fmt: skip
 
 
-def test_lost_spans_name_the_parts_and_split_where_others_are():
+def test_spans_of_lost_parts_name_the_parts_and_split_where_others_are():
     root = eaf(part("nose", states("..LLLL..")), part("lip", states("....LLL.")))
     check_schema(root)
     assert tiers(root)["lost@face"] == [(80, 160, "nose"), (160, 240, "nose, lip"), (240, 280, "lip")]
@@ -186,7 +186,7 @@ def test_any_track_gives_a_valid_file(lost, steps, seed):
         for k, flags in enumerate(lost)
     ]  # fmt: skip
     check_schema(eaf(*parts))
-    for first, last, text in lost_spans(parts):
+    for first, last, text in spans_of(parts):
         for k, flags in enumerate(lost):
             inside = flags[first : last + 1]
             expected = f"p{k}" in text.split(", ")

@@ -7,6 +7,7 @@ import errno
 import io
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -68,12 +69,25 @@ def write(path: Path, form: str, results: list[Result], footer: Footer | None = 
     writer.close(footer or Footer())
 
 
+def corrected() -> Result:
+    """A frame in which a correction gave one part and said that another is not to be seen; a third is tracked on."""
+    nan = math.nan
+    parts = (
+        PartResult("nose", 1.25, -2.0, 25, 13, "init", 1.0, (4.0, 0.0, 9.0), 61.25, by_hand=True),
+        PartResult("lip", nan, nan, nan, nan, "absent", by_hand=True),
+        PartResult("chin", 3.0, 4.0, 13, 13, "tracked", 0.5),
+    )
+    frame = Frame(7, 7 / 25, np.zeros((4, 6, 3), np.uint8))
+    gone = TargetResult("hand", (replace(parts[1], by_hand=False),), None, np.zeros((0, 1, 2)))
+    return Result(frame, (TargetResult("face", parts, 100, np.zeros((1, 3, 2))), gone))
+
+
 # --- rows and numbers ---
 
 
 def test_columns_are_the_schema() -> None:
     assert ",".join(COLUMNS) == HEADER
-    assert ",".join(Row._fields) == HEADER
+    assert ",".join(Row._fields) == f"{HEADER},by_hand", "JSON alone says what was given by hand"
 
 
 def test_a_row_for_each_part_also_when_lost() -> None:
@@ -87,6 +101,26 @@ def test_csv_has_fixed_decimals() -> None:
     first, second = csv_lines(rows(result())).splitlines()
     assert first == "7,0.2800,face,nose,1.250,-2.000,25.000,13.000,,0.5000,tracked,2.000,3.000,100,61.2,,"
     assert second == "7,0.2800,face,lip,3.000,4.000,13.000,13.000,-7.50,0.0000,lost,0.000,0.000,100,1.0,,"
+
+
+def test_an_absent_part_has_a_row_without_a_place() -> None:
+    _, lip, _, hand = rows(corrected())
+    assert (lip.x, lip.y, lip.w, lip.h, lip.status, lip.by_hand) == (None, None, None, None, "absent", True)
+    assert (hand.particles, hand.by_hand) == (None, False)
+    lines = csv_lines(rows(corrected())).splitlines()
+    assert lines[1] == "7,0.2800,face,lip,,,,,,,absent,,,100,,,"
+    assert lines[3] == "7,0.2800,hand,lip,,,,,,,absent,,,,,,"
+
+
+@pytest.mark.parametrize("form", ["json", "jsonl"])
+def test_json_says_what_was_given_by_hand(form: str, tmp_path: Path) -> None:
+    path = tmp_path / f"t.{form}"
+    write(path, form, [corrected()])
+    text = path.read_text()
+    assert '"confidence":1.0000,"status":"init","by_hand":true,"std_x"' in text
+    assert '{"part":"lip","status":"absent","by_hand":true}' in text
+    assert text.count("by_hand") == 2, "the key is there where it is true"
+    assert '{"target":"hand","parts":[{"part":"lip","status":"absent"}]}' in text
 
 
 @pytest.mark.parametrize("value", [-0.0, -0.00004, np.float64(-1e-9), np.float32(-1e-5)])
@@ -134,6 +168,7 @@ numbers = st.none() | st.floats(-1e6, 1e6)
             ess=numbers,
             identity=names | st.just(""),
             identity_prob=numbers,
+            by_hand=st.just(False),
         )
     )
 )
@@ -142,7 +177,7 @@ def test_what_is_written_is_read_back(tmp_path_factory: pytest.TempPathFactory, 
     path.write_text(HEADER + "\n" + csv_lines(given_rows), encoding="utf-8", newline="")
     back = read_csv(path)
     for row, again in zip(given_rows, back, strict=True):
-        for name, value, read in zip(COLUMNS, row, again, strict=True):
+        for name, value, read in zip(Row._fields, row, again, strict=True):
             if isinstance(value, float):
                 assert read == pytest.approx(value, abs=0.5001 * 10 ** -DECIMALS[name]), name
             else:

@@ -159,7 +159,8 @@ def _check_status(trajectory: Table, truth: Table, named: Sequence[Pair]) -> Non
                 f"{truth.path}: frame {one.frame[row]}, {one.name}: status {str(one.status[row])!r} is none of "
                 f"{', '.join(OF_TRUTH)}; correct it"
             )
-    if _says(theirs, OF_TRACK) and _says([one.ours for one in named], OF_TRUTH):
+    ours = [one.ours for one in named]  # whose absent rows are those of corrections, unless nothing was tracked
+    if _says(theirs, OF_TRACK) and _says(ours, OF_TRUTH) and not _says(ours, OF_TRACK):
         raise InputError(
             f"{truth.path}: is a trajectory, and {trajectory.path} is truth, as their status says: "
             "name them the other way round"

@@ -89,7 +89,11 @@ class RecoveryMeasures:
 
 
 def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeasures:
-    """Errors over all rows of the parts, each row counting once; `failure` is a normalised error."""
+    """Errors over all rows of the parts, each row counting once; `failure` is a normalised error.
+
+    What a correction gave is left out: it is no merit of the tracker.
+    """
+    parts = [part.take(~part.later) for part in parts]
     error, unit, visible, hidden = (joined(parts, name) for name in ("error", "unit", "visible", "hidden"))
     seen = visible & np.isfinite(error)
     missing = visible & np.isinf(error)

@@ -35,7 +35,8 @@ class Rows:
     errors are normalised, nan where it is unknown. Each row is one of visible, hidden, absent; `placed` are the visible
     and hidden ones whose true position is known. `near` may be asked where `judged` alone: an absent part has no place
     to be near to, so an absent row is judged, and not near. `lost` may be asked where `told` alone. `init` are the rows
-    that the tracker was given.
+    that the tracker was given, `later` those of them that came after the first, by corrections; `left_out` are rows
+    that a correction calls absent.
     """
 
     target: str
@@ -52,6 +53,8 @@ class Rows:
     told: Mask
     lost: Mask
     init: Mask
+    later: Mask
+    left_out: Mask
     confidence: Array
     std: Array
 
@@ -112,6 +115,8 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         told=(ours.status == "tracked") | (ours.status == "lost"),
         lost=ours.status == "lost",
         init=init,
+        later=init & (np.arange(len(ours)) > 0),
+        left_out=ours.status == "absent",
         confidence=ours.confidence,
         std=np.stack([ours.std_x, ours.std_y], axis=1),
     )

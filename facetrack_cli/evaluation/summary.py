@@ -179,7 +179,7 @@ def _boxes(pair: Pair, rows: Rows, options: Options) -> BoxMeasures:
     return measure_boxes(
         pair.ours.boxes,
         pair.truth.boxes,
-        valid=rows.visible,
+        valid=rows.visible & ~rows.later,
         our_corners=pair.ours.corners,
         true_corners=pair.truth.corners,
         size=options.size,
@@ -187,9 +187,11 @@ def _boxes(pair: Pair, rows: Rows, options: Options) -> BoxMeasures:
     )
 
 
-def _hidden(boxed: Sequence[tuple[Pair, Rows]]) -> HiddenBoxes:
-    overlap = np.concatenate([iou(pair.ours.boxes, pair.truth.boxes)[rows.hidden] for pair, rows in boxed])
-    known = np.concatenate([~np.isnan(pair.truth.boxes[rows.hidden]).any(axis=1) for pair, rows in boxed])
+def _hidden(those: Sequence[tuple[Pair, Rows]]) -> HiddenBoxes:
+    # to call absent what is hidden is right, and what was given by hand is no merit
+    boxed = [(pair, rows.hidden & ~rows.left_out & ~rows.later) for pair, rows in those]
+    overlap = np.concatenate([iou(pair.ours.boxes, pair.truth.boxes)[rows] for pair, rows in boxed])
+    known = np.concatenate([~np.isnan(pair.truth.boxes[rows]).any(axis=1) for pair, rows in boxed])
     overlap = np.nan_to_num(overlap[known])  # without a box of ours nothing overlaps
     return HiddenBoxes(len(overlap), float(np.mean(overlap)) if len(overlap) else None)
 
@@ -337,8 +339,8 @@ _WHY: Final = (  # a figure that is not defined although the other is, and why
 
 
 def _strange_start(rows: Sequence[Rows]) -> list[str]:
-    """Whether the rows that the tracker was given lie nowhere near the truth."""
-    given = [part.take(part.init & part.placed) for part in rows]
+    """Whether the rows that the tracker was given at its start lie nowhere near the truth."""
+    given = [part.take(part.init & ~part.later & part.placed) for part in rows]
     error, unit = joined(given, "error"), joined(given, "unit")
     known = np.isfinite(error) & np.isfinite(unit)
     if not known.any() or np.median(error[known] / unit[known]) <= 1:

@@ -208,8 +208,10 @@ def _crowds(positions: Array, distance: Array, limit: float) -> tuple[Array, Mas
     away = np.zeros(distance.shape, dtype=np.bool_)
     everyone = np.ones(len(positions), dtype=np.bool_)
     before, last = everyone, -2
-    # one crowd is the rule, so that only the other frames are looked at one by one
-    for t in np.flatnonzero(~(distance <= limit).all(axis=0)).tolist():
+    # one crowd is the rule, so that only the other frames are looked at one by one; where no run has a position, as of
+    # a part that a correction calls absent, none is away from others
+    apart = ~(distance <= limit).all(axis=0) & ~np.isnan(distance).all(axis=0)
+    for t in np.flatnonzero(apart).tolist():
         crowd = _crowd(positions[:, t], before if last == t - 1 else everyone, limit)
         middle = np.median(positions[crowd, t], axis=0) if crowd.any() else np.full(2, np.nan)
         to_crowd[:, t] = np.hypot(*(positions[:, t] - middle).T)

@@ -119,7 +119,8 @@ class _Feed:
         return Frame(self.frame.index, self.frame.time_s, self.frame.bgr)
 
 
-_NUMBERS = tuple(name for name in Row._fields if name not in ("target", "part", "status", "identity", "identity_prob"))
+_NO_NUMBERS = ("target", "part", "status", "identity", "identity_prob", "by_hand")
+_NUMBERS = tuple(name for name in Row._fields if name not in _NO_NUMBERS)
 
 
 class _Log:
@@ -127,7 +128,7 @@ class _Log:
 
     def __init__(self) -> None:
         self._columns: dict[tuple[str, str], dict[str, array[float]]] = {}
-        self._status: dict[tuple[str, str], list[str]] = {}
+        self._said: dict[tuple[str, str], list[tuple[str, bool]]] = {}  # status, and whether it was given by hand
         # of the targets, a row a frame each
         self._who: list[tuple[str, int, str, float]] = []
 
@@ -139,17 +140,18 @@ class _Log:
             key = (row.target, row.part)
             if key not in self._columns:
                 self._columns[key] = {name: array("d") for name in _NUMBERS}
-                self._status[key] = []
+                self._said[key] = []
             for name, column in self._columns[key].items():
                 value = getattr(row, name)
                 column.append(np.nan if value is None else value)
-            self._status[key].append(row.status)
+            self._said[key].append((row.status, row.by_hand))
 
     def table(self, source: Source) -> Table:
         found = []
         for (target, part), columns in self._columns.items():
             values = {name: np.array(column) for name, column in columns.items()}
-            found.append(series(target, part, values.pop("frame"), status=self._status[target, part], **values))
+            status, by_hand = zip(*self._said[target, part], strict=True)
+            found.append(series(target, part, values.pop("frame"), status=status, by_hand=by_hand, **values))
         return Table(source.path, tuple(found), _header(source.size), self._told(source.path))
 
     def _told(self, path: Path) -> tuple[ToldSeries, ...]:

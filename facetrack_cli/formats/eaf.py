@@ -1,8 +1,9 @@
 """ELAN's annotation format, EAF 3.0 (www.mpi.nl/tools/elan/EAFv3.0.xsd): tiers of what was lost and how a head moved.
 
-For each target: `lost@face`, whose annotations name the parts that are lost (a new one begins where others are); and,
-as far as its parts can tell, `horizontal@face`, `vertical@face`, `tilt@face`, `size@face`, `nods@face`, `still@face`:
-motion in the picture plane, see `motion.py`. Their values are controlled vocabularies, described in the file.
+For each target: `lost@face`, whose annotations name the parts that are lost (a new one begins where others are);
+`absent@face`, the same of those that corrections call absent, if there are any; and, as far as its parts can tell,
+`horizontal@face`, `vertical@face`, `tilt@face`, `size@face`, `nods@face`, `still@face`: motion in the picture plane,
+see `motion.py`. Their values are controlled vocabularies, described in the file.
 
 Times are those of the frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as
 it is, not percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
@@ -114,12 +115,15 @@ def write_eaf(table: Table, media: Path, folder: Path, *, written: datetime) -> 
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def lost_spans(parts: Sequence[Series]) -> list[tuple[int, int, str]]:
-    """First and last frame, and the names of the parts lost in them, for one target; split where other parts are."""
+def spans_of(parts: Sequence[Series], status: str = "lost") -> list[tuple[int, int, str]]:
+    """First and last frame, and the names of the parts lost in them, for one target; split where other parts are.
+
+    The same of any other `status`, as absent.
+    """
     frames = np.unique(np.concatenate([part.frame for part in parts]))
     lost = np.zeros((len(frames), len(parts)), dtype=bool)
     for k, part in enumerate(parts):
-        lost[np.searchsorted(frames, part.frame), k] = part.status == "lost"
+        lost[np.searchsorted(frames, part.frame), k] = part.status == status
     names = [", ".join(part.part for part, gone in zip(parts, row, strict=True) if gone) for row in lost.tolist()]
     # frames that the table passes over are in no span
     breaks = np.concatenate([[0], np.cumsum(np.diff(frames) != 1)]).tolist()
@@ -127,14 +131,16 @@ def lost_spans(parts: Sequence[Series]) -> list[tuple[int, int, str]]:
     for (_, text), rows in groupby(zip(breaks, names, frames.tolist(), strict=True), key=lambda row: row[:2]):
         members = [frame for _, _, frame in rows]
         if text:
-            found.append((members[0], members[-1], "lost" if text == "box" else text))
+            found.append((members[0], members[-1], status if text == "box" else text))
     return found
 
 
 def _tiers(target: str, parts: Sequence[Series]) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
     """Kind, target, and its spans; a kind that the parts can tell has a tier also if nothing was found."""
     name = target or "target"
-    yield "lost", name, lost_spans(parts)
+    yield "lost", name, spans_of(parts)
+    if absent := spans_of(parts, "absent"):  # only where a correction says so
+        yield "absent", name, absent
     moved = head_motion(parts)
     for kind in kinds_of(parts):
         yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]

@@ -36,8 +36,9 @@ class Series:
     """One part of one target over time; every array is (T,), frames strictly increasing.
 
     (x, y) is the centre and (w, h) the size in pixels, `angle` in degrees, `confidence` 0..1, `std_*` in pixels.
-    `status` is init, tracked, lost in a trajectory; visible, hidden, absent in truth; "" where nothing is said.
-    `corners` (T, 4, 2) are there only where a file gives rotated boxes or polygons of four corners.
+    `status` is init, tracked, lost, absent in a trajectory; visible, hidden, absent in truth; "" where nothing is said.
+    `by_hand` marks rows that a correction gave, of which a CSV says nothing. `corners` (T, 4, 2) are there only where a
+    file gives rotated boxes or polygons of four corners.
     """
 
     target: str
@@ -55,6 +56,7 @@ class Series:
     std_y: Array
     particles: Array
     ess: Array
+    by_hand: Mask
     corners: Array | None = None
 
     def __len__(self) -> int:
@@ -106,7 +108,7 @@ def series(target: str, part: str, frame: Any, **columns: Any) -> Series:
     """A series from what is known of it; frames in any order, which must differ; columns left out are not known."""
     order = np.argsort(np.asarray(frame, dtype=np.int64), kind="stable")
     texts = columns.pop("status", None)
-    corners = columns.pop("corners", None)
+    corners, by_hand = columns.pop("corners", None), columns.pop("by_hand", None)
     t = len(order)
 
     def floats(name: str) -> Array:
@@ -121,12 +123,13 @@ def series(target: str, part: str, frame: Any, **columns: Any) -> Series:
         part=part,
         frame=np.asarray(frame, dtype=np.int64)[order],
         status=np.full(t, "", dtype="<U8") if texts is None else np.asarray(texts, dtype=np.str_)[order],
+        by_hand=np.zeros(t, dtype=np.bool_) if by_hand is None else np.asarray(by_hand, dtype=np.bool_)[order],
         corners=None if corners is None else np.asarray(corners, dtype=np.float64)[order],
         **known,
     )
 
 
-_NOT_FLOAT = ("target", "part", "frame", "status", "corners")
+_NOT_FLOAT = ("target", "part", "frame", "status", "by_hand", "corners")
 _FLOATS = tuple(f.name for f in fields(Series) if f.name not in _NOT_FLOAT)
 
 
@@ -139,6 +142,7 @@ class _Columns(NamedTuple):
     status: Texts
     identity: Texts
     identity_prob: Array
+    by_hand: Mask
     floats: Mapping[str, Array]
 
 
@@ -156,7 +160,8 @@ def from_rows(path: Path, rows: Iterable[Row], header: Mapping[str, Any] | None 
     frame = np.array(columns["frame"], dtype=np.int64)
     status, identity = (np.array(columns[name], dtype=np.str_) for name in ("status", "identity"))
     prob = np.array(columns["identity_prob"], dtype=np.float64)
-    return _grouped(path, _Columns(list(numbers), which, frame, status, identity, prob, floats), header)
+    by_hand = np.array(columns["by_hand"], dtype=np.bool_)
+    return _grouped(path, _Columns(list(numbers), which, frame, status, identity, prob, by_hand, floats), header)
 
 
 def _numbered(numbers: dict[tuple[str, str], int], targets: Iterable[str], parts: Iterable[str]) -> Whole:
@@ -176,7 +181,7 @@ def _grouped(path: Path, columns: _Columns | None, header: Mapping[str, Any] | N
     groups = np.split(np.argsort(columns.which, kind="stable"), np.cumsum(counts)[:-1])
     for (target, part), at in zip(columns.names, groups, strict=True):
         values = {name: column[at] for name, column in columns.floats.items()}
-        one = series(target, part, columns.frame[at], status=columns.status[at], **values)
+        one = series(target, part, columns.frame[at], status=columns.status[at], by_hand=columns.by_hand[at], **values)
         twice = np.flatnonzero(np.diff(one.frame) == 0)
         if twice.size:
             raise InputError(
@@ -253,6 +258,7 @@ def _csv_block(cells: Mapping[str, Sequence[str]], rows: int, numbers: dict[tupl
         "frame": np.array(list(map(int, _digits(cells["frame"]))), dtype=np.int64),
         **{name: np.array(list(map(str.strip, cells.get(name, blank)))) for name in ("status", "identity")},
         "identity_prob": _floats(cells.get("identity_prob", blank)),
+        "by_hand": np.zeros(rows, dtype=np.bool_),
         **{name: _floats(cells.get(name, blank)) for name in _FLOATS},
         "particles": _floats(_digits(cells.get("particles", blank))),
     }
@@ -263,7 +269,7 @@ def _joined(numbers: Mapping[tuple[str, str], int], blocks: Sequence[_Block]) ->
     if not blocks:
         return None
     whole: dict[str, Any] = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-    own = {name: whole.pop(name) for name in ("which", "frame", "status", "identity", "identity_prob")}
+    own = {name: whole.pop(name) for name in _Columns._fields[1:-1]}
     return _Columns(list(numbers), **own, floats=whole)
 
 
@@ -308,6 +314,7 @@ def _json_block(frames: list[Any], numbers: dict[tuple[str, str], int]) -> _Bloc
         raise ValueError
     columns |= {name: [part.get(name) for part in parts] for name in _PART_KEYS}
     columns["status"] = [part.get("status", "") for part in parts]
+    columns["by_hand"] = [part.get("by_hand", False) for part in parts]
     if not all(set(map(type, column)) <= _JSON_TYPES.get(name, _NUMBER) for name, column in columns.items()):
         raise ValueError
     if min(columns["frame"], default=0) < 0 or "" in columns["target"] or "" in columns["part"]:
@@ -318,14 +325,16 @@ def _json_block(frames: list[Any], numbers: dict[tuple[str, str], int]) -> _Bloc
         "status": np.array(columns["status"], dtype=np.str_),
         "identity": np.full(len(parts), ""),  # of the targets: told.py reads it
         "identity_prob": np.full(len(parts), np.nan),
+        "by_hand": np.array(columns["by_hand"], dtype=np.bool_),
         **{name: np.array(columns[name], dtype=np.float64) for name in _FLOATS},
     }
 
 
-_PART_KEYS = frozenset(("part", "status", *_FLOATS)) - {"time_s", "particles"}
+_PART_KEYS = frozenset(("part", "status", "by_hand", *_FLOATS)) - {"time_s", "particles"}
 _NUMBER = frozenset((int, float, type(None)))
 _JSON_TYPES: Mapping[str, frozenset[type]] = {
     "frame": frozenset((int,)),
+    "by_hand": frozenset((bool,)),
     **dict.fromkeys(("target", "part", "status"), frozenset((str,))),
 }
 
@@ -359,6 +368,8 @@ def _check_row(row: Row) -> None:
         value = getattr(row, name)
         if not isinstance(value, str) or (not value and name in ("target", "part")):
             raise ValueError(f"{name} {value!r} is no name")
+    if not isinstance(row.by_hand, bool):
+        raise ValueError(f"by_hand {row.by_hand!r} is neither true nor false")
     for name in (*_FLOATS, "identity_prob"):
         value = getattr(row, name)
         if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):

@@ -55,12 +55,14 @@ def enclose(parts: Sequence[Series], around: Around = "windows") -> Series:
     A target of one part has that part's own box. Of several, `windows` encloses the windows that the tracker compares,
     as in annotated videos; `points` their centres alone, each as one pixel. Parts whose place is not known in a row are
     left out of it; lost ones count, since their place is the estimate (see `blank_lost`). `confidence` is the mean over
-    the parts, `status` lost when all parts are. Raises InputError for windows of parts that have none.
+    the parts, `status` lost when all parts are that are not absent. Raises InputError for windows of parts that have
+    none.
     """
     if len(parts) == 1:
         return replace(parts[0], part="box")
     frame = np.unique(np.concatenate([part.frame for part in parts]))
     shape = len(frame), len(parts)
+    by_hand = np.zeros(len(frame), dtype=np.bool_)
     edges, confidence = np.full((*shape, 4), np.nan), np.full(shape, np.nan)
     time_s, status = np.full(len(frame), np.nan), np.full(shape, "", dtype="<U8")
     for k, part in enumerate(parts):
@@ -75,6 +77,7 @@ def enclose(parts: Sequence[Series], around: Around = "windows") -> Series:
         edges[rows, k, 2:] = one.boxes[:, :2] + one.boxes[:, 2:]
         confidence[rows, k], status[rows, k] = part.confidence, part.status
         time_s[rows] = np.where(np.isfinite(part.time_s), part.time_s, time_s[rows])
+        by_hand[rows] |= part.by_hand
     unknown = ~np.isfinite(edges).all(axis=2)
     low = np.where(unknown[..., None], np.inf, edges[..., :2]).min(axis=1)
     high = np.where(unknown[..., None], -np.inf, edges[..., 2:]).max(axis=1)
@@ -91,6 +94,7 @@ def enclose(parts: Sequence[Series], around: Around = "windows") -> Series:
         h=h,
         confidence=mean(confidence),
         status=_together(status),
+        by_hand=by_hand,
     )
 
 
@@ -102,10 +106,15 @@ def mean(values: Array) -> Array:
 
 
 def _together(status: np.ndarray[tuple[int, ...], np.dtype[np.str_]]) -> list[str]:
-    """What the statuses of parts (T, K) say of their target: what all agree on, else that it is there."""
+    """What the statuses of parts (T, K) say of their target: what all agree on, else that it is there.
+
+    In a trajectory, parts that are absent have no say as long as others are there.
+    """
     found = []
     for row in status.tolist():
         said = {one for one in row if one}
+        if said & {"tracked", "init", "lost"}:
+            said.discard("absent")
         found.append(said.pop() if len(said) == 1 else "tracked" if said & {"tracked", "init", "lost"} else "visible")
         if not any(row):
             found[-1] = ""

@@ -62,8 +62,9 @@ class StatusBar:
             if item in shown:
                 stamp(strip, font.passing(texts[item]), left, row)
                 left += room[item]
-        sign = LOST_TEXT if status == "lost" else PALETTE[0]
-        mark(strip, left + 0.4 * cap, middle, status, sign, 0.37 * cap, self._line)
+        sign = LOST_TEXT if status == "lost" else _QUIET if status == "absent" else PALETTE[0]
+        by_hand = any(part.by_hand for target in result.targets for part in target.parts)
+        mark(strip, left + 0.4 * cap, middle, status, sign, 0.37 * cap, self._line, by_hand=by_hand)
         stamp(strip, font.sprite(saying, LOST_TEXT if status == "lost" else WHITE), left + icon, row)
         if "gauge" in shown:
             top, bottom = (self.height - cap) // 2, (self.height - cap) // 2 + cap - 1
@@ -118,23 +119,42 @@ def adaptation(targets: Sequence[TargetResult]) -> dict[str, str]:
 
 
 def summary(targets: Sequence[TargetResult]) -> tuple[Status, list[str]]:
-    """The status of all together, and ways to say it, from the longest to the shortest."""
+    """The status of all together, and ways to say it, from the longest to the shortest.
+
+    What is absent is said beside it, and has no say in it unless all is.
+    """
     parts = [(t, p) for t in targets for p in t.parts]
     if not parts:
         return "lost", ["no target", "none"]
-    lost = [(t, p) for t, p in parts if p.status == "lost"]
-    if not lost:
-        status: Status = "init" if all(p.status == "init" for _, p in parts) else "tracked"
-        return status, [status]
+    absent, lost = (sum(p.status == status for _, p in parts) for status in ("absent", "lost"))
+    if absent == len(parts):
+        return "absent", ["absent"]
+    missing = f"{', '.join(_named(targets, 'absent'))} absent" if absent else ""
+    if lost:
+        names = _named(targets, "lost")
+        whole = "lost: " + ", ".join(names)
+        several = [f"lost: {names[0]} +{len(names) - 1}"] if len(names) > 1 else []
+        both = [f"{whole}; {missing}"] if missing else []
+        return "lost", [*both, whole, *several, f"lost {lost}/{len(parts)}", "lost"]
+    status: Status = "init" if all(p.status in ("init", "absent") for _, p in parts) else "tracked"
+    given = [p for _, p in parts if p.by_hand and p.status == "init"]
+    sayings: list[str] = [status]
+    if given:
+        status, sayings = "init", [f"{', '.join(_named(targets, 'init', by_hand=True))} by hand", "by hand"]
+    both = [f"{sayings[0]}; {missing}", missing, f"absent {absent}/{len(parts)}"] if missing else []
+    return status, [*both, *sayings]
+
+
+def _named(targets: Sequence[TargetResult], status: Status, *, by_hand: bool = False) -> list[str]:
+    """The parts of that status; a target where it is all of its parts."""
     names = []
     for target in targets:
-        gone = [p.name for p in target.parts if p.status == "lost"]
-        if gone and len(gone) == len(target.parts):
+        those = [p.name for p in target.parts if p.status == status and (p.by_hand or not by_hand)]
+        if those and len(those) == len(target.parts):
             names.append(target.name)
         else:
-            names += [f"{target.name}/{name}" if len(targets) > 1 else name for name in gone]
-    several = [f"lost: {names[0]} +{len(names) - 1}"] if len(names) > 1 else []
-    return "lost", ["lost: " + ", ".join(names), *several, f"lost {len(lost)}/{len(parts)}", "lost"]
+            names += [f"{target.name}/{name}" if len(targets) > 1 else name for name in those]
+    return names
 
 
 def clock(seconds: float) -> str:

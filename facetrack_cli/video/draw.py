@@ -1,8 +1,9 @@
 """What the tracker says of a frame, drawn over it: windows, trails, spread of the particles, status.
 
 Status shows by form as well as by colour: a tracked part has a solid window and a dot, a lost one a dashed window and a
-cross, one at its start a solid window and a diamond. Each target has its own colour, of those that most colour-blind
-people tell apart; vermilion is kept for what is lost.
+cross, one at its start a solid window and a diamond, which is filled where a correction gave it. What is absent is not
+drawn. Each target has its own colour, of those that most colour-blind people tell apart; vermilion is kept for what is
+lost.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ class _Shape(NamedTuple):
 class _Past(NamedTuple):
     time_s: float
     number: int
+    parts: tuple[str, ...]
     centres: Array
     lost: NDArray[np.bool_]
 
@@ -135,11 +137,12 @@ class Overlay:
         if past and not past[-1].time_s < now:
             self._weights = {key: line for key, line in self._weights.items() if key[0] != shape.target.name}
             past.clear()
-        if past and past[-1].centres.shape != shape.centres.shape:
+        # a trail leads neither to a place that a correction gave nor past what was absent meanwhile
+        if past and (past[-1].parts != _names(shape) or any(part.by_hand for part in shape.parts)):
             past.clear()
         while past and now - past[0].time_s > self.trail_s:
             past.popleft()
-        present = _Past(now, self._count // self._stride, shape.centres, shape.lost)
+        present = _Past(now, self._count // self._stride, _names(shape), shape.centres, shape.lost)
         trail = [*past, present]
         if self._count % self._stride == 0 or not past:
             past.append(present)
@@ -211,7 +214,7 @@ class Overlay:
             if size := self._sign(part):
                 if part.status == "tracked":  # a ring of shade, or the dot would merge with the trail that ends in it
                     mark(layer, x, y, part.status, ink((0, 0, 0), 0.8), size + line, line)
-                mark(layer, x, y, part.status, ink(tint, 1), size, line)
+                mark(layer, x, y, part.status, ink(tint, 1), size, line, by_hand=part.by_hand)
         cover = cv2.extractChannel(layer, 3)
         dark = cv2.dilate(cover, np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
         keep = cv2.bitwise_not(cv2.max(cover, cv2.convertScaleAbs(dark, None, _RIM)))
@@ -374,6 +377,10 @@ class Overlay:
         _shade(image, (left - self._line, int(chosen[1]), left + width + self._line, int(chosen[1]) + height))
         stamp(image, sprite, left, int(chosen[1]))
         return [chosen]
+
+
+def _names(shape: _Shape) -> tuple[str, ...]:
+    return tuple(part.name for part in shape.parts)
 
 
 def _shade(image: Image, box: tuple[int, int, int, int]) -> None:

@@ -1,6 +1,7 @@
 """The colours and strokes that windows, trails and the status bar are drawn with.
 
-Status shows by form as well as by colour: a dot where tracked, a cross where lost, a hollow diamond at the start.
+Status shows by form as well as by colour: a dot where tracked, a cross where lost, a hollow diamond at the start, a
+filled one where a correction gave it, a dash for what is absent.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ WHITE: Colour = (255, 255, 255)
 
 _SHIFT = 4  # cv2's fixed point: sixteenths of a pixel
 _CROSS = np.array([[(-1, -1), (1, 1)], [(-1, 1), (1, -1)]])
+_DASH = np.array([[(-1, 0), (1, 0)]])
 _DIAMOND = 1.2 * np.array([[(0, -1), (1, 0), (0, 1), (-1, 0), (0, -1)]])
 
 
@@ -61,11 +63,24 @@ def dashes(corners: Array, pitch: float) -> Array:
     return dashed.reshape(-1, 2, 2)
 
 
-def mark(image: Image, x: float, y: float, status: Status, colour: tuple[float, ...], size: float, line: int) -> None:
+def mark(
+    image: Image,
+    x: float,
+    y: float,
+    status: Status,
+    colour: tuple[float, ...],
+    size: float,
+    line: int,
+    *,
+    by_hand: bool = False,
+) -> None:
     """The sign of `status` at (x, y), about `size` pixels to each side, with lines `line` wide, in place."""
     if status == "tracked":
         one = 1 << _SHIFT
         cv2.circle(image, (round(x * one), round(y * one)), round(size * one), colour, -1, cv2.LINE_AA, _SHIFT)
     else:
-        shape = _CROSS if status == "lost" else _DIAMOND
-        polylines(image, list(fixed(size * shape + (x, y))), colour, line)
+        shape = {"lost": _CROSS, "absent": _DASH}.get(status, _DIAMOND)
+        strokes = list(fixed(size * shape + (x, y)))
+        if by_hand and status == "init":
+            cv2.fillPoly(image, strokes, colour, cv2.LINE_AA, _SHIFT)
+        polylines(image, strokes, colour, line)
