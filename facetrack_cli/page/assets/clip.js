@@ -1,0 +1,48 @@
+// Through the clip: slider, buttons, a field for the frame.
+
+import { $ } from "./dom.js";
+
+export class Clip {
+  constructor(store) {
+    this.store = store;
+    this.slider = $("frame-slider");
+    this.field = $("frame-number");
+    this.slider.addEventListener("input", () => store.show(this.slider.valueAsNumber));
+    this.field.addEventListener("change", () => {
+      if (Number.isFinite(this.field.valueAsNumber)) store.show(this.field.valueAsNumber);
+      this.update();
+    });
+    $("previous").addEventListener("click", () => this.by(-1));
+    $("following").addEventListener("click", () => this.by(1));
+    store.addEventListener("frame", () => this.update());
+    this.update();
+  }
+
+  by(step) {
+    this.store.show(this.store.frame + step);
+  }
+
+  update() {
+    const { frame, bounds, session } = this.store;
+    for (const input of [this.slider, this.field]) {
+      input.min = bounds.first;
+      input.max = bounds.last;
+      if (input.valueAsNumber !== frame) input.value = frame;
+    }
+    const share = bounds.last > bounds.first ? (frame - bounds.first) / (bounds.last - bounds.first) : 0;
+    this.slider.style.setProperty("--share", `${100 * share}%`);
+    this.slider.setAttribute("aria-valuetext", `frame ${frame}, ${clock(frame / session.fps)}`);
+    $("last-frame").textContent = `of ${bounds.last}${bounds.exact ? "" : "?"}`;
+    $("clock").textContent = clock(frame / session.fps);
+    $("previous").disabled = frame <= bounds.first;
+    $("following").disabled = frame >= bounds.last;
+  }
+}
+
+/** Seconds as 1:02:03.4; hours only if there are any. */
+function clock(seconds) {
+  const tenths = Math.floor(seconds * 10 + 1e-6);
+  const [h, m, s] = [Math.floor(tenths / 36000), Math.floor(tenths / 600) % 60, (tenths % 600) / 10];
+  const two = (value) => String(value).padStart(2, "0");
+  return `${h ? `${h}:${two(m)}` : m}:${s.toFixed(1).padStart(4, "0")}`;
+}
