@@ -17,6 +17,7 @@ from facetrack_cli import __version__
 COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",
     "init": "Write where the track of a clip begins, as a file to edit.",
+    "fix": "Put a finished run right, on a page.",
     "recipes": "List, show and check the recipes of trackers.",
     "prior": "Learn shape priors from annotated frames, and draw them.",
     "gallery": "Learn who is who from pictures and videos, and draw it.",

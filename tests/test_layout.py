@@ -50,7 +50,7 @@ LAYERS = [
     {"job"},
     {"batch"},
     {"experiments", "report"},
-    {"regression"},
+    {"fixing", "regression"},
     {"page"},
     {"commands"},
     {"cli"},

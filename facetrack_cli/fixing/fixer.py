@@ -1,0 +1,214 @@
+"""Corrections of a run, one after the other, and the rows that follow from them; every step can be taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from facetrack_cli.errors import InputError
+from facetrack_cli.fixing.complete import completed, is_complete
+from facetrack_cli.fixing.retrack import Read, Report, Task, Tracking
+from facetrack_cli.fixing.rows import Rows, recorded
+from facetrack_cli.fixing.run_folder import Run
+from facetrack_cli.fixing.tracks import Store, Track
+from facetrack_cli.start import read_init
+from facetrack_cli.types import Correction, Start
+
+MOST_STEPS: Final = 1000  # that can be taken back
+
+
+class Now(NamedTuple):
+    """The corrections, and the rows that follow from them."""
+
+    corrections: tuple[Correction, ...]
+    rows: Rows
+
+
+class Fixer:
+    """A run and what is corrected of it `now`. What fails, or is stopped, leaves that as it was.
+
+    One call at a time changes anything; what there is now may be read from other threads meanwhile.
+    """
+
+    def __init__(self, run: Run, read: Read) -> None:
+        self.run = run
+        self._store = Store()
+        self._tracking = Tracking(run, self._store, read)
+        begins = {name: [None, *_of(run.start.corrections, name)] for name in run.index.targets}
+        self._known: dict[str, list[Track]] = recorded(run.index, begins)
+        self._at_first = self._ordered(run.start.corrections)
+        self.now = Now(self._at_first, Rows(run.index, {name: list(tracks) for name, tracks in self._known.items()}))
+        self._past: list[Now] = []
+
+    @property
+    def corrections(self) -> tuple[Correction, ...]:
+        return self.now.corrections
+
+    @property
+    def rows(self) -> Rows:
+        return self.now.rows
+
+    @property
+    def start(self) -> Start:
+        """Where the run begins, and what is corrected."""
+        return replace(self.run.start, corrections=self.corrections)
+
+    @property
+    def changed(self) -> bool:
+        """Whether the corrections are others than those in the run's files."""
+        return self.corrections != self._at_first
+
+    @property
+    def can_undo(self) -> bool:
+        return bool(self._past)
+
+    def find(self, frame: int, target: str) -> Correction | None:
+        return next((one for one in self.corrections if (one.frame, one.target) == (frame, target)), None)
+
+    def put(
+        self,
+        given: Sequence[Correction],
+        *,
+        report: Report = lambda done, total: None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Add corrections, or replace those of the same frames and targets, and track anew what follows from them."""
+        for one in given:
+            self.check(one)
+        done = [completed(one, self.rows.target(one.frame, one.target)) for one in given]
+        others = [one for one in self.corrections if not any(_same(one, new) for new in done)]
+        self._become([*others, *done], report, stop)
+
+    def remove(
+        self,
+        frame: int,
+        target: str,
+        *,
+        report: Report = lambda done, total: None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Take a correction away; what follows is tracked from the one before it, if it was not already."""
+        if self.find(frame, target) is None:
+            raise InputError(f"{target} has no correction at frame {frame}")
+        rest = [one for one in self.corrections if (one.frame, one.target) != (frame, target)]
+        self._become(rest, report, stop)
+
+    def undo(self) -> None:
+        """Take back the last step; nothing is tracked for it."""
+        if self._past:
+            self.now = self._past.pop()
+
+    def apply(
+        self,
+        corrections: Sequence[Correction],
+        *,
+        report: Report = lambda done, total: None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Have these corrections and no others. What they leave open is where the track before them is."""
+        for one in corrections:
+            self.check(one)
+        self._become(corrections, report, stop)
+
+    def check(self, one: Correction) -> None:
+        """InputError if a correction does not fit the run."""
+        index = self.run.index
+        if one.target not in index.parts:
+            raise InputError(f"there is no {one.target} in the run; it has {', '.join(index.targets)}")
+        if not index.first < one.frame <= index.last:
+            why = ", in which it begins; begin it anew with facetrack init" if one.frame == index.first else ""
+            raise InputError(
+                f"frame {one.frame} cannot be corrected{why}; the run can be from {index.first + 1} to {index.last}"
+            )
+        self._tracking.check(one)
+
+    def close(self) -> None:
+        self._store.close()
+
+    def _become(self, corrections: Sequence[Correction], report: Report, stop: Callable[[], bool]) -> None:
+        """Take up these corrections, tracking what no track is known of."""
+        plans = {name: self._plan(name, _of(corrections, name)) for name in self._known}
+        found: dict[str, list[Track]] = {name: [] for name in plans}
+        done = total = 0
+        while any(plans.values()):
+            # one stretch a target at a time, so that targets which are corrected in the same frames share the pictures
+            tasks: list[Task] = []
+            for name, plan in plans.items():
+                while plan:
+                    task = self._completed(plan[0], found[name])
+                    if (known := self._find(task)) is None:
+                        tasks.append(task)
+                        break
+                    found[name].append(known)
+                    plan.pop(0)
+            left = sum(task.stop - task.first for plan in plans.values() for task in plan)
+            total = max(total, done + left)
+
+            def told(n: int, _: int, before: int = done, total: int = total) -> None:
+                report(before + n, max(total, before + n))
+
+            for track in self._tracking.track(tasks, self.rows, report=told, stop=stop):
+                found[track.target].append(track)
+                plans[track.target].pop(0)
+            done += sum(task.stop - task.first for task in tasks)
+        became = self._ordered(track.begin for tracks in found.values() for track in tracks if track.begin is not None)
+        for name, tracks in found.items():
+            self._known[name] += [track for track in tracks if track not in self._known[name]]
+        if became == self.corrections:
+            return
+        self._past = [*self._past, self.now][-MOST_STEPS:]
+        self.now = Now(became, Rows(self.run.index, found))
+
+    def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
+        places = {name: place for place, name in enumerate(self.run.index.targets)}
+        return tuple(sorted(corrections, key=lambda one: (one.frame, places[one.target])))
+
+    def _plan(self, target: str, corrections: Sequence[Correction]) -> list[Task]:
+        """What one target is made of: from each beginning to the next, one frame more where that leaves parts open."""
+        index = self.run.index
+        plan: list[Task] = []
+        begin: Correction | None = None
+        first = index.first
+        for one in sorted(corrections, key=lambda one: one.frame):
+            more = 0 if is_complete(one, index.parts[target]) else 1
+            plan.append(Task(target, begin, first, one.frame + more))
+            begin, first = one, one.frame
+        plan.append(Task(target, begin, first, index.last + 1))
+        return plan
+
+    def _completed(self, task: Task, before: Sequence[Track]) -> Task:
+        """With its beginning completed by the last row of the track before it."""
+        if task.begin is None or is_complete(task.begin, self.run.index.parts[task.target]):
+            return task
+        rows = Rows(self.run.index, {task.target: before})
+        return replace(task, begin=completed(task.begin, rows.target(task.first, task.target)))
+
+    def _find(self, task: Task) -> Track | None:
+        """A track that is known already of what the task asks for."""
+        same = (track for track in self._known[task.target] if track.begin == task.begin)
+        return next((track for track in same if track.stop >= task.stop), None)
+
+
+def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
+    """The corrections of an init file that begins as the run does. InputError if it does not."""
+    start = read_init(path)
+    if start.frame != run.start.frame:
+        raise InputError(
+            f"{path}: begins at frame {start.frame}, and the run at {run.start.frame}; run the clip anew with it"
+        )
+    for name, one in start.targets.items():
+        theirs = run.start.targets.get(name, one)
+        points = {part: theirs.points.get(part) for part in one.points}
+        if one.box not in (None, theirs.box) or points != one.points:
+            raise InputError(f"{path}: {name} does not begin where it does in the run; run the clip anew with it")
+    return start.corrections
+
+
+def _same(one: Correction, other: Correction) -> bool:
+    return (one.frame, one.target) == (other.frame, other.target)
+
+
+def _of(corrections: Sequence[Correction], target: str) -> list[Correction]:
+    return [one for one in corrections if one.target == target]

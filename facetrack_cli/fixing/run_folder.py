@@ -1,0 +1,203 @@
+"""A finished run, as its folder tells of it: rows, recipe, start, and the clip that it was made from.
+
+with open_run(Path("out")) as run:
+    run.recipe, run.start, run.index
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from facetrack_cli.build import build_tracker
+from facetrack_cli.errors import InputError
+from facetrack_cli.fixing.index import Index, read_index
+from facetrack_cli.formats.table import Table
+from facetrack_cli.outputs import VIDEO
+from facetrack_cli.recipe import KINDS, ParticleRecipe, Recipe, shipped_folder, shipped_recipes
+from facetrack_cli.report.header import Header, read_header
+from facetrack_cli.report.make import trajectory_of
+from facetrack_cli.start import check_start
+from facetrack_cli.trajectory import FORMATS
+from facetrack_cli.types import Correction, Start, TargetStart
+from facetrack_cli.video.images import listing
+
+CORRECTED: Final = "corrected.init.yaml"
+UNSAVED: Final = "unsaved.init.yaml"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run whose files are open. `start` has the corrections that it was made with; `fps` is None for a video."""
+
+    folder: Path
+    index: Index
+    header: Header
+    recipe: Recipe
+    start: Start
+    clip: Path
+    fps: Fraction | None
+
+    @property
+    def video(self) -> Path | None:
+        """The video that the run painted, if it did."""
+        path = self.folder / VIDEO
+        return path if path.is_file() else None
+
+    @property
+    def init(self) -> Mapping[str, Any]:
+        """What the header says of the start."""
+        found: Mapping[str, Any] = self.index.header["init"]
+        return found
+
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.index.close()
+
+
+def open_run(folder: Path, clip: Path | None = None) -> Run:
+    """Open the run that `facetrack run` wrote into a folder; `clip` is where its clip is now, if not where it was.
+
+    Raises InputError, in one line, for a folder without JSON, files that are cut short or differ, rows that do not fit
+    the recipe and the start, a recipe of another version, and a clip or a file of the recipe that is not there.
+    """
+    main = trajectory_of(folder)
+    files = {form: folder / f"trajectory.{form}" for form in FORMATS if (folder / f"trajectory.{form}").is_file()}
+    index = read_index(files)
+    try:
+        header = read_header(Table(main, (), index.header))
+        path = Path(header.source.path) if clip is None else clip
+        if clip is None and not (path.exists() or listing(path)):
+            raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
+        recipe = _recipe(main, index.header["recipe"], [Path(), folder, folder.parent, path.parent])
+        start = _start(main, header, index.header["init"])
+        _check_rows(main, index, recipe, start, header)
+        fps = None if listing(path) is None else Fraction(header.source.fps).limit_denominator(1001)
+        return Run(folder, index, header, recipe, start, path, fps)
+    except BaseException:
+        index.close()
+        raise
+
+
+def check_size(run: Run, size: tuple[int, int]) -> None:
+    """InputError if a clip of this (width, height) is not the run's."""
+    if size != run.header.source.size:
+        width, height = run.header.source.size
+        raise InputError(
+            f"{run.clip}: is {size[0]}x{size[1]}, not {width}x{height} pixels as in the run; name its clip with --clip"
+        )
+
+
+# --- the recipe ----------------------------------------------------------------------------------------------------
+
+
+def _recipe(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) -> Recipe:
+    """The recipe as the run had it; files that it names are sought in `folders` and among the shipped ones."""
+    name = str(settings.get("name", "recipe"))
+    known: dict[str, Any] = {key: deepcopy(value) for key, value in settings.items() if key != "name"}
+    if any(file.stem == name for file in shipped_recipes()):
+        folders = [shipped_folder(), *folders]
+    for one in [known, *_mappings(known.get("targets"))]:
+        for section, key in (("prior", "file"), ("recognition", "gallery")):
+            for place in _mappings({section: one.get(section)}):
+                if isinstance(file := place.get(key), str):
+                    place[key] = str(_sought(main, file, [*folders, shipped_folder()]))
+    kind = KINDS.get(known.get("type", "particle_filter"), ParticleRecipe)
+    try:
+        return kind.model_validate(known, context={"path": main.parent / f"{name}.yaml", "root": None})
+    except ValidationError as e:
+        first = e.errors()[0]
+        key = ".".join(str(step) for step in first["loc"])
+        raise InputError(
+            f"{main}: this version of facetrack does not know its recipe ({key}: {first['msg'].lower()}); "
+            "make the run again"
+        ) from None
+
+
+def _mappings(value: Any) -> list[dict[str, Any]]:
+    """Those of its values that are mappings."""
+    return [one for one in value.values() if isinstance(one, dict)] if isinstance(value, dict) else []
+
+
+def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
+    for folder in folders:
+        if (folder / name).is_file():
+            return (folder / name).resolve()
+    places = ", ".join(dict.fromkeys(str(folder.resolve()) for folder in folders))
+    raise InputError(f'{main}: its recipe names the file "{name}", which is in none of {places}; put it into one')
+
+
+# --- the start -----------------------------------------------------------------------------------------------------
+
+
+def _start(main: Path, header: Header, init: Mapping[str, Any]) -> Start:
+    targets = {
+        name: TargetStart(one.box, dict(one.points), dict(one.windows)) for name, one in header.init.targets.items()
+    }
+    try:
+        corrections = tuple(_correction(one) for one in init.get("corrections", ()))
+        unknown = [one for one in corrections if one.target not in targets or one.frame <= header.init.frame]
+    except (KeyError, TypeError, ValueError, AttributeError):
+        unknown = [Correction(0, "")]
+        corrections = ()
+    if unknown:
+        raise InputError(f"{main}: init.corrections is not as facetrack writes it; make the run again")
+    return Start(header.init.frame, targets, header.init.origin, corrections)
+
+
+def _correction(one: Mapping[str, Any]) -> Correction:
+    """A correction as the header has it."""
+    box = tuple(float(value) for value in one["box"]) if "box" in one else None
+    if box is not None and len(box) != 4:
+        raise ValueError
+    absent = one.get("absent", [])
+    learn = one.get("learn")
+    return Correction(
+        int(one["frame"]),
+        str(one["target"]),
+        TargetStart(box, _points(one.get("points", {}))),
+        _points(one.get("kept", {})),
+        True if absent is True else tuple(map(str, absent)),
+        None if learn is None else bool(learn),
+    )
+
+
+def _points(found: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    return {str(part): (float(x), float(y)) for part, (x, y) in found.items()}
+
+
+# --- the rows ------------------------------------------------------------------------------------------------------
+
+
+def _check_rows(main: Path, index: Index, recipe: Recipe, start: Start, header: Header) -> None:
+    """InputError if the rows are not what this recipe makes of this start."""
+    try:
+        check_start(start, header.source.size, recipe.points)
+        tracker = build_tracker(recipe, replace(start, corrections=()))
+    except InputError as e:
+        raise InputError(f"{main}: its start does not fit its recipe: {e}") from None
+    expected = {target.name: target.parts for target in tracker}
+    if expected != dict(index.parts) or tuple(expected) != index.targets:
+        there, wanted = (
+            ", ".join(f"{name}/{part}" for name, parts in both.items() for part in parts)
+            for both in (index.parts, expected)
+        )
+        raise InputError(f"{main}: has rows of {there}, and its recipe follows {wanted}; make the run again")
+    if index.first != start.frame:
+        raise InputError(
+            f"{main}: its rows begin with frame {index.first}, its start with {start.frame}; make the run again"
+        )
+    frames = index.footer.get("frames_tracked")
+    if isinstance(frames, int) and frames != len(index):
+        raise InputError(f"{main}: says it has {frames} frames, and there are {len(index)}; make the run again")
