@@ -158,7 +158,8 @@ class _Handler(BaseHTTPRequestHandler):
             raise
         except Exception as e:
             self.server.session.fault(e)
-            answer = Answer({"error": f"this is our fault, not yours: {type(e).__name__}: {e}"}, 500)
+            told = f"this is our fault, not yours: {type(e).__name__}: {e}"
+            answer = Answer({"error": " ".join(told.splitlines())}, 500)
         self._drain()
         self._send(answer)
 
@@ -218,6 +219,8 @@ class _Handler(BaseHTTPRequestHandler):
         if len(data) < self._unread:
             raise ConnectionResetError
         self._unread = 0
+        if not data:  # of what says all in its address
+            return {}
         try:
             found = json.loads(data.decode("utf-8"), parse_constant=_refuse_constant)
         except (ValueError, RecursionError):

@@ -1,0 +1,61 @@
+"""What a browser asks of the page's server, without a browser."""
+
+import http.client
+import json
+import time
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+
+class Got(NamedTuple):
+    status: int
+    headers: Any
+    data: bytes
+
+    @property
+    def json(self):
+        return json.loads(self.data)
+
+
+class Client:
+    """One window: `paths` are below the token, as in api/state; those that begin with / are taken as they are."""
+
+    def __init__(self, url: str) -> None:
+        parts = urlsplit(url)
+        self.port, self.base = parts.port, parts.path
+        self.connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=60)
+
+    def ask(self, method: str, path: str, body: Any = None, headers: dict[str, str] | None = None) -> Got:
+        """A `body` is sent as JSON unless it is bytes."""
+        data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
+        self.connection.request(method, path if path.startswith("/") else self.base + path, data, headers or {})
+        answer = self.connection.getresponse()
+        return Got(answer.status, answer.headers, answer.read())
+
+    def get(self, path: str, **headers: str) -> Got:
+        return self.ask("GET", path, headers=headers)
+
+    def put_draft(self, frame: int, base: int | None = None, **targets: Any) -> Got:
+        """A draft, on top of what is there unless `base` says of what."""
+        base = self.get("api/state").json["revision"] if base is None else base
+        return self.ask("PUT", "api/draft", {"base": base, "draft": {"frame": frame, "targets": targets}})
+
+    def save(self, base: int | None = None) -> Got:
+        base = self.get("api/state").json["revision"] if base is None else base
+        return self.ask("POST", "api/save", {"base": base})
+
+    def until(self, done, what: str = "the state") -> Any:
+        """The state as soon as `done` says so of it."""
+        return wait_for(lambda: state if done(state := self.get("api/state").json) else None, what)
+
+    def close(self) -> None:
+        self.connection.close()
+
+
+def wait_for(look, what: str, at_most_s: float = 60.0) -> Any:
+    """The first true value that `look` gives."""
+    ends = time.monotonic() + at_most_s
+    while not (found := look()):
+        assert time.monotonic() < ends, f"waited in vain for {what}"
+        time.sleep(0.01)
+    return found
