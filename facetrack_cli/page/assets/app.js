@@ -35,7 +35,7 @@ async function start() {
   write($("clip-name"), session.clip);
   write($("recipe-name"), session.recipe ?? "");
   $("recipe-name").hidden = !session.recipe;
-  $("save").title = `Save ${session.saves_to} (Ctrl+S)`;
+  $("save").title = `Write to ${session.saves_to} (Ctrl+S)`;
   document.body.dataset.mode = session.mode;
 
   const stage = new Stage($("stage"), session.size);
@@ -61,14 +61,15 @@ async function start() {
   stage.layers.push(marks(store, () => gestures.hovered));
   const list = new List(store, { choose, may, say });
   const clip = new Clip(store);
+  let heard = null; // the last message of the server
   const sync = new Sync(store, state, {
     onstate: (now) => {
       if (now.frames) {
         frames.bounds = now.frames;
         store.bound(now.frames);
       }
-      if (now.message && now.message !== start.message) say(now.message, "warning");
-      start.message = now.message;
+      if (now.message && now.message !== heard) say(now.message, "warning");
+      heard = now.message;
       save.state(now);
     },
     onothers: (lost) =>
@@ -92,8 +93,14 @@ async function start() {
     },
     onrefused: (error) => say(`Not taken by facetrack: ${error.message}`, "error"),
   });
-  const save = new Save({ store, sync, say, onlack: () => store.next() && store.pick(store.next()) });
+  const save = new Save({ store, sync, say, onlack });
   save.state(state);
+
+  function onlack() {
+    const lacking = store.next();
+    if (lacking) store.pick(lacking);
+    list.follow();
+  }
 
   // --- a part of the list, or Enter
 
@@ -125,15 +132,10 @@ async function start() {
   }
 
   function enter() {
-    if (store.ended || document.activeElement !== stage.canvas) return false;
+    if (store.ended || ![stage.canvas, document.body].includes(document.activeElement)) return false;
     const open = store.current && !store.value(store.current) ? store.current : store.next(store.selected);
     if (open) place(open);
-    else {
-      store.pick(null);
-      store.current = null;
-      store.emit("draft");
-      $("save").focus();
-    }
+    else say("All is there. Ctrl+S saves."); // never by one Enter too many
     return true;
   }
 
@@ -205,6 +207,9 @@ async function start() {
     },
   ]);
   $("help-keys").replaceChildren(...keys.help());
+  // the ring around the picture is for those who are at the keyboard
+  document.addEventListener("keydown", () => document.body.classList.add("by-keys"), true);
+  document.addEventListener("pointerdown", () => document.body.classList.remove("by-keys"), true);
   document.addEventListener("keyup", (event) => event.key === " " && (gestures.panning = false));
   window.addEventListener("blur", () => (gestures.panning = false));
 
@@ -242,7 +247,7 @@ async function start() {
 
   let reducing;
   stage.onview = () => {
-    write($("zoom-level"), `${Math.round(stage.zoom * 100)} %`);
+    write($("zoom-level"), stage.fitted ? "Fit" : `${Math.round(stage.view.scale * 100)} %`);
     clearTimeout(reducing);
     reducing = setTimeout(want, 120); // finer pixels once zooming rests
     mode.update();
@@ -264,7 +269,6 @@ async function start() {
   changed();
   stage.onview();
   want();
-  stage.canvas.focus({ preventScroll: true });
   window.facetrack = debug({ store, stage, sync });
   document.body.classList.add("ready");
 }

@@ -129,21 +129,16 @@ export function marks(store, hovered) {
   };
 }
 
-/** What was proposed for this frame, dashed; fainter beside what was taken already. */
-export function proposed(store) {
+/** What was proposed for this frame, dashed; beside a draft only the one that is looked at. */
+export function proposed(store, looked) {
   return (context, stage) => {
     if (!store.isHere() || store.ended) return;
-    const blank = store.isEmpty();
-    for (const { targets } of store.proposals) {
+    const shown = store.isEmpty() ? store.proposals : store.proposals.filter((one) => one === looked());
+    for (const { targets } of shown) {
       for (const [target, given] of Object.entries(targets)) {
-        if (JSON.stringify(store.draft.targets[target]?.box) === JSON.stringify(given.box)) continue;
-        context.globalAlpha = blank ? 1 : 0.5;
-        const ink = blank ? colour(store, target) : "#d5dbe1";
+        const ink = store.isEmpty() ? colour(store, target) : "#f0f0f0";
         if (given.box) frame(context, stage, given.box, ink, 1.5, [6, 5]);
-        if (blank) {
-          for (const [x, y] of Object.values(given.points ?? {})) diamond(context, ...stage.place(x, y), 4, ink, 1.5);
-        }
-        context.globalAlpha = 1;
+        for (const [x, y] of Object.values(given.points ?? {})) diamond(context, ...stage.place(x, y), 4, ink, 1.5);
       }
     }
   };

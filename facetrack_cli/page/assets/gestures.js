@@ -112,16 +112,18 @@ export class Gestures {
       .sort((a, b) => a.away - b.away);
     // what is to be placed may well be beside another one
     if (points.length && points[0].away <= (open && store.current.part !== BOX ? reach * 0.6 : reach)) return points[0];
-    return this.#boxAt(x, y, reach, open);
+    return this.#boxAt(x, y, kind, open);
   }
 
-  #boxAt(x, y, reach, open) {
+  #boxAt(x, y, kind, open) {
     const { store, stage } = this;
+    // a finger that is to place something means no edge that happens to be near
+    const reach = open ? (kind === "touch" ? 0 : 4) : REACH[kind] * 0.6;
     const boxes = store.slots().filter((slot) => slot.part === BOX && store.value(slot));
     for (const slot of boxes) {
       const { x0, y0, x1, y1 } = edges(stage, store.value(slot));
       const within = Math.min(x - x0, x1 - x, y - y0, y1 - y);
-      if (Math.abs(within) <= reach * 0.6) return { slot };
+      if (Math.abs(within) <= reach) return { slot };
       // the ground inside is free while something else is to be placed
       const free = open || (store.current && !same(store.current, slot));
       if (within > 0 && !free) return { slot };
@@ -188,6 +190,7 @@ export class Gestures {
     store.begin();
     return {
       start: () => {
+        store.selected = slot;
         store.drag(slot, at);
         this.#magnify(at, kind, slot);
       },

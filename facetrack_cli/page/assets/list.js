@@ -5,8 +5,6 @@ import { colour } from "./draw.js";
 import { remove } from "./edit.js";
 import { BOX, same, wrongName } from "./store.js";
 
-const KNOWN = ["nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower"];
-
 /** `choose(slot, byKey)` is called for a part of the list that is clicked, or entered by the keyboard. */
 export class List {
   constructor(store, { choose, may, say }) {
@@ -47,13 +45,13 @@ export class List {
     }
     const { done, of } = store.progress();
     write($("progress"), of ? `${done} of ${of}` : "");
-    this.#follow();
+    this.follow(false);
   }
 
-  // the current row is kept in sight, the list alone being scrolled
-  #follow() {
+  /** The current row is kept in sight, the list alone being scrolled. */
+  follow(anew = true) {
     const row = this.rows.get(id(this.store.current));
-    if (!row || row === this.followed) return;
+    if (!row || (row === this.followed && !anew)) return;
     this.followed = row;
     const scroller = $("panel-body");
     const [box, at] = [scroller.getBoundingClientRect(), row.item.getBoundingClientRect()];
@@ -89,15 +87,7 @@ export class List {
       );
     }
     const list = make("ul", { "aria-labelledby": `target-${target}` }, ...slots.map((slot) => this.#row(slot)));
-    const section = make("section", { class: "target", "data-testid": `target-${target}` }, head, list);
-    if (free) {
-      const add = make("button", { class: "adder", type: "button", "data-testid": `add-point-${target}` }, icon("plus"), "Point");
-      add.addEventListener("click", () =>
-        this.#ask(add, "Name of the point", "", (name) => store.addPoint(target, name), points, KNOWN),
-      );
-      section.append(add);
-    }
-    return section;
+    return make("section", { class: "target", "data-testid": `target-${target}` }, head, list);
   }
 
   #row(slot) {
@@ -134,15 +124,12 @@ export class List {
   }
 
   // a field in place of what was clicked
-  #ask(place, label, value, done, taken, known = []) {
+  #ask(place, label, value, done, taken) {
     const input = make("input", { type: "text", value, "aria-label": label, placeholder: label, spellcheck: "false" });
     input.setAttribute("data-testid", "name-field");
     input.setAttribute("autocapitalize", "off");
     input.setAttribute("autocomplete", "off");
-    const datalist = make("datalist", { id: "known-names" });
-    datalist.append(...known.filter((name) => !taken.includes(name)).map((name) => make("option", { value: name })));
-    if (known.length) input.setAttribute("list", "known-names");
-    const form = make("form", { class: "ask" }, input, datalist);
+    const form = make("form", { class: "ask" }, input);
     form.append(make("button", { class: "small", type: "submit" }, "OK"));
     const close = () => {
       if (form.isConnected) form.replaceWith(place);

@@ -7,13 +7,24 @@ import { BOX } from "./store.js";
 
 const REST = 400; // ms that a frame is shown before anybody looks for faces in it
 const TOUCH = window.matchMedia("(pointer: coarse)");
+const HOW = {
+  open: {
+    box: ["Drag across it, from corner to corner.", "Draw across it, from corner to corner."],
+    point: ["Click it in the picture.", "Tap it; keep the finger down to look closely."],
+  },
+  placed: {
+    box: ["Drag it, or its handles; arrow keys nudge.", "Drag it, or its handles."],
+    point: ["Drag it, or nudge it by the arrow keys.", "Drag it to put it right."],
+  },
+};
 
 export class Pick {
   constructor({ store, stage, say }) {
     Object.assign(this, { store, stage, say });
     this.known = new Map(); // frame -> answer
     this.asked = null;
-    stage.layers.unshift(proposed(store));
+    this.looked = null; // the proposal whose button is pointed at, or has the focus
+    stage.layers.unshift(proposed(store, () => this.looked));
     store.addEventListener("frame", () => this.#rest());
     for (const name of ["frame", "draft"]) store.addEventListener(name, () => this.update());
     $("begin-here").addEventListener("click", () => this.beginHere());
@@ -60,6 +71,7 @@ export class Pick {
     const { store } = this;
     clearTimeout(this.timer);
     store.proposals = this.known.get(store.frame)?.proposals ?? [];
+    this.looked = null;
     this.timer = setTimeout(() => this.#ask(), REST);
   }
 
@@ -129,6 +141,12 @@ export class Pick {
       const hint = index < 9 && !as ? make("kbd", { "aria-hidden": "true" }, String(index + 1)) : null;
       const made = make("button", { type: "button", class: "offer", "data-testid": testid }, swatch, make("span", {}, words), hint);
       made.addEventListener("click", () => this.take(index, as) && this.stage.canvas.focus());
+      for (const [name, value] of Object.entries({ pointerenter: proposal, focus: proposal, pointerleave: null, blur: null })) {
+        made.addEventListener(name, () => {
+          this.looked = value;
+          this.stage.draw();
+        });
+      }
       return made;
     };
     const offers = [button(`${blank ? "Take" : "Take instead:"} ${proposal.label}`, `take-${index}`, null)];
@@ -151,7 +169,8 @@ export class Pick {
       const { width, height } = stage.box;
       button.hidden = x1 < 0 || y1 < 0 || x0 > width || y0 > height;
       const across = Math.min(Math.max((x0 + x1) / 2, button.offsetWidth / 2 + 4), width - button.offsetWidth / 2 - 4);
-      const down = y1 + 8 + 40 < height ? y1 + 8 : Math.max(y0 - 48, 4);
+      // below, else above, else within: clear of the buttons in the corner
+      const down = y1 + 48 < height - 54 ? y1 + 8 : y0 > 52 ? y0 - 48 : Math.max(Math.min(y1 - 48, height - 100), 4);
       button.style.transform = `translate(${Math.round(across - button.offsetWidth / 2)}px, ${Math.round(down)}px)`;
     });
   }
@@ -176,15 +195,7 @@ export class Pick {
       write(title, box ? `Box of ${spoken(target)}` : `${spoken(current.part)}${many ? ` of ${spoken(target)}` : ""}`);
       const what = about?.[current.part];
       const placed = store.value(current);
-      const how = placed
-        ? box
-          ? "Drag it, or its handles; arrow keys nudge."
-          : "Drag it, or nudge it by the arrow keys."
-        : box
-          ? `${TOUCH.matches ? "Draw" : "Drag"} across the picture from corner to corner.`
-          : TOUCH.matches
-            ? "Tap it; keep the finger down to look closely."
-            : "Click it in the picture.";
+      const how = HOW[placed ? "placed" : "open"][box ? "box" : "point"][TOUCH.matches ? 1 : 0];
       write($("hint-text"), `${what ? `${what[0].toUpperCase()}${what.slice(1)}. ` : ""}${how}`);
     }
     $("hint").style.setProperty("--hint", current && !store.ended ? colour(store, current.target) : "var(--accent)");

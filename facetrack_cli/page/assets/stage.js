@@ -93,9 +93,8 @@ export class Stage {
       if (length <= room) return (room - length) / 2;
       return Math.min(Math.max(at, room - length - MARGIN), MARGIN);
     };
-    const ratio = this.ratio;
-    view.x = Math.round(lie(view.x, size[0] * view.scale, box.width) * ratio) / ratio;
-    view.y = Math.round(lie(view.y, size[1] * view.scale, box.height) * ratio) / ratio;
+    view.x = lie(view.x, size[0] * view.scale, box.width);
+    view.y = lie(view.y, size[1] * view.scale, box.height);
     this.onview();
     this.draw();
   }

@@ -29,7 +29,7 @@ export class Store extends EventTarget {
     this.bounds = session.frames;
     this.frame = draft.frame;
     this.draft = draft;
-    this.layout = this.#arrange(draft, null);
+    this.layout = this.#arrange(draft);
     this.past = [];
     this.future = [];
     this.live = null; // the state before a gesture that is under way
@@ -66,7 +66,7 @@ export class Store extends EventTarget {
 
   optional(slot) {
     const group = this.group(slot.target);
-    return slot.part === BOX ? group.box !== "needed" : !!group.added;
+    return slot.part === BOX ? group.box !== "needed" : group.extra.includes(slot.part);
   }
 
   isEmpty() {
@@ -187,7 +187,7 @@ export class Store extends EventTarget {
     this.change((draft, layout) => {
       for (const [name, given] of Object.entries(proposal.targets)) {
         const target = as ?? name;
-        if (!this.group(target)) layout.push(stranger(target, Object.keys(given.points ?? {})));
+        if (!this.group(target)) layout.push(this.#stranger(target));
         draft.targets[target] = { ...empty(), box: given.box ?? null, points: { ...given.points } };
       }
     });
@@ -219,15 +219,10 @@ export class Store extends EventTarget {
 
   addTarget(name) {
     this.change((draft, layout) => {
-      layout.push(stranger(name, []));
+      layout.push(this.#stranger(name));
       draft.targets[name] = empty();
     });
-    this.pick({ target: name, part: BOX });
-  }
-
-  addPoint(target, part) {
-    this.change((draft, layout) => layout.find((one) => one.target === target).points.push(part));
-    this.pick({ target, part });
+    this.pick(this.slots().find((slot) => slot.target === name) ?? null);
   }
 
   rename(from, to) {
@@ -301,7 +296,7 @@ export class Store extends EventTarget {
     this.live = null;
     const wasHere = this.isHere();
     this.draft = structuredClone(draft);
-    this.layout = this.#arrange(this.draft, this.layout);
+    this.layout = this.#arrange(this.draft);
     this.#settle();
     if (this.isEmpty()) this.draft.frame = this.frame;
     else if (wasHere) this.show(this.draft.frame);
@@ -309,24 +304,27 @@ export class Store extends EventTarget {
   }
 
   /** The groups of the list: what is wanted, and what the draft has beside it. */
-  #arrange(draft, before) {
-    const wants = this.session.wants.map((want) => ({ ...want, points: [...want.points], added: false }));
+  #arrange(draft) {
+    const { wants, free } = this.session;
+    let groups = wants.map((want) => group(want.target, want));
     const names = Object.keys(draft.targets);
     const strange = names.filter((name) => !wants.some((want) => want.target === name));
-    let groups = wants;
-    if (this.session.free && strange.length) {
-      groups = wants.filter((want) => names.includes(want.target));
-      // the only one that was wanted goes by another name now
-      if (!groups.length && wants.length === 1) groups = [{ ...wants[0], target: strange.shift() }];
-    }
-    groups = [...groups, ...strange.map((name) => stranger(name, []))];
-    for (const group of groups) {
-      const known = before?.find((one) => one.target === group.target)?.points ?? [];
-      const more = [...known, ...Object.keys(draft.targets[group.target]?.points ?? {})];
-      for (const part of more) if (!group.points.includes(part)) group.points.push(part);
+    // where names are free, what is wanted goes by the names that there are
+    if (free && strange.length) groups = groups.filter(({ target }) => names.includes(target));
+    groups.push(...strange.map((name) => this.#stranger(name)));
+    for (const one of groups) {
+      const more = Object.keys(draft.targets[one.target]?.points ?? {}).filter((part) => !one.points.includes(part));
+      one.points.push(...more);
+      one.extra.push(...more);
     }
     return groups;
   }
+
+  // a target of the user's own wants what any target does, where names are free
+  #stranger(target) {
+    const { wants, free } = this.session;
+    return { ...group(target, free && wants.length ? wants[0] : { box: "optional", points: [], about: {} }), added: true };
+  }
 }
 
-const stranger = (target, points) => ({ target, box: "optional", points: [...points], about: {}, added: true });
+const group = (target, { box, points, about }) => ({ target, box, points: [...points], about, extra: [], added: false });
