@@ -17,19 +17,20 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from facetrack_cli.build import build_tracker
-from facetrack_cli.errors import InputError
+from facetrack_cli.errors import FacetrackError, InputError
 from facetrack_cli.fixing.index import Index, read_index
 from facetrack_cli.formats.table import Table
 from facetrack_cli.outputs import VIDEO
 from facetrack_cli.recipe import KINDS, ParticleRecipe, Recipe, shipped_folder, shipped_recipes
-from facetrack_cli.report.header import Header, read_header
+from facetrack_cli.report.header import CORRECTED, Header, read_header
 from facetrack_cli.report.make import trajectory_of
 from facetrack_cli.start import check_start
 from facetrack_cli.trajectory import FORMATS
-from facetrack_cli.types import Correction, Start, TargetStart
+from facetrack_cli.types import Start
 from facetrack_cli.video.images import listing
 
-CORRECTED: Final = "corrected.init.yaml"
+__all__ = ["CORRECTED", "UNSAVED", "Run", "check_size", "open_run"]
+
 UNSAVED: Final = "unsaved.init.yaml"
 
 
@@ -81,7 +82,7 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
         if clip is None and not (path.exists() or listing(path)):
             raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
         recipe = _recipe(main, index.header["recipe"], [Path(), folder, folder.parent, path.parent])
-        start = _start(main, header, index.header["init"])
+        start = _start(main, header)
         _check_rows(main, index, recipe, start, header)
         fps = None if listing(path) is None else Fraction(header.source.fps).limit_denominator(1001)
         return Run(folder, index, header, recipe, start, path, fps)
@@ -141,40 +142,11 @@ def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
 # --- the start -----------------------------------------------------------------------------------------------------
 
 
-def _start(main: Path, header: Header, init: Mapping[str, Any]) -> Start:
-    targets = {
-        name: TargetStart(one.box, dict(one.points), dict(one.windows)) for name, one in header.init.targets.items()
-    }
-    try:
-        corrections = tuple(_correction(one) for one in init.get("corrections", ()))
-        unknown = [one for one in corrections if one.target not in targets or one.frame <= header.init.frame]
-    except (KeyError, TypeError, ValueError, AttributeError):
-        unknown = [Correction(0, "")]
-        corrections = ()
-    if unknown:
-        raise InputError(f"{main}: init.corrections is not as facetrack writes it; make the run again")
-    return Start(header.init.frame, targets, header.init.origin, corrections)
-
-
-def _correction(one: Mapping[str, Any]) -> Correction:
-    """A correction as the header has it."""
-    box = tuple(float(value) for value in one["box"]) if "box" in one else None
-    if box is not None and len(box) != 4:
-        raise ValueError
-    absent = one.get("absent", [])
-    learn = one.get("learn")
-    return Correction(
-        int(one["frame"]),
-        str(one["target"]),
-        TargetStart(box, _points(one.get("points", {}))),
-        _points(one.get("kept", {})),
-        True if absent is True else tuple(map(str, absent)),
-        None if learn is None else bool(learn),
-    )
-
-
-def _points(found: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    return {str(part): (float(x), float(y)) for part, (x, y) in found.items()}
+def _start(main: Path, header: Header) -> Start:
+    start = header.init.start
+    if any(one.target not in start.targets or one.frame <= start.frame for one in start.corrections):
+        raise InputError(f"{main}: init.corrections is not as facetrack run writes it; make the run again")
+    return start
 
 
 # --- the rows ------------------------------------------------------------------------------------------------------
@@ -185,8 +157,8 @@ def _check_rows(main: Path, index: Index, recipe: Recipe, start: Start, header: 
     try:
         check_start(start, header.source.size, recipe.points)
         tracker = build_tracker(recipe, replace(start, corrections=()))
-    except InputError as e:
-        raise InputError(f"{main}: its start does not fit its recipe: {e}") from None
+    except FacetrackError as e:
+        raise InputError(f"{main}: its start and its recipe do not go together: {e}") from None
     expected = {target.name: target.parts for target in tracker}
     if expected != dict(index.parts) or tuple(expected) != index.targets:
         there, wanted = (
