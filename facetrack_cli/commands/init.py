@@ -138,10 +138,12 @@ def _pick(
     from facetrack_cli.video.seek import Frames
 
     recipe = None if config is None else load_recipe(config)
-    begun = None
-    if path is not None and path.is_file():
+    kept = _unsaved_path(clip, path)
+    begun, goes_on = None, box is None and kept.is_file()
+    source = kept if goes_on else path
+    if source is not None and source.is_file():
         try:
-            begun = read_init(path)
+            begun = read_init(source)
         except InputError as e:  # it will be replaced in any case
             click.echo(f"facetrack: warning: {e}; the page begins without it", err=True)
     with Frames(clip) as frames, Stop().listening() as stop:
@@ -160,8 +162,10 @@ def _pick(
         )
         run_page(session, stop, lambda line: click.echo(line, err=True), port=port, browse=browse)
     if session.ended is None:
-        click.echo(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), clip, path)}", err=True)
+        click.echo(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), clip, kept)}", err=True)
         return stop.code if stop.code is not None else ExitCode.FAULT
+    if goes_on:
+        kept.unlink(missing_ok=True)
     if path is None and session.saved is not None:
         write_init(sys.stdout, session.saved, clip=clip.name)
     for line in session.ended["said"]:
@@ -170,19 +174,27 @@ def _pick(
     return ExitCode.DONE
 
 
-def _keep_unsaved(start: Start | None, clip: Path, path: Path | None) -> str:
-    """Write what was chosen and not saved beside the file that it was for; what became of it."""
-    from facetrack_cli.start import default_path, write_init
+def _unsaved_path(clip: Path, path: Path | None) -> Path:
+    """Where what was chosen and not saved is kept: beside the file that it was for."""
+    from facetrack_cli.start import default_path
 
+    beside = path if path is not None else default_path(clip)
+    return beside.with_name(f"{beside.stem}.unsaved.yaml")
+
+
+def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:
+    """Write what was chosen and not saved, if anything was; what became of it."""
+    from facetrack_cli.start import write_init
+
+    if start is None and kept.is_file():
+        return f"what was chosen the last time is still in {kept}"
     if start is None:
         return "nothing was written"
-    beside = path if path is not None else default_path(clip)
-    kept = beside.with_name(f"{beside.stem}.unsaved.yaml")
     try:
         write_init(kept, start, clip=clip.name, overwrite=True)
     except OutputError as e:
         return f"what was chosen is lost: {e}"
-    return f"what was chosen is kept in {kept}; go on with: facetrack init {clip} --pick -o {kept} --overwrite"
+    return f"what was chosen is kept in {kept}; the same command goes on with it"
 
 
 def _check_outputs(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:

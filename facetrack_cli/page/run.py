@@ -27,10 +27,8 @@ def run_page(
         while not (session.over() or stop()):
             time.sleep(POLL_S)
     if session.first_fault is not None:
-        error = session.first_fault
-        say(
-            f"facetrack: warning: an error of ours, not yours, while the page was open: {type(error).__name__}: {error}"
-        )
+        told = f"{type(session.first_fault).__name__}: {session.first_fault}"
+        say(f"facetrack: warning: while the page was open, an error that is our fault, not yours: {told}")
 
 
 def _browse(url: str, say: Callable[[str], None]) -> None:
