@@ -88,12 +88,13 @@ class Pictures:
             mine.set_exception(error)
             raise
         else:
+            with self._lock:
+                self.encoded += 1
             self._recent.put(key, data, len(data))
             mine.set_result(data)
             return data
         finally:
             with self._lock:
-                self.encoded += 1
                 del self._under_way[key]
 
 

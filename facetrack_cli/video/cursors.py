@@ -47,7 +47,8 @@ class _Cursor:
 class Approach:
     """Comes nearer to a frame of a video file, and puts it into `recent`, with its time, once it is there.
 
-    `end` is the number of frames once it is certain; `last` the frame that was asked for last; `decoded` counts frames.
+    `end` is the number of frames once it is certain; `last` the frame that was asked for last; `decoded` counts frames
+    and `jumps` seeks.
     `gives_way` says of a ticket whether somebody else should have the turn. Only `stop` may be called out of turn.
     """
 
@@ -61,7 +62,7 @@ class Approach:
     ):
         self._path, self._shape, self._recent, self._gives_way = path, (size[1], size[0], 3), recent, gives_way
         self.end: int | None = None
-        self.decoded = self.last = self._reached = self._uses = 0
+        self.decoded = self.jumps = self.last = self._reached = self._uses = 0
         self._period = float(1 / fps)
         self._back = max(recent.most_bytes * 3 // 4 // math.prod(self._shape), 1)
         self._careful = False  # frames differ in size, so each is looked at
@@ -201,6 +202,7 @@ class Approach:
         stamps = self._stamps
         if stamps is None:
             raise _LostError
+        self.jumps += 1
         cursor = self._spare()
         rate = cursor.capture.get(cv2.CAP_PROP_FPS)
         ahead = math.ceil(entry * rate - 1e-6) if stamps.indexed else math.floor(entry * rate) - 1

@@ -29,7 +29,8 @@ _KEY, _CORRUPT, _DISCARD = 1, 2, 4  # libavcodec's flags of a packet
 _REORDERED = 64  # no codec shows a picture so many packets before or after its turn
 _NO_TIME = -(2**63)
 # harmless: what is said of a stream that begins in the middle, and of a file whose end is missing
-_HARMLESS = re.compile(r"non-existing [SP]PS|no frame!|message repeated|partial file|ended prematurely")
+_CUT = re.compile(r"partial file|ended prematurely")
+_HARMLESS = re.compile(rf"non-existing [SP]PS|no frame!|message repeated|{_CUT.pattern}")
 # these filters change nothing, but parse the headers of every picture and complain of those that make no sense
 _CHECKS = {
     "h264": "h264_metadata",
@@ -88,7 +89,12 @@ class Reader:
         if self._stopped or first is None or packets is None:
             return None
         if any(line.strip() and not _HARMLESS.search(line) for line in messages.splitlines()):
-            return None
+            if not check or not _CUT.search(messages):
+                return None
+            # of a file whose end is missing the last packet may make no sense, but no other
+            plain, messages = self._run(("-copyinkf", "-c", "copy"), _packets)
+            if plain is None or not np.array_equal(plain.pts[:-1], packets.pts[: len(plain.pts) - 1]):
+                return None
         with self._path.open("rb") as file:
             head = file.read(12)
         return _stamps(packets, first, first_position, head)
