@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -12,12 +13,13 @@ from facetrack_cli.errors import FacetrackError, InputError
 from facetrack_cli.page.draft import Draft, Json
 from facetrack_cli.recipe import ParticleRecipe, ParticlesRecipe, Recipe, SkinCloud, load_recipe
 from facetrack_cli.start import PARTS, check_size, check_start, name_targets, read_init, write_init
-from facetrack_cli.start.files import TARGET
+from facetrack_cli.start.files import KEYS, OF_CORRECTIONS, TARGET
 from facetrack_cli.start.init_text import WHAT_PARTS_ARE
 from facetrack_cli.types import Start, TargetStart
 
 ORIGIN: Final = "the page"
 DEFAULT: Final = "factorized"  # the recipe of `facetrack run` without --config
+_TAKEN: Final = ("frame", "corrections", *KEYS, *OF_CORRECTIONS)
 _ABOUT_BOXES: Final = (
     ("hand", "the whole hand, from the wrist to the finger tips"),
     ("head", "the face of this head, from the brows to the chin"),
@@ -80,6 +82,9 @@ def start_of(
     if recipe is not None:
         chosen = {name: one for name, one in chosen.items() if name not in recipe.left_out}
     _check_complete(chosen, wanted, free=recipe is None or not recipe.followed)
+    odd = [name for name in chosen if get_close_matches(name, _TAKEN, n=1, cutoff=0.7)]
+    if odd:
+        raise LackingError(f"a target cannot be called {odd[0]}, too like a key of init files; rename it")
     start = carried(Start(draft.frame, chosen, ORIGIN), begun)
     try:
         if recipe is not None:
@@ -169,7 +174,7 @@ def _without_gallery(recipe: Recipe) -> Recipe:
 
 
 def _check_written(start: Start) -> None:
-    """InputError if a file of this start would not be read back as it is: the name of a target may be that of a key."""
+    """InputError if a file of this start would not be read back as it is."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "start.yaml"
         write_init(path, start)
