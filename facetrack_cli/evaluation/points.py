@@ -62,7 +62,8 @@ class Occlusion:
 
     `first` and `last` are its frames. `frames_to_return`: from the first frame after it to the first of 5 rows in a row
     in which every part that was covered is near; None if there is none before the next occlusion or the end.
-    `decided` is False where fewer than 5 rows follow of which it is known whether those parts are near.
+    `decided` is False where fewer than 5 rows follow of which it is known whether those parts are near, and where a
+    correction of them came before they were back.
     """
 
     target: str
@@ -149,17 +150,18 @@ def _of_target(target: str, parts: Sequence[Rows]) -> list[Occlusion]:
     frames = np.unique(joined(parts, "frame"))
     # a part without a row in a frame is not known to be covered there, nor to be near
     covered = np.zeros((len(frames), len(parts)), dtype=np.bool_)
-    near, judged = np.zeros_like(covered), np.zeros_like(covered)
+    near, judged, by_hand = np.zeros_like(covered), np.zeros_like(covered), np.zeros_like(covered)
     for k, part in enumerate(parts):
         at = np.searchsorted(frames, part.frame)
         covered[at, k] = part.covered
-        near[at, k], judged[at, k] = part.near, part.judged
+        near[at, k], judged[at, k], by_hand[at, k] = part.near, part.judged, part.by_hand
     stretches = list(spans(np.any(covered, axis=1)))
     nexts = [*[first for first, _ in stretches], len(frames)][1:]
     found = []
     for (first, end), until in zip(stretches, nexts, strict=True):
         those = np.flatnonzero(covered[first:end].any(axis=0))
         runs = [(a, b) for a, b in spans(np.all(near[end:until, those], axis=1)) if b - a >= HELD]
+        helped = by_hand[first : end + runs[0][0] + 1 if runs else until, those].any()
         found.append(
             Occlusion(
                 target=target,
@@ -167,7 +169,7 @@ def _of_target(target: str, parts: Sequence[Rows]) -> list[Occlusion]:
                 first=int(frames[first]),
                 last=int(frames[end - 1]),
                 frames_to_return=int(frames[end + runs[0][0]] - frames[end]) if runs else None,
-                decided=int(judged[end:until, those].all(axis=1).sum()) >= HELD,
+                decided=int(judged[end:until, those].all(axis=1).sum()) >= HELD and not bool(helped),
             )
         )
     return found

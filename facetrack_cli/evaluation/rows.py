@@ -71,6 +71,11 @@ class Rows:
         return self.hidden | self.absent
 
     @property
+    def by_hand(self) -> Mask:
+        """(R,) said by a correction: where it is, or that it is absent."""
+        return self.later | self.left_out
+
+    @property
     def error(self) -> Array:
         """(R,) pixels; nan where the true position is not known, infinite where ours alone is missing."""
         error = np.hypot(self.offset[:, 0], self.offset[:, 1])

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from facetrack_cli.evaluation.rows import Figure, Rows, joined, share, spans
-from facetrack_cli.formats.table import Mask
+from facetrack_cli.formats.table import Mask, Whole
 from facetrack_cli.types import Array
 
 BINS = 10
@@ -126,11 +126,12 @@ class Trust:
 def measure_trust(parts: Sequence[Rows]) -> Trust:
     """All rows of one or more parts together."""
     later = [part.take(~part.init) for part in parts]
-    return Trust(measure_lost(later), measure_confidence(later), measure_coverage(later))
+    return Trust(measure_lost(parts), measure_confidence(later), measure_coverage(later))
 
 
 def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
-    """`lost` against the truth; None if no row has a status."""
+    """`lost` against the truth; None if no row has a status. Delays are of spans in which no correction helped."""
+    by_hand = [part.frame[part.by_hand] for part in parts]
     parts = [part.take(part.told) for part in parts]
     lost, visible, covered, near, judged = (
         joined(parts, name) for name in ("lost", "visible", "covered", "near", "judged")
@@ -140,13 +141,15 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
     until_lost: list[int] = []
     until_back: list[int] = []
     count = 0
-    for part in parts:
+    for part, helped in zip(parts, by_hand, strict=True):
         for first, end in spans(part.covered):
             count += 1
-            called = np.flatnonzero(part.lost[first:end])
-            back = np.flatnonzero(~part.lost[end:] & part.near[end:])
-            until_lost += (part.frame[first:end][called[:1]] - part.frame[first]).tolist()
-            until_back += (part.frame[end:][back[:1]] - part.frame[end : end + 1]).tolist()
+            called = part.frame[first:end][part.lost[first:end]][:1]
+            back = part.frame[end:][~part.lost[end:] & part.near[end:]][:1]
+            if not _any_within(helped, part.frame[first], called):
+                until_lost += (called - part.frame[first]).tolist()
+            if not _any_within(helped, part.frame[first], back):
+                until_back += (back - part.frame[end : end + 1]).tolist()
     known = covered | judged  # a hidden row is gone, wherever it is
     gone = covered | (judged & ~near)
     return LostMeasures(
@@ -165,6 +168,11 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
         delay_lost=float(np.median(until_lost)) if until_lost else None,
         delay_back=float(np.median(until_back)) if until_back else None,
     )
+
+
+def _any_within(frames: Whole, first: int, last: Whole) -> bool:
+    """Whether any frame is from `first` to `last` (1,); False where there is no last."""
+    return bool(len(last)) and bool(np.any((frames >= first) & (frames <= last[0])))
 
 
 def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:

@@ -72,6 +72,14 @@ class Series:
         """(T, 4): left, top, width, height; a box over whole pixels has its centre at left + (w - 1) / 2."""
         return np.stack([self.x - (self.w - 1) / 2, self.y - (self.h - 1) / 2, self.w, self.h], axis=1)
 
+    @property
+    def corrected(self) -> Mask:
+        """(T,) rows that corrections gave; a CSV shows them as `init` after the first row, or where `absent` begins."""
+        absent = self.status == "absent"
+        shown = (self.status == "init") | (absent & ~np.concatenate([absent[:1], absent[:-1]]))
+        found: Mask = self.by_hand | (shown & (np.arange(len(self)) > 0))
+        return found
+
     def take(self, rows: Whole | Mask) -> Series:
         """These rows alone."""
         arrays: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 MANY = 12  # parts that have a line of their own in every panel
 TRACKED = "#D5E4EE"
+CORRECTED: dict[str, Any] = {
+    "marker": "^", "color": INK, "linestyle": "none", "markersize": 5, "clip_on": False, "zorder": 5,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -141,9 +144,11 @@ class Pen:
                 axes.axvspan(start, end, color=colour, alpha=alpha, linewidth=0, zorder=0.5)
 
     def status(self, axes: Axes, lines: Sequence[Line]) -> None:
-        """A row a part: pale where tracked, vermilion where lost, a diamond at its start; below it what truth says.
+        """A row a part: pale where tracked, vermilion where lost, grey where absent, a diamond where it was given.
 
-        Of many parts there is room for what is lost alone.
+        Below it stands what truth says.
+
+        Of many parts there is room for what is lost or absent alone.
         """
         many = len(lines) > MANY
         truth = not many and any(line.pair is not None for line in lines)
@@ -152,6 +157,7 @@ class Pen:
             s = line.ours
             self._bars(axes, s.frame, (s.status == "tracked") | (s.status == "init"), (row + top, tall), TRACKED)
             self._bars(axes, s.frame, s.status == "lost", (row + top, tall), LOST)
+            self._bars(axes, s.frame, s.status == "absent", (row + top, tall), ABSENT)
             if many:
                 continue
             if line.pair is not None:
@@ -172,6 +178,11 @@ class Pen:
             )
         for label, line in zip(axes.get_yticklabels(), lines, strict=False):
             label.set(fontsize=7.5, color=line.colour)
+
+    def corrections(self, axes: Axes, lines: Sequence[Line]) -> None:
+        """Small triangles below the axis of time, at the frames in which something was put right by hand."""
+        frames = np.unique(np.concatenate([line.ours.frame[line.ours.corrected] for line in lines]))
+        axes.plot(frames, np.zeros(len(frames)), transform=axes.get_xaxis_transform(), **CORRECTED)
 
     def _bars(self, axes: Axes, frame: Whole, mask: Mask, place: tuple[float, float], colour: str) -> None:
         found = spans(frame, mask, self.least)

@@ -15,7 +15,7 @@ from facetrack_cli.evaluation.boxes import iou
 from facetrack_cli.evaluation.rows import is_box
 from facetrack_cli.formats.table import Series, Table
 from facetrack_cli.plots.data import frames_of, quantiles
-from facetrack_cli.plots.lines import MANY, Line, Panel, Pen, columns_for, limit, lines_of, numbers
+from facetrack_cli.plots.lines import CORRECTED, MANY, Line, Panel, Pen, columns_for, limit, lines_of, numbers
 from facetrack_cli.plots.style import (
     ABSENT,
     FAINT,
@@ -104,7 +104,8 @@ class _Page:
         bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS
         self.pen = Pen(bins, float(frames[-1] - frames[0] + 1) / BINS)
         self.ours_told = any((line.ours.status != "").any() for line in self.lines)
-        self.ever_lost = self._ever("lost")
+        self.ever_lost, self.ever_absent = self._ever("lost"), self._ever("absent")
+        self.corrected = np.unique(np.concatenate([line.ours.frame[line.ours.corrected] for line in self.lines]))
 
     def figure(self, title: str) -> Figure:
         from matplotlib.legend_handler import HandlerTuple
@@ -150,6 +151,8 @@ class _Page:
         for axes, panel in zip(column, panels, strict=True):
             panel.draw(axes)
             axes.tick_params(bottom=False, left=False)
+        if len(self.corrected):
+            self.pen.corrections(column[-1], self.lines)
         timed = set_time(column[0], column[-1], self.table, max(3, min(11, int(1.1 * self.width))))
         for axes, panel in zip(column, panels, strict=True):
             heading(axes, panel.title, self._fitting(panel), 13 if timed and axes is column[0] else 0)
@@ -174,6 +177,10 @@ class _Page:
             found["truth"] = Line2D([], [], **_TRUTH)
         if self.ever_lost:
             found["lost"] = Patch(color=LOST, linewidth=0)
+        if self.ever_absent:
+            found["absent"] = Patch(color=ABSENT, linewidth=0)
+        if len(self.corrected):
+            found["put right by hand"] = Line2D([], [], **CORRECTED)
         for status, colour in (("hidden", HIDDEN), ("absent", ABSENT)) if not self.many else ():
             if any((pair.truth.status == status).any() for pair in self.pairs):
                 found[f"{status} in truth"] = Patch(color=colour, linewidth=0)
@@ -199,6 +206,8 @@ class _Page:
             share = f"{percent:.0f} %" if percent >= 9.95 else f"{max(percent, 0.1):.1f} %"
             over = "frames" if len(lost) == 1 else f"rows, {sum(map(bool, lost))} of {len(lost)} parts"
             said.append(f"lost in {share} of {over}" if any(lost) else "never lost")
+        if len(self.corrected):
+            said.append(f"put right by hand in {len(self.corrected):,} of them")
         if self.pairs:
             # as eval counts: what is hidden stands apart
             seen = [~np.isin(pair.truth.status, ("hidden", "absent")) for pair in self.pairs]
@@ -222,7 +231,8 @@ class _Page:
 
         truth = "dotted: truth" if self.pairs and not self.many else ""
         bands = "median, middle 80 % and range of the parts" if self.many else ""
-        lost = self._shaded("lost") if self.ever_lost else ""
+        shown = [status for status, ever in (("lost", self.ever_lost), ("absent", self.ever_absent)) if ever]
+        lost = self._shaded(" or ".join(shown)) if shown else ""
         sizes = [line.ours for line in self.lines] + [pair.truth for pair in self.pairs if not self.many]
         still = all(_reach(size(s)) < 0.01 for s in sizes)
         turns = any(_reach(line.ours.angle) > 0 for line in self.lines)
@@ -290,8 +300,9 @@ class _Page:
         axes.invert_yaxis()
 
     def _confidence(self, axes: Axes) -> None:
-        if self.ever_lost:
-            self.pen.shade(axes, [(line.ours.frame, line.ours.status == "lost") for line in self.lines], LOST)
+        for ever, status, colour in ((self.ever_lost, "lost", LOST), (self.ever_absent, "absent", ABSENT)):
+            if ever:
+                self.pen.shade(axes, [(line.ours.frame, line.ours.status == status) for line in self.lines], colour)
         values = np.concatenate([line.ours.confidence for line in self.lines])
         usual = bool(np.nanmin(values) >= 0 and np.nanmax(values) <= 1)
         self._positive(axes, _confidence, (-0.03, 1.06) if usual else None)

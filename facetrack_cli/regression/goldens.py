@@ -31,8 +31,10 @@ from facetrack_cli.formats.table import Table
 from facetrack_cli.regression import bands, paths
 from facetrack_cli.regression.bands import QUANTITIES, Name, Statistic
 from facetrack_cli.regression.names import names
+from facetrack_cli.report.header import CorrectionHeader
 from facetrack_cli.start.files import write_new
-from facetrack_cli.types import Array, Start, TargetStart
+from facetrack_cli.start.init_text import members_of
+from facetrack_cli.types import Array, Correction, Start, TargetStart
 from facetrack_cli.video.images import listing
 
 FOLDER: Final = "goldens"
@@ -211,6 +213,11 @@ def _text(golden: Golden) -> str:
                 }
                 for name, target in golden.start.targets.items()
             },
+            **(
+                {"corrections": [_put_right(one) for one in golden.start.corrections]}
+                if golden.start.corrections
+                else {}
+            ),
         },
         "stop": golden.stop,
         "seeds": {"first": FIRST_SEED, "recorded": len(golden.recorded), "tested": golden.tested},
@@ -242,6 +249,10 @@ def _list(values: Array) -> list[float | None]:
     return [None if math.isnan(v) else round(v, 1) for v in values.tolist()]
 
 
+def _put_right(one: Correction) -> dict[str, Any]:
+    return {"frame": one.frame, "target": one.target, **members_of(one)}
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -265,6 +276,7 @@ class _Target(_Strict):
 class _Start(_Strict):
     frame: int = Field(ge=0)
     targets: dict[str, _Target] = Field(min_length=1)
+    corrections: tuple[CorrectionHeader, ...] = ()
 
 
 class _Seeds(_Strict):
@@ -328,6 +340,7 @@ def read_golden(path: Path) -> Golden:
             file.start.frame,
             {name: TargetStart(t.box, t.points, t.windows) for name, t in file.start.targets.items()},
             str(path),
+            tuple(one.correction for one in file.start.corrections),
         ),
         stop=file.stop,
         tested=file.seeds.tested,

@@ -1,7 +1,7 @@
 """What happened in a run: when each part was lost and found again, and which frames show it best.
 
 Frames are source frames; a lost span runs from the frame in which a part was called lost up to, not including, the
-frame in which it was tracked again.
+frame in which it was tracked again, put right by hand, or said to be absent.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import numpy as np
 from facetrack_cli.formats.table import Mask, Series, Table, Whole
 from facetrack_cli.types import Array
 
-Kind: TypeAlias = Literal["start", "lost", "back", "worst", "end"]
+Kind: TypeAlias = Literal["start", "corrected", "lost", "back", "worst", "end"]
 MOST_PICTURES: Final = 12
+_HAPPENED: Final[tuple[Kind, ...]] = ("corrected", "lost", "back")
 _OF_EPISODES: Final = 2 / 3  # of the pictures beside start, worst and end, where there are too many events
 
 
@@ -50,7 +51,8 @@ class Clock:
 class LostSpan(NamedTuple):
     """One part lost once: from frame `first` to frame `last`; tracked again in `back`, None if never.
 
-    `lowest` is its least confidence in the span, nan if there is none.
+    `lowest` is its least confidence in the span, nan if there is none. `by_hand`: a correction ended it, by giving the
+    part in `back`, or by saying that it is absent.
     """
 
     name: str
@@ -60,6 +62,15 @@ class LostSpan(NamedTuple):
     frames: int
     seconds: float
     lowest: float
+    by_hand: bool = False
+
+
+class Corrected(NamedTuple):
+    """A frame in which parts were put right by hand: those `given`, and those from then on `absent`."""
+
+    frame: int
+    given: tuple[str, ...]
+    absent: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -67,6 +78,7 @@ class PartStory:
     """How one part fared. `worst` is the frame of its lowest confidence; confidences are nan where there are none.
 
     `told` is whether the tracker says anything of its status after the first frame, or would: it has a confidence.
+    `absences` are the stretches (first, last) in which it is not to be seen, `frames_absent` how many frames that is.
     """
 
     name: str
@@ -77,6 +89,8 @@ class PartStory:
     worst: int
     last_status: str
     told: bool
+    absences: tuple[tuple[int, int], ...] = ()
+    frames_absent: int = 0
 
     @property
     def frames_lost(self) -> int:
@@ -96,6 +110,7 @@ class Event(NamedTuple):
 
     kind: Kind
     spans: tuple[LostSpan, ...] = ()
+    corrected: Corrected | None = None
 
 
 class KeyFrame(NamedTuple):
@@ -111,6 +126,7 @@ class Story:
     episodes: tuple[tuple[int, int], ...]
     frames_lost: int
     worst: int | None
+    corrections: tuple[Corrected, ...] = ()
 
     @property
     def spans(self) -> list[LostSpan]:
@@ -120,6 +136,21 @@ class Story:
     @property
     def lost_at_end(self) -> tuple[str, ...]:
         return tuple(part.name for part in self.parts if part.last_status == "lost")
+
+    @property
+    def absent_at_end(self) -> tuple[str, ...]:
+        return tuple(part.name for part in self.parts if part.last_status == "absent")
+
+    @property
+    def events(self) -> dict[tuple[int, Kind], Event]:
+        """What happened after the start, by frame and kind: lost, tracked again, put right by hand."""
+        found: dict[tuple[int, Kind], list[LostSpan]] = {}
+        for span in self.spans:
+            found.setdefault((span.first, "lost"), []).append(span)
+            if span.back is not None and not span.by_hand:
+                found.setdefault((span.back, "back"), []).append(span)
+        events = {(frame, kind): Event(kind, tuple(spans)) for (frame, kind), spans in found.items()}
+        return events | {(one.frame, "corrected"): Event("corrected", corrected=one) for one in self.corrections}
 
 
 def tell(table: Table, clock: Clock) -> Story:
@@ -137,7 +168,17 @@ def tell(table: Table, clock: Clock) -> Story:
     mean = np.divide(total, known, out=np.full(len(total), np.inf), where=known > 0)
     episodes = tuple((int(clock.frames[a]), int(clock.frames[b])) for a, b in stretches(any_lost))
     worst = int(clock.frames[np.argmin(mean)]) if (known > 0).any() else None
-    return Story(parts, episodes, int(any_lost.sum()), worst)
+    names = [part.name for part in parts]
+    return Story(parts, episodes, int(any_lost.sum()), worst, _corrections(table, names))
+
+
+def _corrections(table: Table, names: Sequence[str]) -> tuple[Corrected, ...]:
+    found: dict[int, tuple[list[str], list[str]]] = {}
+    for series, name in zip(table.series, names, strict=True):
+        for at in np.flatnonzero(series.corrected).tolist():
+            given, absent = found.setdefault(int(series.frame[at]), ([], []))
+            (absent if series.status[at] == "absent" else given).append(name)
+    return tuple(Corrected(frame, tuple(given), tuple(absent)) for frame, (given, absent) in sorted(found.items()))
 
 
 def stretches(mask: Mask) -> list[tuple[int, int]]:
@@ -152,15 +193,31 @@ def _part(series: Series, name: str, clock: Clock) -> PartStory:
     for a, b in stretches(series.status == "lost"):
         back = int(frames[b + 1]) if b + 1 < len(frames) else None
         end = clock.at(back) if back is not None else clock.after(int(frames[b]))
+        by_hand = back is not None and bool(series.corrected[b + 1])
+        back = None if back is not None and series.status[b + 1] == "absent" else back
         low = _least(sure[a : b + 1])
         spans.append(
-            LostSpan(name, int(frames[a]), int(frames[b]), back, b - a + 1, end - clock.at(int(frames[a])), low)
+            LostSpan(
+                name, int(frames[a]), int(frames[b]), back, b - a + 1, end - clock.at(int(frames[a])), low, by_hand
+            )
         )
     tracked = sure[(series.status != "init") & np.isfinite(sure)]
     worst = int(frames[np.nanargmin(sure)]) if np.isfinite(sure).any() else int(frames[0])
     told = bool((series.status != "init").any() or np.isfinite(sure).any())
     mean = float(tracked.mean()) if len(tracked) else math.nan
-    return PartStory(name, len(series), tuple(spans), mean, _least(sure), worst, str(series.status[-1]), told)
+    gone = series.status == "absent"
+    return PartStory(
+        name=name,
+        rows=len(series),
+        spans=tuple(spans),
+        mean=mean,
+        lowest=_least(sure),
+        worst=worst,
+        last_status=str(series.status[-1]),
+        told=told,
+        absences=tuple((int(frames[a]), int(frames[b])) for a, b in stretches(gone)),
+        frames_absent=int(gone.sum()),
+    )
 
 
 def _least(values: Array) -> float:
@@ -172,15 +229,11 @@ def key_frames(story: Story, first: int, last: int, most: int = MOST_PICTURES) -
     """The frames to show, at most `most`, in their order.
 
     Always the first, the last, and the one whose parts have the lowest confidence on average; and, if they are few
-    enough, every frame in which a part was called lost or was tracked again. Otherwise, of the longest stretches in
-    which any part was lost, the frames where they begin and end; then, one by one, the event furthest in time from all
-    those taken.
+    enough, every frame in which a part was called lost, was tracked again or was put right by hand. Otherwise, of the
+    longest stretches in which any part was lost, the frames where they begin and end; then, one by one, the event
+    furthest in time from all those taken.
     """
-    found: dict[tuple[int, Kind], list[LostSpan]] = {}
-    for span in story.spans:
-        found.setdefault((span.first, "lost"), []).append(span)
-        if span.back is not None:
-            found.setdefault((span.back, "back"), []).append(span)
+    found = story.events
     events = sorted({frame for frame, _ in found})
     taken = {first, last, *([] if story.worst is None else [story.worst])}
     if len(taken.union(events)) <= most:
@@ -195,7 +248,7 @@ def key_frames(story: Story, first: int, last: int, most: int = MOST_PICTURES) -
     shown = []
     for frame in sorted(taken):
         why = [Event(kind) for at, kind in fixed[:1] if at == frame]
-        why += [Event(kind, tuple(found[frame, kind])) for kind in ("lost", "back") if (frame, kind) in found]
+        why += [found[frame, kind] for kind in _HAPPENED if (frame, kind) in found]
         why += [Event(kind) for at, kind in fixed[1:] if at == frame]
         shown.append(KeyFrame(frame, tuple(why)))
     return shown

@@ -255,6 +255,7 @@ def _part(series: Series, at: int, view: View, zoom: float) -> PartResult:
         confidence=_known(series.confidence[at]),
         cov=(sx * sx, 0.0, sy * sy) if math.isfinite(sx * sy) else None,  # rows hold no covariance of x with y
         angle=_known(series.angle[at]),
+        by_hand=bool(series.corrected[at]),
     )
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import shlex
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, Field, ValidationError
 from ruamel.yaml import YAML
@@ -19,10 +21,12 @@ from facetrack_cli.errors import FacetrackError, InputError
 from facetrack_cli.formats.table import Table
 from facetrack_cli.recipe import load_recipe, shipped_recipes, to_dict
 from facetrack_cli.start import read_init
-from facetrack_cli.types import Box, Point
+from facetrack_cli.start.init_text import as_yaml
+from facetrack_cli.types import Box, Correction, Point, Start, TargetStart
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.source import FOLDER_FPS
 
+CORRECTED: Final = "corrected.init.yaml"
 _Positive = Annotated[int, Field(gt=0)]
 
 
@@ -38,10 +42,31 @@ class TargetHeader(BaseModel):
     windows: dict[str, Point] = {}
 
 
+class CorrectionHeader(BaseModel):
+    frame: int
+    target: str
+    box: Box | None = None
+    points: dict[str, Point] = {}
+    kept: dict[str, Point] = {}
+    absent: Literal[True] | tuple[str, ...] = ()
+    learn: bool | None = None
+
+    @property
+    def correction(self) -> Correction:
+        given = TargetStart(self.box, self.points)
+        return Correction(self.frame, self.target, given, self.kept, self.absent, self.learn)
+
+
 class InitHeader(BaseModel):
     origin: Annotated[str, Field(alias="from")]
     frame: int
     targets: dict[str, TargetHeader]
+    corrections: tuple[CorrectionHeader, ...] = ()
+
+    @property
+    def start(self) -> Start:
+        targets = {name: TargetStart(one.box, one.points, one.windows) for name, one in self.targets.items()}
+        return Start(self.frame, targets, self.origin, tuple(one.correction for one in self.corrections))
 
 
 class Header(BaseModel):
@@ -121,16 +146,23 @@ def _tree(value: Any, depth: int) -> Any:
     return found
 
 
+def init_yaml(header: Header) -> str:
+    """Where the run began, and what was put right, as an init file."""
+    return as_yaml(header.init.start, header.clip_name)
+
+
 # --- the command -------------------------------------------------------------------------------------------------
 
 
-def command(header: Header, last: int) -> str:
+def command(header: Header, last: int, folder: Path | None = None) -> str:
     """The command line that makes the run again, up to the frame `last`.
 
-    A recipe that is a shipped one, some keys apart, is written as that; another as the file NAME.yaml.
+    A recipe that is a shipped one, some keys apart, is written as that; another as the file NAME.yaml. Corrections
+    come with the init file that the run began with, if they stand in it, else with the one in the run's `folder`; else
+    with a file `CORRECTED`, which is to be made of `init_yaml`.
     """
     words = ["facetrack", "run", header.source.path, *_recipe_words(header), "--seed", str(header.seed)]
-    words += [*_init_words(header.init), "--stop", str(last + 1), *_rate_words(header.source), "-o", "again"]
+    words += [*_init_words(header.init, folder), "--stop", str(last + 1), *_rate_words(header.source), "-o", "again"]
     return shlex.join(words)
 
 
@@ -176,8 +208,16 @@ def _inline(value: Any) -> str:
     return _dump(CommentedSeq([_tree(value, 2)])).strip().removeprefix("- ")
 
 
-def _init_words(init: InitHeader) -> list[str]:
+def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
     at = ["--init-frame", str(init.frame)]
+    if init.corrections:
+        beside = [] if folder is None else [str(folder / CORRECTED)]
+        for name in (init.origin, *beside):
+            with contextlib.suppress(FacetrackError):
+                found = read_init(Path(name))
+                if _put_right(found) == _put_right(init.start):
+                    return ["--init", name, *([] if found.frame == init.frame else at)]
+        return ["--init", CORRECTED]
     first = next(iter(init.targets.values()), None)
     if init.origin == "haar":
         return ["--init", "haar", *(at if init.frame else [])]
@@ -188,6 +228,11 @@ def _init_words(init: InitHeader) -> list[str]:
     except FacetrackError:
         same = False
     return ["--init", init.origin, *([] if same else at)]
+
+
+def _put_right(start: Start) -> list[Correction]:
+    """The corrections, whatever the targets are called: a recipe may call a face the head."""
+    return [replace(one, target="") for one in start.corrections]
 
 
 def _rate_words(source: ClipHeader) -> list[str]:

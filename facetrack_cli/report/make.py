@@ -86,7 +86,7 @@ def make_report(
         keys=keys,
         pictures=found,
         plot=_plot(table, pairs, title),
-        command=command(header, int(clock.frames[-1])),
+        command=command(header, int(clock.frames[-1]), run),
         truth=measured,
     )
     return Page(render(content), tuple(found.notes))

@@ -9,19 +9,21 @@ import numpy as np
 
 from facetrack_cli import __version__
 from facetrack_cli.report.content import Content, Truth
-from facetrack_cli.report.events import KeyFrame, Story
-from facetrack_cli.report.header import Header, TargetHeader, needs_file, recipe_yaml
+from facetrack_cli.report.events import KeyFrame, LostSpan, Story
+from facetrack_cli.report.header import CORRECTED, Header, TargetHeader, init_yaml, needs_file, recipe_yaml
 from facetrack_cli.report.html import Html, Image, join, page, pairs, section, table, tag, void
 from facetrack_cli.report.summary import MOST_PARTS, summary
 from facetrack_cli.report.text import (
     at_clock,
     lasting,
+    names,
     number,
     rate,
     why,
 )
 
 MOST_SPANS = 100  # rows of the table of lost spans
+_CORRECTED = " A filled diamond is what a correction gave; what is absent is not drawn."
 _LEGEND = (
     "A solid window with a dot is a part that is tracked, a dashed one with a cross a part called lost, a diamond "
     "where the track began. The line is the way of the last second, the ellipse two standard deviations of the "
@@ -72,40 +74,38 @@ def _key_frames(content: Content) -> Html:
         "clip": f"Frames of {content.header.clip_name}, with what facetrack run draws on them.",
         "annotated": "Frames of annotated.mp4, since the clip itself could not be had.",
     }[found.origin]
-    some = len({key.frame for key in content.keys}) < _events(content.story)
+    some = not {frame for frame, _ in content.story.events} <= {key.frame for key in content.keys}
     ends = "Start, end, lowest confidence" if content.story.worst is not None else "Start, end"
     chosen = (
         f"{ends}, and where the longest stretches began and ended in which a part was lost, with others spread over "
         "the rest."
         if some
-        else f"{ends}, and every frame in which a part was called lost or tracked again."
+        else f"{ends}, and every frame in which a part was called lost or tracked again"
+        + (", or put right by hand." if content.story.corrections else ".")
     )
     shown = [_figure(content, key) for key in content.keys if key.frame in found.found]
     return section(
         "key-frames",
         "Key frames",
         tag("p", f"{origin} {chosen}"),
-        tag("p", _LEGEND, class_="note"),
+        tag("p", _LEGEND + (_CORRECTED if content.story.corrections else ""), class_="note"),
         tag("div", *shown, class_="frames"),
     )
 
 
-def _events(story: Story) -> int:
-    return len({frame for span in story.spans for frame in (span.first, span.back) if frame is not None})
-
-
 def _figure(content: Content, key: KeyFrame) -> Html:
     picture = content.pictures.found[key.frame]
-    confidence, gone = {}, []
+    confidence, gone, absent = {}, [], []
     for series, part in zip(content.table.series, content.story.parts, strict=True):
         at = int(np.searchsorted(series.frame, key.frame))
         if at < len(series) and series.frame[at] == key.frame:
             confidence[part.name] = float(series.confidence[at])
             gone += [part.name] if series.status[at] == "lost" else []
+            absent += [part.name] if series.status[at] == "absent" else []
     known = [value for value in confidence.values() if value == value]
     mean = sum(known) / len(known) if known else float("nan")
     origin = _origin(content.header)
-    said = [(e.kind, *why(e, confidence, mean, origin, gone, len(confidence))) for e in key.events]
+    said = [(e.kind, *why(e, confidence, mean, origin, gone, len(confidence), absent)) for e in key.events]
     when = f"Frame {key.frame}"
     time = at_clock(content.clock.at(key.frame))
     alt = f"{when} at {time}. " + " ".join(f"{heading}: {words}." for _, heading, words in said)
@@ -170,7 +170,7 @@ def _spans(content: Content) -> Html:
             span.name,
             span.first,
             at_clock(clock.at(span.first)),
-            tag("span", "never", class_="bad-text") if span.back is None else span.back,
+            _again(span),
             "–" if span.back is None else at_clock(clock.at(span.back)),
             f"{span.frames:,}",
             lasting(span.seconds),
@@ -188,6 +188,12 @@ def _spans(content: Content) -> Html:
     )
 
 
+def _again(span: LostSpan) -> Html | str:
+    if span.back is None:
+        return "absent then" if span.by_hand else tag("span", "never", class_="bad-text")
+    return f"{span.back}, by hand" if span.by_hand else str(span.back)
+
+
 def _versions(header: Header) -> list[str]:
     return [f"{name} {version}" for name, version in {"facetrack": header.facetrack, **header.versions}.items()]
 
@@ -201,11 +207,14 @@ def _making(content: Content) -> Html:
         ("Frames", f"{content.clock.frames[0]} to {content.clock.frames[-1]} of the clip, counted from 0"),
         ("Began", f"in frame {init.frame}, placed by {_began(init.origin)}"),
         *_places(init.targets),
+        *([("Put right", _corrected(content.story))] if content.story.corrections else []),
         ("Seed", header.seed),
         ("Versions", f"run by {', '.join(_versions(header))}; this page by facetrack {__version__}"),
     ]
     where = "" if Path(source.path).is_absolute() else " Paths are as given then: call it in the same folder."
-    file = f" Save the recipe above as {header.recipe_name}.yaml first." if needs_file(header) else ""
+    saved = [f"the recipe above as {header.recipe_name}.yaml"] if needs_file(header) else []
+    saved += [f"the init file above as {CORRECTED}"] if f"--init {CORRECTED} " in content.command else []
+    file = f" Save {' and '.join(saved)} first." if saved else ""
     return section(
         "making",
         "How it was made",
@@ -215,10 +224,23 @@ def _making(content: Content) -> Html:
         tag(
             "pre", tag("code", recipe_yaml(header.recipe)), tabindex="0", role="region", aria_label="The recipe as YAML"
         ),
+        *(_init_file(header) if init.corrections else ()),
         tag("h3", "To repeat the run"),
         tag("pre", tag("code", content.command), class_="command"),
         tag("p", f"The same version gives a trajectory.csv of the same bytes.{where}{file}", class_="note"),
     )
+
+
+def _corrected(story: Story) -> str:
+    frames = [str(one.frame) for one in story.corrections]
+    return f"by hand in frame{'s' * (len(frames) > 1)} {names(frames, 20)}"
+
+
+def _init_file(header: Header) -> Iterator[Html]:
+    """The start and what was put right, as a file that the run can be made from again."""
+    yield tag("h3", "The start, and what was put right by hand")
+    text = tag("code", init_yaml(header))
+    yield tag("pre", text, tabindex="0", role="region", aria_label="The init file as YAML")
 
 
 def _places(targets: Mapping[str, TargetHeader]) -> Iterator[tuple[str, str]]:

@@ -75,6 +75,8 @@ def sentences(table: Table, header: Header, clock: Clock, story: Story) -> str:
     ]
     lost = [part.name for part in story.parts if part.spans]
     gone = story.lost_at_end
+    missing = [part.name for part in story.parts if part.frames_absent]
+    absent = story.absent_at_end
     if not any(part.told for part in story.parts):
         told.append("The tracker does not say when it is lost.")
     elif not lost:
@@ -86,9 +88,20 @@ def sentences(table: Table, header: Header, clock: Clock, story: Story) -> str:
         those = "" if one else f": {names(lost)}"
         share = f"{count(story.frames_lost, 'frame')} ({percent(story.frames_lost / frames)})"
         told.append(f"{who} was lost in {share}, in {times}{those}.")
-        end = f"{names(gone)} {'is' if len(gone) == 1 else 'are'} lost" if gone else "every part is tracked"
-        told.append(f"In the last frame {('it is lost' if gone else 'it is tracked') if one else end}.")
+        end = f"{_are(gone)} lost" if gone else f"{'every other' if absent else 'every'} part is tracked"
+        if not one or not absent:
+            told.append(f"In the last frame {('it is lost' if gone else 'it is tracked') if one else end}.")
+    if story.corrections:
+        told.append(f"It was put right by hand in {count(len(story.corrections), 'frame')}.")
+    if missing:
+        most = sum(part.frames_absent for part in story.parts)
+        over = count(most, "frame" if len(missing) == 1 else "row")
+        told.append(f"Said to be absent: {names(missing)}, in {over}.")
     return " ".join(told)
+
+
+def _are(those: Sequence[str]) -> str:
+    return f"{names(those)} {'is' if len(those) == 1 else 'are'}"
 
 
 def rate(header: Header) -> str:
@@ -98,13 +111,28 @@ def rate(header: Header) -> str:
 
 
 def why(
-    event: Event, confidence: dict[str, float], mean: float, origin: str, gone: Sequence[str], parts: int
+    event: Event,
+    confidence: dict[str, float],
+    mean: float,
+    origin: str,
+    gone: Sequence[str],
+    parts: int,
+    absent: Sequence[str] = (),
 ) -> tuple[str, str]:
-    """(heading, words) of an event of a frame; `confidence` is that of each part in it, `mean` that of all."""
+    """(heading, words) of an event of a frame; `confidence` is that of each part in it, `mean` that of all.
+
+    `gone` are the parts lost in it, `absent` those said not to be there.
+    """
     sure = [f"{s.name} (confidence {number(confidence.get(s.name))})" for s in event.spans]
     match event.kind:
         case "start":
             return "Start", f"placed by {origin}"
+        case "corrected":
+            put = event.corrected
+            assert put is not None
+            words = [names(put.given, 5)] if put.given else []
+            words += [f"{names(put.absent, 5)} {'is' if len(put.absent) == 1 else 'are'} absent"] if put.absent else []
+            return "Put right by hand", "; ".join(words)
         case "lost":
             return "Lost", names(sure, 5)
         case "back":
@@ -119,4 +147,6 @@ def why(
                 f"{number(mean)}, the mean over {count(parts, 'part')}" if parts > 1 else number(mean),
             )
         case _:
-            return "End", f"lost: {names(gone, 5)}" if gone else "tracked" if parts == 1 else "all parts tracked"
+            ends = [f"lost: {names(gone, 5)}"] if gone else []
+            ends += [f"absent: {names(absent, 5)}"] if absent else []
+            return "End", "; ".join(ends) or ("tracked" if parts == 1 else "all parts tracked")
