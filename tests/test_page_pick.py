@@ -192,7 +192,7 @@ def test_the_same_frame_is_never_looked_at_twice_at_once(clips, monkeypatch):
         (None, {"face": {"box": [112, 79, 98, 98]}}, "still to choose: nose, mouth_left, mouth_right, lip_"),
         (None, {"face": {"points": {**POINTS, "nose": [400, 20]}}}, "nose of face at [400, 20] is outside the"),
         (None, {"face": FACE, "b": {"points": {"nose": [9, 9]}}}, "still to choose: mouth_left, mouth_right, lip"),
-        (None, {"face": FACE, "boxes": FACE}, "a target cannot be called boxes, too like a key of init files; rename it"),
+        (None, {"face": FACE, "boxes": FACE}, "a target cannot be called boxes, too like a key of"),
         (None, {"face": {**FACE, "box": [112, 79, 5, 98]}}, "the box of face is smaller than 6x6 pixels; give a"),
         ("factorized", {"face": {"points": {part: [100, 100] for part in PARTS}}}, "mouth_left"),
         ("contour_histogram", {"face": {"points": POINTS}}, "still to choose: the box of face"),

@@ -211,6 +211,15 @@ def test_another_origin_changes_nothing(client, origin):
     assert (state["revision"], state["job"]) == (0, None)
 
 
+def test_an_origin_that_the_browser_hides_is_known_by_its_other_word(client):
+    headers = {"Origin": "null", "Sec-Fetch-Site": "same-site"}
+    body = {"base": 0, "draft": {"frame": 1, "targets": {}}}
+    assert client.ask("PUT", "api/draft", body, headers).status == 403
+    assert client.ask("PUT", "api/draft", body, {**headers, "Sec-Fetch-Site": "same-origin"}).status == 200
+    evil = {"Origin": "http://evil.example", "Sec-Fetch-Site": "same-origin"}
+    assert client.ask("PUT", "api/draft", body, evil).status == 403
+
+
 @pytest.mark.parametrize(
     ("method", "path", "status"),
     [("GET", "api/state", 200), ("GET", "api/frame/1.jpg", 200), ("GET", "nothing", 404), ("GET", "/", 403),
