@@ -2,6 +2,7 @@
 
 import * as api from "./api.js";
 import { Clip } from "./clip.js";
+import { debug } from "./debug.js";
 import { $, spoken, write } from "./dom.js";
 import { colour, marks } from "./draw.js";
 import { middle, nudge, remove, stretch } from "./edit.js";
@@ -154,8 +155,8 @@ async function start() {
   }
 
   const isArrow = (event) => event.key.startsWith("Arrow");
-  const undo = () => store.undo() || say("There is nothing to take back.");
-  const redo = () => store.redo() || say("There is nothing to do again.");
+  const undo = () => say(store.undo() ? "" : "There is nothing to take back.");
+  const redo = () => say(store.redo() ? "" : "There is nothing to do again.");
   const zoom = (factor) => () => stage.zoomBy(factor);
   const help = () => !$("help").open && $("help").showModal();
   const keys = new Keys([
@@ -276,39 +277,6 @@ async function start() {
 // what a screen reader is told of the picture
 function describe(store, { index }) {
   $("stage").setAttribute("aria-label", `Frame ${index} of ${store.session.clip}`);
-}
-
-/** What tests and the curious may look at; nothing can be changed by it. */
-function debug({ store, stage, sync }) {
-  const view = (name, get) => [name, { get, enumerable: true }];
-  const shifted = (x, y, sign) => {
-    const { left, top } = stage.canvas.getBoundingClientRect();
-    return [x + sign * left, y + sign * top];
-  };
-  return Object.freeze(
-    Object.defineProperties(
-      {
-        /** From pixels of the picture to CSS pixels of the window, [x, y]. */
-        toScreen: (x, y) => shifted(...stage.place(x, y), 1),
-        /** From CSS pixels of the window to pixels of the picture, [x, y]. */
-        toPicture: (x, y) => stage.spot(...shifted(x, y, -1)),
-      },
-      Object.fromEntries([
-        view("draft", () => structuredClone(store.draft)),
-        view("frame", () => store.frame),
-        view("picture", () => (stage.picture ? { index: stage.picture.index, reduce: stage.picture.reduce } : null)),
-        view("zoom", () => stage.zoom),
-        view("mode", () => store.mode),
-        view("current", () => structuredClone(store.current)),
-        view("selected", () => structuredClone(store.selected)),
-        view("proposals", () => structuredClone(store.proposals)),
-        view("revision", () => sync.revision),
-        view("sent", () => !sync.dirty && !sync.running),
-        view("gone", () => sync.gone),
-        view("ended", () => store.ended),
-      ]),
-    ),
-  );
 }
 
 start().catch((error) => {

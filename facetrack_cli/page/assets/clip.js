@@ -32,7 +32,7 @@ export class Clip {
     const share = bounds.last > bounds.first ? (frame - bounds.first) / (bounds.last - bounds.first) : 0;
     this.slider.style.setProperty("--share", `${100 * share}%`);
     this.slider.setAttribute("aria-valuetext", `frame ${frame}, ${clock(frame / session.fps)}`);
-    $("last-frame").textContent = `of ${bounds.last}${bounds.exact ? "" : "?"}`;
+    $("last-frame").textContent = `of ${bounds.exact ? "" : "about "}${bounds.last}`;
     $("clock").textContent = clock(frame / session.fps);
     $("previous").disabled = frame <= bounds.first;
     $("following").disabled = frame >= bounds.last;

@@ -10,7 +10,7 @@ const FONT = "600 12px system-ui, sans-serif";
 
 export const colour = (store, target) => {
   const index = store.layout.findIndex((one) => one.target === target);
-  return PALETTE[Math.max(index, 0) % PALETTE.length];
+  return PALETTE[(index < 0 ? store.layout.length : index) % PALETTE.length];
 };
 
 /** A line with a dark rim, which is seen on any picture. */

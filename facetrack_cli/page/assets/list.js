@@ -142,6 +142,7 @@ export class List {
       if (wrong) return this.say(wrong, "error");
       close();
       done(name);
+      this.focus();
     });
     form.addEventListener("keydown", (event) => {
       event.stopPropagation();

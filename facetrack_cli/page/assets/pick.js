@@ -1,4 +1,4 @@
-// Choosing a start: what the cascades propose for the frame, the part that comes next, and a start that is of another frame.
+// Choosing a start: what the cascades propose, the part that comes next, and marks that are of another frame.
 
 import * as api from "./api.js";
 import { $, make, spoken, write } from "./dom.js";
@@ -114,13 +114,14 @@ export class Pick {
     const { store } = this;
     const known = this.known.get(store.frame);
     const blank = store.isEmpty();
-    const shape = JSON.stringify([store.frame, known, this.asked, blank, store.isHere(), store.ended, store.layout, store.slots().length]);
+    const shown = store.isHere() && !store.ended;
+    const list = shown ? store.proposals : [];
+    const taken = list.map((proposal) => this.#taken(proposal));
+    const shape = JSON.stringify([store.frame, known, this.asked, blank, shown, taken, store.layout]);
     this.#lie();
     if (shape === this.shape) return;
     this.shape = shape;
-    const shown = store.isHere() && !store.ended;
-    $("proposals").hidden = !shown;
-    const list = shown ? store.proposals : [];
+    $("proposals").hidden = !shown || (!!known && !known.note && taken.every(Boolean));
     write($("proposals-note"), known ? (known.note ?? "") : "Looking for faces …");
     $("proposals-note").hidden = !!known && !known.note;
     $("proposals-list").replaceChildren(...list.flatMap((proposal, index) => this.#offers(proposal, index, blank)));
@@ -135,6 +136,7 @@ export class Pick {
 
   #offers(proposal, index, blank) {
     const { store } = this;
+    if (this.#taken(proposal)) return [];
     const button = (words, testid, as) => {
       const swatch = make("span", { class: "swatch", "aria-hidden": "true" });
       swatch.style.backgroundColor = colour(store, as ?? Object.keys(proposal.targets)[0]);
@@ -156,6 +158,14 @@ export class Pick {
       if (as) offers.push(button(`Add ${proposal.label} as ${as}`, `add-${index}`, as));
     }
     return offers;
+  }
+
+  #taken({ targets }) {
+    const alike = ([name, { box, points }]) => {
+      const given = this.store.draft.targets[name];
+      return JSON.stringify([given?.box, given?.points]) === JSON.stringify([box, points]);
+    };
+    return Object.entries(targets).every(alike);
   }
 
   // the buttons on the picture keep to their boxes

@@ -135,6 +135,7 @@ export class Store extends EventTarget {
     if (this.isEmpty()) this.draft.frame = this.frame;
     edit(this.draft, this.layout);
     this.#remember(before, merge);
+    this.#settle(); // what is selected may be there no more
     this.emit("draft");
     this.emit("commit");
   }
@@ -202,19 +203,6 @@ export class Store extends EventTarget {
     });
   }
 
-  clear() {
-    this.change((draft) => {
-      for (const target of Object.keys(draft.targets)) {
-        if (this.group(target)?.added) draft.targets[target] = empty();
-        else delete draft.targets[target];
-      }
-      draft.frame = this.frame;
-    });
-    this.pick(null);
-    this.current = this.next();
-    this.emit("draft");
-  }
-
   // --- targets of the user's own
 
   addTarget(name) {
@@ -230,10 +218,9 @@ export class Store extends EventTarget {
       layout.find((one) => one.target === from).target = to;
       const entries = Object.entries(draft.targets).map(([name, value]) => [name === from ? to : name, value]);
       draft.targets = Object.fromEntries(entries);
+      const renamed = (slot) => (slot?.target === from ? { ...slot, target: to } : slot);
+      [this.current, this.selected] = [renamed(this.current), renamed(this.selected)];
     });
-    const renamed = (slot) => (slot?.target === from ? { ...slot, target: to } : slot);
-    [this.current, this.selected] = [renamed(this.current), renamed(this.selected)];
-    this.emit("draft");
   }
 
   removeTarget(name) {
@@ -241,8 +228,6 @@ export class Store extends EventTarget {
       layout.splice(layout.findIndex((one) => one.target === name), 1);
       delete draft.targets[name];
     });
-    this.#settle();
-    this.emit("draft");
   }
 
   // --- selection

@@ -1,4 +1,4 @@
-// Keeps the server's draft and ours alike: sends ours when it has rested, looks for another window's, tells if nobody answers.
+// Keeps the draft here and at the server alike: sends ours, looks for another window's, tells if nobody answers.
 
 import * as api from "./api.js";
 
