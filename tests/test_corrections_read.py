@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -376,3 +377,19 @@ def test_a_run_with_corrections_is_reported_and_repeated(tmp_path, monkeypatch):
         assert main(["export", "run", "--to", form, "-o", f"x.{form}"]) == 0
     assert 'TIER_ID="absent@face"' in Path("x.eaf").read_text()
     assert main(["eval", "run", "--truth", str(SAMPLE.with_suffix(".truth.csv")), "--partial"]) == 0
+
+
+def test_the_table_of_occlusions_says_what_came_back_by_hand(tmp_path, capsys):
+    head, ours, truth = "frame,target,part,x,y,status", [], []
+    for t in range(20):
+        hidden = 5 <= t < 8
+        for part, x in (("nose", 10.0 + t), ("lip", 30.0 + t)):
+            gone = part == "lip" and hidden
+            ours.append(f"{t},face,{part},{'' if gone else x},{'' if gone else 20},{'absent' if gone else 'tracked'}")
+            truth.append(f"{t},face,{part},{x},20,{'hidden' if gone else 'visible'}")
+    paths = [tmp_path / name for name in ("ours.csv", "truth.csv")]
+    for path, rows_ in zip(paths, (ours, truth), strict=True):
+        path.write_text("\n".join([head, *rows_]) + "\n")
+    assert main(["eval", str(paths[0]), "--truth", str(paths[1])]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"^5-7 +lip +by hand$", said, re.MULTILINE) and "none can be decided" in said

@@ -228,13 +228,14 @@ def _occlusions(say: _Say, evaluation: Evaluation) -> None:
     )
     rows = []
     for one in evaluation.occlusions[:MOST]:
-        returned = "cannot be told" if not one.decided else "never"
+        by_hand = one.frames_to_return is not None and not one.decided
+        returned = "by hand" if by_hand else "cannot be told" if not one.decided else "never"
         rows.append(
             (
                 f"{one.first}-{one.last}",
                 ", ".join(say.name(one.target, part) for part in one.parts[:MANY])
                 + (", ..." * (len(one.parts) > MANY)),
-                returned if one.frames_to_return is None else str(one.frames_to_return),
+                returned if one.frames_to_return is None or not one.decided else str(one.frames_to_return),
             )
         )
     say.grid(["frames", "parts", "back after"], rows, left=2)
