@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.errors import InputError
-from facetrack_cli.fixing.index import STATUS, UNKNOWN, read_index
+from facetrack_cli.fixing.index import STATUS, UNKNOWN
 from facetrack_cli.fixing.overview import doubtful, overview
+from facetrack_cli.fixing.reading import read_index
 from facetrack_cli.fixing.rows import Rows, recorded
 from facetrack_cli.fixing.tracks import Recorder, Store
 from facetrack_cli.sinks import FileSink

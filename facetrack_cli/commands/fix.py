@@ -127,15 +127,19 @@ def _page(fixer: Fixer, frames: Frames, stop: Stop, *, video: bool, port: int, b
     folder = fixer.run.folder
     unsaved = _unsaved(fixer)
     if unsaved:
-        say(f"{folder / UNSAVED}: {len(unsaved)} corrections were not saved the last time; the page begins with them")
+        many = len(unsaved) > 1
+        said = f"{len(unsaved)} corrections were" if many else "one correction was"
+        say(f"{folder / UNSAVED}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
     session = FixSession(fixer, frames, Pictures(frames), video=video, unsaved=unsaved)
     run_page(session, stop, say, port=port, browse=browse)
     if session.ended is None:
         kept = folder / UNSAVED
-        what = "nothing was corrected"
+        what = "nothing was written"
         if kept.is_file():
-            what = f"the corrections are kept in {kept}; facetrack fix {folder} goes on with them"
-        say(f"facetrack: {stop.reason}; {what}, and all else is as it was")
+            what = (
+                f"the corrections are kept in {kept}, all else is as it was; facetrack fix {folder} goes on with them"
+            )
+        say(f"facetrack: {stop.reason}; {what}")
         return stop.code if stop.code is not None else ExitCode.FAULT
     for line in session.ended["said"]:
         say(line)

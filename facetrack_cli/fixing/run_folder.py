@@ -18,7 +18,8 @@ from pydantic import ValidationError
 
 from facetrack_cli.build import build_tracker
 from facetrack_cli.errors import FacetrackError, InputError
-from facetrack_cli.fixing.index import Index, read_index
+from facetrack_cli.fixing.index import Index
+from facetrack_cli.fixing.reading import read_index
 from facetrack_cli.formats.table import Table
 from facetrack_cli.outputs import VIDEO
 from facetrack_cli.recipe import KINDS, ParticleRecipe, Recipe, shipped_folder, shipped_recipes
