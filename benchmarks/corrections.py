@@ -1,0 +1,347 @@
+"""How many corrections a clip wants, by an annotator who is simulated: tables of docs/corrections.md.
+
+    python benchmarks/corrections.py sample_videos/expressions.mp4 sample_videos/occlusion.mp4 \
+        --config factorized --config sir
+    python benchmarks/corrections.py clips/david/david.webm clips/girl/img --config histogram --config adaptive
+    python benchmarks/corrections.py clips/talking/talking.webm --haar 5 --stop 1000 --config factorized
+    python benchmarks/corrections.py sample_videos/occlusion.mp4 --config factorized --absent
+
+He watches the run, and when a part was wrong in 5 visible frames on end he goes back to the first of them and puts
+right what is wrong there; the other parts are kept where they were. From there it is tracked on. He corrects the same
+target at most once in 5 frames. A point is wrong when it is further from the truth than a quarter of the distance of
+the corners of the mouth at the start (without those: of the largest distance of two points); a box when its overlap
+with the true one is below 0.3, and he gives the true box. Targets are taken one by one. Seeds are 0 on.
+
+    alone       nobody corrects
+    kept        as corrected with `learn: false`: what the target looks like is what the first frame taught
+    anew        with `learn: true`: it is learned in the frame of each correction
+    corrections of each 1,000 frames, their mean and standard deviation over seeds
+    error       of points, mean over visible rows in pixels; of boxes the mean overlap, which is better when it is more
+    right       frames in which nothing that is visible is wrong, %
+
+--haar takes for the truth of a clip without one what the Haar start finds in every so many frames on its own; 5 frames
+on end are then 5 of these. --absent compares, for points, the annotator with one who also marks what is covered absent
+where its cover begins, and gives it again where it comes back; `marks` are these corrections, of each 1,000 frames too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+# before numpy: two processes share the cores
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import cv2
+import numpy as np
+
+from facetrack_cli.build import build_tracker
+from facetrack_cli.corrected import CorrectedTarget, kept_place
+from facetrack_cli.errors import FacetrackError, InputError, RecipeError
+from facetrack_cli.evaluation.boxes import iou
+from facetrack_cli.experiments.begin import find_plan_start
+from facetrack_cli.experiments.compare import default_truth, variant
+from facetrack_cli.formats.read import read_truth
+from facetrack_cli.formats.table import Mask, Table
+from facetrack_cli.recipe import OpenCvRecipe, Recipe, load_recipe
+from facetrack_cli.spaces import size_of_points
+from facetrack_cli.start import haar_start
+from facetrack_cli.types import BOX, Array, Correction, Frame, Start, TargetResult, TargetStart
+from facetrack_cli.video.source import open_source
+
+WATCHED = 5
+"""Frames on end that are wrong before he goes back, and the least distance of two corrections."""
+BOUND = 1 / 4
+OVERLAP = 0.3
+HAND = 7  # the stream of his hand
+FAR = 2**30  # a frame that no clip has
+CORNERS = ("mouth_left", "mouth_right")
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Of one target over T frames with K parts: `places` (T, K, 4) of x, y, w, h, and which can be `seen` (T, K).
+
+    `bound` in pixels, of points; `covered` (T, K) is known to be hidden.
+    """
+
+    target: str
+    parts: tuple[str, ...]
+    places: Array
+    seen: Mask
+    covered: Mask
+    bound: float
+
+    def measure(self, t: int, found: Array) -> Array:
+        """(K,) error or overlap of what was found (K, 4)."""
+        if self.parts == (BOX,):
+            one, other = (np.concatenate([a[:, :2] - (a[:, 2:] - 1) / 2, a[:, 2:]], 1) for a in (found, self.places[t]))
+            return iou(one, other)
+        error: Array = np.hypot(*(found[:, :2] - self.places[t, :, :2]).T)
+        return error
+
+    def wrong(self, t: int, found: Array) -> Mask:
+        """(K,) whether a part that can be seen is wrong."""
+        value = self.measure(t, found)
+        off: Mask = self.seen[t] & ((value < OVERLAP) if self.parts == (BOX,) else (value > self.bound))
+        return off
+
+
+class Way(NamedTuple):
+    """How a clip is corrected: whether at all, what is learned then, and whether what is covered is marked absent."""
+
+    corrects: bool
+    learn: bool | None = None
+    absent: bool = False
+
+
+class Outcome(NamedTuple):
+    """`value` is the error or overlap, `beside` that of what is to be seen while something else is covered."""
+
+    corrections: int
+    marks: int
+    value: float
+    beside: float
+    right: float
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """A target of a clip; `miss` is how far the annotator's hand is off."""
+
+    recipe: Recipe
+    start: Start
+    frames: Sequence[Frame]
+    truth: Truth
+    miss: float
+
+    def run(self, seed: int, way: Way) -> Outcome:
+        truth = self.truth
+        hand = np.random.default_rng((HAND, seed))
+        number = list(self.start.targets).index(truth.target)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,) if number else ()))
+        target = self._target(number, {one.frame: one for one in self._marks()} if way.absent else {})
+        state, result = target.begin(rng, self._frame(0))
+        found, wrong = [result], [truth.wrong(0, _places(result))]
+        made, since = 0, 1
+        while (t := len(found)) < len(self.frames):
+            state, result = target.advance(rng, state, self._frame(t), ())
+            found.append(result)
+            wrong.append(truth.wrong(t, _places(result)))
+            at = _first_wrong(wrong, truth.seen, since) if way.corrects else None
+            if at is not None:
+                correction = self._correction(at, found[at], wrong[at], way.learn, hand)
+                del found[at:], wrong[at:]
+                state, result = target.correct(state, self._frame(at), correction)
+                found.append(result)
+                wrong.append(truth.wrong(at, _places(result)))
+                made, since = made + 1, at + WATCHED
+        values = np.array([truth.measure(t, _places(one)) for t, one in enumerate(found)])
+        beside = truth.seen & truth.covered.any(axis=1, keepdims=True)
+        right = ~np.array(wrong)[truth.seen.any(axis=1)].any(axis=1)
+        nowhere = float("nan")
+        return Outcome(
+            made,
+            len(target.corrections),
+            float(values[truth.seen].mean()),
+            float(values[beside].mean()) if beside.any() else nowhere,
+            float(right.mean()),
+        )
+
+    def _frame(self, t: int) -> Frame:
+        """Afresh: what is derived from a picture is kept in its frame, and would fill the memory."""
+        frame = self.frames[t]
+        return Frame(frame.index, frame.time_s, frame.bgr)
+
+    def _target(self, number: int, marks: Mapping[int, Correction]) -> CorrectedTarget:
+        never = Correction(FAR, self.truth.target, absent=True)
+        target = build_tracker(self.recipe, replace(self.start, corrections=(never,)))[number]
+        assert isinstance(target, CorrectedTarget)
+        return replace(target, corrections=marks)
+
+    def _correction(
+        self, t: int, found: TargetResult, wrong: Mask, learn: bool | None, hand: np.random.Generator
+    ) -> Correction:
+        truth, frame = self.truth, self.frames[t].index
+        if truth.parts == (BOX,):
+            x, y, w, h = truth.places[t, 0].tolist()
+            dx, dy = self.miss * hand.standard_normal(2)
+            box = (x + dx * w - (w - 1) / 2, y + dy * h - (h - 1) / 2, w, h)
+            return Correction(frame, truth.target, TargetStart(box=box), learn=learn)
+        given, kept, absent = {}, {}, []
+        for k, part in enumerate(found.parts):
+            if part.status == "absent":
+                absent.append(part.name)
+            elif wrong[k]:
+                dx, dy = self.miss * truth.bound / BOUND * hand.standard_normal(2)
+                given[part.name] = (float(truth.places[t, k, 0] + dx), float(truth.places[t, k, 1] + dy))
+            else:
+                kept[part.name] = kept_place(part)
+        return Correction(frame, truth.target, TargetStart(points=given), kept, tuple(absent), learn)
+
+    def _marks(self) -> Iterator[Correction]:
+        """What somebody says who marks as absent what is covered, in the frames in which that changes."""
+        truth = self.truth
+        for t in range(1, len(self.frames)):
+            gone, back = truth.covered[t], truth.covered[t - 1] & ~truth.covered[t]
+            if (gone != truth.covered[t - 1]).any():
+                given = {truth.parts[k]: (truth.places[t, k, 0], truth.places[t, k, 1]) for k in np.flatnonzero(back)}
+                absent = tuple(truth.parts[k] for k in np.flatnonzero(gone))
+                yield Correction(
+                    self.frames[t].index, truth.target, TargetStart(points=given), absent=absent, learn=False
+                )
+
+
+def _places(result: TargetResult) -> Array:
+    return np.array([(part.x, part.y, part.w, part.h) for part in result.parts])
+
+
+def _first_wrong(wrong: Sequence[Mask], seen: Mask, since: int) -> int | None:
+    """The frame from which, up to now, some part was wrong in as many frames with a truth as he watches."""
+    if not wrong[-1].any():
+        return None
+    rows = list(islice((t for t in range(len(wrong) - 1, since - 1, -1) if seen[t].any()), WATCHED))
+    return rows[-1] if len(rows) == WATCHED and np.all([wrong[t] for t in rows], axis=0).any() else None
+
+
+# --- clips -------------------------------------------------------------------------------------------------------
+
+
+def truth_of(table: Table, target: str, parts: Sequence[str], frames: Sequence[Frame]) -> Truth:
+    place = {frame.index: t for t, frame in enumerate(frames)}
+    places = np.full((len(frames), len(parts), 4), np.nan)
+    covered = np.zeros((len(frames), len(parts)), dtype=np.bool_)
+    for k, part in enumerate(parts):
+        one = table.find(table.targets[0] if len(table.targets) == 1 else target, part)
+        if one is None:
+            raise InputError(f"{table.path}: has no {target}/{part}, which the recipe follows")
+        rows = np.array([row for row, frame in enumerate(one.frame.tolist()) if frame in place])
+        at = [place[frame] for frame in one.frame[rows].tolist()]
+        places[at, k] = np.stack([one.x, one.y, one.w, one.h], axis=1)[rows]
+        covered[at, k] = one.status[rows] == "hidden"
+    return _truth(target, parts, places, covered)
+
+
+def haar_truth(target: str, parts: Sequence[str], frames: Sequence[Frame], every: int) -> Truth:
+    places = np.full((len(frames), len(parts), 4), np.nan)
+    for t in range(0, len(frames), every):
+        try:
+            (here,) = haar_start([frames[t]], parts).targets.values()
+        except InputError:
+            continue
+        places[t, :, :2] = [here.points[part] for part in parts]
+    return _truth(target, parts, places, np.zeros(places.shape[:2], dtype=np.bool_))
+
+
+def _truth(target: str, parts: Sequence[str], places: Array, covered: Mask) -> Truth:
+    bound = np.nan
+    if tuple(parts) != (BOX,):
+        corners = [places[0, list(parts).index(part), :2] for part in CORNERS if part in parts]
+        bound = BOUND * size_of_points(np.array(corners) if len(corners) == 2 else places[0, :, :2])
+    seen = np.isfinite(places[..., :2]).all(axis=2) & ~covered
+    return Truth(target, tuple(parts), places, seen, covered, bound)
+
+
+def clips_of(clip: Path, recipe: Recipe, given: argparse.Namespace) -> Iterator[tuple[Start, list[Frame], Truth]]:
+    """Each target of a clip, from the frame where the recipe begins."""
+    table = None if given.haar else read_truth(default_truth(clip))
+    start = find_plan_start(clip, recipe, truth=table)
+    with open_source(clip, start=start.frame) as source:
+        frames = list(islice(source, None if given.stop is None else given.stop - start.frame))
+    for target in build_tracker(recipe, start):
+        if table is None:
+            yield start, frames, haar_truth(target.name, target.parts, frames, given.haar)
+        else:
+            yield start, frames, truth_of(table, target.name, target.parts, frames)
+
+
+# --- tables ------------------------------------------------------------------------------------------------------
+
+
+def ways_of(recipe: Recipe, *, absent: bool) -> dict[str, Way]:
+    alone = {"alone": Way(corrects=False)}
+    if absent:
+        return {
+            **alone,
+            "marked": Way(corrects=False, absent=True),
+            "corrected": Way(corrects=True),
+            "both": Way(corrects=True, absent=True),
+        }
+    kept = {} if isinstance(recipe, OpenCvRecipe) else {"kept": Way(corrects=True, learn=False)}
+    return {**alone, **kept, "anew": Way(corrects=True, learn=True)}
+
+
+def cell(runs: Sequence[Outcome], work: Work, way: Way) -> str:
+    box, frames = work.truth.parts == (BOX,), len(work.frames)
+    digits = 3 if box else 2
+    shown = [f"{np.mean([run.value for run in runs]):.{digits}f}", f"{100 * np.mean([run.right for run in runs]):.1f}"]
+    if not np.isnan(runs[0].beside):
+        shown.append(f"{np.mean([run.beside for run in runs]):.{digits}f}")
+    if way.absent:
+        shown.insert(0, f"{1000 * runs[0].marks / frames:.0f} marks")
+    if way.corrects:
+        rate = 1000 * np.array([run.corrections for run in runs]) / frames
+        spread = f" ± {rate.std(ddof=1):.1f}" if len(rate) > 1 else ""
+        shown.insert(0, f"**{rate.mean():.1f}**{spread}")
+    return " / ".join(shown)
+
+
+def rows(config: str, clip: Path, columns: Sequence[str], given: argparse.Namespace) -> None:
+    name, overrides = variant(config)
+    recipe = load_recipe(name, overrides)
+    for start, frames, truth in clips_of(clip, recipe, given):
+        work = Work(recipe, start, frames, truth, given.miss)
+        cells = dict.fromkeys(columns, "")
+        # the pictures go to the processes once
+        with ProcessPoolExecutor(given.jobs, initializer=_held.append, initargs=(work,)) as pool:
+            for name, way in ways_of(recipe, absent=given.absent).items():
+                runs = list(pool.map(partial(_run, way=way), range(given.seeds if recipe.random else 1)))
+                cells[name] = cell(runs, work, way)
+        label = clip.parent.name if clip.name == "img" else clip.stem
+        several = f": {truth.target}" if len(start.targets) > 1 else ""
+        print(f"| `{config}` | {label}{several} ({len(frames)}) | {' | '.join(cells.values())} |", flush=True)
+
+
+_held: list[Work] = []
+
+
+def _run(seed: int, way: Way) -> Outcome:
+    return _held[0].run(seed, way)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("clips", nargs="+", type=Path)
+    parser.add_argument("--config", action="append", required=True, help="as for facetrack compare")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--stop", type=int, help="the frame to stop before")
+    parser.add_argument("--haar", type=int, metavar="EVERY")
+    parser.add_argument("--absent", action="store_true")
+    parser.add_argument("--miss", type=float, default=0.0)
+    parser.add_argument("-j", dest="jobs", type=int, default=2)
+    given = parser.parse_args()
+    cv2.setNumThreads(1)  # its threads would not live on in the processes that are forked
+    columns = list(ways_of(load_recipe("factorized"), absent=given.absent))
+    heading = ["recipe", "clip (frames)", *columns]
+    print(f"\n{given.seeds} seeds\n\n| {' | '.join(heading)} |\n{'|---' * len(heading)}|", flush=True)
+    for config in given.config:
+        for clip in given.clips:
+            try:
+                rows(config, clip, columns, given)
+            except (InputError, RecipeError) as e:
+                print(e, file=sys.stderr)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except FacetrackError as e:
+        raise SystemExit(str(e)) from None
