@@ -56,6 +56,8 @@ encoded("plain.avi", "-g", "12")
 encoded("no_stamps.avi", "-bf", "2", jumps=False)
 encoded("vp8.webm", *VP8)
 encoded("vp9.webm", "-c:v", "libvpx-vp9", *VP8)
+encoded("no_length.webm", "-live", "1", jumps=False)
+encoded("hevc.mp4", "-c:v", "libx265", "-preset", "fast", "-x265-params", "log-level=none:keyint=30:pools=1")
 encoded("mpeg1.mpg")
 encoded("no_stamps.mpg", "-c:v", "mpeg2video", "-bf", "2", jumps=False)
 encoded("odd.mp4", *X264, "-g", "30", "-video_track_timescale", "12345", fps=Fraction(90000, 3754))
@@ -269,6 +271,15 @@ def test_a_long_clip_has_its_stamps_read_at_once_and_a_short_one_when_it_is_gone
         frames._recent.clear()
         frames.read(90)
         assert frames._reader._thread is not None  # type: ignore[union-attr]
+
+
+def test_a_clip_that_does_not_say_how_long_it_is_has_its_packets_counted(folder: Path) -> None:
+    path, expected = made(folder, "no_length.webm")
+    frames, reader = jumping(path)
+    with frames:
+        assert reader._claimed == 0 and frames.count == len(expected) == 100 and not frames.exact
+        check(frames.read(70), expected[70])
+        assert frames.count == 100
 
 
 def test_memory_is_flat_over_many_reads(long: Path) -> None:

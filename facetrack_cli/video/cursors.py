@@ -66,6 +66,7 @@ class Approach:
         self._period = float(1 / fps)
         self._back = max(recent.most_bytes * 3 // 4 // math.prod(self._shape), 1)
         self._careful = False  # frames differ in size, so each is looked at
+        self._seeks = True
         self._heads: list[float] = []  # positions of the first frames
         self._stamps: Stamps | None = None
         self._times: Array = np.empty(0)
@@ -76,14 +77,14 @@ class Approach:
         count = self._cursors[0].capture.get(cv2.CAP_PROP_FRAME_COUNT)
         self._claimed = int(count) if math.isfinite(count) and 1 <= count < 1e9 else 0
         self._walk(self._cursors[0], 0, 0)
-        if self._claimed >= LONG:
+        if self._claimed >= LONG or not self._claimed:
             self._begin_stamps()
 
     @property
     def count(self) -> int:
         if self.end is not None:
             return self.end
-        stamps = self._stamps
+        stamps = self._stamps or self._arrived
         return max(len(stamps.positions) if stamps is not None else self._claimed, self._reached)
 
     def approach(self, index: int, ticket: int) -> None:
@@ -115,8 +116,7 @@ class Approach:
     # --- stamps ------------------------------------------------------------------------------------------------------
 
     def _begin_stamps(self) -> None:
-        # without a claimed number OpenCV would not seek, but forget what it needs to decode onward
-        if self._thread is None and self._claimed > 1 and not self._careful:
+        if self._thread is None and not self._careful:
             self._thread = threading.Thread(target=self._read_stamps, name="stamps", daemon=True)
             self._thread.start()
 
@@ -131,6 +131,10 @@ class Approach:
         stamps, self._arrived = self._arrived, None
         if stamps is None or self._careful:
             return
+        # without a claimed number OpenCV does not seek, and forgets what it needs to decode onward
+        if self._claimed < 2:
+            self._claimed = len(stamps.positions)
+            self._seeks = False
         known = [(place, position) for place, position in enumerate(self._heads)]
         known += [(c.next - 1, c.capture.get(cv2.CAP_PROP_POS_MSEC) / 1000) for c in self._cursors if c.next]
         total = len(stamps.positions)
@@ -188,7 +192,7 @@ class Approach:
     def _jump_to(self, index: int, further: int) -> tuple[int, float] | None:
         """The keyframe from which to go to a frame, and the position to seek to; None to decode onward."""
         stamps = self._stamps
-        if stamps is None:
+        if stamps is None or not self._seeks:
             return None
         lead = _LANDS + 2 + math.ceil(max(stamps.positions[0], 0) / self._period)
         last = min(index, len(stamps.positions) - 1)
@@ -215,7 +219,7 @@ class Approach:
         if not grabbed or at > index:
             self._drop(cursor)
             raise _LostError
-        if stamps.positions[at] != position:
+        if at == len(stamps.positions) or stamps.positions[at] != position:
             self._distrust()
             raise _LostError
         cursor.next, cursor.key, cursor.origin, cursor.time = at + 1, key, stamps.positions[0], self._times[at]
