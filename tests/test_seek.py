@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.errors import InputError, UsageError
@@ -169,7 +169,7 @@ def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: s
             check(frames.read(index), expected[index])
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, deadline=None)
 @given(data=st.data())
 def test_any_sequence_of_reads(folder: Path, data: st.DataObject) -> None:
     path, expected = made(folder, data.draw(st.sampled_from(sorted(CLIPS))))
