@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from facetrack_cli.errors import OutputError
 from facetrack_cli.sinks import FileSink, StreamSink, refused
@@ -17,7 +17,7 @@ from facetrack_cli.trajectory import WRITERS, Footer, Header, Writer
 
 if TYPE_CHECKING:
     from facetrack_cli.job import Job
-    from facetrack_cli.types import Correction, Result, Start
+    from facetrack_cli.types import Result, Start
     from facetrack_cli.video.draw import Overlay
     from facetrack_cli.video.source import Source
     from facetrack_cli.video.writer import VideoWriter
@@ -166,6 +166,7 @@ def _versions() -> dict[str, str]:
 
 def _header(job: Job, source: Source, start: Start) -> Header:
     from facetrack_cli.recipe import to_dict
+    from facetrack_cli.start.init_text import record_of
 
     return {
         "versions": _versions(),
@@ -187,20 +188,6 @@ def _header(job: Job, source: Source, start: Start) -> Header:
                 }
                 for name, target in start.targets.items()
             },
-            **({"corrections": [_correction(one) for one in start.corrections]} if start.corrections else {}),
+            **({"corrections": [record_of(one) for one in start.corrections]} if start.corrections else {}),
         },
-    }
-
-
-def _correction(one: Correction) -> dict[str, Any]:
-    """What was put right, as an init file says it."""
-    said = {
-        "box": one.given.box and list(one.given.box),
-        "points": {part: list(xy) for part, xy in one.given.points.items()},
-        "kept": {part: list(xy) for part, xy in one.kept.items()},
-        "absent": True if one.absent is True else list(one.absent),
-        "learn": one.learn,
-    }
-    return {"frame": one.frame, "target": one.target} | {
-        key: value for key, value in said.items() if value not in (None, {}, [])
     }

@@ -14,8 +14,7 @@ from facetrack_cli.fixing.repaint import repaint
 from facetrack_cli.fixing.retrack import Report
 from facetrack_cli.fixing.run_folder import CORRECTED, UNSAVED, Run
 from facetrack_cli.start import write_init
-from facetrack_cli.start.init_text import members_of
-from facetrack_cli.types import Correction
+from facetrack_cli.start.init_text import record_of
 
 
 def save(
@@ -39,7 +38,7 @@ def save(
             raise OutputError(f"{book.path}: was written by somebody else since it was opened; begin again")
     init = {key: value for key, value in run.init.items() if key != "corrections"}
     if fixer.corrections:
-        init["corrections"] = [_said(one) for one in fixer.corrections]
+        init["corrections"] = [record_of(one) for one in fixer.corrections]
     done: list[tuple[Path, Path]] = []  # from where, to where
     said: list[str] = []
     at = run.folder
@@ -92,7 +91,3 @@ def forget(run: Run) -> None:
 def _beside(path: Path) -> Path:
     whole = Path(os.path.realpath(path))
     return whole.with_name(f".{whole.stem}-{os.getpid()}.fixed{whole.suffix}")
-
-
-def _said(one: Correction) -> dict[str, object]:
-    return {"frame": one.frame, "target": one.target, **members_of(one)}

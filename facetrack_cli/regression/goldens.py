@@ -33,8 +33,8 @@ from facetrack_cli.regression.bands import QUANTITIES, Name, Statistic
 from facetrack_cli.regression.names import names
 from facetrack_cli.report.header import CorrectionHeader
 from facetrack_cli.start.files import write_new
-from facetrack_cli.start.init_text import members_of
-from facetrack_cli.types import Array, Correction, Start, TargetStart
+from facetrack_cli.start.init_text import record_of
+from facetrack_cli.types import Array, Start, TargetStart
 from facetrack_cli.video.images import listing
 
 FOLDER: Final = "goldens"
@@ -214,7 +214,7 @@ def _text(golden: Golden) -> str:
                 for name, target in golden.start.targets.items()
             },
             **(
-                {"corrections": [_put_right(one) for one in golden.start.corrections]}
+                {"corrections": [record_of(one) for one in golden.start.corrections]}
                 if golden.start.corrections
                 else {}
             ),
@@ -247,10 +247,6 @@ def _json(value: Any) -> str:
 
 def _list(values: Array) -> list[float | None]:
     return [None if math.isnan(v) else round(v, 1) for v in values.tolist()]
-
-
-def _put_right(one: Correction) -> dict[str, Any]:
-    return {"frame": one.frame, "target": one.target, **members_of(one)}
 
 
 class _Strict(BaseModel):

@@ -58,6 +58,11 @@ def members_of(correction: Correction) -> dict[str, Any]:
     return found
 
 
+def record_of(correction: Correction) -> dict[str, Any]:
+    """A correction as the header of a trajectory and a golden have it: its frame, its target, and what it says."""
+    return {"frame": correction.frame, "target": correction.target, **members_of(correction)}
+
+
 def as_yaml(start: Start, clip: str = "") -> str:
     """As YAML that says what is what; `clip` is named at the top."""
     how = _HOW.get(start.origin, "")
