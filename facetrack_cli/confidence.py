@@ -17,7 +17,7 @@ as it rises above.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -74,6 +74,14 @@ class Confidence:
             good = np.where(doubtful, good, good + (distance - good) / self.memory)
         status = tuple(_status(v) for v in below >= self.patience)
         return Judgement(good, last.bad, confidence, below, status)
+
+    def resume(self, first: Judgement, distance: Array) -> Judgement:
+        """The judgement where a target begins anew with what the `first` frame taught.
+
+        Nothing is known of the frames before, so that a part in doubt is `lost` at once.
+        """
+        impatient = np.full(len(first.below), self.patience - 1, np.int64)
+        return self.judge(replace(first, below=impatient), distance)
 
 
 def _status(lost: bool) -> Status:

@@ -159,7 +159,7 @@ class ParticleTarget:
         judgement = first.judgement
         if judgement is not None:
             assert self.confidence is not None
-            judgement = self.confidence.judge(judgement, self.likelihood.distances(first.learned, frame, x0[None])[0])
+            judgement = self.confidence.resume(judgement, self.likelihood.distances(first.learned, frame, x0[None])[0])
         learned = self.likelihood.learn(first.learned, frame, x0, particles)
         flow = None if self.guide is None else self.guide.begin(rng, frame, x0, self.motion)
         state = State(

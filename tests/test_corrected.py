@@ -258,3 +258,12 @@ def test_spaces_place_a_box_and_give_its_centre_and_size_again(box):
             np.testing.assert_allclose(space.windows(Estimate(state, np.zeros((1, 2, 2)))), [box[2:]])
     with pytest.raises(TypeError, match="points"):
         PointSpace(np.ones((1, 2))).at(box)
+
+
+def test_a_part_that_is_kept_where_it_is_not_is_lost_at_once(face):
+    put = run(
+        "factorized", face, given(20, points={"mouth_left": face.point(20, "mouth_left")}, kept={"nose": (40.0, 40.0)})
+    )
+    assert [part(put[i], "nose").status for i in (19, 20)] == ["tracked", "lost"]
+    assert part(put[20], "nose").confidence < 0.3
+    assert part(put[20], "lip_upper").status == "tracked"
