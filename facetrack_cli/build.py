@@ -9,7 +9,7 @@ import numpy as np
 
 from facetrack_cli import filters, recipe
 from facetrack_cli.confidence import Confidence
-from facetrack_cli.corrected import Anew, CorrectedTarget
+from facetrack_cli.corrected import Anew, CorrectedTarget, is_complete
 from facetrack_cli.errors import InputError, RecipeError
 from facetrack_cli.exclusion import Exclusion
 from facetrack_cli.gallery import load_gallery
@@ -43,7 +43,7 @@ from facetrack_cli.spaces import (
 )
 from facetrack_cli.start.files import TARGET as FACE
 from facetrack_cli.start.files import check_size
-from facetrack_cli.start.haar import box_start
+from facetrack_cli.start.haar import PARTS, box_start
 from facetrack_cli.track import Target, Tracker
 from facetrack_cli.types import BOX, Array, Box, Correction, Frame, Start, TargetStart
 
@@ -77,11 +77,14 @@ def _corrected(recipe_: Recipe, start: Start, target: Target) -> Target:
     absent: set[str] = set()
     for one in corrections:
         origin = f"{start.origin}: the correction of {one.target} at frame {one.frame}"
-        absent = set(target.parts) if one.absent is True else (absent - {*one.given.points, *one.kept}) | {*one.absent}
+        gone = target.parts if one.absent is True else one.absent
+        # what a correction leaves open stays absent
+        still = () if is_complete(one, target.parts) else absent - {*one.given.points, *one.kept}
+        absent = {*gone, *still}
         _check_correction(one, target, start, origin, points=points)
         if len(absent & set(target.parts)) == len(target.parts):
             continue
-        if one.learn and points and one.given.box is None and absent & set(target.parts):
+        if one.learn and points and absent & set(target.parts):
             raise InputError(f"{origin}: {', '.join(sorted(absent))} cannot be learned while absent; leave learn out")
         if one.learn is False and kind is None:
             raise InputError(f"{origin}: OpenCV's trackers begin anew in any case; leave learn out")
@@ -91,9 +94,13 @@ def _corrected(recipe_: Recipe, start: Start, target: Target) -> Target:
     def place(frame: Frame, one: Correction) -> TargetStart:
         assert one.given.box is not None
         said_in = f"{start.origin}: the correction of {one.target} at frame {frame.index}"
-        return box_start(frame, one.given.box, target.parts, clip=said_in).targets[FACE]
+        seen = [part for part in target.parts if one.absent is not True and part not in one.absent]
+        return box_start(frame, one.given.box, seen, clip=said_in).targets[FACE]
 
     def build(frame: Frame, given: TargetStart) -> Target:
+        # a single point is measured by the box of the start
+        box = start.targets[target.name].box if points and given.box is None else given.box
+        given = replace(given, box=box)
         known = replace(start, frame=frame.index, targets={**start.targets, target.name: given})
         [anew] = [one for one in _targets(recipe_, known) if one.name == target.name]
         return anew
@@ -121,6 +128,10 @@ def _check_correction(one: Correction, target: Target, start: Start, origin: str
     gone = one.absent is True or (not points and BOX in one.absent)
     if not points and not gone and one.given.box is None:
         raise InputError(f"{origin}: has no box, which the recipe follows; add one, as in box: [x, y, w, h]")
+    absent = target.parts if one.absent is True else one.absent
+    strange = [part for part in target.parts if part not in PARTS and part not in absent]
+    if points and one.given.box is not None and not one.given.points and strange:
+        raise InputError(f"{origin}: no cascade can place {', '.join(strange)} in its box; give points: in place of it")
     if not points and one.given.box is not None:
         check_size(start.origin, f"{one.target} at frame {one.frame}", one.given.box)
 
@@ -375,6 +386,8 @@ def _points_target(given: ParticleFilter, recipe_: Recipe, name: str, start: Sta
         raise InputError(f"{start.origin}: {name} has no point for {', '.join(missing)}; the recipe wants them")
     x0 = np.array([placed.points[part] for part in parts], dtype=float)
     size = size_of_points(x0) if len(parts) > 1 else _size_of_box(start, name)
+    if not size:
+        raise InputError(f"{start.origin}: all points of {name} are in one place; move them apart")
     windows = np.array([[side.pixels(size) for side in given.target.window(part)] for part in parts])
     for part, side in placed.windows.items():
         if part in parts:

@@ -23,7 +23,7 @@ from facetrack_cli.exclusion import Cover
 from facetrack_cli.particle_target import ParticleTarget, absent_part
 from facetrack_cli.track import Target
 from facetrack_cli.trajectory import DECIMALS
-from facetrack_cli.types import Correction, Frame, PartResult, Point, TargetResult, TargetStart
+from facetrack_cli.types import BOX, Correction, Frame, PartResult, Point, TargetResult, TargetStart
 
 STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets
 
@@ -31,8 +31,8 @@ STREAM: Final = 2**31  # keeps the streams of corrections apart from those of ta
 class Anew(NamedTuple):
     """How a target begins anew, as `build.py` knows it.
 
-    `points`: whether it is placed by points. `place` finds the points in a box that is given alone. `build` makes the
-    target that learns what it looks like in a frame where it is as given.
+    `points`: whether it is placed by points. `place` finds those that are not absent in a box given alone. `build`
+    makes the target that learns what it looks like in a frame where it is as given.
     """
 
     points: bool
@@ -53,7 +53,6 @@ class State:
     target: Target
     inner: Any
     rng: np.random.Generator | None = None
-    absent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,21 +96,18 @@ class CorrectedTarget:
 
     def complete(self, correction: Correction) -> bool:
         """Whether it says of every part where it is, or that it is not to be seen."""
-        if correction.absent is True or correction.given.box is not None:
-            return True
-        return {*correction.given.points, *correction.kept, *correction.absent} >= set(self.parts)
+        return is_complete(correction, self.parts)
 
     def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
         """The state after `frame`, in which a `complete` correction says where the target is."""
         given = correction.given
-        if self.anew.points and given.box is not None and not given.points:
-            given = self.anew.place(frame, correction)
-        by_hand = tuple(part for part in self.parts if part in given.points or not self.anew.points)
         absent = self.parts if correction.absent is True else tuple(p for p in self.parts if p in correction.absent)
-        state = replace(state, absent=absent)
         if len(absent) == len(self.parts):
             result = TargetResult(self.name, tuple(map(absent_part, absent)), None, np.zeros((0, len(absent), 2)))
             return replace(state, inner=None), _marked(result, absent)
+        if self.anew.points and given.box is not None and not given.points:
+            given = self.anew.place(frame, correction)
+        by_hand = tuple(part for part in self.parts if part in given.points or not self.anew.points)
         if self.anew.points:
             given = TargetStart(points={**correction.kept, **given.points}, windows=self._windows)
         streams = state.streams
@@ -151,6 +147,17 @@ class CorrectedTarget:
             kept={**correction.kept, **{part.name: kept_place(part) for part in rest if part.status != "absent"}},
             absent=(*correction.absent, *(part.name for part in rest if part.status == "absent")),
         )
+
+
+def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
+    """Whether it says of all `parts` of its target where they are, or that they are not to be seen.
+
+    A box alone says so of points, too; beside points it says nothing of the others.
+    """
+    given = correction.given
+    if correction.absent is True or (given.box is not None and (not given.points or tuple(parts) == (BOX,))):
+        return True
+    return {*given.points, *correction.kept, *correction.absent} >= set(parts)
 
 
 def kept_place(part: PartResult) -> Point:

@@ -6,14 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
+from facetrack_cli.corrected import is_complete
 from facetrack_cli.types import BOX, Box, Correction, Point, TargetStart
-
-
-def is_complete(correction: Correction, parts: tuple[str, ...]) -> bool:
-    """Whether it says of all parts where they are, or that they are not to be seen."""
-    if correction.absent is True or correction.given.box is not None:
-        return True
-    return {*correction.given.points, *correction.kept, *correction.absent} >= set(parts)
 
 
 def completed(correction: Correction, target: Mapping[str, Any]) -> Correction:

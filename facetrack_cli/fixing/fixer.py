@@ -7,8 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from facetrack_cli.corrected import is_complete
 from facetrack_cli.errors import InputError
-from facetrack_cli.fixing.complete import completed, is_complete
+from facetrack_cli.fixing.complete import completed
 from facetrack_cli.fixing.retrack import Read, Report, Task, Tracking
 from facetrack_cli.fixing.rows import Rows, recorded
 from facetrack_cli.fixing.run_folder import Run
