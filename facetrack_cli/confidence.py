@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.types import Array, Frame, Status
 
@@ -75,13 +76,27 @@ class Confidence:
         status = tuple(_status(v) for v in below >= self.patience)
         return Judgement(good, last.bad, confidence, below, status)
 
-    def resume(self, first: Judgement, distance: Array) -> Judgement:
-        """The judgement where a target begins anew with what the `first` frame taught.
+    def resume(
+        self, first: Judgement, anew: NDArray[np.bool_], measure: Measures, learned: Any, frame: Frame, x0: Array,
+        windows: Array,
+    ) -> Judgement:  # fmt: skip
+        """The judgement where a target begins anew at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
 
-        Nothing is known of the frames before, so that a part in doubt is `lost` at once.
+        Parts that are learned `anew` (K,) are judged from here on, the others by what the `first` frame showed. Nothing
+        is known of the frames before, so that a part in doubt is `lost` at once.
         """
         impatient = np.full(len(first.below), self.patience - 1, np.int64)
-        return self.judge(replace(first, below=impatient), distance)
+        kept = self.judge(replace(first, below=impatient), measure.distances(learned, frame, x0[None])[0])
+        if not anew.any():
+            return kept
+        begun = self.begin(measure, learned, frame, x0, windows)
+        return Judgement(
+            np.where(anew, begun.good, kept.good),
+            np.where(anew, begun.bad, kept.bad),
+            np.where(anew, begun.confidence, kept.confidence),
+            np.where(anew, begun.below, kept.below),
+            tuple(b if now else k for now, b, k in zip(anew, begun.status, kept.status, strict=True)),
+        )
 
 
 def _status(lost: bool) -> Status:

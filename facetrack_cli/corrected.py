@@ -6,9 +6,10 @@ those that are kept, or not spoken of, stand where they were, rounded as in the 
 frame, on the correction, and on the pictures from there on, and on nothing that was tracked before. So a part of a run
 can be tracked anew without the rest (`Resumed`), and gives the very rows that a whole run would.
 
-Points keep what the first frame taught, boxes learn anew what the target looks like; a correction's `learn` says
-otherwise. What is absent has rows without a place until a later correction gives it. All of this is ours; the papers
-begin once.
+What is given is learned anew: a box, or those of the points that somebody put right; the others keep what the first
+frame taught. A correction's `learn` says otherwise: false learns nothing, true all that is there, points that are kept
+and the size of the face too. What is absent has rows without a place until a later correction gives it. All of this is
+ours; the papers begin once.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ STREAM: Final = 2**31  # keeps the streams of corrections apart from those of ta
 class Anew(NamedTuple):
     """How a target begins anew, as `build.py` knows it.
 
-    `points`: whether it is placed by points. `place` finds those that are not absent in a box given alone. `build`
-    makes the target that learns what it looks like in a frame where it is as given.
+    `points`: whether it is placed by points; `learn`: whether all of it is learned anew, if nothing is said. `place`
+    finds the points that are not absent in a box given alone. `build` makes the target that learns what it looks like
+    in a frame where it is as given.
     """
 
     points: bool
@@ -119,7 +121,8 @@ class CorrectedTarget:
         else:
             target = self.target
             assert isinstance(target, ParticleTarget)
-            inner, result = target.restart(rng, frame, state.first, given, absent)
+            anew = by_hand if correction.learn is None and self.anew.points else ()
+            inner, result = target.restart(rng, frame, state.first, given, absent, anew)
         result = replace(result, parts=tuple(_placed(part) if part.name in by_hand else part for part in result.parts))
         return replace(state, target=target, inner=inner, rng=rng), _marked(result, (*by_hand, *absent))
 

@@ -53,6 +53,14 @@ class Adapts(Protocol):
     def tell(self, learned: Any) -> Told: ...
 
 
+@runtime_checkable
+class LearnsParts(Protocol):
+    """A likelihood of several parts, of which some can be learned anew."""
+
+    def relearn(self, learned: Any, frame: Frame, x0: Array, parts: NDArray[np.bool_]) -> Any:
+        """What is known once `parts` (K,) look as they do in `frame` at x0 (K, D)."""
+
+
 class Motion(Protocol):
     """How parts move from frame to frame; see `filters.FrameModel`."""
 
@@ -146,25 +154,38 @@ class ParticleTarget:
         return Info(np.full(len(self.parts), float(self.particles)))
 
     def restart(
-        self, rng: np.random.Generator, frame: Frame, first: State, given: TargetStart, absent: Sequence[str] = ()
+        self,
+        rng: np.random.Generator,
+        frame: Frame,
+        first: State,
+        given: TargetStart,
+        absent: Sequence[str] = (),
+        anew: Sequence[str] = (),
     ) -> tuple[State, TargetResult]:
         """As `begin`, where `given` says that the target is in `frame`, with what the `first` frame taught.
 
         `given` has the target's box, or the points of all parts but those `absent`, which follow the others from then
-        on, in the shape that they have at the start, and have rows without a place.
+        on, in the shape that they have at the start, and have rows without a place. What the points `anew` look like is
+        learned in `frame`.
         """
         hidden = np.array([part in absent for part in self.parts])
+        fresh = np.array([part in anew for part in self.parts])
         x0, scatter = self._placed(given, hidden)
-        particles = self._fresh(rng, x0, scatter)
+        particles, still = self._fresh(rng, x0, scatter), self._still(x0, scatter)
+        learned = first.learned
+        if fresh.any():
+            assert isinstance(self.likelihood, LearnsParts)
+            learned = self.likelihood.relearn(learned, frame, x0, fresh)
         judgement = first.judgement
         if judgement is not None:
             assert self.confidence is not None
-            judgement = self.confidence.resume(judgement, self.likelihood.distances(first.learned, frame, x0[None])[0])
-        learned = self.likelihood.learn(first.learned, frame, x0, particles)
+            windows = self.space.windows(still)
+            judgement = self.confidence.resume(judgement, fresh, self.likelihood, learned, frame, x0, windows)
+        learned = self.likelihood.learn(learned, frame, x0, particles)
         flow = None if self.guide is None else self.guide.begin(rng, frame, x0, self.motion)
         state = State(
             particles,
-            self._still(x0, scatter),
+            still,
             learned,
             judgement,
             self._tell(learned),

@@ -152,7 +152,7 @@ class Correction:
 
     `given`: its box, or points of it, as in a start, without windows. `kept`: where its other points were; what is
     neither given nor kept stays where the tracker sees it. `absent`: parts that are not to be seen from there on, True
-    for all of them. `learn`: whether what it looks like is learned anew there; None is what its type does by itself.
+    for all of them. `learn`: whether what it looks like is learned anew there; None: of what is given.
     """
 
     frame: int

@@ -267,3 +267,38 @@ def test_a_part_that_is_kept_where_it_is_not_is_lost_at_once(face):
     assert [part(put[i], "nose").status for i in (19, 20)] == ["tracked", "lost"]
     assert part(put[20], "nose").confidence < 0.3
     assert part(put[20], "lip_upper").status == "tracked"
+
+
+def test_what_is_given_is_learned_anew_and_the_others_keep_what_the_first_frame_taught(face):
+    [target] = build_tracker(load_recipe("factorized"), face.start)
+    first, _ = target.begin(np.random.default_rng(0), face.frames[0])
+    x0 = np.array([face.point(30, name) for name in PARTS])
+    chosen = np.array([False, True, False, False, True])
+    likelihood, frame = target.likelihood, face.frames[30]
+    learned = likelihood.relearn(first.learned, frame, x0, chosen)
+    here = likelihood.distances(learned, frame, x0[None])[0]
+    before = likelihood.distances(first.learned, frame, x0[None])[0]
+    np.testing.assert_allclose(here[chosen], 0, atol=1e-6)
+    np.testing.assert_array_equal(here[~chosen], before[~chosen])
+    assert before[chosen].min() > 0.01
+    whole = likelihood.init(frame, x0)
+    np.testing.assert_array_equal(learned.sigma, np.where(chosen, whole.sigma, first.learned.sigma))
+    said = {
+        "points": face.points(30, ("mouth_left", "lip_lower")),
+        "kept": face.points(30, ("nose", "mouth_right", "lip_upper")),
+    }
+    ways = [lines(run("factorized", face, given(30, **said, learn=learn)), 31) for learn in (None, False, True)]
+    assert ways[0] != ways[1] != ways[2] != ways[0]
+
+
+def test_a_part_learned_anew_is_judged_by_what_it_looks_like_now(face):
+    """In frame 30 the light is another: at the truth, the new template is the better one."""
+    [target] = build_tracker(load_recipe("factorized"), face.start)
+    first, _ = target.begin(np.random.default_rng(0), face.frames[0])
+    place = TargetStart(points=face.points(30))
+    kept, _ = target.restart(np.random.default_rng(0), face.frames[30], first, place)
+    anew, _ = target.restart(np.random.default_rng(0), face.frames[30], first, place, anew=("lip_lower",))
+    np.testing.assert_array_equal(anew.judgement.good[:4], kept.judgement.good[:4])
+    assert anew.judgement.confidence[4] == 1.0
+    assert anew.judgement.bad[4] != kept.judgement.bad[4]
+    assert anew.judgement.status == (*kept.judgement.status[:4], "init")

@@ -4,15 +4,15 @@
     d(o, q) = E_j{ rho(c_j) }              mean over the window of a robust function, L1 as published       (eq. 9)
     p(y|a)  = exp(-d / sigma_i)            sigma_i = sigma / E{o_i}, sigma = 1.5 for intensities in 0..255  (eq. 10)
 
-Templates are learned in the first frame and then stay. Beyond the paper, as options: other robust functions; a floor,
-p + exp(floor) in place of p, so that a part which matches nothing costs the same wherever it is; and `max_samples`,
-which reads windows larger than that from a picture reduced by a power of two (area means), so that a clip in 4K
-costs no more than one in 240p.
+Templates are learned in the first frame and then stay, but where a part is put right by hand. Beyond the paper, as
+options: other robust functions; a floor, p + exp(floor) in place of p, so that a part which matches nothing costs the
+same wherever it is; and `max_samples`, which reads windows larger than that from a picture reduced by a power of two
+(area means), so that a clip in 4K costs no more than one in 240p.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,15 @@ class ColourRatio:
     def learn(self, learned: Templates, frame: Frame, state: Array, particles: Particles) -> Templates:
         """The templates stay as they are."""
         return learned
+
+    def relearn(self, learned: Templates, frame: Frame, x0: Array, parts: NDArray[np.bool_]) -> Templates:
+        """With the templates of `parts` (K,) as they look in `frame` at x0 (K, 2)."""
+        anew = self.init(frame, x0)
+        groups = []
+        for old, new in zip(learned.groups, anew.groups, strict=True):  # which part is where follows from the windows
+            ratios = np.where(np.repeat(parts[new.parts], np.diff(new.offsets)), new.ratios, old.ratios)
+            groups.append(replace(new, ratios=ratios))
+        return Templates(tuple(groups), np.where(parts, anew.sigma, learned.sigma), learned.reach)
 
     def _group(
         self, frame: Frame, extent: Extent, x0: Array, factor: int, parts: NDArray[np.int64]

@@ -77,7 +77,7 @@ def as_yaml(start: Start, clip: str = "") -> str:
         lines += [
             "# What was put right by hand; from each of these frames on the target begins anew.",
             "# points, box: by hand; kept: where its other points were; absent: not to be seen from there on;",
-            "# learn: whether what it looks like is learned anew there.",
+            "# learn: whether what it looks like is learned anew there; if it is not said, what is given is.",
             "corrections:",
         ]
     for frame, group in groupby(start.corrections, key=lambda one: one.frame):
