@@ -192,7 +192,8 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
                 f"{start.frame}; remove that correction, or begin earlier"
             )
         name, box = f"{one.target} at frame {one.frame}", one.given.box
-        _check_places(start.origin, name, box, {**one.kept, **one.given.points}, size)
+        # what is kept is where the tracker saw it, which may be beyond the border
+        _check_places(start.origin, name, box, one.given.points, size)
         if box is not None and max(box[2] / size[0], box[3] / size[1]) > 1:
             raise InputError(
                 f"{start.origin}: the box of {name}, {box[2]:g}x{box[3]:g} pixels, is larger than {picture}; make it "
