@@ -275,9 +275,9 @@ def test_what_is_wrong_is_said_in_one_line(facetrack, out, tmp_path):
     assert "--port is for the page" in refusal(facetrack("fix", out, "--init", "i.yaml", "--port", 9000), 2)
     assert "--quiet goes with --init" in refusal(facetrack("fix", out, "-q"), 2)
     Path("late.yaml").write_text(
-        CLIP.with_suffix(".init.yaml").read_text() + "corrections:\n- {frame: 99, points: {nose: [150, 130]}}\n"
+        CLIP.with_suffix(".init.yaml").read_text() + "corrections:\n- {frame: 9, points: {nose: [950, 130]}}\n"
     )
-    assert "frame 99 cannot be corrected; the run can be from 1 to 19" in refusal(
+    assert "nose of face at frame 9 at [950, 130] is outside" in refusal(
         facetrack("fix", out, "--init", "late.yaml"), 3
     )
     (out / UNSAVED).write_text("frame: 0\n")

@@ -1,12 +1,18 @@
 """Runs that are put right though something about them is out of the way."""
 
+import contextlib
+import shutil
+
 import cv2
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.fixing.fixer import Fixer
+from facetrack_cli.errors import InputError
+from facetrack_cli.fixing.fixer import Fixer, corrections_of
+from facetrack_cli.fixing.overview import overview
 from facetrack_cli.fixing.run_folder import CORRECTED, open_run
 from facetrack_cli.fixing.save import save
+from facetrack_cli.start import read_init
 from facetrack_cli.types import Correction, TargetStart
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
@@ -19,14 +25,22 @@ def run(*words):
     assert main(["run", *map(str, words), *FEW]) == 0
 
 
+@contextlib.contextmanager
+def fixing(folder):
+    with (
+        open_run(folder) as opened,
+        Frames(opened.clip, fps=opened.fps) as frames,
+        contextlib.closing(Fixer(opened, frames.read)) as fixer,
+    ):
+        yield fixer
+
+
 def put(folder, *corrections):
     """Have these corrections, one after the other, and save."""
-    with open_run(folder) as opened, Frames(opened.clip, fps=opened.fps) as frames:
-        fixer = Fixer(opened, frames.read)
+    with fixing(folder) as fixer:
         for one in corrections:
             fixer.put([one])
-        save(fixer)
-        fixer.close()
+        return save(fixer)
 
 
 def nose(frame, x, y):
@@ -52,9 +66,85 @@ def test_a_part_beyond_the_border_is_kept_there(leaving, tmp_path):
     """The init file is read again, and the run put right a second time."""
     run(leaving, "-o", tmp_path / "out")
     put(tmp_path / "out", nose(11, 6, 50))
-    with open_run(tmp_path / "out") as opened:
+    with fixing(tmp_path / "out") as fixer:
+        opened = fixer.run
         assert opened.start.corrections[0].kept["mouth_left"][0] < -0.5
     run(leaving, "-o", tmp_path / "again", "--init", tmp_path / "out" / CORRECTED)
     ours, theirs = ((tmp_path / folder / "trajectory.csv").read_bytes() for folder in ("out", "again"))
     assert ours == theirs
     put(tmp_path / "out", nose(10, 9, 50))
+
+
+# --- init files that say more, or less -------------------------------------------------------------------------------
+
+INIT = (FOLDER / "expressions.init.yaml").read_text()
+LATE = INIT + "corrections:\n- {frame: 5, points: {nose: [158, 140]}}\n- {frame: 31, points: {nose: [150, 140]}}\n"
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """A run whose init file corrects frame 5, and frame 31, to which the run does not come."""
+    folder = tmp_path_factory.mktemp("short")
+    (folder / "late.yaml").write_text(LATE)
+    run(FOLDER / "expressions.mp4", "-o", folder / "out", "--init", folder / "late.yaml", "--stop", "12")
+    return folder / "out"
+
+
+def copied(run, folder):
+    shutil.copytree(run, folder)
+    return folder
+
+
+def test_a_correction_past_the_end_is_kept_for_a_longer_run(short, tmp_path):
+    out = copied(short, tmp_path / "out")
+    said = put(out, nose(8, 159, 140))
+    assert said[-1] == f"{out / CORRECTED}: the correction of face at frame 31 is past the end, frame 11"
+    assert [one.frame for one in read_init(out / CORRECTED).corrections] == [5, 8, 31]
+    run(FOLDER / "expressions.mp4", "-o", tmp_path / "again", "--init", out / CORRECTED, "--stop", "12")
+    assert (out / "trajectory.csv").read_bytes() == (tmp_path / "again" / "trajectory.csv").read_bytes()
+    with fixing(out) as fixer:
+        assert [one["frame"] for one in overview(fixer.rows, 3, fixer.corrections)["corrections"]] == [5, 8]
+        fixer.remove(31, "face")
+        assert fixer.changed and [one.frame for one in fixer.corrections] == [5, 8]
+        with pytest.raises(InputError, match="frame 31 cannot be corrected; the run can be from 1 to 11"):
+            fixer.put([nose(31, 159, 140)])
+
+
+def test_the_init_file_of_the_run_itself_changes_nothing(short, tmp_path):
+    """Though it leaves open where the other points were: the rows say that."""
+    out = copied(short, tmp_path / "out")
+    with fixing(out) as fixer:
+        assert set(fixer.corrections[0].kept) == {"mouth_left", "mouth_right", "lip_upper", "lip_lower"}
+        fixer.apply(fixer.run.start.corrections)
+        assert not fixer.changed and "nothing was corrected" in save(fixer)[0]
+        fixer.apply(())
+        assert fixer.changed and fixer.corrections == ()
+
+
+def test_rows_before_a_correction_stay_though_its_frame_is_tracked_once_more(short, tmp_path):
+    """To see where the parts are that the new one leaves open."""
+    with fixing(copied(short, tmp_path / "out")) as fixer:
+        fixer.apply((nose(5, 159, 140),))
+        assert [fixer.rows.track_at("face", frame).store is None for frame in (0, 4, 5)] == [True, True, False]
+        kept = fixer.run.start.corrections[0]
+        assert kept.given != fixer.corrections[0].given and fixer.find(5, "face").kept["lip_lower"][1] > 160
+
+
+def test_only_the_target_whose_correction_is_another_changes(tmp_path):
+    """Though they keep off each other."""
+    few = [word for t in ("head", "left_hand", "right_hand") for word in ("--set", f"targets.{t}.filter.particles=40")]
+    init = (FOLDER / "signing.init.yaml").read_text()
+    said = (
+        "corrections:\n- {{frame: 6, left_hand: {{box: [{}, 120, 40, 46]}}}}\n- {{frame: 9, head: {{absent: true}}}}\n"
+    )
+    for name, left in (("a.yaml", 95), ("b.yaml", 97)):
+        (tmp_path / name).write_text(init + said.format(left))
+    words = ["run", FOLDER / "signing.mp4", "-o", tmp_path / "out", "--init", tmp_path / "a.yaml", "--stop", "12", *few]
+    assert main([*map(str, words), "--config", "head_hands", "--no-video", "-q"]) == 0
+    before = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
+    with fixing(tmp_path / "out") as fixer:
+        fixer.apply(corrections_of(tmp_path / "b.yaml", fixer.run))
+        save(fixer)
+    after = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
+    changed = [new.split(",")[0:3:2] for new, old in zip(after, before, strict=True) if new != old]
+    assert changed == [[str(frame), "left_hand"] for frame in range(6, 12)]

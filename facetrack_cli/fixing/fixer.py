@@ -37,9 +37,9 @@ class Fixer:
         self.run = run
         self._store = Store()
         self._tracking = Tracking(run, self._store, read)
-        begins = {name: [None, *_of(run.start.corrections, name)] for name in run.index.targets}
+        self._at_first = self._ordered(_completed_by_rows(run))
+        begins = {name: [None, *self._within(self._at_first, name)] for name in run.index.targets}
         self._known: dict[str, list[Track]] = recorded(run.index, begins)
-        self._at_first = self._ordered(run.start.corrections)
         self.now = Now(self._at_first, Rows(run.index, {name: list(tracks) for name, tracks in self._known.items()}))
         self._past: list[Now] = []
 
@@ -108,17 +108,25 @@ class Fixer:
         report: Report = lambda done, total: None,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Have these corrections and no others. What they leave open is where the track before them is."""
+        """Have these corrections and no others. What they leave open is where the track before them is.
+
+        Those past the run's end are kept for a longer one.
+        """
         for one in corrections:
-            self.check(one)
+            self.check(one, beyond=True)
         self._become(corrections, report, stop)
 
-    def check(self, one: Correction) -> None:
-        """InputError if a correction does not fit the run."""
+    @property
+    def beyond(self) -> tuple[Correction, ...]:
+        """Corrections that the run never came to."""
+        return tuple(one for one in self.corrections if one.frame > self.run.index.last)
+
+    def check(self, one: Correction, *, beyond: bool = False) -> None:
+        """InputError if a correction does not fit the run; it may lie `beyond` its end."""
         index = self.run.index
         if one.target not in index.parts:
             raise InputError(f"there is no {one.target} in the run; it has {', '.join(index.targets)}")
-        if not index.first < one.frame <= index.last:
+        if not index.first < one.frame <= index.last and not (beyond and one.frame > index.last):
             why = ", in which it begins; begin it anew with facetrack init" if one.frame == index.first else ""
             raise InputError(
                 f"frame {one.frame} cannot be corrected{why}; the run can be from {index.first + 1} to {index.last}"
@@ -130,19 +138,21 @@ class Fixer:
 
     def _become(self, corrections: Sequence[Correction], report: Report, stop: Callable[[], bool]) -> None:
         """Take up these corrections, tracking what no track is known of."""
-        plans = {name: self._plan(name, _of(corrections, name)) for name in self._known}
+        plans = {name: self._plan(name, self._within(corrections, name)) for name in self._known}
         found: dict[str, list[Track]] = {name: [] for name in plans}
+        ends: dict[str, Track] = {}  # which have the frame of the next beginning, too, if that wants it
         done = total = 0
         while any(plans.values()):
             # one stretch a target at a time, so that targets which are corrected in the same frames share the pictures
             tasks: list[Task] = []
             for name, plan in plans.items():
                 while plan:
-                    task = self._completed(plan[0], found[name])
-                    if (known := self._find(task)) is None:
+                    task = self._completed(plan[0], ends.get(name))
+                    if (known := self._find(task, task.stop)) is None:
                         tasks.append(task)
                         break
                     found[name].append(known)
+                    ends[name] = known
                     plan.pop(0)
             left = sum(task.stop - task.first for plan in plans.values() for task in plan)
             total = max(total, done + left)
@@ -150,17 +160,25 @@ class Fixer:
             def told(n: int, _: int, before: int = done, total: int = total) -> None:
                 report(before + n, max(total, before + n))
 
-            for track in self._tracking.track(tasks, self.rows, report=told, stop=stop):
-                found[track.target].append(track)
-                plans[track.target].pop(0)
+            for task, track in zip(tasks, self._tracking.track(tasks, self.rows, report=told, stop=stop), strict=True):
+                # rows that are there stay, though one frame more was wanted
+                shorter = self._find(task, self._next_begins(plans[task.target], task.stop))
+                found[task.target].append(shorter or track)
+                ends[task.target] = track
+                plans[task.target].pop(0)
             done += sum(task.stop - task.first for task in tasks)
-        became = self._ordered(track.begin for tracks in found.values() for track in tracks if track.begin is not None)
+        begins = [track.begin for tracks in found.values() for track in tracks if track.begin is not None]
+        became = self._ordered([*begins, *(one for one in corrections if one.frame > self.run.index.last)])
         for name, tracks in found.items():
             self._known[name] += [track for track in tracks if track not in self._known[name]]
         if became == self.corrections:
             return
         self._past = [*self._past, self.now][-MOST_STEPS:]
         self.now = Now(became, Rows(self.run.index, found))
+
+    def _within(self, corrections: Iterable[Correction], target: str) -> list[Correction]:
+        """Those of a target that the run comes to."""
+        return [one for one in corrections if one.target == target and one.frame <= self.run.index.last]
 
     def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
         places = {name: place for place, name in enumerate(self.run.index.targets)}
@@ -179,17 +197,32 @@ class Fixer:
         plan.append(Task(target, begin, first, index.last + 1))
         return plan
 
-    def _completed(self, task: Task, before: Sequence[Track]) -> Task:
-        """With its beginning completed by the last row of the track before it."""
+    @staticmethod
+    def _next_begins(plan: Sequence[Task], stop: int) -> int:
+        """The frame in which the second task of a plan begins; `stop` if there is none."""
+        return plan[1].first if len(plan) > 1 else stop
+
+    def _completed(self, task: Task, before: Track | None) -> Task:
+        """With its beginning completed by what the track before it has in that frame."""
         if task.begin is None or is_complete(task.begin, self.run.index.parts[task.target]):
             return task
-        rows = Rows(self.run.index, {task.target: before})
+        assert before is not None
+        rows = Rows(self.run.index, {task.target: [before]})
         return replace(task, begin=completed(task.begin, rows.target(task.first, task.target)))
 
-    def _find(self, task: Task) -> Track | None:
-        """A track that is known already of what the task asks for."""
+    def _find(self, task: Task, stop: int) -> Track | None:
+        """A track that is known already of what the task asks for, up to a frame."""
         same = (track for track in self._known[task.target] if track.begin == task.begin)
-        return next((track for track in same if track.stop >= task.stop), None)
+        return next((track for track in same if track.stop >= stop), None)
+
+
+def _completed_by_rows(run: Run) -> list[Correction]:
+    """The corrections that a run was made with; what they leave open is where the rows of their frames have it."""
+    rows = Rows(run.index, recorded(run.index, {name: [None] for name in run.index.targets}))
+    return [
+        completed(one, rows.target(one.frame, one.target)) if one.frame <= run.index.last else one
+        for one in run.start.corrections
+    ]
 
 
 def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
@@ -209,7 +242,3 @@ def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
 
 def _same(one: Correction, other: Correction) -> bool:
     return (one.frame, one.target) == (other.frame, other.target)
-
-
-def _of(corrections: Sequence[Correction], target: str) -> list[Correction]:
-    return [one for one in corrections if one.target == target]

@@ -52,6 +52,7 @@ def overview(rows: Rows, bins: int, corrections: tuple[Correction, ...] = ()) ->
                 "absent": True if one.absent is True else list(one.absent),
             }
             for one in corrections
+            if one.frame <= index.last
         ],
     }
 

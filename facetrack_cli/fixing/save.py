@@ -67,6 +67,11 @@ def save(
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)
     forget(run)
+    said += [
+        f"{run.folder / CORRECTED}: the correction of {one.target} at frame {one.frame} is past the end, frame "
+        f"{rows.index.last}"
+        for one in fixer.beyond
+    ]
     if run.video is not None and not video:
         said.append(f"{run.video}: left as it was, it shows the track of before")
     return [*(f"{whole}: written" for _, whole in done), *said]
