@@ -239,12 +239,12 @@ def test_save_writes_the_run_and_ends(page, out, monkeypatch):
     got = one.client.save()
     assert got.status == 422 and "what was moved in frame 9 is not tracked yet" in got.json["error"]
     one.client.put_draft(9)
-    real = saving.write_init
-    monkeypatch.setattr(saving, "write_init", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "No space left")))
+    real = saving.as_yaml
+    monkeypatch.setattr(saving, "as_yaml", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "No space left")))
     assert one.client.save().status == 202
     state = one.idle()
     assert "No space left; free some space, and save again" in state["message"] and state["ended"] is None
-    monkeypatch.setattr(saving, "write_init", real)
+    monkeypatch.setattr(saving, "as_yaml", real)
     assert one.client.save().status == 202
     ended = one.client.until(lambda state: state["ended"])["ended"]
     assert f"{out / CORRECTED}: written" in ended["said"] and ended["next"] == f"facetrack report {out} --overwrite"

@@ -353,7 +353,7 @@ def test_a_save_that_fails_leaves_the_folder_as_it_was(fixed, monkeypatch, name)
         raise OSError(errno.ENOSPC, "No space left on device")
 
     if name == CORRECTED:
-        monkeypatch.setattr(saving, "write_init", full)
+        monkeypatch.setattr(saving, "as_yaml", full)
     elif name == "annotated.mp4":
         monkeypatch.setattr(saving, "repaint", lambda *_, **__: full(None))
     else:

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from facetrack_cli.build import build_tracker
 from facetrack_cli.errors import FacetrackError, InputError
+from facetrack_cli.fixing.commit import finish
 from facetrack_cli.fixing.index import Index
 from facetrack_cli.fixing.reading import read_index
 from facetrack_cli.formats.table import Table
@@ -74,6 +75,7 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     Raises InputError, in one line, for a folder without JSON, files that are cut short or differ, rows that do not fit
     the recipe and the start, a recipe of another version, and a clip or a file of the recipe that is not there.
     """
+    finish(folder)  # what a save that was torn off has left
     main = trajectory_of(folder)
     files = {form: folder / f"trajectory.{form}" for form in FORMATS if (folder / f"trajectory.{form}").is_file()}
     index = read_index(files)

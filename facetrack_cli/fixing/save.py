@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
 from facetrack_cli.errors import OutputError
+from facetrack_cli.fixing.commit import announce, beside, finish, sweep
 from facetrack_cli.fixing.fixer import Fixer
 from facetrack_cli.fixing.repaint import repaint
 from facetrack_cli.fixing.retrack import Report
 from facetrack_cli.fixing.run_folder import CORRECTED, UNSAVED, Run
 from facetrack_cli.start import write_init
-from facetrack_cli.start.init_text import record_of
+from facetrack_cli.start.init_text import as_yaml, record_of
+
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def save(
@@ -33,40 +36,37 @@ def save(
     if not fixer.changed:
         forget(run)
         return [f"{run.folder}: nothing was corrected, all is as it was"]
-    for book in rows.index.books:
-        if not book.untouched:
-            raise OutputError(f"{book.path}: was written by somebody else since it was opened; begin again")
+    _check(run)
     init = {key: value for key, value in run.init.items() if key != "corrections"}
     if fixer.corrections:
         init["corrections"] = [record_of(one) for one in fixer.corrections]
-    done: list[tuple[Path, Path]] = []  # from where, to where
+    files: list[Path] = []
     said: list[str] = []
     at = run.folder
     try:
+        sweep(run.folder)
         if run.video is not None and video:
-            done.append((_beside(run.video), run.video))
-            said += repaint(run, rows, done[-1][0], report=report, stop=stop)
+            files.append(run.video)
+            said += repaint(run, rows, beside(run.video), report=report, stop=stop)
         for book in rows.index.books:
             at = book.path
-            done.append((_beside(at), at))
-            with done[-1][0].open("wb") as file:
+            files.append(at)
+            with beside(at).open("wb") as file:
                 rows.write(book, file, init)
-                file.flush()
-                os.fsync(file.fileno())
         at = run.folder / CORRECTED
-        done.append((_beside(at), at))
-        write_init(done[-1][0], fixer.start, clip=run.clip.name, overwrite=True)
-        for part, whole in done:
-            at = whole
-            part.replace(os.path.realpath(whole))
-    except OSError as e:
-        remedy = "free some space" if e.errno in (errno.ENOSPC, errno.EDQUOT) else "make it writable"
-        raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
-    finally:
-        for part, _ in done:
+        files.append(at)
+        beside(at).write_bytes(as_yaml(fixer.start, run.clip.name).encode())
+        _check(run)
+        announce(run.folder, files, [run.folder / UNSAVED])
+    except BaseException as e:
+        for path in files:
             with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
-    forget(run)
+                beside(path).unlink(missing_ok=True)
+        if not isinstance(e, OSError):
+            raise
+        remedy = "free some space" if e.errno in _FULL else "make it writable"
+        raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
+    finish(run.folder)
     said += [
         f"{run.folder / CORRECTED}: the correction of {one.target} at frame {one.frame} is past the end, frame "
         f"{rows.index.last}"
@@ -74,7 +74,16 @@ def save(
     ]
     if run.video is not None and not video:
         said.append(f"{run.video}: left as it was, it shows the track of before")
-    return [*(f"{whole}: written" for _, whole in done), *said]
+    return [*(f"{path}: written" for path in files), *said]
+
+
+def _check(run: Run) -> None:
+    """OutputError if what is to be replaced is not what was opened, or no file."""
+    for book in run.index.books:
+        if not book.untouched:
+            raise OutputError(f"{book.path}: was written by somebody else since it was opened; begin again")
+    if (run.folder / CORRECTED).is_dir():
+        raise OutputError(f"{run.folder / CORRECTED}: is a folder, where a file is to be; move it away, and save again")
 
 
 def keep(fixer: Fixer) -> Path | None:
@@ -91,8 +100,3 @@ def forget(run: Run) -> None:
     """Remove what `keep` wrote."""
     with contextlib.suppress(OSError):
         (run.folder / UNSAVED).unlink(missing_ok=True)
-
-
-def _beside(path: Path) -> Path:
-    whole = Path(os.path.realpath(path))
-    return whole.with_name(f".{whole.stem}-{os.getpid()}.fixed{whole.suffix}")
