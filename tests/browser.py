@@ -163,8 +163,12 @@ class Window:
 
     def touch(self, kind, *places):
         """`kind` start, move or end; `places` of the picture, one for each finger that is down."""
+        self.fingers(kind, *(self.at(*place) for place in places))
+
+    def fingers(self, kind, *places):
+        """As `touch`, at places of the window, which stay while the picture moves."""
         self._fingers = self._fingers or self.context.new_cdp_session(self.page)
-        points = [dict(zip("xy", self.at(*place), strict=True), id=k) for k, place in enumerate(places)]
+        points = [dict(zip("xy", place, strict=True), id=k) for k, place in enumerate(places)]
         self._fingers.send("Input.dispatchTouchEvent", {"type": f"touch{kind.title()}", "touchPoints": points})
 
     def tap(self, x, y):
