@@ -1,6 +1,7 @@
 """Runs that are put right though something about them is out of the way."""
 
 import contextlib
+import json
 import shutil
 
 import cv2
@@ -86,7 +87,8 @@ def short(tmp_path_factory):
     """A run whose init file corrects frame 5, and frame 31, to which the run does not come."""
     folder = tmp_path_factory.mktemp("short")
     (folder / "late.yaml").write_text(LATE)
-    run(FOLDER / "expressions.mp4", "-o", folder / "out", "--init", folder / "late.yaml", "--stop", "12")
+    words = ["--init", folder / "late.yaml", "--stop", "12", "--format", "csv,json,jsonl"]
+    run(FOLDER / "expressions.mp4", "-o", folder / "out", *words)
     return folder / "out"
 
 
@@ -148,3 +150,71 @@ def test_only_the_target_whose_correction_is_another_changes(tmp_path):
     after = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
     changed = [new.split(",")[0:3:2] for new, old in zip(after, before, strict=True) if new != old]
     assert changed == [[str(frame), "left_hand"] for frame in range(6, 12)]
+
+
+# --- folders that are not as a run left them --------------------------------------------------------------------------
+
+
+def header_changed(folder, change):
+    """JSON lines alone, with another header."""
+    (folder / "trajectory.json").unlink()
+    path = folder / "trajectory.jsonl"
+    first, rest = path.read_text().split("\n", 1)
+    header = json.loads(first)
+    change(header)
+    path.write_text(json.dumps(header) + "\n" + rest)
+
+
+CORRECTION = {"frame": 5, "target": "face", "absent": True}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda h: h["recipe"].update(type=["a"]), r"does not know its recipe \(type: "),
+        (lambda h: h["recipe"]["prior"].update(file="a" * 5000), "its recipe names the file "),
+        (lambda h: h["source"].update(path="b" * 5000), "is not there, and the run in"),
+        (lambda h: h.update(version=2), "is of version 2, and this facetrack reads 1; update facetrack"),
+        (lambda h: h["init"].update(corrections=[CORRECTION] * 2), "init.corrections is not as facetrack run writes"),
+        (lambda h: h["init"].update(corrections=[CORRECTION, {**CORRECTION, "frame": 4}]), "init.corrections is not"),
+        (lambda h: h["init"].update(corrections=[{"frame": 5, "target": "face"}]), "init.corrections is not as"),
+        (
+            lambda h: h["init"].update(corrections=[{**CORRECTION, "absent": ["chin"]}]),
+            "frame 5: has chin",
+        ),
+    ],
+)
+def test_headers_that_nobody_writes_are_refused_in_one_line(short, tmp_path, change, said):
+    out = copied(short, tmp_path / "out")
+    header_changed(out, change)
+    with pytest.raises(InputError, match=said) as refused:
+        open_run(out)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("csv", lambda b: b"\xef\xbb\xbf" + b),
+        ("csv", lambda b: b.replace(b"\n", b"\r\n")),
+        ("csv", lambda b: b[:-30]),
+        ("csv", lambda b: b + b"\n"),
+        ("jsonl", lambda b: b"\xef\xbb\xbf" + b),
+        ("jsonl", lambda b: b[:-30]),
+    ],
+)
+def test_of_a_file_that_the_json_replaces_it_is_said_that_it_may_go(short, tmp_path, name, change):
+    out = copied(short, tmp_path / "out")
+    path = out / f"trajectory.{name}"
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(InputError, match=r"[?;] remove it, trajectory.json tells the same, or make the run") as refused:
+        open_run(out)
+    assert str(refused.value).startswith(f"{path}:")
+    path.unlink()
+    put(out, nose(8, 159, 140))
+
+
+def test_a_file_is_no_run(tmp_path):
+    (tmp_path / "out").write_text("x")
+    with pytest.raises(InputError, match="out: is a file; name the folder of a run"):
+        open_run(tmp_path / "out")

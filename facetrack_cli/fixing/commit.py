@@ -96,7 +96,7 @@ def _read(journal: Path) -> dict[str, Any] | None:
         names = [*record["files"], *record["gone"]]
         if any(Path(name).name != name for name in names) or not isinstance(record["process"], int):
             raise ValueError("names what is elsewhere")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except (ValueError, TypeError, KeyError) as e:
         raise OutputError(f"{journal}: is not as facetrack fix writes it; remove it") from e

@@ -76,7 +76,7 @@ class _Reader:
                 first = number
                 self._parts = self._first_parts(targets)
             elif number != first + frames:
-                raise self._wrong(f"frame {number} follows frame {first + frames - 1}; {_AGAIN}")
+                raise self._wrong(f"frame {number} follows frame {first + frames - 1}")
             self._check_targets(number, targets)
             self._note(at, targets)
             for book in self._others:
@@ -104,16 +104,19 @@ class _Reader:
         line = next(self._lines[book], b"")
         self._number[book] += 1
         if not line.endswith(b"\n"):
-            raise self._wrong(f"ends before the run does, was it cut short? {_AGAIN}", book)
+            raise self._wrong("ends before the run does, was it cut short?", book)
         self._at[book] += len(line)
         return line
 
-    def _wrong(self, why: str, book: Book | None = None) -> InputError:
+    def _wrong(self, why: str, book: Book | None = None, remedy: str = "") -> InputError:
         book = self._main if book is None else book
-        return InputError(f"{book.path}:{self._number[book]}: {why}")
+        if not remedy and book is not self._main:
+            remedy = f"remove it, {self._main.path.name} tells the same, or {_AGAIN}"
+        mark = " " if why.endswith("?") else "; "
+        return InputError(f"{book.path}:{self._number[book]}: {why}{mark}{remedy or _AGAIN}")
 
-    def _not_ours(self) -> InputError:
-        return self._wrong(f"is not as facetrack run writes it, was it edited? {_AGAIN}")
+    def _not_ours(self, book: Book | None = None) -> InputError:
+        return self._wrong("is not as facetrack run writes it, was it edited?", book)
 
     def _text(self, line: bytes) -> str:
         try:
@@ -136,10 +139,10 @@ class _Reader:
         for book in self._others:
             if book.form == "csv":
                 if self._next(book) != (",".join(COLUMNS) + "\n").encode():
-                    raise self._wrong(f"has other columns than this version writes; {_AGAIN}", book)
+                    raise self._wrong("has other columns or line ends than facetrack run writes, was it edited?", book)
             else:
                 text = self._next(book).decode(errors="replace")
-                book.head = self._members(text, 0)
+                book.head = self._members(text, 0, book)
         if self._main.form == "jsonl":
             text = self._text(self._next(self._main))
         else:
@@ -162,7 +165,7 @@ class _Reader:
         self._main.foot = {key: (b + moved, e + moved) for key, (b, e) in self._members(text, 0).items()}
         return self._loaded(text)
 
-    def _members(self, text: str, at: int) -> dict[str, Span]:
+    def _members(self, text: str, at: int, book: Book | None = None) -> dict[str, Span]:
         """Where the value of each key of an object stands, in bytes of UTF-8."""
         found: dict[str, Span] = {}
         try:
@@ -177,24 +180,24 @@ class _Reader:
                 if text[at] == ",":
                     at = _blank(text, at + 1)
         except (ValueError, IndexError, RecursionError):
-            raise self._not_ours() from None
+            raise self._not_ours(book) from None
         return found
 
     def _end(self, frames: int) -> None:
         if not frames:
-            raise InputError(f"{self._main.path}: has no frames; {_AGAIN}")
+            raise InputError(f"{self._main.path}: has no frames")
         if "lost_frames" not in self._main.foot or "init" not in self._main.head:
             raise self._not_ours()
         for book in self._others:
             if book.form == "csv":
                 if next(self._lines[book], b""):
-                    raise self._wrong(f"goes on after the last frame of {self._main.path.name}; {_AGAIN}", book)
+                    raise self._wrong(f"goes on after the last frame of {self._main.path.name}", book)
                 continue
             at = self._at[book]
             text = self._next(book).decode(errors="replace")
             if not text.startswith('{"type":"footer"'):
-                raise self._wrong(f"goes on after the last frame of {self._main.path.name}; {_AGAIN}", book)
-            book.foot = {key: (at + b, at + e) for key, (b, e) in self._members(text, 0).items()}
+                raise self._wrong(f"goes on after the last frame of {self._main.path.name}", book)
+            book.foot = {key: (at + b, at + e) for key, (b, e) in self._members(text, 0, book).items()}
 
     # frames
 
@@ -237,7 +240,7 @@ class _Reader:
         except (KeyError, TypeError):
             same = False
         if not same:
-            raise self._wrong(f"frame {number} has not the same targets and parts as the first; {_AGAIN}")
+            raise self._wrong(f"frame {number} has not the same targets and parts as the first")
 
     def _note(self, at: int, targets: list[_Target]) -> None:
         edges = self._edges[self._main]
@@ -272,9 +275,8 @@ class _Reader:
             edges.append(self._at[book])
 
     def _differs(self, book: Book, number: int) -> InputError:
-        return self._wrong(
-            f"differs from {self._main.path.name} in frame {number}; remove the one that is wrong, or {_AGAIN}", book
-        )
+        why = f"differs from {self._main.path.name} in frame {number}"
+        return self._wrong(why, book, f"remove the one that is wrong, or {_AGAIN}")
 
 
 _NUMBER = {name: number for number, name in enumerate(STATUS)}

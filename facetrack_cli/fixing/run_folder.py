@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +21,7 @@ from facetrack_cli.errors import FacetrackError, InputError
 from facetrack_cli.fixing.commit import finish
 from facetrack_cli.fixing.index import Index
 from facetrack_cli.fixing.reading import read_index
+from facetrack_cli.formats.records import check_schema
 from facetrack_cli.formats.table import Table
 from facetrack_cli.outputs import VIDEO
 from facetrack_cli.recipe import KINDS, ParticleRecipe, Recipe, shipped_folder, shipped_recipes
@@ -80,9 +81,10 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     files = {form: folder / f"trajectory.{form}" for form in FORMATS if (folder / f"trajectory.{form}").is_file()}
     index = read_index(files)
     try:
+        check_schema(main, index.header)
         header = read_header(Table(main, (), index.header))
         path = Path(header.source.path) if clip is None else clip
-        if clip is None and not (path.exists() or listing(path)):
+        if clip is None and not _is_there(path):
             raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
         recipe = _recipe(main, index.header["recipe"], [Path(), folder, folder.parent, path.parent])
         start = _start(main, header)
@@ -103,6 +105,13 @@ def check_size(run: Run, size: tuple[int, int]) -> None:
         )
 
 
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists() or bool(listing(path))
+    except (OSError, ValueError):  # it is no name at all
+        return False
+
+
 # --- the recipe ----------------------------------------------------------------------------------------------------
 
 
@@ -117,7 +126,7 @@ def _recipe(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) ->
             for place in _mappings({section: one.get(section)}):
                 if isinstance(file := place.get(key), str):
                     place[key] = str(_sought(main, file, [*folders, shipped_folder()]))
-    kind = KINDS.get(known.get("type", "particle_filter"), ParticleRecipe)
+    kind = KINDS.get(str(known.get("type", "particle_filter")), ParticleRecipe)
     try:
         return kind.model_validate(known, context={"path": main.parent / f"{name}.yaml", "root": None})
     except ValidationError as e:
@@ -136,7 +145,7 @@ def _mappings(value: Any) -> list[dict[str, Any]]:
 
 def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
     for folder in folders:
-        if (folder / name).is_file():
+        if _is_there(folder / name) and (folder / name).is_file():
             return (folder / name).resolve()
     places = ", ".join(dict.fromkeys(str(folder.resolve()) for folder in folders))
     raise InputError(f'{main}: its recipe names the file "{name}", which is in none of {places}; put it into one')
@@ -147,7 +156,14 @@ def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
 
 def _start(main: Path, header: Header) -> Start:
     start = header.init.start
-    if any(one.target not in start.targets or one.frame <= start.frame for one in start.corrections):
+    places = [(one.frame, one.target) for one in start.corrections]
+    ours = all(
+        one.target in start.targets
+        and one.frame > start.frame
+        and (one.absent or one.given.box is not None or one.given.points)
+        for one in start.corrections
+    )
+    if not ours or len({*places}) < len(places) or sorted(frames := [frame for frame, _ in places]) != frames:
         raise InputError(f"{main}: init.corrections is not as facetrack run writes it; make the run again")
     return start
 
@@ -159,7 +175,7 @@ def _check_rows(main: Path, index: Index, recipe: Recipe, start: Start, header: 
     """InputError if the rows are not what this recipe makes of this start."""
     try:
         check_start(start, header.source.size, recipe.points)
-        tracker = build_tracker(recipe, replace(start, corrections=()))
+        tracker = build_tracker(recipe, start)
     except FacetrackError as e:
         raise InputError(f"{main}: its start and its recipe do not go together: {e}") from None
     expected = {target.name: target.parts for target in tracker}

@@ -39,18 +39,19 @@ def read_records(path: Path) -> tuple[dict[str, Any], list[Any]]:
                 frames.append(record)
             elif kind == "header":
                 whole = record
-        _check_schema(path, whole)
+        check_schema(path, whole)
         return whole, frames
     if isinstance(whole, dict) and whole.get("type") == "header":  # JSON lines that end after their header
         whole["frames"] = []
-    _check_schema(path, whole)
+    check_schema(path, whole)
     frames = whole.pop("frames", None)
     if not isinstance(frames, list):
         raise InputError(f'{path}: has no list "frames"; it is no trajectory of facetrack')
     return whole, frames
 
 
-def _check_schema(path: Path, header: Any) -> None:
+def check_schema(path: Path, header: Any) -> None:
+    """InputError if a header is not that of a trajectory, or of a version to come."""
     if not isinstance(header, dict) or header.get("schema") != SCHEMA:
         raise InputError(f'{path}: does not say "schema": "{SCHEMA}"; it is no trajectory of facetrack')
     version = header.get("version", VERSION)
