@@ -13,15 +13,19 @@ the corners of the mouth at the start (without those: of the largest distance of
 with the true one is below 0.3, and he gives the true box. Targets are taken one by one. Seeds are 0 on.
 
     alone       nobody corrects
-    kept        as corrected with `learn: false`: what the target looks like is what the first frame taught
-    anew        with `learn: true`: it is learned in the frame of each correction
-    corrections of each 1,000 frames, their mean and standard deviation over seeds
-    error       of points, mean over visible rows in pixels; of boxes the mean overlap, which is better when it is more
-    right       frames in which nothing that is visible is wrong, %
+    default     what is put right is learned anew there: a box, or those points alone
+    kept        with `learn: false`: all is known as the first frame taught it
+    all         with `learn: true`: all points are learned anew, those that are kept and the size too
+
+A cell: corrections of each 1,000 frames, their mean and standard deviation over seeds / mean error of points over
+visible rows in pixels, or mean overlap of boxes / frames in which nothing that is visible is wrong, % / where the clip
+has covered points, the mean error of what is visible beside them.
 
 --haar takes for the truth of a clip without one what the Haar start finds in every so many frames on its own; 5 frames
 on end are then 5 of these. --absent compares, for points, the annotator with one who also marks what is covered absent
 where its cover begins, and gives it again where it comes back; `marks` are these corrections, of each 1,000 frames too.
+--miss is how far his hand is off: its standard deviation in each axis, in the distance of the corners of the mouth, or
+in widths and heights of the true box.
 """
 
 from __future__ import annotations
@@ -29,24 +33,21 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
 # before numpy: two processes share the cores
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
 import numpy as np
+from annotator import BOUND, Outcome, Truth, Way, Work
 
 from facetrack_cli.build import build_tracker
-from facetrack_cli.corrected import CorrectedTarget, kept_place
 from facetrack_cli.errors import FacetrackError, InputError, RecipeError
-from facetrack_cli.evaluation.boxes import iou
 from facetrack_cli.experiments.begin import find_plan_start
 from facetrack_cli.experiments.compare import default_truth, variant
 from facetrack_cli.formats.read import read_truth
@@ -54,165 +55,10 @@ from facetrack_cli.formats.table import Mask, Table
 from facetrack_cli.recipe import OpenCvRecipe, Recipe, load_recipe
 from facetrack_cli.spaces import size_of_points
 from facetrack_cli.start import haar_start
-from facetrack_cli.types import BOX, Array, Correction, Frame, Start, TargetResult, TargetStart
+from facetrack_cli.types import BOX, Array, Frame, Start
 from facetrack_cli.video.source import open_source
 
-WATCHED = 5
-"""Frames on end that are wrong before he goes back, and the least distance of two corrections."""
-BOUND = 1 / 4
-OVERLAP = 0.3
-HAND = 7  # the stream of his hand
-FAR = 2**30  # a frame that no clip has
 CORNERS = ("mouth_left", "mouth_right")
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """Of one target over T frames with K parts: `places` (T, K, 4) of x, y, w, h, and which can be `seen` (T, K).
-
-    `bound` in pixels, of points; `covered` (T, K) is known to be hidden.
-    """
-
-    target: str
-    parts: tuple[str, ...]
-    places: Array
-    seen: Mask
-    covered: Mask
-    bound: float
-
-    def measure(self, t: int, found: Array) -> Array:
-        """(K,) error or overlap of what was found (K, 4)."""
-        if self.parts == (BOX,):
-            one, other = (np.concatenate([a[:, :2] - (a[:, 2:] - 1) / 2, a[:, 2:]], 1) for a in (found, self.places[t]))
-            return iou(one, other)
-        error: Array = np.hypot(*(found[:, :2] - self.places[t, :, :2]).T)
-        return error
-
-    def wrong(self, t: int, found: Array) -> Mask:
-        """(K,) whether a part that can be seen is wrong."""
-        value = self.measure(t, found)
-        off: Mask = self.seen[t] & ((value < OVERLAP) if self.parts == (BOX,) else (value > self.bound))
-        return off
-
-
-class Way(NamedTuple):
-    """How a clip is corrected: whether at all, what is learned then, and whether what is covered is marked absent."""
-
-    corrects: bool
-    learn: bool | None = None
-    absent: bool = False
-
-
-class Outcome(NamedTuple):
-    """`value` is the error or overlap, `beside` that of what is to be seen while something else is covered."""
-
-    corrections: int
-    marks: int
-    value: float
-    beside: float
-    right: float
-
-
-@dataclass(frozen=True, eq=False)
-class Work:
-    """A target of a clip; `miss` is how far the annotator's hand is off."""
-
-    recipe: Recipe
-    start: Start
-    frames: Sequence[Frame]
-    truth: Truth
-    miss: float
-
-    def run(self, seed: int, way: Way) -> Outcome:
-        truth = self.truth
-        hand = np.random.default_rng((HAND, seed))
-        number = list(self.start.targets).index(truth.target)
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,) if number else ()))
-        target = self._target(number, {one.frame: one for one in self._marks()} if way.absent else {})
-        state, result = target.begin(rng, self._frame(0))
-        found, wrong = [result], [truth.wrong(0, _places(result))]
-        made, since = 0, 1
-        while (t := len(found)) < len(self.frames):
-            state, result = target.advance(rng, state, self._frame(t), ())
-            found.append(result)
-            wrong.append(truth.wrong(t, _places(result)))
-            at = _first_wrong(wrong, truth.seen, since) if way.corrects else None
-            if at is not None:
-                correction = self._correction(at, found[at], wrong[at], way.learn, hand)
-                del found[at:], wrong[at:]
-                state, result = target.correct(state, self._frame(at), correction)
-                found.append(result)
-                wrong.append(truth.wrong(at, _places(result)))
-                made, since = made + 1, at + WATCHED
-        values = np.array([truth.measure(t, _places(one)) for t, one in enumerate(found)])
-        beside = truth.seen & truth.covered.any(axis=1, keepdims=True)
-        right = ~np.array(wrong)[truth.seen.any(axis=1)].any(axis=1)
-        nowhere = float("nan")
-        return Outcome(
-            made,
-            len(target.corrections),
-            float(values[truth.seen].mean()),
-            float(values[beside].mean()) if beside.any() else nowhere,
-            float(right.mean()),
-        )
-
-    def _frame(self, t: int) -> Frame:
-        """Afresh: what is derived from a picture is kept in its frame, and would fill the memory."""
-        frame = self.frames[t]
-        return Frame(frame.index, frame.time_s, frame.bgr)
-
-    def _target(self, number: int, marks: Mapping[int, Correction]) -> CorrectedTarget:
-        never = Correction(FAR, self.truth.target, absent=True)
-        target = build_tracker(self.recipe, replace(self.start, corrections=(never,)))[number]
-        assert isinstance(target, CorrectedTarget)
-        return replace(target, corrections=marks)
-
-    def _correction(
-        self, t: int, found: TargetResult, wrong: Mask, learn: bool | None, hand: np.random.Generator
-    ) -> Correction:
-        truth, frame = self.truth, self.frames[t].index
-        if truth.parts == (BOX,):
-            x, y, w, h = truth.places[t, 0].tolist()
-            dx, dy = self.miss * hand.standard_normal(2)
-            box = (x + dx * w - (w - 1) / 2, y + dy * h - (h - 1) / 2, w, h)
-            return Correction(frame, truth.target, TargetStart(box=box), learn=learn)
-        given, kept, absent = {}, {}, []
-        for k, part in enumerate(found.parts):
-            if part.status == "absent":
-                absent.append(part.name)
-            elif wrong[k]:
-                dx, dy = self.miss * truth.bound / BOUND * hand.standard_normal(2)
-                given[part.name] = (float(truth.places[t, k, 0] + dx), float(truth.places[t, k, 1] + dy))
-            else:
-                kept[part.name] = kept_place(part)
-        return Correction(frame, truth.target, TargetStart(points=given), kept, tuple(absent), learn)
-
-    def _marks(self) -> Iterator[Correction]:
-        """What somebody says who marks as absent what is covered, in the frames in which that changes."""
-        truth = self.truth
-        for t in range(1, len(self.frames)):
-            gone, back = truth.covered[t], truth.covered[t - 1] & ~truth.covered[t]
-            if (gone != truth.covered[t - 1]).any():
-                given = {truth.parts[k]: (truth.places[t, k, 0], truth.places[t, k, 1]) for k in np.flatnonzero(back)}
-                absent = tuple(truth.parts[k] for k in np.flatnonzero(gone))
-                yield Correction(
-                    self.frames[t].index, truth.target, TargetStart(points=given), absent=absent, learn=False
-                )
-
-
-def _places(result: TargetResult) -> Array:
-    return np.array([(part.x, part.y, part.w, part.h) for part in result.parts])
-
-
-def _first_wrong(wrong: Sequence[Mask], seen: Mask, since: int) -> int | None:
-    """The frame from which, up to now, some part was wrong in as many frames with a truth as he watches."""
-    if not wrong[-1].any():
-        return None
-    rows = list(islice((t for t in range(len(wrong) - 1, since - 1, -1) if seen[t].any()), WATCHED))
-    return rows[-1] if len(rows) == WATCHED and np.all([wrong[t] for t in rows], axis=0).any() else None
-
-
-# --- clips -------------------------------------------------------------------------------------------------------
 
 
 def truth_of(table: Table, target: str, parts: Sequence[str], frames: Sequence[Frame]) -> Truth:
@@ -275,8 +121,12 @@ def ways_of(recipe: Recipe, *, absent: bool) -> dict[str, Way]:
             "corrected": Way(corrects=True),
             "both": Way(corrects=True, absent=True),
         }
-    kept = {} if isinstance(recipe, OpenCvRecipe) else {"kept": Way(corrects=True, learn=False)}
-    return {**alone, **kept, "anew": Way(corrects=True, learn=True)}
+    found = {**alone, "default": Way(corrects=True)}
+    if not isinstance(recipe, OpenCvRecipe):
+        found["kept"] = Way(corrects=True, learn=False)
+    if recipe.points:  # boxes are learned anew by default
+        found["all"] = Way(corrects=True, learn=True)
+    return found
 
 
 def cell(runs: Sequence[Outcome], work: Work, way: Way) -> str:
