@@ -1,7 +1,7 @@
 // What tests look at: window.facetrack.
 
 /** What tests and the curious may look at; nothing can be changed by it. */
-export function debug({ store, stage, sync }) {
+export function debug({ store, stage, sync, mode }) {
   const view = (name, get) => [name, { get, enumerable: true }];
   const shifted = (x, y, sign) => {
     const { left, top } = stage.canvas.getBoundingClientRect();
@@ -28,6 +28,16 @@ export function debug({ store, stage, sync }) {
         view("sent", () => !sync.dirty && !sync.running),
         view("gone", () => sync.gone),
         view("ended", () => store.ended),
+        // of putting a run right
+        view("rowsRevision", () => (mode.rows?.fresh(store.frame) ? mode.rows.revision : null)),
+        view("rows", () => structuredClone(mode.rows?.frame(store.frame) ?? null)),
+        view("job", () => structuredClone(sync.state.job)),
+        view("busy", () => store.busy ?? false),
+        view("looked", () => structuredClone(store.looked ?? null)),
+        view("corrections", () => structuredClone(mode.corrections ?? null)),
+        view("doubtful", () => mode.doubtful?.frames.map(({ frame }) => frame) ?? null),
+        view("playing", () => mode.play?.on ?? false),
+        view("canUndo", () => sync.state.can_undo),
       ]),
     ),
   );

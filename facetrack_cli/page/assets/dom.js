@@ -7,7 +7,8 @@ export function make(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (typeof value === "function") element.addEventListener(name, value);
-    else if (value !== false && value !== null && value !== undefined) element.setAttribute(name, value === true ? "" : value);
+    else if (value !== false && value !== null && value !== undefined)
+      element.setAttribute(name, value === true ? "" : value);
   }
   element.append(...children.filter((child) => child !== null && child !== undefined));
   return element;
@@ -27,6 +28,29 @@ export function icon(name) {
 /** Changes a text only if it differs, so that it is not read out anew. */
 export function write(element, words) {
   if (element.textContent !== words) element.textContent = words;
+}
+
+/** Draws the eye to an element. */
+export function flash(element) {
+  element.classList.remove("flash");
+  void element.offsetWidth; // so that the animation begins anew
+  element.classList.add("flash");
+}
+
+/** The arrow keys go through the buttons of a list, of which one is reached by Tab. */
+export function rove(root, selector, forth = "ArrowDown", back = "ArrowUp") {
+  const all = () => [...root.querySelectorAll(selector)];
+  const only = (chosen) => all().forEach((one) => (one.tabIndex = one === chosen ? 0 : -1));
+  root.addEventListener("focusin", (event) => event.target.matches(selector) && only(event.target));
+  root.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || ![forth, back].includes(event.key)) return;
+    const buttons = all();
+    const at = buttons.indexOf(event.target.closest(selector) ?? event.target.closest("li")?.querySelector(selector));
+    if (at < 0) return;
+    buttons[Math.min(Math.max(at + (event.key === forth ? 1 : -1), 0), buttons.length - 1)].focus();
+    event.preventDefault();
+    event.stopPropagation();
+  });
 }
 
 export const number = (value) => String(Math.round(value * 100) / 100);

@@ -84,29 +84,47 @@ export function handles(stage, box) {
   return all;
 }
 
-/** The draft's own marks; faint where they belong to another frame. */
+/** What a selected box is resized by. */
+export function grips(context, stage, box, ink) {
+  for (const [x, y] of handles(stage, box)) {
+    context.beginPath();
+    context.rect(x - 5, y - 5, 10, 10);
+    context.fillStyle = ink;
+    stroke(context, "#fff", 1);
+    context.fill();
+  }
+}
+
+/** Around a selected point. */
+export function ring(context, x, y) {
+  context.beginPath();
+  context.arc(x, y, 15, 0, 2 * Math.PI);
+  stroke(context, "#fff", 1.5);
+}
+
+/** How a part is called on the picture. */
+export function label(store, { target, part }) {
+  if (part === BOX) return target;
+  return store.layout.length > 1 ? `${target}: ${part}` : part;
+}
+
+/** The draft's own marks; faint where they belong to another frame, filled where they put a run right. */
 export function marks(store, hovered) {
   return (context, stage) => {
     const here = store.isHere();
     const dash = here ? [] : [4, 4];
+    const fixes = store.mode === "fix";
     context.globalAlpha = here ? 1 : 0.55;
     for (const { target } of store.layout) {
       const given = store.draft.targets[target];
       if (!given) continue;
       const ink = colour(store, target);
       if (given.box) {
-        const chosen = same(store.selected, { target, part: BOX });
-        const { x0, y0 } = frame(context, stage, given.box, ink, chosen ? 2.5 : 2, dash);
-        if (chosen || store.layout.length > 1) text(context, target, x0 + 5, y0 - 14, ink);
-        if (chosen && here) {
-          for (const [x, y] of handles(stage, given.box)) {
-            context.beginPath();
-            context.rect(x - 5, y - 5, 10, 10);
-            context.fillStyle = ink;
-            stroke(context, "#fff", 1);
-            context.fill();
-          }
-        }
+        const slot = { target, part: BOX };
+        const chosen = same(store.selected, slot);
+        const { x0, y0 } = frame(context, stage, given.box, ink, chosen || fixes ? 2.5 : 2, dash);
+        if (chosen || store.layout.length > 1) text(context, label(store, slot), x0 + 5, y0 - 14, ink);
+        if (chosen && here) grips(context, stage, given.box, ink);
       }
       for (const [part, [px, py]] of Object.entries(given.points)) {
         const slot = { target, part };
@@ -114,29 +132,25 @@ export function marks(store, hovered) {
         const chosen = same(store.selected, slot);
         diamond(context, x, y, chosen ? 8 : 6.5, ink, chosen ? 2.5 : 2, dash);
         context.fillStyle = ink;
-        context.fillRect(x - 1, y - 1, 2, 2);
-        if (chosen) {
-          context.beginPath();
-          context.arc(x, y, 15, 0, 2 * Math.PI);
-          stroke(context, "#fff", 1.5);
-        }
-        if (chosen || same(hovered(), slot)) {
-          text(context, store.layout.length > 1 ? `${target}: ${part}` : part, x + 22, y - 16, ink);
-        }
+        if (fixes && here) context.fill();
+        else context.fillRect(x - 1, y - 1, 2, 2);
+        if (chosen) ring(context, x, y);
+        if (chosen || same(hovered(), slot)) text(context, label(store, slot), x + 22, y - 16, ink);
       }
     }
     context.globalAlpha = 1;
   };
 }
 
-/** What was proposed for this frame, dashed; beside a draft only the one that is looked at. */
+/** What was proposed for this frame, dashed; beside a draft, or a track, only the one that is looked at. */
 export function proposed(store, looked) {
   return (context, stage) => {
     if (!store.isHere() || store.ended) return;
-    const shown = store.isEmpty() ? store.proposals : store.proposals.filter((one) => one === looked());
+    const all = store.mode === "pick" && store.isEmpty();
+    const shown = all ? store.proposals : store.proposals.filter((one) => one === looked());
     for (const { targets } of shown) {
       for (const [target, given] of Object.entries(targets)) {
-        const ink = store.isEmpty() ? colour(store, target) : "#f0f0f0";
+        const ink = all ? colour(store, target) : "#f0f0f0";
         if (given.box) frame(context, stage, given.box, ink, 1.5, [6, 5]);
         for (const [x, y] of Object.values(given.points ?? {})) diamond(context, ...stage.place(x, y), 4, ink, 1.5);
       }

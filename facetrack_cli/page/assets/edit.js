@@ -45,7 +45,10 @@ export function middle(store, stage, slot) {
     const box = store.draft.targets[slot.target]?.box;
     return box ? inside([box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2], store.size) : seen;
   }
-  const side = Math.max(Math.round(Math.min(...store.size, width / stage.view.scale, height / stage.view.scale) / 3), 8);
+  const side = Math.max(
+    Math.round(Math.min(...store.size, width / stage.view.scale, height / stage.view.scale) / 3),
+    8,
+  );
   return [seen[0] - (side >> 1), seen[1] - (side >> 1), side, side];
 }
 

@@ -72,7 +72,8 @@ export class Gestures {
     if (event.type === "pointercancel") return this.cancel();
     this.doing = null;
     doing?.end?.(this.from.moved);
-    if (this.pointers.size) this.from.moved = true; // the finger that stays is no tap
+    if (this.pointers.size)
+      this.from.moved = true; // the finger that stays is no tap
     else if (this.from.kind === "touch") this.magnifier.hide();
   }
 
@@ -88,7 +89,7 @@ export class Gestures {
     const { store } = this;
     if (store.ended) return this.#pan();
     const hit = this.hit(x, y, kind);
-    if (!hit && !store.current) return this.#pan();
+    if (!hit && !store.current) return { ...this.#pan(), end: (moved) => moved || store.pick(null) };
     if (!this.may(false)) return { ...this.#pan(), end: (moved) => moved || this.may(true) };
     if (hit) return this.#drag(hit, x, y, kind);
     return store.current.part === BOX ? this.#box(store.current, x, y) : this.#point(store.current, x, y, kind);
@@ -97,7 +98,7 @@ export class Gestures {
   /** The mark at a place of the canvas: {slot, edges?}; null if there is none. */
   hit(x, y, kind) {
     const { store, stage } = this;
-    const open = store.current && !store.value(store.current);
+    const open = store.open();
     const reach = REACH[kind];
     if (store.selected?.part === BOX && store.value(store.selected)) {
       const near = handles(stage, store.value(store.selected))
@@ -120,14 +121,16 @@ export class Gestures {
     // a finger that is to place something means no edge that happens to be near
     const reach = open ? (kind === "touch" ? 0 : 4) : REACH[kind] * 0.6;
     const boxes = store.slots().filter((slot) => slot.part === BOX && store.value(slot));
-    for (const slot of boxes) {
+    const found = boxes.map((slot) => {
       const { x0, y0, x1, y1 } = edges(stage, store.value(slot));
-      const within = Math.min(x - x0, x1 - x, y - y0, y1 - y);
-      if (Math.abs(within) <= reach) return { slot };
-      // the ground inside is free while something else is to be placed
-      const free = open || (store.current && !same(store.current, slot));
-      if (within > 0 && !free) return { slot };
-    }
+      return { slot, within: Math.min(x - x0, x1 - x, y - y0, y1 - y), area: (x1 - x0) * (y1 - y0) };
+    });
+    const edge = found.find(({ within }) => Math.abs(within) <= reach);
+    if (edge) return { slot: edge.slot };
+    // the ground inside is free while something else is to be placed
+    const meant = ({ slot, within }) => within > 0 && !open && (!store.current || same(store.current, slot));
+    const [inmost] = found.filter(meant).sort((a, b) => a.area - b.area);
+    if (inmost) return { slot: inmost.slot };
     return null;
   }
 
@@ -197,7 +200,8 @@ export class Gestures {
       move: (nx, ny) => {
         const { from } = this;
         const box = { target: slot.target, part: BOX };
-        const lacking = store.group(slot.target).box !== "no" && !store.live?.draft.targets[slot.target]?.box;
+        const boxed = store.mode === "pick" && store.group(slot.target).box !== "no";
+        const lacking = boxed && !store.live?.draft.targets[slot.target]?.box;
         // a mouse that is dragged draws; a finger is led to its place
         if (!other && kind === "mouse" && lacking && Math.hypot(nx - from.x, ny - from.y) > DRAWN) {
           store.cancel();
@@ -255,10 +259,10 @@ export class Gestures {
       stage.draw();
     }
     const { current } = store;
-    const open = at && !hit && current && current.part !== BOX && !store.value(current) && !store.ended;
-    const spot = open && stage.spot(...at);
+    const open = store.open();
+    const spot = at && !hit && open && open.part !== BOX && !store.ended && stage.spot(...at);
     const within = spot && spot.every((value, i) => value >= -0.5 && value <= store.size[i] - 0.5);
-    if (within && this.may(false)) this.#magnify(snapped(spot, stage.view.scale), "mouse", current);
+    if (within && this.may(false)) this.#magnify(snapped(spot, stage.view.scale), "mouse", open);
     else if (at || !this.magnifier.at || this.magnifier.at.by !== "keys") this.magnifier.hide();
     let cursor = "default";
     if (this.panning) cursor = "grab";

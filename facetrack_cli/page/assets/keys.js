@@ -2,7 +2,7 @@
 
 import { make } from "./dom.js";
 
-/** [what is shown, what it does, test of the event, deed]; a deed that gives back false leaves the key to the browser. */
+/** Groups of {show, does, test(event), deed(event)}; a deed that gives back false leaves the key to the browser. */
 export class Keys {
   constructor(table) {
     this.table = table.flatMap(({ keys }) => keys);
@@ -28,16 +28,30 @@ export class Keys {
   /** The table for the help. */
   help() {
     return this.groups.map(({ title, keys }) => {
-      const rows = keys.filter(({ show }) => show).flatMap(({ show, does }) => [
-        make("dt", {}, ...show.split(" ").map((word) => (word === "or" || word === "and" ? ` ${word} ` : make("kbd", {}, word.replaceAll("_", " "))))),
-        make("dd", {}, does),
-      ]);
+      const rows = keys
+        .filter(({ show }) => show)
+        .flatMap(({ show, does }) => [
+          make(
+            "dt",
+            {},
+            ...show
+              .split(" ")
+              .map((word) =>
+                word === "or" || word === "and" ? ` ${word} ` : make("kbd", {}, word.replaceAll("_", " ")),
+              ),
+          ),
+          make("dd", {}, does),
+        ]);
       return make("section", {}, make("h3", {}, title), make("dl", {}, ...rows));
     });
   }
 }
 
-export const plain = (...names) => (event) =>
-  !event.ctrlKey && !event.metaKey && !event.altKey && names.includes(event.key);
-export const ctrl = (name, shift = false) => (event) =>
-  (event.ctrlKey || event.metaKey) && !event.altKey && event.shiftKey === shift && event.key.toLowerCase() === name;
+export const plain =
+  (...names) =>
+  (event) =>
+    !event.ctrlKey && !event.metaKey && !event.altKey && names.includes(event.key);
+export const ctrl =
+  (name, shift = false) =>
+  (event) =>
+    (event.ctrlKey || event.metaKey) && !event.altKey && event.shiftKey === shift && event.key.toLowerCase() === name;

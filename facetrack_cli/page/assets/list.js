@@ -3,7 +3,8 @@
 import { $, icon, make, number, spoken, write } from "./dom.js";
 import { colour } from "./draw.js";
 import { remove } from "./edit.js";
-import { BOX, same, wrongName } from "./store.js";
+import { wrongName } from "./layout.js";
+import { BOX, same } from "./store.js";
 
 /** `choose(slot, byKey)` is called for a part of the list that is clicked, or entered by the keyboard. */
 export class List {
@@ -76,12 +77,18 @@ export class List {
     const slots = [...(box === "no" ? [] : [BOX]), ...points].map((part) => ({ target, part }));
     const head = make("div", { class: "target-head" }, swatch, make("h3", { id: `target-${target}` }, spoken(target)));
     if (free) {
-      const renames = () => this.#ask(head, "New name", target, (name) => store.rename(target, name), names(store, target));
+      const renames = () =>
+        this.#ask(head, "New name", target, (name) => store.rename(target, name), names(store, target));
       head.append(
         make("button", { class: "small", type: "button", click: renames, "data-testid": `rename-${target}` }, "Rename"),
         make(
           "button",
-          { class: "small", type: "button", click: () => store.removeTarget(target), "data-testid": `remove-${target}` },
+          {
+            class: "small",
+            type: "button",
+            click: () => store.removeTarget(target),
+            "data-testid": `remove-${target}`,
+          },
           "Remove",
         ),
       );
@@ -175,4 +182,6 @@ export class List {
 const id = (slot) => (slot ? `${slot.target}/${slot.part}` : "");
 const names = (store, but) => store.layout.map(({ target }) => target).filter((name) => name !== but);
 const shown = (value) =>
-  value.length === 2 ? value.map(number).join(", ") : `${number(value[0])}, ${number(value[1])} · ${number(value[2])} × ${number(value[3])}`;
+  value.length === 2
+    ? value.map(number).join(", ")
+    : `${number(value[0])}, ${number(value[1])} · ${number(value[2])} × ${number(value[3])}`;

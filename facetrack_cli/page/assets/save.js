@@ -3,12 +3,26 @@
 import * as api from "./api.js";
 import { $, make, write } from "./dom.js";
 
+/** What it says where a start is chosen, and where a run is put right. */
+const WORDS = {
+  pick: {
+    faster: "Not saved: another window changed the start, or saves it. Look at it, then save again.",
+    next: "To track from there:",
+  },
+  fix: {
+    faster: "Not saved: another window is at work on the run. Look at it, then save again.",
+    next: "For a report of it:",
+  },
+};
+
 export class Save {
   constructor({ store, sync, say, onlack }) {
     Object.assign(this, { store, sync, say, onlack });
+    this.words = WORDS[store.mode];
+    this.title = "Saved"; // of what comes after
+    write($("saved-for"), this.words.next);
     this.under = false;
     this.accepted = false;
-    $("save").addEventListener("click", () => this.save());
     $("copy").addEventListener("click", () => this.#copy());
     $("saved-close").addEventListener("click", () => $("saved").close());
   }
@@ -24,13 +38,13 @@ export class Save {
       await api.post("save", { base: sync.revision });
       this.accepted = true;
       this.say(`Writing ${store.session.saves_to} …`);
-      sync.poll();
+      sync.fresh();
     } catch (error) {
       this.under = false;
       this.#busy(false);
       if (error instanceof api.Gone) this.say("Not saved: facetrack does not answer.", "error");
       else if (error.status === 409) {
-        this.say("Not saved: another window changed the start, or saves it. Look at it, then save again.", "warning");
+        this.say(this.words.faster, "warning");
         sync.poll();
       } else {
         this.lack(error.message);
@@ -66,7 +80,8 @@ export class Save {
     store.emit("draft");
     document.body.classList.add("ended");
     this.#busy(true);
-    write($("save-label"), "Saved");
+    write($("save-label"), this.title);
+    write($("saved-title"), this.title);
     $("saved-said").replaceChildren(...said.map((line) => make("li", {}, line)));
     $("saved-next").hidden = !next;
     write($("next-command"), next ?? "");

@@ -1,23 +1,16 @@
 // What is chosen so far (the draft), what is wanted, what is selected; undo and redo. Knows neither page nor server.
 
+import { arranged, stranger } from "./layout.js";
+
 export const BOX = "box";
 export const LEAST_BOX = 6; // pixels of a side, as the server has it
-const NAME = /^[A-Za-z_][A-Za-z0-9_-]{0,63}$/;
-const KEYS = ["frame", "box", "points", "windows", "corrections", "kept", "absent", "learn"];
 const MERGED = 1000; // ms: nudges that follow each other as fast are one step of undo
 const MOST_STEPS = 500;
 
 export const same = (a, b) => a === b || (!!a && !!b && a.target === b.target && a.part === b.part);
 export const round = (value) => Math.round(value * 100) / 100;
 
-/** What is wrong with a name of a target or part; empty if nothing is. */
-export function wrongName(name, taken) {
-  if (!NAME.test(name)) return "A name has letters, digits, _ and -, and does not begin with a digit.";
-  if (KEYS.includes(name)) return `“${name}” is a word of the file itself; choose another.`;
-  return taken.includes(name) ? `There is a ${name} already.` : "";
-}
-
-const empty = () => ({ box: null, points: {}, absent: [] });
+export const empty = () => ({ box: null, points: {}, absent: [] });
 
 /** Events: "draft" (anything that is drawn or listed), "frame", "commit" (the draft is to be sent). */
 export class Store extends EventTarget {
@@ -29,7 +22,7 @@ export class Store extends EventTarget {
     this.bounds = session.frames;
     this.frame = draft.frame;
     this.draft = draft;
-    this.layout = this.#arrange(draft);
+    this.layout = arranged(session, draft);
     this.past = [];
     this.future = [];
     this.live = null; // the state before a gesture that is under way
@@ -80,6 +73,11 @@ export class Store extends EventTarget {
     return this.isEmpty() || this.draft.frame === this.frame;
   }
 
+  /** The part that a click on free ground places, null if that moves the picture. */
+  open() {
+    return this.current && !this.value(this.current) ? this.current : null;
+  }
+
   /** The first part that is needed and lacking, from the one after `slot` on, then from the top; null if none is. */
   next(slot = null) {
     const all = this.slots();
@@ -97,10 +95,14 @@ export class Store extends EventTarget {
 
   // --- the frame
 
+  /** Called before another frame is shown. */
+  leave() {}
+
   show(frame) {
     const { first, last } = this.bounds;
     frame = Math.min(Math.max(Math.round(frame), first), last);
     if (!Number.isFinite(frame) || frame === this.frame) return;
+    this.leave();
     this.frame = frame;
     if (this.isEmpty()) this.draft.frame = frame; // nothing belongs to a frame yet
     this.emit("frame");
@@ -147,7 +149,7 @@ export class Store extends EventTarget {
   }
 
   drag(slot, value) {
-    this.#put(this.draft, slot, value);
+    this.put(this.draft, slot, value);
     this.emit("draft");
   }
 
@@ -169,7 +171,8 @@ export class Store extends EventTarget {
     this.emit("draft");
   }
 
-  #put(draft, slot, value) {
+  /** Puts a part into a draft, or takes it out of it (null). */
+  put(draft, slot, value) {
     const target = (draft.targets[slot.target] ??= empty());
     if (slot.part === BOX) target.box = value && value.map(round);
     else if (value) target.points[slot.part] = value.map(round);
@@ -180,7 +183,7 @@ export class Store extends EventTarget {
   }
 
   set(slot, value, merge = "") {
-    this.change((draft) => this.#put(draft, slot, value), merge);
+    this.change((draft) => this.put(draft, slot, value), merge);
   }
 
   /** Takes all of a proposal; `as` gives its only target another name. */
@@ -188,7 +191,7 @@ export class Store extends EventTarget {
     this.change((draft, layout) => {
       for (const [name, given] of Object.entries(proposal.targets)) {
         const target = as ?? name;
-        if (!this.group(target)) layout.push(this.#stranger(target));
+        if (!this.group(target)) layout.push(stranger(this.session, target));
         draft.targets[target] = { ...empty(), box: given.box ?? null, points: { ...given.points } };
       }
     });
@@ -207,7 +210,7 @@ export class Store extends EventTarget {
 
   addTarget(name) {
     this.change((draft, layout) => {
-      layout.push(this.#stranger(name));
+      layout.push(stranger(this.session, name));
       draft.targets[name] = empty();
     });
     this.pick(this.slots().find((slot) => slot.target === name) ?? null);
@@ -225,7 +228,10 @@ export class Store extends EventTarget {
 
   removeTarget(name) {
     this.change((draft, layout) => {
-      layout.splice(layout.findIndex((one) => one.target === name), 1);
+      layout.splice(
+        layout.findIndex((one) => one.target === name),
+        1,
+      );
       delete draft.targets[name];
     });
   }
@@ -236,6 +242,11 @@ export class Store extends EventTarget {
     this.selected = slot;
     if (slot) this.current = slot;
     this.emit("draft");
+  }
+
+  /** The part that was chosen in the list. */
+  arm(slot) {
+    this.pick(slot);
   }
 
   /** After a part was placed: it stays selected for the arrow keys, the next one that is lacking becomes current. */
@@ -281,35 +292,10 @@ export class Store extends EventTarget {
     this.live = null;
     const wasHere = this.isHere();
     this.draft = structuredClone(draft);
-    this.layout = this.#arrange(this.draft);
+    this.layout = arranged(this.session, this.draft);
     this.#settle();
     if (this.isEmpty()) this.draft.frame = this.frame;
     else if (wasHere) this.show(this.draft.frame);
     this.emit("draft");
   }
-
-  /** The groups of the list: what is wanted, and what the draft has beside it. */
-  #arrange(draft) {
-    const { wants, free } = this.session;
-    let groups = wants.map((want) => group(want.target, want));
-    const names = Object.keys(draft.targets);
-    const strange = names.filter((name) => !wants.some((want) => want.target === name));
-    // where names are free, what is wanted goes by the names that there are
-    if (free && strange.length) groups = groups.filter(({ target }) => names.includes(target));
-    groups.push(...strange.map((name) => this.#stranger(name)));
-    for (const one of groups) {
-      const more = Object.keys(draft.targets[one.target]?.points ?? {}).filter((part) => !one.points.includes(part));
-      one.points.push(...more);
-      one.extra.push(...more);
-    }
-    return groups;
-  }
-
-  // a target of the user's own wants what any target does, where names are free
-  #stranger(target) {
-    const { wants, free } = this.session;
-    return { ...group(target, free && wants.length ? wants[0] : { box: "optional", points: [], about: {} }), added: true };
-  }
 }
-
-const group = (target, { box, points, about }) => ({ target, box, points: [...points], about, extra: [], added: false });

@@ -54,10 +54,24 @@ export class Sync {
     }
   }
 
-  async poll() {
+  /** The server's state, null if nobody answers. */
+  poll() {
     clearTimeout(this.next);
-    if (this.polling || this.store.ended) return;
-    this.polling = true;
+    if (this.store.ended) return Promise.resolve(null);
+    this.polling ??= this.#poll().finally(() => {
+      this.polling = null;
+      this.#again();
+    });
+    return this.polling;
+  }
+
+  /** As `poll`, but asked for from now on. */
+  async fresh() {
+    await this.polling;
+    return this.poll();
+  }
+
+  async #poll() {
     try {
       const state = await api.state();
       this.#answers();
@@ -65,12 +79,12 @@ export class Sync {
       this.state = state;
       this.on.onstate(state);
       if (this.dirty && !this.running && !this.store.live) this.flush().catch(() => {});
-    } catch {
+      return state;
+    } catch (error) {
       this.#lost(); // also if it refuses: another server is at this address now
-    } finally {
-      this.polling = false;
+      if (!(error instanceof api.Gone || error instanceof api.Refused)) throw error;
+      return null;
     }
-    this.#again();
   }
 
   #again() {

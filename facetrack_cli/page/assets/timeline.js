@@ -1,0 +1,176 @@
+// The run at a glance, under the slider: confidence as a curve, what is lost or absent, corrections, where one is.
+
+import { $ } from "./dom.js";
+
+const SLIDER = 11; // CSS pixels from its end to the middle of its thumb: frames lie under it
+const STRIP = 5; // CSS pixels below the curve: lost and absent
+const HEAD = 11; // above it: corrections
+const REST = 150; // ms after the last change of size
+const DARK = window.matchMedia("(prefers-color-scheme: dark)");
+
+export class Timeline {
+  /** `ask(bins)` is called when the overview is wanted with as many. */
+  constructor(store, ask) {
+    Object.assign(this, { store, ask });
+    this.canvas = $("timeline");
+    this.context = this.canvas.getContext("2d");
+    this.overview = null;
+    this.reached = null; // [first, last] frame that is being tracked anew
+    this.bins = 0;
+    new ResizeObserver(() => this.#resize()).observe(this.canvas);
+    for (const name of ["frame", "draft"]) store.addEventListener(name, () => this.draw());
+    DARK.addEventListener("change", () => this.draw());
+    this.canvas.addEventListener("pointerdown", (event) => {
+      this.canvas.setPointerCapture(event.pointerId);
+      this.#go(event);
+    });
+    this.canvas.addEventListener("pointermove", (event) => {
+      if (this.canvas.hasPointerCapture(event.pointerId)) this.#go(event);
+    });
+    this.#resize();
+  }
+
+  show(overview) {
+    this.overview = overview;
+    const { doubtful, corrections } = overview;
+    const count = (n, one, more) => `${n} ${n === 1 ? one : more}`;
+    const words = [
+      count(doubtful.length, "doubtful stretch", "doubtful stretches"),
+      count(corrections.length, "correction", "corrections"),
+    ];
+    this.canvas.setAttribute("aria-label", `Confidence over the clip: ${words.join(", ")}`);
+    this.draw();
+  }
+
+  #go(event) {
+    const { left } = this.canvas.getBoundingClientRect();
+    const { first, last } = this.store.bounds;
+    const share = (event.clientX - left - SLIDER) / Math.max(this.width - 2 * SLIDER, 1);
+    this.store.show(first + Math.min(Math.max(share, 0), 1) * (last - first));
+  }
+
+  #resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (!width || !height) return;
+    const ratio = window.devicePixelRatio || 1;
+    Object.assign(this, { width, height, ratio });
+    this.canvas.width = Math.round(width * ratio);
+    this.canvas.height = Math.round(height * ratio);
+    this.#paint();
+    const bins = Math.max(Math.round(width - 2 * SLIDER), 1);
+    clearTimeout(this.timer);
+    if (bins === this.bins) return;
+    this.timer = setTimeout(
+      () => {
+        this.bins = bins;
+        this.ask(bins);
+      },
+      this.bins ? REST : 0,
+    );
+  }
+
+  draw() {
+    this.due ??= requestAnimationFrame(() => {
+      this.due = null;
+      this.#paint();
+    });
+  }
+
+  /** Where a frame lies, CSS pixels. */
+  at(frame) {
+    const { first, last } = this.store.bounds;
+    return SLIDER + ((frame - first) / Math.max(last - first, 1)) * (this.width - 2 * SLIDER);
+  }
+
+  #paint() {
+    const { context, width, height, ratio, store } = this;
+    if (!width) return;
+    const style = getComputedStyle(this.canvas);
+    const ink = (name) => style.getPropertyValue(`--${name}`).trim();
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.clearRect(0, 0, width, height);
+    const [top, bottom] = [HEAD, height - STRIP - 1];
+    context.fillStyle = ink("curve-ground");
+    context.fillRect(SLIDER - 2, top, width - 2 * SLIDER + 4, height - top);
+    if (this.overview) this.#curve(top, bottom, ink);
+    if (this.reached) {
+      const [from, to] = this.reached.map((frame) => this.at(frame));
+      context.fillStyle = ink("accent");
+      context.globalAlpha = 0.3;
+      context.fillRect(from, top, Math.max(to - from, 1), height - top);
+      context.globalAlpha = 1;
+    }
+    for (const { frame } of this.overview?.corrections ?? []) this.#diamond(frame, ink("ink"), true, ink);
+    if (!store.isEmpty()) this.#diamond(store.draft.frame, ink("ink"), false, ink);
+    const x = Math.round(this.at(store.frame));
+    context.fillStyle = ink("raised");
+    context.fillRect(x - 2, top - 1, 4, height - top + 1);
+    context.fillStyle = ink("ink");
+    context.fillRect(x - 1, top - 3, 2, height - top + 3);
+  }
+
+  #curve(top, bottom, ink) {
+    const { context, overview } = this;
+    const { first, last, bins, parts } = overview;
+    const frames = last - first + 1;
+    const edge = (bin) => first + Math.floor((bin * frames) / bins);
+    const whole = (x) => Math.round(x * this.ratio) / this.ratio; // or the seams would show
+    const [left, right] = [SLIDER - 2, this.width - SLIDER + 2];
+    const side = (bin) => whole(Math.min(Math.max(this.at(edge(bin) - 0.5), left), right));
+    const span = (bin) => [side(bin), side(bin + 1)];
+    const level = (value) => bottom - value * (bottom - top);
+    const most = (name, bin) => Math.max(...parts.map((part) => part[name][bin]));
+    const least = (bin) => parts.reduce((low, part) => Math.min(low, part.least[bin] ?? Infinity), Infinity);
+    const steps = []; // [x0, y, x1] of the curve, null where nothing is known
+    for (let bin = 0; bin < bins; bin++) {
+      const [x0, x1] = span(bin);
+      const value = least(bin);
+      steps.push(Number.isFinite(value) ? [x0, level(value), x1] : null);
+      const lost = most("lost", bin) > 0;
+      if (lost) {
+        context.fillStyle = ink("curve-lost-fill");
+        context.fillRect(x0, top, Math.max(x1 - x0, 1), bottom - top);
+      }
+      if (lost || most("absent", bin) > 0) {
+        const all = !lost && parts.every((part) => part.absent[bin] > 0);
+        const from = all ? top : bottom + 1;
+        context.fillStyle = ink(lost ? "curve-lost" : "curve-absent");
+        context.fillRect(x0, from, Math.max(x1 - x0, 1.5), this.height - from);
+      }
+    }
+    context.beginPath();
+    for (const step of steps) {
+      if (step) context.rect(step[0], step[1], step[2] - step[0], bottom - step[1]);
+    }
+    context.fillStyle = ink("curve-fill");
+    context.fill();
+    context.beginPath();
+    steps.forEach((step, bin) => {
+      if (!step) return;
+      const [x0, y, x1] = step;
+      if (bin && steps[bin - 1]) context.lineTo(x0, y);
+      else context.moveTo(x0, y);
+      context.lineTo(x1, y);
+    });
+    context.lineWidth = 1.25;
+    context.lineJoin = "round";
+    context.strokeStyle = ink("curve-line");
+    context.stroke();
+  }
+
+  #diamond(frame, colour, full, ink) {
+    const { context } = this;
+    const [x, y, size] = [this.at(frame), 5, 4.5];
+    context.beginPath();
+    context.moveTo(x - size, y);
+    context.lineTo(x, y - size);
+    context.lineTo(x + size, y);
+    context.lineTo(x, y + size);
+    context.closePath();
+    context.fillStyle = full ? colour : ink("raised");
+    context.fill();
+    context.lineWidth = 1.5;
+    context.strokeStyle = colour;
+    context.stroke();
+  }
+}
