@@ -1,14 +1,19 @@
 """Runs that are put right though something about them is out of the way."""
 
 import contextlib
+import errno
 import json
+import os
 import shutil
+import tempfile
 
 import cv2
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.errors import InputError
+from facetrack_cli.errors import InputError, OutputError
+from facetrack_cli.fixing import run_folder
+from facetrack_cli.fixing import save as saving
 from facetrack_cli.fixing.fixer import Fixer, corrections_of
 from facetrack_cli.fixing.overview import overview
 from facetrack_cli.fixing.run_folder import CORRECTED, open_run
@@ -18,6 +23,7 @@ from facetrack_cli.types import Correction, TargetStart
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
 from tests.samples import FOLDER
+from tests.terminal import refusal
 
 FEW = ["--set", "filter.particles=20", "--no-video", "-q"]
 
@@ -218,3 +224,39 @@ def test_a_file_is_no_run(tmp_path):
     (tmp_path / "out").write_text("x")
     with pytest.raises(InputError, match="out: is a file; name the folder of a run"):
         open_run(tmp_path / "out")
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_page(short, tmp_path, monkeypatch, capfd):
+    """Tests may run as root, who may write anywhere."""
+    out = copied(short, tmp_path / "out")
+    monkeypatch.setattr(run_folder.os, "access", lambda path, mode: (path, mode) != (out, os.W_OK))
+    code = main(["fix", str(out)])
+    assert f"{out}: cannot be written, where what is corrected is to go" in refusal((code, *capfd.readouterr()), 2)
+
+
+def test_without_any_place_for_a_while_it_is_said_so(short, tmp_path, monkeypatch):
+    out = copied(short, tmp_path / "out")
+    nowhere = FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: (_ for _ in ()).throw(nowhere))
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: (_ for _ in ()).throw(nowhere))
+    with pytest.raises(OutputError, match="No usable temporary directory found; set TMPDIR to a folder"):
+        put(out)
+
+
+def test_a_report_that_is_there_is_said_to_be_of_before(short, tmp_path):
+    out = copied(short, tmp_path / "out")
+    (out / "report.html").write_text("x")
+    assert put(out, nose(8, 159, 140))[-1] == f"{out / 'report.html'}: left as it was, it shows the track of before"
+
+
+def test_a_video_that_cannot_be_written_is_called_by_its_name(short, tmp_path, monkeypatch):
+    out = copied(short, tmp_path / "out")
+    (out / "annotated.mp4").write_text("x")
+
+    def failed(run, rows, to, **_):
+        raise OutputError(f"{to}: the video cannot be written")
+
+    monkeypatch.setattr(saving, "repaint", failed)
+    with pytest.raises(OutputError) as refused:
+        put(out, nose(8, 159, 140))
+    assert str(refused.value) == f"{out / 'annotated.mp4'}: the video cannot be written"

@@ -66,7 +66,7 @@ def command(
     143 terminated.
     """
     from facetrack_cli.fixing.fixer import Fixer
-    from facetrack_cli.fixing.run_folder import check_size, open_run
+    from facetrack_cli.fixing.run_folder import check_size, check_writable, open_run
     from facetrack_cli.stopping import Stop
     from facetrack_cli.video.seek import Frames
 
@@ -76,6 +76,7 @@ def command(
         raise UsageError("--quiet goes with --init; the page's address must be said")
     with open_run(run, clip) as opened, Frames(opened.clip, fps=opened.fps) as frames:
         check_size(opened, frames.size)
+        check_writable(opened)
         with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
             if init is not None:
                 code = _apply(fixer, init, stop, video=not no_video, quiet=quiet)

@@ -6,6 +6,7 @@ with open_run(Path("out")) as run:
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from facetrack_cli.build import build_tracker
-from facetrack_cli.errors import FacetrackError, InputError
+from facetrack_cli.errors import FacetrackError, InputError, OutputError
 from facetrack_cli.fixing.commit import finish
 from facetrack_cli.fixing.index import Index
 from facetrack_cli.fixing.reading import read_index
@@ -32,7 +33,7 @@ from facetrack_cli.trajectory import FORMATS
 from facetrack_cli.types import Start
 from facetrack_cli.video.images import listing
 
-__all__ = ["CORRECTED", "UNSAVED", "Run", "check_size", "open_run"]
+__all__ = ["CORRECTED", "UNSAVED", "Run", "check_size", "check_writable", "open_run"]
 
 UNSAVED: Final = "unsaved.init.yaml"
 
@@ -94,6 +95,14 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     except BaseException:
         index.close()
         raise
+
+
+def check_writable(run: Run) -> None:
+    """OutputError if nothing can be written into the run's folder: before somebody has corrected it for an hour."""
+    if not os.access(run.folder, os.W_OK):
+        raise OutputError(
+            f"{run.folder}: cannot be written, where what is corrected is to go; make it writable, or copy the run"
+        )
 
 
 def check_size(run: Run, size: tuple[int, int]) -> None:

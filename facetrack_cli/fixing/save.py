@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +13,9 @@ from facetrack_cli.fixing.commit import announce, beside, finish, sweep
 from facetrack_cli.fixing.fixer import Fixer
 from facetrack_cli.fixing.repaint import repaint
 from facetrack_cli.fixing.retrack import Report
+from facetrack_cli.fixing.rows import Rows
 from facetrack_cli.fixing.run_folder import CORRECTED, UNSAVED, Run
+from facetrack_cli.report.make import NAME as PAGE
 from facetrack_cli.start import write_init
 from facetrack_cli.start.init_text import as_yaml, record_of
 
@@ -47,7 +49,7 @@ def save(
         sweep(run.folder)
         if run.video is not None and video:
             files.append(run.video)
-            said += repaint(run, rows, beside(run.video), report=report, stop=stop)
+            said += _painted(run, rows, report, stop)
         for book in rows.index.books:
             at = book.path
             files.append(at)
@@ -72,9 +74,20 @@ def save(
         f"{rows.index.last}"
         for one in fixer.beyond
     ]
-    if run.video is not None and not video:
-        said.append(f"{run.video}: left as it was, it shows the track of before")
+    old = [run.video] if run.video is not None and not video else []
+    old += [path for path in (run.folder / PAGE,) if path.is_file()]
+    said += [f"{path}: left as it was, it shows the track of before" for path in old]
     return [*(f"{path}: written" for path in files), *said]
+
+
+def _painted(run: Run, rows: Rows, report: Report, stop: Callable[[], bool]) -> Sequence[str]:
+    """Paint the video beside the old one."""
+    assert run.video is not None
+    part = beside(run.video)
+    try:
+        return repaint(run, rows, part, report=report, stop=stop)
+    except OutputError as e:
+        raise OutputError(str(e).replace(str(part), str(run.video))) from e
 
 
 def _check(run: Run) -> None:

@@ -34,7 +34,7 @@ class Store:
         try:
             self._file: BinaryIO = tempfile.TemporaryFile(prefix="facetrack-fix-")  # noqa: SIM115
         except OSError as e:
-            raise OutputError(f"{tempfile.gettempdir()}: cannot be written: {e.strerror or e}; set TMPDIR") from e
+            raise OutputError(f"no file can be kept for a while: {e.strerror or e}; set TMPDIR to a folder") from e
 
     def add(self, data: bytes) -> int:
         """Where it stands from now on."""
