@@ -19,7 +19,8 @@ POINTS = {"nose": (160, 138), "mouth_left": (138, 154), "mouth_right": (180, 156
 BEGUN = Start(0, {"face": TargetStart((112, 79, 98, 98), {"nose": (160.0, 138.0)})}, "a file")
 QUARTERS = np.kron(np.array([[[0, 0, 250], [0, 250, 0]], [[250, 0, 0], [250, 250, 250]]], np.uint8),
                    np.ones((24, 32, 1), np.uint8))  # fmt: skip
-LIGHT, TABLET = {"color_scheme": "light"}, {"viewport": {"width": 820, "height": 1180}, "has_touch": True}
+DARK, LIGHT = {"color_scheme": "dark"}, {"color_scheme": "light"}
+TABLET = {"viewport": {"width": 820, "height": 1180}, "has_touch": True}
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +178,8 @@ def through(window):
     yield "over"
 
 
-SCREENS = {"dark": DESK, "light": {**DESK, **LIGHT}, "phone": PHONE, "small": {**SMALL, **LIGHT}, "tablet": TABLET}
+SCREENS = {"dark": {**DESK, **DARK}, "light": {**DESK, **LIGHT}, "phone": {**PHONE, **DARK},
+           "small": {**SMALL, **LIGHT}, "tablet": {**TABLET, **DARK}}  # fmt: skip
 
 
 @pytest.mark.parametrize("screen", SCREENS.values(), ids=SCREENS)
