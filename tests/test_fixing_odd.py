@@ -158,6 +158,20 @@ def test_only_the_target_whose_correction_is_another_changes(tmp_path):
     assert changed == [[str(frame), "left_hand"] for frame in range(6, 12)]
 
 
+def test_steps_that_can_be_taken_back_hold_nothing_of_every_frame(short, tmp_path):
+    """The overview is asked for after each of them, and there may be a thousand."""
+    with fixing(copied(short, tmp_path / "out")) as fixer:
+        for frame in (8, 9, 10):
+            before = fixer.rows
+            overview(before, 5)
+            assert "status" in vars(before)
+            fixer.put([nose(frame, 159, 140)])
+        assert not any({"status", "confidence"} & vars(rows).keys() for _, rows in fixer._past)
+        assert before not in [rows for _, rows in fixer._past]
+        fixer.undo()
+        assert fixer.rows.status.tolist() == before.status.tolist()
+
+
 # --- folders that are not as a run left them --------------------------------------------------------------------------
 
 

@@ -173,7 +173,9 @@ class Fixer:
             self._known[name] += [track for track in tracks if track not in self._known[name]]
         if became == self.corrections:
             return
-        self._past = [*self._past, self.now][-MOST_STEPS:]
+        # without what the rows have worked out of all frames, which would add up
+        past = Now(self.corrections, Rows(self.run.index, self.rows.tracks))
+        self._past = [*self._past, past][-MOST_STEPS:]
         self.now = Now(became, Rows(self.run.index, found))
 
     def _within(self, corrections: Iterable[Correction], target: str) -> list[Correction]:
