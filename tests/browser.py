@@ -17,7 +17,10 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
+from facetrack_cli.fixing.fixer import Fixer
+from facetrack_cli.fixing.run_folder import open_run
 from facetrack_cli.page import server as server_module
+from facetrack_cli.page.fix import FixSession
 from facetrack_cli.page.pick import PickSession
 from facetrack_cli.page.pictures import Pictures
 from facetrack_cli.page.server import serving
@@ -284,6 +287,22 @@ def pick(served):
         recipe = None if config is None else load_recipe(config)
         frames = served.enter_context(Frames(clip))
         session = PickSession(clip, frames, pictures(frames), out=out, recipe=recipe, **more)
+        return session, served.enter_context(serving(session)).url
+
+    return serve
+
+
+@pytest.fixture
+def fix(served):
+    """Serves `facetrack fix` in this process: fix(folder) gives its session and its URL."""
+
+    def serve(folder, **more):
+        run = open_run(folder)
+        served.callback(run.index.close)
+        frames = served.enter_context(Frames(run.clip))
+        fixer = Fixer(run, frames.read)
+        served.callback(fixer.close)
+        session = FixSession(fixer, frames, Pictures(frames), **more)
         return session, served.enter_context(serving(session)).url
 
     return serve

@@ -356,6 +356,7 @@ def test_fast_dragging_asks_for_few_frames_and_ends_with_the_right_one(clips, pi
 def test_marks_stay_with_their_frame_until_one_begins_elsewhere(clips, pick, windows, tmp_path):
     _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1, begun=BEGUN)
     window = windows(url)
+    window.until("document.getElementById('message').textContent.startsWith('begun with what a file')")
     before = window.tell("draft")
     window.here("following").click()
     window.until_shown(2)
