@@ -107,7 +107,7 @@ async function start() {
   const list = first
     ? new FixList(store, { choose, absent: (slots, whether) => mode.absent(slots, whether) })
     : new List(store, { choose, may, say });
-  const save = new Save({ store, sync, say, onlack });
+  const save = new Save({ store, sync, say, onlack, title: () => (first && !mode.canUndo ? "Ended" : "Saved") });
   mode.state?.(state);
   save.state(state);
 

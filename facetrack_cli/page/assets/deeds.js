@@ -30,7 +30,9 @@ export class Deeds {
       this.magnifier.show(...value, "keys", colour(store, slot.target));
       this.magnifier.hide(2500);
     }
-    this.say(`${spoken(slot.part)} of ${spoken(slot.target)} at ${value.map(number).join(", ")}`);
+    // the magnifier says it, too
+    const kind = store.mode === "fix" && slot.part !== BOX ? "quiet" : "info";
+    this.say(`${spoken(slot.part)} of ${spoken(slot.target)} at ${value.map(number).join(", ")}`, kind);
   }
 
   /** A part of the list; by a key also put in the middle, if it is nowhere. */

@@ -113,7 +113,7 @@ export class Doubtful {
     write($("doubtful-count"), this.frames.length ? String(this.frames.length) : "");
     write($("corrections-count"), this.corrections.length ? String(this.corrections.length) : "");
     const none = "No part is lost, and none has a confidence below 50 %.";
-    write($("doubtful-note"), this.frames.length ? "The worst first. W shows the worst that was not looked at." : none);
+    write($("doubtful-note"), this.frames.length ? "The worst first; grey is what was looked at." : none);
     write(
       $("corrections-note"),
       this.corrections.length ? "" : "Nothing is corrected yet. Drag what is wrong, then track from there.",

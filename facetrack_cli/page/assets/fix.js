@@ -29,7 +29,12 @@ export class Fix {
     this.corrections = first.corrections;
     this.rows = store.rows = new Rows(store, () => store.emit("draft"));
     stage.layers.unshift(tracks(store, this.rows, { shown: () => this.shown, hovered }));
-    this.work = new Work(store, sync, { say, lack, renewed: () => this.#renewed() });
+    this.work = new Work(store, sync, {
+      say,
+      lack,
+      known: () => this.corrections,
+      renewed: () => this.#renewed(),
+    });
     this.play = new Play(store);
     this.doubtful = new Doubtful(store, { say, remove: (one) => this.work.remove(one) });
     this.timeline = new Timeline(store, () => this.#renew());
@@ -68,7 +73,7 @@ export class Fix {
     if (!store.isHere()) {
       if (loud) flash($("elsewhere"));
       return no(
-        `What you moved in frame ${store.draft.frame} is not tracked yet: track it (T), or throw it away.`,
+        `What was moved in frame ${store.draft.frame} is not tracked yet: track it (T), or throw it away.`,
         "warning",
       );
     }
@@ -151,7 +156,7 @@ export class Fix {
     if (!store.isEmpty()) {
       const { frame } = store.draft;
       return this.lack(
-        `What you moved in frame ${frame} is not tracked yet: track it (T), or throw it away; then save.`,
+        `What was moved in frame ${frame} is not tracked yet: track it (T), or throw it away; then save.`,
       );
     }
     this.play.stop();
@@ -170,7 +175,6 @@ export class Fix {
           "End facetrack",
         );
     if (!yes) return;
-    save.title = some ? "Saved" : "Ended";
     this.saving = save;
     save.save();
   }
@@ -270,8 +274,8 @@ export class Fix {
     $("elsewhere").hidden = !away;
     if (!away) return;
     const { frame } = store.draft;
-    write($("elsewhere-text"), `What you moved in frame ${frame} is not tracked yet.`);
-    write($("track-elsewhere"), `Track from frame ${frame}`);
+    write($("elsewhere-text"), `What was moved in frame ${frame} is not tracked yet.`);
+    write($("track-elsewhere"), `Track from ${frame}`);
     write($("go-back"), `Back to ${frame}`);
   }
 
@@ -280,7 +284,7 @@ export class Fix {
     const open = !store.isEmpty() && !store.ended;
     $("track").hidden = !open || store.busy;
     $("discard").hidden = !open || store.busy || !store.isHere();
-    write($("track"), store.isHere() ? "Track from here" : `Track from frame ${store.draft.frame}`);
+    write($("track"), store.isHere() ? "Track from here" : `Track from ${store.draft.frame}`);
     $("undo").disabled = !this.undoes;
     $("save").classList.toggle("plain", open || !this.canUndo);
     const all = this.corrections.length;

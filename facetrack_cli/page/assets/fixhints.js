@@ -29,7 +29,7 @@ export function hint(store, slot) {
     const next = TOUCH.matches ? "" : " N goes to the next doubtful one.";
     return ["The run begins here", `This frame cannot be corrected.${next}`];
   }
-  if (store.busy) return [frame, "You may look around while it is tracked."];
+  if (store.busy) return [frame, "You may look around meanwhile."];
   if (store.current) return armed(store, store.current);
   if (slot) return chosen(store, slot);
   if (!store.isEmpty() && store.isHere()) {
@@ -52,6 +52,10 @@ function armed(store, slot) {
 function chosen(store, slot) {
   const told = words(store.told(slot));
   const how = TOUCH.matches ? "Drag it to its place." : "Drag it, or nudge it by the arrow keys. X: not there.";
+  if (store.missing(slot)) {
+    const again = TOUCH.matches ? "There again, if it is." : "X, if it is there again.";
+    return [called(store, slot), `Absent from here on. ${again}`];
+  }
   if (!told) return [called(store, slot), how];
   const sure = told.endsWith("%") ? " sure" : "";
   return [called(store, slot), `${told[0].toUpperCase()}${told.slice(1)}${sure}. ${how}`];

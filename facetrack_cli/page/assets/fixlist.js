@@ -1,6 +1,6 @@
 // Every part of the run in the frame that is shown: how sure the tracker is of it, and whether it is there at all.
 
-import { $, make, number, rove, spoken, write } from "./dom.js";
+import { $, make, rove, spoken, write } from "./dom.js";
 import { colour } from "./draw.js";
 import { BOX, same } from "./store.js";
 
@@ -49,7 +49,7 @@ export class FixList {
     this.follow(false);
   }
 
-  #show({ slot, item, button, absent, told, sign, spoken: said }, off, tabbed) {
+  #show({ slot, item, button, absent, told, sign }, off, tabbed) {
     const { store } = this;
     const around = store.around(slot);
     const state = around ? { kind: store.drafted(slot) ? "moved" : "" } : store.told(slot);
@@ -63,10 +63,9 @@ export class FixList {
     else button.removeAttribute("aria-current");
     const use = state.kind === "init" && state.byHand ? "hand" : SIGNS[state.kind];
     sign.firstChild.setAttribute("href", use ? `#mark-${use}` : around ? "#icon-fit" : "#");
-    const at = state.kind === "moved" && !around ? store.drafted(slot).map(number).slice(0, 2).join(", ") : "";
-    write(told, around && !state.kind ? "places all anew" : at || words(state));
-    write(said, at ? ", put right" : "");
+    write(told, around && !state.kind ? "places all anew" : words(state));
     if (!absent) return;
+    absent.tabIndex = button.tabIndex;
     const missing = store.missing(slot);
     write(absent, missing ? "There again" : "Not there");
     absent.setAttribute(
@@ -118,7 +117,6 @@ export class FixList {
     sign.setAttribute("aria-hidden", "true");
     sign.append(document.createElementNS("http://www.w3.org/2000/svg", "use"));
     const told = make("span", { class: "numbers" });
-    const said = make("span", { class: "unseen" });
     const called = store.around(slot) ? "in a box" : spoken(swatch ? slot.target : slot.part);
     const name = make("span", { class: "name" }, called);
     const button = make(
@@ -128,7 +126,6 @@ export class FixList {
       swatch,
       name,
       told,
-      said,
     );
     button.addEventListener("click", (event) => this.choose(slot, event.detail === 0));
     let absent = null;
@@ -141,7 +138,7 @@ export class FixList {
       absent.addEventListener("click", () => this.absent([slot], !store.missing(slot)));
     }
     const item = make("li", {}, button, absent);
-    this.rows.set(id(slot), { slot, item, button, absent, told, sign, spoken: said });
+    this.rows.set(id(slot), { slot, item, button, absent, told, sign });
     return item;
   }
 }

@@ -41,6 +41,11 @@ export class FixStore extends Store {
     return this.isHere() ? super.value(slot) : null;
   }
 
+  /** Whether the draft says anything of it, the box of all points included. */
+  spoken(slot) {
+    return this.drafted(slot) || this.gone(slot) || this.drafted({ target: slot.target, part: BOX });
+  }
+
   /** Whether the draft says that it is not there. */
   gone({ target, part }) {
     const absent = this.isHere() && this.draft.targets[target]?.absent;
@@ -73,9 +78,7 @@ export class FixStore extends Store {
   }
 
   moved() {
-    return Object.values(this.draft.targets).reduce((sum, { box, points, absent }) => {
-      return sum + (box ? 1 : 0) + Object.keys(points).length + (absent === true ? 1 : absent.length);
-    }, 0);
+    return this.layout.flatMap(({ target }) => this.parts(target)).filter((slot) => this.spoken(slot)).length;
   }
 
   /** Nothing is asked for: a part is placed by a click only if it was chosen in the list. */
@@ -149,10 +152,8 @@ export class FixStore extends Store {
         this.#tidy(draft, slot.target);
       }
     });
-    this.looked = null;
-    if (slots.length > 1) return;
-    [this.selected] = slots; // so that the next key may take it back
-    this.current = null;
+    this.looked = this.current = null;
+    this.selected = slots.length > 1 ? null : slots[0]; // so that the next key may take it back
     this.emit("draft");
   }
 
@@ -164,6 +165,8 @@ export class FixStore extends Store {
       this.#lack(one, slot, false);
       this.put(draft, slot, null);
     });
+    this.selected = slot;
+    this.emit("draft");
     return true;
   }
 
@@ -187,6 +190,8 @@ export class FixStore extends Store {
     const { box, points, absent } = draft.targets[target];
     if (!box && !Object.keys(points).length && absent !== true && !absent.length) delete draft.targets[target];
   }
+
+  follow() {} // the page tells of what is moved elsewhere
 
   /** What was tracked is no draft any more, and nothing of it to be undone here. */
   adopt(draft) {

@@ -16,10 +16,10 @@ const WORDS = {
 };
 
 export class Save {
-  constructor({ store, sync, say, onlack }) {
-    Object.assign(this, { store, sync, say, onlack });
+  /** `title()` is of what comes after. */
+  constructor({ store, sync, say, onlack, title = () => "Saved" }) {
+    Object.assign(this, { store, sync, say, onlack, title });
     this.words = WORDS[store.mode];
-    this.title = "Saved"; // of what comes after
     write($("saved-for"), this.words.next);
     this.under = false;
     this.accepted = false;
@@ -80,8 +80,8 @@ export class Save {
     store.emit("draft");
     document.body.classList.add("ended");
     this.#busy(true);
-    write($("save-label"), this.title);
-    write($("saved-title"), this.title);
+    write($("save-label"), this.title());
+    write($("saved-title"), this.title());
     $("saved-said").replaceChildren(...said.map((line) => make("li", {}, line)));
     $("saved-next").hidden = !next;
     write($("next-command"), next ?? "");

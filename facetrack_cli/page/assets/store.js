@@ -295,7 +295,12 @@ export class Store extends EventTarget {
     this.layout = arranged(this.session, this.draft);
     this.#settle();
     if (this.isEmpty()) this.draft.frame = this.frame;
-    else if (wasHere) this.show(this.draft.frame);
+    else if (wasHere) this.follow();
     this.emit("draft");
+  }
+
+  /** Goes along with another window to the frame of what it changed. */
+  follow() {
+    this.show(this.draft.frame);
   }
 }

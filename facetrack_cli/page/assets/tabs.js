@@ -18,6 +18,7 @@ export class Tabs {
 
   open(at) {
     if (this.at === at) return;
+    this.panels[at].parentElement.scrollTop = 0;
     this.at = at;
     this.buttons.forEach((button, i) => {
       button.setAttribute("aria-selected", String(i === at));

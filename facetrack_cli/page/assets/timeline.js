@@ -129,7 +129,7 @@ export class Timeline {
       const lost = most("lost", bin) > 0;
       if (lost) {
         context.fillStyle = ink("curve-lost-fill");
-        context.fillRect(x0, top, Math.max(x1 - x0, 1), bottom - top);
+        context.fillRect(x0, top, x1 - x0, bottom - top);
       }
       if (lost || most("absent", bin) > 0) {
         const all = !lost && parts.every((part) => part.absent[bin] > 0);

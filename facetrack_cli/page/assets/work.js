@@ -23,12 +23,13 @@ export function changes(before, after) {
 }
 
 export class Work {
-  /** `renewed()` waits for the overview of what there is now, and gives its corrections. */
-  constructor(store, sync, { say, lack, renewed }) {
-    Object.assign(this, { store, sync, say, lack, renewed });
+  /** `known()` gives the corrections that there are; `renewed()` waits for the overview of what there is now, and gives its corrections. */
+  constructor(store, sync, { say, lack, known, renewed }) {
+    Object.assign(this, { store, sync, say, lack, known, renewed });
     this.under = false;
     this.job = null;
-    this.from = null; // the frame that we asked to be tracked from
+    this.begun = false; // whether a job of ours was seen
+    this.span = null; // [first, last] frame that we asked to be tracked
   }
 
   state({ job }) {
@@ -37,22 +38,25 @@ export class Work {
     $("job").hidden = !this.store.busy;
     if (!this.store.busy) return;
     const bar = $("job-bar");
-    if (job?.total) {
-      bar.max = job.total;
-      bar.value = job.done;
+    const total = this.span ? this.span[1] - this.span[0] + 1 : job?.total;
+    if (job && total) {
+      bar.max = total;
+      bar.value = Math.min(job.done, total);
     } else bar.removeAttribute("value");
-    write($("job-text"), job ? this.#told(job) : "Asking facetrack …");
+    if (job) this.begun = true;
+    write($("job-text"), job ? this.#told(job) : this.begun ? "Reading the new track …" : "Asking facetrack …");
   }
 
   /** The frames that were tracked anew so far, [first, last], if that is known. */
   get reached() {
-    if (this.from === null || !this.job) return null;
-    return [this.from, Math.min(this.from + this.job.done, this.store.bounds.last)];
+    if (!this.span || !this.job) return null;
+    const [first, last] = this.span;
+    return [first, Math.min(first + this.job.done, last)];
   }
 
   #told({ what, done, total }) {
     const begun = `${what[0].toUpperCase()}${spoken(what).slice(1)}`;
-    if (this.reached) return `${begun}: frame ${this.reached[1]}${total ? `, ${done} of ${total}` : ""}`;
+    if (this.reached) return `${begun}: frame ${this.reached[1]} of ${this.span[1]}`;
     return total ? `${begun}: ${done} of ${total} frames` : `${begun} …`;
   }
 
@@ -64,8 +68,18 @@ export class Work {
     const names = Object.keys(targets).map(spoken).join(", ");
     store.leave();
     this.say(`Tracking anew from frame ${frame}: ${names}.`);
-    const done = await this.#ask("track", () => ({ base: this.sync.revision }), frame);
+    const done = await this.#ask("track", () => ({ base: this.sync.revision }), [frame, this.#end(frame, targets)]);
     if (done) this.say(`Tracked anew from frame ${frame}: ${names}.`);
+  }
+
+  // the last frame that is to be tracked anew: each target goes on to its next correction
+  #end(frame, targets) {
+    const { bounds } = this.store;
+    const ends = Object.keys(targets).map((name) => {
+      const later = this.known().filter((one) => one.target === name && one.frame > frame);
+      return Math.min(bounds.last, ...later.map((one) => one.frame - 1));
+    });
+    return Math.max(...ends);
   }
 
   async remove({ frame, target }) {
@@ -80,14 +94,15 @@ export class Work {
   }
 
   // whether it was done; if not, the user was told why
-  async #ask(what, body, from) {
+  async #ask(what, body, span) {
     const { store, sync } = this;
     if (store.busy || store.ended) {
       this.say("Wait for the end of what is being tracked.", "warning");
       return false;
     }
     this.under = true;
-    this.from = from;
+    this.span = span;
+    this.begun = false;
     this.lack("");
     this.state({ job: null });
     store.emit("draft");
@@ -106,11 +121,14 @@ export class Work {
     } finally {
       if (!failed) await this.renewed();
       this.under = false;
-      this.from = null;
+      this.span = null;
       this.state({ job: sync.state.job });
     }
     store.emit("draft");
-    if (failed) this.lack(failed);
+    if (failed) {
+      this.say("");
+      this.lack(failed);
+    }
     return !failed;
   }
 
