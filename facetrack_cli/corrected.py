@@ -118,6 +118,8 @@ class CorrectedTarget:
         if self.anew.learn if correction.learn is None else correction.learn:
             target = self.anew.build(frame, given)
             inner, result = target.begin(rng, frame)
+            # what is kept is where the tracker was, though it is learned anew
+            result = replace(result, parts=tuple(replace(part, status="tracked") for part in result.parts))
         else:
             target = self.target
             assert isinstance(target, ParticleTarget)

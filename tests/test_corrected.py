@@ -302,3 +302,9 @@ def test_a_part_learned_anew_is_judged_by_what_it_looks_like_now(face):
     assert anew.judgement.confidence[4] == 1.0
     assert anew.judgement.bad[4] != kept.judgement.bad[4]
     assert anew.judgement.status == (*kept.judgement.status[:4], "init")
+
+
+def test_what_is_kept_and_learned_anew_is_still_where_the_tracker_was(face):
+    said = {"points": face.points(30, PARTS[:2]), "kept": face.points(30, PARTS[2:])}
+    put = run("factorized", face, given(30, **said, learn=True))
+    assert [one.status for one in put[30].targets[0].parts] == ["init"] * 2 + ["tracked"] * 3
