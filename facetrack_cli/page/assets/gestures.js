@@ -90,7 +90,8 @@ export class Gestures {
     if (store.ended) return this.#pan();
     const hit = this.hit(x, y, kind);
     if (!hit && !store.current) return { ...this.#pan(), end: (moved) => moved || store.pick(null) };
-    if (!this.may(false)) return { ...this.#pan(), end: (moved) => moved || this.may(true) };
+    // who pulls at a mark is told why it stays
+    if (!this.may(false)) return { ...this.#pan(), end: (moved) => (moved && !hit) || this.may(true) };
     if (hit) return this.#drag(hit, x, y, kind);
     return store.current.part === BOX ? this.#box(store.current, x, y) : this.#point(store.current, x, y, kind);
   }
