@@ -64,8 +64,10 @@ def picking(clip, out=None, config=None, **more):
         session = PickSession(clip, frames, Pictures(frames), out=out, recipe=recipe, **more)
         with serving(session) as server:
             client = Client(server.url)
-            yield client, session
-            client.close()
+            try:
+                yield client, session
+            finally:
+                client.close()
 
 
 @pytest.fixture(autouse=True)
@@ -194,7 +196,7 @@ def test_the_same_frame_is_never_looked_at_twice_at_once(clips, monkeypatch):
         (None, {"face": FACE, "b": {"points": {"nose": [9, 9]}}}, "still to choose: mouth_left, mouth_right, lip"),
         (None, {"face": FACE, "boxes": FACE}, "a target cannot be called boxes, too like a key of"),
         (None, {"face": {**FACE, "box": [112, 79, 5, 98]}}, "the box of face is smaller than 6x6 pixels; give a"),
-        ("factorized", {"face": {"points": {part: [100, 100] for part in PARTS}}}, "mouth_left"),
+        ("factorized", {"face": {"points": {part: [100, 100] for part in PARTS}}}, "in one place"),
         ("contour_histogram", {"face": {"points": POINTS}}, "still to choose: the box of face"),
         ("contour_histogram", {"face": {"box": [-900, 79, 98, 98]}}, "the centre of the box [-900, 79, 98, 98] of"),
         ("contour_histogram", {"face": {"box": [-90, 0, 400, 200]}}, "400x200 pixels, is larger than the picture"),
