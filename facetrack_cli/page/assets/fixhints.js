@@ -58,5 +58,6 @@ function chosen(store, slot) {
   }
   if (!told) return [called(store, slot), how];
   const sure = told.endsWith("%") ? " sure" : "";
-  return [called(store, slot), `${told[0].toUpperCase()}${told.slice(1)}${sure}. ${how}`];
+  const said = told.replace("lost ", "lost, ");
+  return [called(store, slot), `${said[0].toUpperCase()}${said.slice(1)}${sure}. ${how}`];
 }

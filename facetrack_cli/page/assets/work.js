@@ -23,7 +23,7 @@ export function changes(before, after) {
 }
 
 export class Work {
-  /** `known()` gives the corrections that there are; `renewed()` waits for the overview of what there is now, and gives its corrections. */
+  /** `known()` gives the corrections that there are; `renewed()` waits for the overview, and gives those of now. */
   constructor(store, sync, { say, lack, known, renewed }) {
     Object.assign(this, { store, sync, say, lack, known, renewed });
     this.under = false;
