@@ -138,17 +138,23 @@ def test_rows_before_a_correction_stay_though_its_frame_is_tracked_once_more(sho
         assert kept.given != fixer.corrections[0].given and fixer.find(5, "face").kept["lip_lower"][1] > 160
 
 
+HANDS = [word for t in ("head", "left_hand", "right_hand") for word in ("--set", f"targets.{t}.filter.particles=40")]
+
+
+def signing(out, *words):
+    """A run of head and hands."""
+    given = ["run", FOLDER / "signing.mp4", "-o", out, "--config", "head_hands", "--no-video", "-q", *HANDS, *words]
+    assert main([str(word) for word in given]) == 0
+
+
 def test_only_the_target_whose_correction_is_another_changes(tmp_path):
     """Though they keep off each other."""
-    few = [word for t in ("head", "left_hand", "right_hand") for word in ("--set", f"targets.{t}.filter.particles=40")]
     init = (FOLDER / "signing.init.yaml").read_text()
-    said = (
-        "corrections:\n- {{frame: 6, left_hand: {{box: [{}, 120, 40, 46]}}}}\n- {{frame: 9, head: {{absent: true}}}}\n"
-    )
+    gone = "- {frame: 9, head: {absent: true}}\n"
     for name, left in (("a.yaml", 95), ("b.yaml", 97)):
-        (tmp_path / name).write_text(init + said.format(left))
-    words = ["run", FOLDER / "signing.mp4", "-o", tmp_path / "out", "--init", tmp_path / "a.yaml", "--stop", "12", *few]
-    assert main([*map(str, words), "--config", "head_hands", "--no-video", "-q"]) == 0
+        hand = f"corrections:\n- {{frame: 6, left_hand: {{box: [{left}, 120, 40, 46]}}}}\n"
+        (tmp_path / name).write_text(init + hand + gone)
+    signing(tmp_path / "out", "--init", tmp_path / "a.yaml", "--stop", "12")
     before = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
     with fixing(tmp_path / "out") as fixer:
         fixer.apply(corrections_of(tmp_path / "b.yaml", fixer.run))
@@ -156,6 +162,21 @@ def test_only_the_target_whose_correction_is_another_changes(tmp_path):
     after = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
     changed = [new.split(",")[0:3:2] for new, old in zip(after, before, strict=True) if new != old]
     assert changed == [[str(frame), "left_hand"] for frame in range(6, 12)]
+
+
+@pytest.mark.parametrize("called", ["face", "head", "somebody"])
+def test_an_init_file_means_the_targets_that_a_run_takes_it_for(tmp_path, called):
+    """A face alone is the head, and hands that it does not speak of are where they were found."""
+    init = tmp_path / "i.yaml"
+    init.write_text(f"frame: 0\n{called}: {{box: [128, 40, 64, 76]}}\n")
+    signing(tmp_path / "out", "--init", init, "--stop", "4")
+    init.write_text(init.read_text() + f"corrections:\n- {{frame: 2, {called}: {{absent: true}}}}\n")
+    with fixing(tmp_path / "out") as fixer:
+        assert corrections_of(init, fixer.run) == (Correction(2, "head", absent=True),)
+        hands = "corrections:\n- {frame: 2, left_hand: {absent: true}}\n"
+        init.write_text(f"frame: 0\nleft_hand: {{box: [1, 40, 64, 76]}}\n{hands}")
+        with pytest.raises(InputError, match="left_hand does not begin where it does in the run"):
+            corrections_of(init, fixer.run)
 
 
 def test_steps_that_can_be_taken_back_hold_nothing_of_every_frame(short, tmp_path):

@@ -14,7 +14,8 @@ from facetrack_cli.fixing.retrack import Read, Report, Task, Tracking
 from facetrack_cli.fixing.rows import Rows, recorded
 from facetrack_cli.fixing.run_folder import Run
 from facetrack_cli.fixing.tracks import Store, Track
-from facetrack_cli.start import read_init
+from facetrack_cli.start import name_targets, read_init
+from facetrack_cli.start.files import TARGET
 from facetrack_cli.types import Correction, Start
 
 MOST_STEPS: Final = 1000  # that can be taken back
@@ -229,7 +230,7 @@ def _completed_by_rows(run: Run) -> list[Correction]:
 
 def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
     """The corrections of an init file that begins as the run does. InputError if it does not."""
-    start = read_init(path)
+    start = _named(read_init(path), run)
     if start.frame != run.start.frame:
         raise InputError(
             f"{path}: begins at frame {start.frame}, and the run at {run.start.frame}; run the clip anew with it"
@@ -240,6 +241,23 @@ def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
         if one.box not in (None, theirs.box) or points != one.points:
             raise InputError(f"{path}: {name} does not begin where it does in the run; run the clip anew with it")
     return start.corrections
+
+
+def _named(start: Start, run: Run) -> Start:
+    """With the targets that the recipe names, as a run takes them; what the file does not know is as in the run."""
+    names, out = run.recipe.followed, run.recipe.left_out
+    given = {name: one for name, one in start.targets.items() if name not in out}
+    if not names or not given:
+        return start
+    if len(given) == 1 and not given.keys() & set(names):
+        [called] = given
+        given = {TARGET: given[called]}
+        of_it = [replace(one, target=TARGET) for one in start.corrections if one.target == called]
+        start = replace(start, corrections=tuple(of_it))
+    rest = {name: one for name, one in run.start.targets.items() if name not in given and name != names[0]}
+    if not given.keys() & {names[0], TARGET}:
+        rest[names[0]] = run.start.targets[names[0]]
+    return name_targets(replace(start, targets={**given, **rest}), names, None, left_out=out)
 
 
 def _same(one: Correction, other: Correction) -> bool:
