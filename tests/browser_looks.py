@@ -6,7 +6,8 @@ OUTSIDE = """[...document.querySelectorAll('button, input, canvas')].filter((one
   return one.checkVisibility() && width && (left < -0.5 || right > innerWidth + 0.5);
 }).map((one) => one.dataset.testid ?? one.id)"""
 TOO_SMALL = """[...document.querySelectorAll('button, input')].filter((one) => {
-  const {width, height} = one.getBoundingClientRect();
+  // a tick is hit by its label too
+  const {width, height} = (one.type === 'checkbox' ? one.closest('label') : one).getBoundingClientRect();
   return one.checkVisibility() && (Math.round(width * 10) < 400 || Math.round(height * 10) < 400);
 }).map((one) => `${one.dataset.testid ?? one.id}: ${one.offsetWidth}x${one.offsetHeight}`)"""
 # what is written where, in which ink, on which ground; over the picture the ground is the worse of black and white

@@ -150,6 +150,20 @@ def test_what_is_dragged_is_tracked_and_undone(page):
     assert one.post("undo").status == 422 and not one.state()["can_undo"]
 
 
+def test_what_something_covers_is_not_learned(page):
+    one = page()
+    assert one.client.get("api/session").json["learns"] is True
+    for said, learn in (({"learn": False}, False), ({"learn": None}, None), ({"learn": False}, False), ({}, False)):
+        assert one.client.put_draft(8, face=NOSE).status == 200
+        assert one.post("track", base=one.state()["revision"], **said).status == 202
+        one.idle()
+        [correction] = one.fixer.corrections
+        assert correction.learn is learn
+    assert one.client.put_draft(8, face=NOSE).status == 200
+    refused = one.post("track", base=one.state()["revision"], learn="no")
+    assert (refused.status, refused.json["error"]) == (400, "learn is true, false or null")
+
+
 def test_a_correction_is_removed(page):
     one = page()
     before = one.rows(0, STOP - 1)

@@ -134,6 +134,27 @@ def test_only_the_rows_up_to_the_next_correction_change(fix, windows, out):
     assert rows(window) == after and session.first_fault is None
 
 
+def test_what_something_covers_is_not_learned(fix, windows, out):
+    session, url = fix(out)
+    window = windows(url)
+    go_to(window, AT)
+    assert not window.seen("learn")
+    x, y, _ = place(out, AT, "lip_lower")
+    window.drag((x, y), (x + 6, y + 4))
+    window.here("learn").uncheck()
+    window.press("t")
+    idle(window, 1)
+    assert [one.learn for one in session.fixer.corrections] == [False]
+    go_to(window, 14)
+    window.drag(place(out, 14, "nose")[:2], (150, 120))
+    assert window.here("learn").is_checked()  # what was said of one correction is not said of the next
+    window.press("t")
+    idle(window, 2)
+    assert [one.learn for one in session.fixer.corrections] == [False, None]
+    save(window)
+    assert "    learn: false\n" in (out / "corrected.init.yaml").read_text(encoding="utf-8")
+
+
 def rows(window):
     return window.page.evaluate("fetch('api/rows?from=0&to=99').then((got) => got.json())")["frames"]
 

@@ -3,13 +3,14 @@
 Beyond what every session serves:
     GET api/rows?from=a&to=b     the rows of frames a to b, both included
     GET api/overview?bins=N      where the run is least certain, and what is corrected
-    POST api/track {"base"}      the draft becomes a correction of its frame
+    POST api/track {"base", "learn"}   the draft becomes a correction of its frame; learn false: as the start knows it
     POST api/remove {"frame", "target"}, POST api/undo
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
 from facetrack_cli.errors import FacetrackError, InputError
@@ -25,6 +26,7 @@ from facetrack_cli.page.draft import Draft, Json
 from facetrack_cli.page.propose import Proposer
 from facetrack_cli.page.session import Report, Session
 from facetrack_cli.page.wants import about_box
+from facetrack_cli.recipe import OpenCvRecipe
 from facetrack_cli.start import PARTS
 from facetrack_cli.start.init_text import WHAT_PARTS_ARE
 from facetrack_cli.types import BOX, Correction
@@ -71,6 +73,7 @@ class FixSession(Session):
             first=run.index.first,
             last=run.index.last,
         )
+        self._about["learns"] = not isinstance(run.recipe, OpenCvRecipe)  # those begin anew in any case
         if unsaved:
             what = "tracking what was corrected the last time"
             self.begin(what, None, self._step(lambda report: self._go_on(unsaved, report)))
@@ -132,6 +135,11 @@ class FixSession(Session):
         draft = self.fresh(request.body.get("base"))
         self.refuse_if_busy()
         given = self._corrections(draft)
+        if "learn" in request.body:
+            learn = request.body["learn"]
+            if not (learn is None or isinstance(learn, bool)):
+                raise RefusedError(400, "learn is true, false or null")
+            given = [one if one.absent is True else replace(one, learn=learn) for one in given]
         for one in given:
             self.fixer.check(one)
         names = ", ".join(one.target for one in given)

@@ -284,6 +284,8 @@ export class Fix {
     const open = !store.isEmpty() && !store.ended;
     $("track").hidden = !open || store.busy;
     $("discard").hidden = !open || store.busy || !store.isHere();
+    const placed = Object.values(store.draft.targets).some(({ box, points }) => box || Object.keys(points).length);
+    $("learn").hidden = $("track").hidden || !store.session.learns || !placed;
     write($("track"), store.isHere() ? "Track from here" : `Track from ${store.draft.frame}`);
     $("undo").disabled = !this.undoes;
     $("save").classList.toggle("plain", open || !this.canUndo);

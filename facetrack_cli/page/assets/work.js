@@ -68,7 +68,10 @@ export class Work {
     const names = Object.keys(targets).map(spoken).join(", ");
     store.leave();
     this.say(`Tracking anew from frame ${frame}: ${names}.`);
-    const done = await this.#ask("track", () => ({ base: this.sync.revision }), [frame, this.#end(frame, targets)]);
+    const learn = $("learn-box").checked ? null : false;
+    $("learn-box").checked = true; // what is said of one correction is not said of the next
+    const body = () => ({ base: this.sync.revision, learn });
+    const done = await this.#ask("track", body, [frame, this.#end(frame, targets)]);
     if (done) this.say(`Tracked anew from frame ${frame}: ${names}.`);
   }
 
