@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from facetrack_cli.corrected import is_complete
 from facetrack_cli.errors import InputError
 from facetrack_cli.fixing.complete import completed
-from facetrack_cli.fixing.retrack import Read, Report, Task, Tracking
+from facetrack_cli.fixing.retrack import Read, Report, Task, Tracking, spans
 from facetrack_cli.fixing.rows import Rows, recorded
 from facetrack_cli.fixing.run_folder import Run
 from facetrack_cli.fixing.tracks import Store, Track
@@ -155,7 +156,9 @@ class Fixer:
                     found[name].append(known)
                     ends[name] = known
                     plan.pop(0)
-            left = sum(task.stop - task.first for plan in plans.values() for task in plan)
+            # each round goes through the frames of its tasks once
+            rounds = [tasks, *([one for one in row if one] for row in zip_longest(*_after(plans, tasks)))]
+            left = sum(stop - first for tasks_ in rounds for first, stop in spans(tasks_))
             total = max(total, done + left)
 
             def told(n: int, _: int, before: int = done, total: int = total) -> None:
@@ -167,7 +170,7 @@ class Fixer:
                 found[task.target].append(shorter or track)
                 ends[task.target] = track
                 plans[task.target].pop(0)
-            done += sum(task.stop - task.first for task in tasks)
+            done += sum(stop - first for first, stop in spans(tasks))
         begins = [track.begin for tracks in found.values() for track in tracks if track.begin is not None]
         became = self._ordered([*begins, *(one for one in corrections if one.frame > self.run.index.last)])
         for name, tracks in found.items():
@@ -258,6 +261,12 @@ def _named(start: Start, run: Run) -> Start:
     if not given.keys() & {names[0], TARGET}:
         rest[names[0]] = run.start.targets[names[0]]
     return name_targets(replace(start, targets={**given, **rest}), names, None, left_out=out)
+
+
+def _after(plans: Mapping[str, Sequence[Task]], tasks: Sequence[Task]) -> list[Sequence[Task]]:
+    """What is left of each plan once these first tasks are done."""
+    begun = {task.target for task in tasks}
+    return [plan[1:] if name in begun else plan for name, plan in plans.items()]
 
 
 def _same(one: Correction, other: Correction) -> bool:

@@ -69,7 +69,7 @@ class Tracking:
         A target has one task at most. Raises StoppedError once `stop` says so, InputError if the clip is not the run's.
         """
         live = [_Live(self._run, self._store, task, self._first()) for task in tasks]
-        frames = _frames(tasks)
+        frames = spans(tasks)
         total = sum(stop - first for first, stop in frames)
         done = 0
         for first, end in frames:
@@ -156,7 +156,7 @@ class _Live:
         self.recorder.add(frame, result)
 
 
-def _frames(tasks: Sequence[Task]) -> list[tuple[int, int]]:
+def spans(tasks: Sequence[Task]) -> list[tuple[int, int]]:
     """(first, stop) of the frames that any task wants, in their order, those that touch put together."""
     found: list[tuple[int, int]] = []
     for first, stop in sorted((task.first, task.stop) for task in tasks):
