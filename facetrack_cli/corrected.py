@@ -93,6 +93,10 @@ class CorrectedTarget:
             return self.correct(state, frame, correction)
         return self._go_on(rng, state, frame, covers)
 
+    def resumed(self, first: Frame) -> Resumed:
+        """The same from a correction on, of a run whose first frame is `first`."""
+        return Resumed(self.target, self.corrections, self.anew, first)
+
     def cover(self, state: State, *, ahead: bool) -> Cover | None:
         return None if state.inner is None else state.target.cover(state.inner, ahead=ahead)
 
@@ -180,7 +184,7 @@ def _marked(result: TargetResult, by_hand: Sequence[str]) -> TargetResult:
 
 
 @dataclass(frozen=True)
-class Resumed:
+class Resumed(CorrectedTarget):
     """A corrected target from one of its corrections on; `first` is the first frame of the whole run.
 
     Its `begin`, with the frame of that correction, gives the rows that the whole run has there, and `advance` those
@@ -188,32 +192,11 @@ class Resumed:
     numbers are drawn.
     """
 
-    target: CorrectedTarget
     first: Frame
 
-    @property
-    def name(self) -> str:
-        return self.target.name
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        return self.target.parts
-
-    @property
-    def windows(self) -> Mapping[str, tuple[float, float]]:
-        return self.target.windows
-
     def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[State, TargetResult]:
-        correction = self.target.corrections[frame.index]
-        if not self.target.complete(correction):
+        correction = self.corrections[frame.index]
+        if not self.complete(correction):
             raise ValueError(f"the correction of {self.name} at frame {frame.index} does not tell of all its parts")
-        state, _ = self.target.begin(rng, self.first)
-        return self.target.correct(state, frame, correction)
-
-    def advance(
-        self, rng: np.random.Generator, state: State, frame: Frame, covers: Sequence[Cover]
-    ) -> tuple[State, TargetResult]:
-        return self.target.advance(rng, state, frame, covers)
-
-    def cover(self, state: State, *, ahead: bool) -> Cover | None:
-        return self.target.cover(state, ahead=ahead)
+        state, _ = super().begin(rng, self.first)
+        return self.correct(state, frame, correction)

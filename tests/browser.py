@@ -306,3 +306,19 @@ def fix(served):
         return session, served.enter_context(serving(session)).url
 
     return serve
+
+
+def go_to(window, frame):
+    """Of a run that is put right: show the frame, with its rows, ready for keys."""
+    window.press("p", "f")
+    window.keyboard.type(str(frame))
+    window.press("Enter")
+    window.until_shown(frame)
+    window.until("window.facetrack.rowsRevision !== null")
+    window.here("stage").focus()
+
+
+def idle(window, revision):
+    """Wait until so many steps were taken, and their rows are here."""
+    window.until(f"window.facetrack.rowsRevision === {revision} && !window.facetrack.busy && !window.facetrack.job")
+    assert not window.seen("lack"), window.text("lack")

@@ -8,7 +8,22 @@ import cv2
 import numpy as np
 from ruamel.yaml import YAML
 
+from facetrack_cli.start import read_init
+from facetrack_cli.trajectory import read_csv
+from facetrack_cli.video.source import open_source
+
 FOLDER = Path(__file__).parent.parent / "sample_videos"
+
+
+class TrackClip:
+    """A sample clip up to a frame, to be tracked in process: its start, its frames, and the rows of its truth."""
+
+    def __init__(self, name: str, stop: int) -> None:
+        path = FOLDER / f"{name}.mp4"
+        self.start = read_init(path.with_suffix(".init.yaml"))
+        with open_source(path, stop=stop) as source:
+            self.frames = list(source)
+        self.truth = {(row.frame, row.part): row for row in read_csv(path.with_suffix(".truth.csv"))}
 
 
 class BoxClip(NamedTuple):

@@ -1,34 +1,24 @@
 """Corrections along the clip: where a target begins anew, what that depends on, and what is absent."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from facetrack_cli.build import build_tracker
-from facetrack_cli.corrected import CorrectedTarget, Resumed
+from facetrack_cli.corrected import CorrectedTarget
 from facetrack_cli.errors import InputError
 from facetrack_cli.recipe import load_recipe
 from facetrack_cli.spaces import AffineSpace, BoxSpace, CloudSpace, Estimate, PointSpace
-from facetrack_cli.start import read_init
 from facetrack_cli.track import track
-from facetrack_cli.trajectory import csv_lines, read_csv, rows
+from facetrack_cli.trajectory import csv_lines, rows
 from facetrack_cli.types import Correction, Start, TargetStart
-from facetrack_cli.video.source import open_source
+from tests.samples import TrackClip
 
-SAMPLES = Path(__file__).parent.parent / "sample_videos"
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 
 
-class Clip:
-    def __init__(self, name, stop):
-        path = SAMPLES / f"{name}.mp4"
-        self.start = read_init(path.with_suffix(".init.yaml"))
-        with open_source(path, stop=stop) as source:
-            self.frames = list(source)
-        self.truth = {(row.frame, row.part): row for row in read_csv(path.with_suffix(".truth.csv"))}
-
+class Clip(TrackClip):
     def point(self, frame, part):
         row = self.truth[frame, part]
         return row.x, row.y
@@ -127,7 +117,7 @@ def test_a_part_of_a_run_tracked_anew_is_what_the_whole_run_has(config, which, l
     whole = run(config, clip, given(6, name, **said | {"absent": ()} if which != "absent" else said), correction)
     [target] = build_tracker(load_recipe(config), replace(clip.start, corrections=(correction,)))
     assert isinstance(target, CorrectedTarget)
-    part_of = list(track((Resumed(target, clip.frames[0]),), iter(clip.frames[15:]), 0))
+    part_of = list(track((target.resumed(clip.frames[0]),), iter(clip.frames[15:]), 0))
     assert lines(part_of) == lines(whole, 15)
 
 
@@ -147,7 +137,7 @@ def test_only_the_corrected_target_changes_and_it_keeps_its_own_numbers(face):
     )[1]
     again = list(
         track(
-            (build_tracker(load_recipe("factorized"), two)[0], Resumed(target, face.frames[0])),
+            (build_tracker(load_recipe("factorized"), two)[0], target.resumed(face.frames[0])),
             iter(face.frames[12:]),
             0,
         )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.build import build_tracker
-from facetrack_cli.corrected import Resumed, is_complete
+from facetrack_cli.corrected import is_complete
 from facetrack_cli.errors import InputError
 from facetrack_cli.recipe import load_recipe
 from facetrack_cli.track import track
@@ -83,7 +83,7 @@ def test_a_single_point_is_learned_anew_by_the_length_of_the_first_frame(face, b
     x, y = face.point(25, "nose")
     assert np.hypot(part(put[25], "nose").x - x, part(put[25], "nose").y - y) < 4
     [target] = build_tracker(load_recipe("sir", ("target.parts=[nose]",)), replace(start, corrections=(again,)))
-    assert lines(track((Resumed(target, face.frames[0]),), iter(face.frames[10:]), 0)) == lines(put, 10)
+    assert lines(track((target.resumed(face.frames[0]),), iter(face.frames[10:]), 0)) == lines(put, 10)
 
 
 def test_a_box_cannot_place_parts_that_no_cascade_knows(face, box):

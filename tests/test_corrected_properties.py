@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.build import build_tracker
-from facetrack_cli.corrected import Resumed, is_complete
+from facetrack_cli.corrected import is_complete
 from facetrack_cli.fixing.fixer import Fixer
 from facetrack_cli.fixing.run_folder import CORRECTED, open_run
 from facetrack_cli.fixing.save import save
@@ -101,7 +101,7 @@ def test_what_follows_a_complete_correction_depends_on_nothing_before_it(config,
     assert one == other
     start = replace(CLIP.start, corrections=(last, *after))
     [target] = build_tracker(load_recipe(config, FEW), start)
-    assert lines(track((Resumed(target, CLIP.frames[0]),), iter(CLIP.frames[at:]), 0)) == one
+    assert lines(track((target.resumed(CLIP.frames[0]),), iter(CLIP.frames[at:]), 0)) == one
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.fixing.retrack import Tracking
 from facetrack_cli.start import read_init
-from tests.browser import DESK, PHONE, SMALL, until
+from tests.browser import DESK, PHONE, SMALL, go_to, idle, until
 from tests.browser_looks import wrong_looks
 from tests.samples import FOLDER
 
@@ -48,20 +48,6 @@ def place(folder, frame, part):
             for row in csv.DictReader(file)
             if (row["frame"], row["part"]) == (str(frame), part)
         )
-
-
-def go_to(window, frame):
-    window.press("f")
-    window.keyboard.type(str(frame))
-    window.press("Enter")
-    window.until_shown(frame)
-    window.until("window.facetrack.rowsRevision !== null")
-    window.here("stage").focus()
-
-
-def idle(window, revision):
-    """Wait until the rows are those after so many changes, here too."""
-    window.until(f"window.facetrack.rowsRevision === {revision} && !window.facetrack.busy && !window.facetrack.job")
 
 
 def save(window):

@@ -13,7 +13,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.fixing.retrack import Tracking
 from facetrack_cli.start import PARTS, read_init
-from tests.browser import PHONE, until
+from tests.browser import PHONE, go_to, idle, until
 from tests.browser_looks import wrong_looks
 from tests.media import write_pictures
 from tests.samples import FOLDER, read_pictures, read_rows
@@ -111,21 +111,6 @@ def files(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def go(window, frame):
-    window.press("p", "f")
-    window.keyboard.type(str(frame))
-    window.press("Enter")
-    window.until_shown(frame)
-    window.until("window.facetrack.rowsRevision !== null")
-    window.here("stage").focus()
-
-
-def tracked(window, revision):
-    """Wait until so many steps were taken, and are seen here."""
-    window.until(f"window.facetrack.rowsRevision === {revision} && !window.facetrack.busy")
-    assert not window.seen("lack"), window.text("lack")
-
-
 def table(window):
     """The cells of all frames as the page has them; the frame that is shown stays."""
     window.until("window.facetrack.rowsRevision !== null")
@@ -183,7 +168,7 @@ def test_a_head_that_is_lost_is_put_right_by_the_mouse(command, windows, made, o
     was = table(window)
     assert {row[0][STATUS] for row in was[CUT + 4 :]} == {"lost"}
 
-    go(window, CUT)  # back to where it was lost
+    go_to(window, CUT)  # back to where it was lost
     x, y, w, h = window.tell("rows")[0][:4]
     there = truth("turning", CUT)["box"]
     assert np.hypot(x - there[0], y - there[1]) > 40
@@ -192,7 +177,7 @@ def test_a_head_that_is_lost_is_put_right_by_the_mouse(command, windows, made, o
     middle = left + (width - 1) / 2, top + (height - 1) / 2
     assert np.abs(np.subtract(middle, there)).max() <= 1 and np.allclose((width, height), (w, h), atol=0.011)
     window.here("track").click()
-    tracked(window, 1)
+    idle(window, 1)
     assert window.text("message").startswith(f"Tracked anew from frame {CUT}") and not window.face("head")
     now = table(window)
     assert now[:CUT] == was[:CUT] and all(new != old for new, old in zip(now[CUT:], was[CUT:], strict=True))
@@ -236,7 +221,7 @@ def test_a_head_that_is_lost_is_put_right_by_keys_alone(fix, windows, out):
     assert window.tell("frame") == min(doubtful)
     window.press("n", "Shift+N")
     assert window.tell("frame") == min(doubtful)
-    go(window, CUT)
+    go_to(window, CUT)
     goal = truth("turning", CUT)["box"]
     window.press("]")
     assert window.tell("selected") == {"target": "head", "part": "box"}
@@ -251,7 +236,7 @@ def test_a_head_that_is_lost_is_put_right_by_keys_alone(fix, windows, out):
     window.press("Control+ArrowRight")
     assert window.face("head")["box"] == [left, top, width + 1, height]
     window.press("t")
-    tracked(window, 1)
+    idle(window, 1)
     window.press("Control+s")
     window.until("document.getElementById('confirm').open")
     assert "corrected.init.yaml" in window.text("confirm-text") and window.text("confirm-title") == "Save 1 correction?"
@@ -279,7 +264,7 @@ def test_what_is_not_there_and_there_again(fix, windows, out):
     folder = out("face")
     _, url = fix(folder)
     window = windows(url)
-    go(window, 5)
+    go_to(window, 5)
     was = table(window)
     window.press("[")  # from nothing to the last part, which is the box of them all
     window.press("]", "]")
@@ -295,7 +280,7 @@ def test_what_is_not_there_and_there_again(fix, windows, out):
     assert window.tell("draft.targets") == {} and window.text("absent-face") == "Not there"
     window.here("absent-face").click()
     window.press("t")
-    tracked(window, 1)
+    idle(window, 1)
     gone = table(window)
     assert gone[:5] == was[:5]
     absent = [None, None, None, None, None, None, "absent"]
@@ -304,7 +289,7 @@ def test_what_is_not_there_and_there_again(fix, windows, out):
     window.here("tab-corrections").click()
     assert "not there" in window.text("correction-5-face")
 
-    go(window, 9)
+    go_to(window, 9)
     window.here("tab-parts").click()
     places = truth("expressions", 9)
     for part in PARTS[:2]:
@@ -314,7 +299,7 @@ def test_what_is_not_there_and_there_again(fix, windows, out):
         window.click(*places[part])
     assert set(window.face()["points"]) == set(PARTS[:2])
     window.press("t")
-    tracked(window, 2)
+    idle(window, 2)
     back = table(window)
     assert back[:9] == gone[:9] and [[cell[STATUS] for cell in row[2:]] for row in back[9:]] == [["absent"] * 3] * 31
     assert {cell[STATUS] for row in back[10:CUT] for cell in row[:2]} == {"tracked"}
@@ -332,7 +317,7 @@ def test_what_is_not_there_and_there_again(fix, windows, out):
 def test_drags_and_corrections_are_taken_back(fix, windows, out):
     session, url = fix(out("face"))
     window = windows(url)
-    go(window, 20)
+    go_to(window, 20)
     was = table(window)
     drafts = [window.tell("draft")]
     for by in [(12, -9), (-5, 2)]:
@@ -344,22 +329,22 @@ def test_drags_and_corrections_are_taken_back(fix, windows, out):
         assert window.tell("draft") == drafts[one]
     assert window.here("undo").is_disabled()
     window.press("Control+Shift+z", "Control+y", "t")
-    tracked(window, 1)
+    idle(window, 1)
     late = table(window)
     assert late[:20] == was[:20] and all(new != old for new, old in zip(late[20:], was[20:], strict=True))
 
-    go(window, 10)  # a second one before it does not reach beyond
+    go_to(window, 10)  # a second one before it does not reach beyond
     move(window, "lip_lower", (4, 3))
     window.press("t")
-    tracked(window, 2)
+    idle(window, 2)
     both = table(window)
     assert [k for k in range(FRAMES) if both[k] != late[k]] == [*range(10, 20)]
     assert [k for k, row in enumerate(both) if any(cell[BY_HAND] for cell in row)] == [10, 20]
     window.press("Control+z")
-    tracked(window, 3)
+    idle(window, 3)
     assert table(window) == late and "frame 10 is not corrected any more" in window.text("message")
     window.here("undo").click()
-    tracked(window, 4)
+    idle(window, 4)
     assert table(window) == was and window.tell("corrections") == [] and not window.tell("canUndo")
     assert window.here("undo").is_disabled() and session.first_fault is None
 
@@ -371,7 +356,7 @@ def test_the_slower_of_two_windows_is_told(fix, windows, out):
     session, url = fix(out("face"))
     one, other = windows(url), windows(url)
     for window in (one, other):
-        go(window, 20)
+        go_to(window, 20)
     move(one, "nose", (10, 5))
     other.until("window.facetrack.draft.targets.face")
     assert other.text("message") == "Changed in another window." and other.tell("draft") == one.tell("draft")
@@ -399,14 +384,14 @@ def test_the_slower_of_two_windows_is_told(fix, windows, out):
     assert other.tell("draft") == one.tell("draft") == session.draft.to_json()
     other.press("t")
     for window in (one, other):
-        tracked(window, 1)
+        idle(window, 1)
     assert one.tell("rows") == other.tell("rows") and one.tell("corrections") == other.tell("corrections")
 
 
 def test_a_tab_that_is_closed_while_tracking_changes_nothing(fix, windows, out, held):
     session, url = fix(out("face"))
     window, other = windows(url), windows(url)
-    go(window, 20)
+    go_to(window, 20)
     move(window, "nose", (10, 5))
     window.until_sent()
     draft = window.tell("draft")
@@ -421,16 +406,16 @@ def test_a_tab_that_is_closed_while_tracking_changes_nothing(fix, windows, out, 
     window.page.close()
     assert other.here("save").is_disabled()
     held.set()
-    tracked(other, 1)
+    idle(other, 1)
     rows = table(other)
     # the same by a window that stays
     other.press("Control+z")
-    tracked(other, 2)
-    go(other, 20)
+    idle(other, 2)
+    go_to(other, 20)
     move(other, "nose", (10, 5))
     assert other.tell("draft") == draft
     other.press("t")
-    tracked(other, 3)
+    idle(other, 3)
     assert table(other) == rows and session.first_fault is None and session.ended is None
 
 
@@ -442,13 +427,13 @@ def test_the_timeline_leads_to_frames_and_shows_what_is_corrected(fix, windows, 
     window = windows(url)
     assert window.page.evaluate(MARKS) == []
     for revision, frame in enumerate((30, 10), 1):
-        go(window, frame)
+        go_to(window, frame)
         move(window, "nose", (6, 4))
         until(lambda: window.page.evaluate(MARKS), "a mark", window.page.wait_for_timeout)
         marks = dict(window.page.evaluate(MARKS))
         assert marks[frame] is False and len(marks) == revision, "hollow while it is not tracked"
         window.press("t")
-        tracked(window, revision)
+        idle(window, revision)
     until(lambda: window.page.evaluate(MARKS) == [[10, True], [30, True]], "two marks", window.page.wait_for_timeout)
 
     box = window.here("timeline").bounding_box()
@@ -472,7 +457,7 @@ def test_the_timeline_leads_to_frames_and_shows_what_is_corrected(fix, windows, 
 def test_it_plays_and_stops(fix, windows, out):
     _, url = fix(out("face"))
     window = windows(url)
-    go(window, 3)
+    go_to(window, 3)
     window.here("play").click()
     window.until("window.facetrack.frame > 6")
     window.press("k")
@@ -483,7 +468,7 @@ def test_it_plays_and_stops(fix, windows, out):
     window.until(f"window.facetrack.frame > {frame}")
     window.press("Home")  # whoever goes elsewhere wants to look
     assert not window.tell("playing") and window.tell("frame") == 0
-    go(window, FRAMES - 4)
+    go_to(window, FRAMES - 4)
     window.press("k")
     window.until("!window.facetrack.playing")
     window.until_shown(FRAMES - 1)
@@ -497,7 +482,7 @@ def test_what_was_moved_and_not_tracked_is_not_forgotten(fix, windows, out):
     window.here("save").click()
     assert window.text("confirm-title") == "There is nothing to save"
     window.here("confirm-no").click()
-    go(window, 20)
+    go_to(window, 20)
     move(window, "nose", (10, 5))
     draft = window.tell("draft")
     window.press("Escape", ".")
@@ -518,12 +503,12 @@ def test_what_was_moved_and_not_tracked_is_not_forgotten(fix, windows, out):
     assert window.tell("draft.targets") == {} and window.tell("frame") == 21 and not window.seen("elsewhere")
     window.press("Control+z")
     assert window.tell("draft") == draft
-    go(window, 21)
+    go_to(window, 21)
     window.here("track-elsewhere").click()
-    tracked(window, 1)
+    idle(window, 1)
     assert [one["frame"] for one in window.tell("corrections")] == [20]
     window.press("Control+z")
-    tracked(window, 2)
+    idle(window, 2)
     window.here("save").click()
     window.here("confirm-yes").click()
     window.until("window.facetrack.ended")
@@ -538,7 +523,7 @@ def test_a_part_is_put_right_by_a_finger(fix, windows, out):
     before = lines(folder)
     _, url = fix(folder)
     window = windows(url, **PHONE)
-    go(window, CUT)
+    go_to(window, CUT)
     x, y = window.tell("rows")[0][:2]
     goal = truth("expressions", CUT)["nose"]
     window.touch("start", (x, y))
@@ -549,7 +534,7 @@ def test_a_part_is_put_right_by_a_finger(fix, windows, out):
     assert list(window.face()["points"]) == ["nose"] and np.abs(np.subtract(moved, goal)).max() <= 1
     assert wrong_looks(window, fingers=True) == []
     window.here("track").click()  # a tap that a busy machine drags out is none
-    tracked(window, 1)
+    idle(window, 1)
     assert wrong_looks(window, fingers=True) == []
     save(window)
     after = lines(folder)
@@ -562,13 +547,13 @@ def test_of_head_and_hands_the_one_that_is_moved_changes_alone(fix, windows, out
     before = lines(folder)
     _, url = fix(folder)
     window = windows(url)
-    go(window, 10)
+    go_to(window, 10)
     was = table(window)
     x, y = window.tell("rows")[BOXES.index("right_hand")][:2]
     window.drag((x, y), (x + 5, y - 4))
     assert list(window.tell("draft.targets")) == ["right_hand"]
     window.press("t")
-    tracked(window, 1)
+    idle(window, 1)
     now = table(window)
     for column, name in enumerate(BOXES):
         changed = [k for k in range(20) if now[k][column] != was[k][column]]

@@ -1,32 +1,24 @@
 """The whole engine in process: every shipped recipe of points on a sample clip, judged by its truth."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from facetrack_cli.build import build_tracker
 from facetrack_cli.errors import InputError, RecipeError
 from facetrack_cli.recipe import load_recipe, shipped_recipes
-from facetrack_cli.start import read_init
 from facetrack_cli.track import track
-from facetrack_cli.trajectory import read_csv
 from facetrack_cli.types import Frame, Start, TargetStart
-from facetrack_cli.video.source import open_source
+from tests.samples import TrackClip
 
-SAMPLES = Path(__file__).parent.parent / "sample_videos"
 RECIPES = [path.stem for path in shipped_recipes() if load_recipe(path.stem).points]
 
 
-class Clip:
-    """A sample clip up to a frame: its pictures, its start, and truth and visibility (T, K) in the recipe's order."""
+class Clip(TrackClip):
+    """Up to a frame, with truth and visibility (T, K) in the recipe's order."""
 
     def __init__(self, name, stop):
-        path = SAMPLES / f"{name}.mp4"
-        self.start = read_init(path.with_suffix(".init.yaml"))
-        with open_source(path, stop=stop) as source:
-            self.frames = list(source)
-        rows = {(row.frame, row.part): row for row in read_csv(path.with_suffix(".truth.csv"))}
+        super().__init__(name, stop)
+        rows = self.truth
         parts = load_recipe("factorized").target.parts
         truth = [[rows[f.index, part] for part in parts] for f in self.frames]
         self.truth = np.array([[(row.x, row.y) for row in line] for line in truth])

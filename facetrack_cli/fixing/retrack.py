@@ -9,7 +9,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from facetrack_cli.build import build_tracker
-from facetrack_cli.corrected import CorrectedTarget, Resumed
+from facetrack_cli.corrected import CorrectedTarget
 from facetrack_cli.errors import InputError
 from facetrack_cli.exclusion import Cover
 from facetrack_cli.fixing.rows import Rows
@@ -138,7 +138,7 @@ class _Live:
         target: Target = build_tracker(run.recipe, replace(run.start, corrections=corrections))[self.place]
         if task.begin is not None:
             assert isinstance(target, CorrectedTarget)
-            target = Resumed(target, first)
+            target = target.resumed(first)
         self.target = target
         self.recorder = Recorder(store, task.target, task.begin, task.first)
         self.begun = False

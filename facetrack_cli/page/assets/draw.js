@@ -59,13 +59,18 @@ export function frame(context, stage, box, ink, width = 2, dash = []) {
   return { x0, y0, x1, y1 };
 }
 
-export function diamond(context, x, y, size, ink, width = 2, dash = []) {
+/** The path of a diamond, to be filled or stroked. */
+export function diamondPath(context, x, y, size) {
   context.beginPath();
   context.moveTo(x - size, y);
   context.lineTo(x, y - size);
   context.lineTo(x + size, y);
   context.lineTo(x, y + size);
   context.closePath();
+}
+
+export function diamond(context, x, y, size, ink, width = 2, dash = []) {
+  diamondPath(context, x, y, size);
   stroke(context, ink, width, dash);
 }
 

@@ -1,6 +1,7 @@
 // The run at a glance, under the slider: confidence as a curve, what is lost or absent, corrections, where one is.
 
 import { $ } from "./dom.js";
+import { diamondPath } from "./draw.js";
 
 const SLIDER = 11; // CSS pixels from its end to the middle of its thumb: frames lie under it
 const STRIP = 5; // CSS pixels below the curve: lost and absent
@@ -160,13 +161,7 @@ export class Timeline {
 
   #diamond(frame, colour, full, ink) {
     const { context } = this;
-    const [x, y, size] = [this.at(frame), 5, 4.5];
-    context.beginPath();
-    context.moveTo(x - size, y);
-    context.lineTo(x, y - size);
-    context.lineTo(x + size, y);
-    context.lineTo(x, y + size);
-    context.closePath();
+    diamondPath(context, this.at(frame), 5, 4.5);
     context.fillStyle = full ? colour : ink("raised");
     context.fill();
     context.lineWidth = 1.5;
