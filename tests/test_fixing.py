@@ -460,6 +460,12 @@ def test_what_is_dragged_goes_over_what_its_frame_has():
     assert merged(5, "t", None, {}, True, old, parts) == Correction(5, "t", absent=True)
     assert merged(5, "t", (1, 2, 9, 9), {}, (), None, ("box",)) == Correction(5, "t", TargetStart(box=(1, 2, 9, 9)))
     assert merged(5, "t", None, {}, ("box",), None, ("box",)).absent is True
+    assert merged(5, "t", (1, 2, 9, 9), {}, ("box",), None, ("box",)) == Correction(5, "t", absent=True)
+    # of points, a box alone places those that are there; beside points it says nothing
+    new = merged(5, "t", (1, 2, 9, 9), {}, ("a",), old, parts)
+    assert new == Correction(5, "t", TargetStart(box=(1, 2, 9, 9)), absent=("a",))
+    assert merged(5, "t", (1, 2, 9, 9), {"b": (3, 3)}, (), old, parts).given.points == {"a": (1, 1), "b": (3, 3)}
+    assert merged(5, "t", None, {}, ("b",), old, parts).kept == {}
 
 
 # --- other clips, other folders --------------------------------------------------------------------------------------
