@@ -466,6 +466,9 @@ def test_what_is_dragged_goes_over_what_its_frame_has():
     assert new == Correction(5, "t", TargetStart(box=(1, 2, 9, 9)), absent=("a",))
     assert merged(5, "t", (1, 2, 9, 9), {"b": (3, 3)}, (), old, parts).given.points == {"a": (1, 1), "b": (3, 3)}
     assert merged(5, "t", None, {}, ("b",), old, parts).kept == {}
+    gone = Correction(5, "t", absent=True)
+    assert merged(5, "t", None, {"b": (3, 3)}, (), gone, parts).absent == ("a", "c")
+    assert merged(5, "t", None, {"b": (3, 3)}, (), replace(old, learn=False), parts).learn is False
 
 
 # --- other clips, other folders --------------------------------------------------------------------------------------
