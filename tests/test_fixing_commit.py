@@ -10,6 +10,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.errors import OutputError
+from facetrack_cli.fixing import save as saving
 from facetrack_cli.fixing.commit import JOURNAL, announce, beside, finish, sweep
 from facetrack_cli.fixing.run_folder import CORRECTED, UNSAVED, open_run
 from facetrack_cli.fixing.save import keep, save
@@ -90,6 +91,9 @@ def test_what_another_process_left_is_swept_away(made, out):
     left = hidden(out)
     there = {name.format(number) for name in names for number in (os.getpid(), os.getppid())}
     assert left == there | {f".mine-{gone.pid}.csv", f".mine-{10**30}.csv"}
+    (out / names[0].format(gone.pid)).write_text("x")
+    put(out, nose(4, 158, 140))
+    assert names[0].format(gone.pid) not in hidden(out)
 
 
 def test_what_was_announced_does_not_replace_a_run_that_was_made_since(out):
@@ -135,3 +139,26 @@ def test_a_folder_in_the_place_of_the_init_file_is_refused_before_anything_is_re
         put(out, nose(4, 158, 140))
     (out / CORRECTED).rmdir()
     assert files_of(out) == before
+
+
+def test_a_run_that_is_made_anew_while_it_is_saved_is_not_replaced(out, monkeypatch):
+    def slow(start, clip, real=saving.as_yaml):
+        (out / "trajectory.csv").write_text("another run")
+        return real(start, clip)
+
+    monkeypatch.setattr(saving, "as_yaml", slow)
+    before = files_of(out)
+    with pytest.raises(OutputError, match=r"trajectory.csv: was written by somebody else since it was opened"):
+        put(out, nose(4, 158, 140))
+    assert files_of(out) == {**before, "trajectory.csv": b"another run"}
+
+
+def test_where_nothing_is_corrected_any_more_the_files_do_not_speak_of_corrections(made, out):
+    before = files_of(out)
+    put(out, nose(4, 158, 140))
+    with fixing(out) as fixer:
+        fixer.remove(4, "face")
+        save(fixer)
+    after = files_of(out)
+    assert b"corrections" not in after.pop(CORRECTED)
+    assert after == before
