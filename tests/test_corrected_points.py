@@ -65,7 +65,7 @@ def test_what_a_box_brings_back_can_be_learned_later(face, box):
         face,
         given(5, absent=("nose",)),
         given(10, box=box),
-        given(15, points=face.points(15), learn=True),
+        given(15, points=face.points(15, REST), learn=True),
     )
     assert statuses(put[9])[0] == "absent" and "absent" not in statuses(put[10])
     for later in (

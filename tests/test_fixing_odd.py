@@ -193,6 +193,20 @@ def test_steps_that_can_be_taken_back_hold_nothing_of_every_frame(short, tmp_pat
         assert fixer.rows.status.tolist() == before.status.tolist()
 
 
+def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_is_no_step(short, tmp_path):
+    with fixing(copied(short, tmp_path / "out")) as fixer:
+        for x in (159, 157, 157):
+            fixer.put([nose(8, x, 140)])
+        assert [(one.frame, one.given.points) for one in fixer.corrections[:2]] == [
+            (5, {"nose": (158, 140)}),
+            (8, {"nose": (157, 140)}),
+        ]
+        assert len(fixer.corrections) == 3
+        fixer.undo()
+        fixer.undo()
+        assert not fixer.can_undo and not fixer.changed
+
+
 # --- folders that are not as a run left them --------------------------------------------------------------------------
 
 
