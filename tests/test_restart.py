@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.build import build_tracker
+from facetrack_cli.errors import InputError
 from facetrack_cli.particle_target import Bound
 from facetrack_cli.recipe import load_recipe
 from facetrack_cli.track import track
@@ -138,6 +139,20 @@ def test_a_box_of_another_shape_is_the_unit_from_there_on(head):
     left, top, w, h = head.box(5)
     put = run("histogram", head, given(5, "head", box=(left, top, 2 * w, h)))
     assert [part(r, "box").w / part(r, "box").h for r in put[5:]] == pytest.approx([2 * w / h] * len(put[5:]), rel=1e-6)
+
+
+@pytest.mark.parametrize(("learn", "scale"), [(None, 1.0), (True, 1.0), (False, 1.5)])
+def test_a_face_under_affine_maps_is_learned_anew_unless_it_is_said_otherwise(zoom, learn, scale):
+    left, top, w, h = zoom.box(0)
+    put = run("adaptive_velocity", zoom, given(5, box=(left, top, 1.5 * w, 1.5 * h), learn=learn))
+    assert put[5].targets[0].told.scale == pytest.approx(scale, rel=1e-3)
+
+
+def test_colours_are_not_learned_anew():
+    clip = Clip("signing", 1)
+    anew = given(5, "left_hand", box=(80.0, 120.0, 33.0, 71.0), learn=True)
+    with pytest.raises(InputError, match="left_hand at frame 5: colours are learned in the first frame alone"):
+        run("head_hands_cloud", clip, anew)
 
 
 # --- what is said of it ----------------------------------------------------------------------------------------------
