@@ -100,12 +100,36 @@ def test_what_was_announced_does_not_replace_a_run_that_was_made_since(out):
     (csv, text), new = (out / "trajectory.csv", out / "trajectory.json"), out / "new"
     for path in (csv, text, new):
         beside(path).write_text("saved")
-    announce(out, [csv, text, new])
+    unsaved = out / UNSAVED
+    unsaved.write_text("of another run")
+    announce(out, [csv, text, new], [unsaved])
     text.write_text("another run")
     before = csv.read_bytes()
     finish(out)
     assert (csv.read_bytes(), text.read_text(), new.exists()) == (before, "another run", False)
-    assert not hidden(out)
+    assert unsaved.exists() and not hidden(out)
+
+
+def test_two_may_finish_at_once(out, monkeypatch):
+    """What the other one has moved in the meantime is not missed."""
+    csv, replace = out / "trajectory.csv", Path.replace
+    beside(csv).write_text("saved")
+    announce(out, [csv])
+
+    def first(self, to):
+        replace(self, to)
+        return replace(self, to)
+
+    monkeypatch.setattr(Path, "replace", first)
+    finish(out)
+    assert csv.read_text() == "saved" and not hidden(out)
+
+
+def test_what_was_announced_is_not_swept_away(out):
+    (out / JOURNAL).write_text("")
+    (out / f".trajectory-{10**30}.fixed.csv").write_text("x")
+    sweep(out)
+    assert len(hidden(out)) == 2
 
 
 def test_links_stay_links(out, tmp_path):
