@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from facetrack_cli import filters, recipe
+from facetrack_cli.build_corrections import corrected
 from facetrack_cli.confidence import Confidence
-from facetrack_cli.corrected import Anew, CorrectedTarget, is_complete
 from facetrack_cli.errors import InputError, RecipeError
 from facetrack_cli.exclusion import Exclusion
 from facetrack_cli.gallery import load_gallery
@@ -41,11 +41,9 @@ from facetrack_cli.spaces import (
     size_of_points,
     state_of_box,
 )
-from facetrack_cli.start.files import TARGET as FACE
 from facetrack_cli.start.files import check_size
-from facetrack_cli.start.haar import PARTS, box_start
-from facetrack_cli.track import Target, Tracker
-from facetrack_cli.types import BOX, Array, Box, Correction, Frame, Start, TargetStart
+from facetrack_cli.track import Tracker
+from facetrack_cli.types import BOX, Array, Box, Start
 
 
 def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
@@ -54,7 +52,7 @@ def build_tracker(recipe_: Recipe, start: Start) -> Tracker:
     Targets that the start has corrections of are corrected along the clip. Raises InputError where the start, or one of
     its corrections, lacks what the recipe needs, RecipeError where parts do not fit each other.
     """
-    return tuple(_corrected(recipe_, start, target) for target in _targets(recipe_, start))
+    return tuple(corrected(recipe_, start, target, _targets) for target in _targets(recipe_, start))
 
 
 def _targets(recipe_: Recipe, start: Start) -> Tracker:
@@ -64,76 +62,6 @@ def _targets(recipe_: Recipe, start: Start) -> Tracker:
         return _several(recipe_, start)
     assert isinstance(recipe_, ParticleRecipe)
     return tuple(_target(recipe_, recipe_, name, start) for name in start.targets)
-
-
-def _corrected(recipe_: Recipe, start: Start, target: Target) -> Target:
-    """The target with the corrections that the start has of it, if any."""
-    corrections = [one for one in start.corrections if one.target == target.name]
-    if not corrections:
-        return target
-    kind = _kind_of(recipe_, target.name)
-    points = isinstance(kind, recipe.Points)
-    learns = kind is None or isinstance(kind, recipe.Region | recipe.Affine)
-    absent: set[str] = set()
-    for one in corrections:
-        origin = f"{start.origin}: the correction of {one.target} at frame {one.frame}"
-        gone = target.parts if one.absent is True else one.absent
-        # what a correction leaves open stays absent
-        still = () if is_complete(one, target.parts) else absent - {*one.given.points, *one.kept}
-        absent = {*gone, *still}
-        _check_correction(one, target, start, origin, points=points)
-        if len(absent & set(target.parts)) == len(target.parts):
-            continue
-        if one.learn and points and absent & set(target.parts):
-            raise InputError(f"{origin}: {', '.join(sorted(absent))} cannot be learned while absent; leave learn out")
-        if one.learn is False and kind is None:
-            raise InputError(f"{origin}: OpenCV's trackers begin anew in any case; leave learn out")
-        if one.learn and isinstance(kind, recipe.Cloud):
-            raise InputError(f"{origin}: colours are learned in the first frame alone; leave learn out")
-
-    def place(frame: Frame, one: Correction) -> TargetStart:
-        assert one.given.box is not None
-        said_in = f"{start.origin}: the correction of {one.target} at frame {frame.index}"
-        seen = [part for part in target.parts if one.absent is not True and part not in one.absent]
-        return box_start(frame, one.given.box, seen, clip=said_in).targets[FACE]
-
-    def build(frame: Frame, given: TargetStart) -> Target:
-        # a single point is measured by the box of the start
-        box = start.targets[target.name].box if points and given.box is None else given.box
-        given = replace(given, box=box)
-        known = replace(start, frame=frame.index, targets={**start.targets, target.name: given})
-        [anew] = [one for one in _targets(recipe_, known) if one.name == target.name]
-        return anew
-
-    return CorrectedTarget(target, {one.frame: one for one in corrections}, Anew(points, learns, place, build))
-
-
-def _kind_of(recipe_: Recipe, name: str) -> object | None:
-    """What a target of the recipe is, None of OpenCV's trackers."""
-    if isinstance(recipe_, ParticlesRecipe):
-        return recipe_.filters[name].target
-    return recipe_.target if isinstance(recipe_, ParticleRecipe) else None
-
-
-def _check_correction(one: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
-    """InputError if it speaks of parts that nobody knows, or lacks the box of what is followed as a box."""
-    spoken = [*one.given.points, *one.kept, *(() if one.absent is True else one.absent)]
-    known = {*target.parts, *start.targets[one.target].points}
-    unknown = [part for part in spoken if part not in known]
-    if unknown:
-        raise InputError(
-            f"{origin}: has {', '.join(unknown)}, which is no part that is followed; "
-            f"these are {', '.join(target.parts)}: correct the name"
-        )
-    gone = one.absent is True or (not points and BOX in one.absent)
-    if not points and not gone and one.given.box is None:
-        raise InputError(f"{origin}: has no box, which the recipe follows; add one, as in box: [x, y, w, h]")
-    absent = target.parts if one.absent is True else one.absent
-    strange = [part for part in target.parts if part not in PARTS and part not in absent]
-    if points and one.given.box is not None and not one.given.points and strange:
-        raise InputError(f"{origin}: no cascade can place {', '.join(strange)} in its box; give points: in place of it")
-    if not points and one.given.box is not None:
-        check_size(start.origin, f"{one.target} at frame {one.frame}", one.given.box)
 
 
 def check_gallery(recipe_: Recipe) -> None:

@@ -107,7 +107,7 @@ class CorrectedTarget:
     def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
         """The state after `frame`, in which a `complete` correction says where the target is."""
         given = correction.given
-        absent = self.parts if correction.absent is True else tuple(p for p in self.parts if p in correction.absent)
+        absent = correction.hidden(self.parts)
         if len(absent) == len(self.parts):
             result = TargetResult(self.name, tuple(map(absent_part, absent)), None, np.zeros((0, len(absent), 2)))
             return replace(state, inner=None), _marked(result, absent)

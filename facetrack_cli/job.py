@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -19,7 +19,7 @@ from facetrack_cli.trajectory import Footer, Format
 if TYPE_CHECKING:
     from facetrack_cli.recipe import Recipe
     from facetrack_cli.track import Tracker
-    from facetrack_cli.types import Box, Frame, Result, Start
+    from facetrack_cli.types import Box, Correction, Frame, Result, Start
     from facetrack_cli.video.source import Source
 
 HAAR: Final = "haar"
@@ -144,7 +144,7 @@ def _track(
         return Outcome(job.clip, stopped=stop.reason)
 
     stopped = stop.reason if stop() else str(error) if error is not None else None
-    beyond = [] if stopped or job.stop is not None else _beyond(start, tally.last)
+    beyond = [] if stopped or job.stop is not None else past_end(start.corrections, tally.last, start.origin)
     footer = Footer(
         complete=source.complete and stopped is None,
         stopped=stopped,
@@ -171,11 +171,11 @@ def _track(
     )
 
 
-def _beyond(start: Start, last: int) -> list[str]:
-    """A line for each correction that the clip never came to."""
+def past_end(corrections: Iterable[Correction], last: int, origin: str) -> list[str]:
+    """A line for each correction that the clip, whose last frame is `last`, never came to; `origin` says them."""
     return [
-        f"{start.origin}: the correction of {one.target} at frame {one.frame} is past the end, frame {last}"
-        for one in start.corrections
+        f"{origin}: the correction of {one.target} at frame {one.frame} is past the end, frame {last}"
+        for one in corrections
         if one.frame > last
     ]
 

@@ -7,7 +7,7 @@ Images are (H, W, 3) uint8 in OpenCV's order, blue first.
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -161,6 +161,10 @@ class Correction:
     kept: Mapping[str, Point] = field(default_factory=dict)
     absent: tuple[str, ...] | Literal[True] = ()
     learn: bool | None = None
+
+    def hidden(self, parts: Sequence[str]) -> tuple[str, ...]:
+        """Those of `parts` that are not to be seen from there on."""
+        return tuple(part for part in parts if self.absent is True or part in self.absent)
 
 
 @dataclass(frozen=True, slots=True)

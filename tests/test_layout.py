@@ -45,6 +45,7 @@ LAYERS = [
     {"recipe_filter"},
     {"recipe"},
     {"recipe_gallery"},
+    {"build_corrections"},
     {"build"},
     {"outputs", "progress"},
     {"job"},

@@ -47,7 +47,7 @@ def merged(
     old = Correction(frame, target) if before is None else before
     by_hand = {part: at for part, at in {**old.given.points, **points}.items() if part not in gone or part in points}
     kept = {part: at for part, at in old.kept.items() if part not in by_hand and part not in gone}
-    hidden = [part for part in parts if part in gone or old.absent is True or part in old.absent]
+    hidden = [part for part in parts if part in {*gone, *old.hidden(parts)}]
     hidden = [part for part in hidden if part not in by_hand]
     return Correction(frame, target, TargetStart(points=by_hand), kept, _all(hidden, parts), old.learn)
 

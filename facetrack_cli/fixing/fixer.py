@@ -118,11 +118,6 @@ class Fixer:
             self.check(one, beyond=True)
         self._become(corrections, report, stop)
 
-    @property
-    def beyond(self) -> tuple[Correction, ...]:
-        """Corrections that the run never came to."""
-        return tuple(one for one in self.corrections if one.frame > self.run.index.last)
-
     def check(self, one: Correction, *, beyond: bool = False) -> None:
         """InputError if a correction does not fit the run; it may lie `beyond` its end."""
         index = self.run.index

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.fixing.index import STATUS, UNKNOWN
 from facetrack_cli.fixing.rows import Rows
+from facetrack_cli.report.events import stretches
 from facetrack_cli.types import Correction
 
 MOST_DOUBTFUL: Final = 100
@@ -64,10 +65,10 @@ def doubtful(rows: Rows, level: float = DOUBT) -> list[dict[str, Any]]:
         status, sure = rows.status[:, column], rows.confidence[:, column]
         told = sure != UNKNOWN
         doubt = told & (status != _ABSENT) & ((status == _LOST) | (sure < level * _STEPS))
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], doubt, [False]]).astype(np.int8)))
-        if not edges.size:
+        spans = np.array(stretches(doubt)).reshape(-1, 2)
+        if not len(spans):
             continue
-        begins, ends = edges[::2], edges[1::2]
+        begins, ends = spans[:, 0], spans[:, 1] + 1
         # the least of each stretch, and of what lies between two of them, which is passed over
         pairs = np.stack([begins, ends], axis=1).ravel()
         worst = np.minimum.reduceat(np.append(sure, np.uint16(UNKNOWN)), pairs)[::2]

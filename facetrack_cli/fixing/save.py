@@ -15,6 +15,7 @@ from facetrack_cli.fixing.repaint import repaint
 from facetrack_cli.fixing.retrack import Report
 from facetrack_cli.fixing.rows import Rows
 from facetrack_cli.fixing.run_folder import CORRECTED, UNSAVED, Run
+from facetrack_cli.job import past_end
 from facetrack_cli.report.make import NAME as PAGE
 from facetrack_cli.start import write_init
 from facetrack_cli.start.init_text import as_yaml, record_of
@@ -69,11 +70,7 @@ def save(
         remedy = "free some space" if e.errno in _FULL else "make it writable"
         raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
     finish(run.folder)
-    said += [
-        f"{run.folder / CORRECTED}: the correction of {one.target} at frame {one.frame} is past the end, frame "
-        f"{rows.index.last}"
-        for one in fixer.beyond
-    ]
+    said += past_end(fixer.corrections, rows.index.last, str(run.folder / CORRECTED))
     old = [run.video] if run.video is not None and not video else []
     old += [path for path in (run.folder / PAGE,) if path.is_file()]
     said += [f"{path}: left as it was, it shows the track of before" for path in old]
