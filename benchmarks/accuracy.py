@@ -16,16 +16,18 @@ from pathlib import Path
 
 import numpy as np
 
-from facetrack_cli.errors import FacetrackError
-from facetrack_cli.evaluation.match import Pair, match
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.evaluation.experiments.compare import Options, default_truth, within
+from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.points import Occlusion, measure_recovery
+from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import Evaluation, Value, evaluate, figures
-from facetrack_cli.experiments.begin import find_plan_start
-from facetrack_cli.experiments.compare import Options, default_truth, within
-from facetrack_cli.experiments.runs import Failure, Plan, SeedRun, run_plans
-from facetrack_cli.formats.read import read_truth
-from facetrack_cli.formats.table import Table
-from facetrack_cli.recipe import Recipe, load_recipe
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.seeds import Failure, Plan, SeedRun, run_plans
+from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.table import Table
 
 WITHIN = 35
 

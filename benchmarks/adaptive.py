@@ -34,16 +34,16 @@ import cv2
 import numpy as np
 from adaptive_runs import MADE, Run, clip_of, follow
 
-from facetrack_cli.build import build_tracker
-from facetrack_cli.errors import FacetrackError
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.types import Array
+from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.evaluation.trust import auroc
-from facetrack_cli.experiments.begin import find_plan_start
-from facetrack_cli.experiments.compare import default_truth
-from facetrack_cli.formats.read import read_truth
-from facetrack_cli.likelihoods.appearance import Appearance
-from facetrack_cli.particle_target import ParticleTarget
-from facetrack_cli.recipe import load_recipe
-from facetrack_cli.types import Array
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
+from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.video.source import open_source
 
 REAL = ("david", "girl", "jumping", "albert_brooks", "alek_wek_1", "alek_wek_4")

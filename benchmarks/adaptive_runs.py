@@ -1,6 +1,6 @@
 """Runs of trackers that adapt, with what they tell, for `adaptive.py` and `recognition.py`.
 
-The trajectories of `facetrack_cli.experiments.runs` hold neither corners nor scale nor posterior.
+The trajectories of `facetrack_cli.runs.seeds` hold neither corners nor scale nor posterior.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facetrack_cli.build import build_tracker
-from facetrack_cli.errors import InputError
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Array, Frame, Mask, Result, Start
 from facetrack_cli.evaluation.boxes import SUCCESS_THRESHOLDS, BoxMeasures, measure_boxes, share_above
-from facetrack_cli.experiments.begin import find_plan_start
-from facetrack_cli.experiments.compare import TAIL_IOU, default_truth, tail_overlap, variant
-from facetrack_cli.formats.read import read_truth
-from facetrack_cli.formats.table import Mask, Table
-from facetrack_cli.recipe import load_recipe
-from facetrack_cli.track import track
-from facetrack_cli.types import Array, Frame, Result, Start
+from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap, variant
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.table import Table
 from facetrack_cli.video.source import open_source
 
 SAMPLES = Path(__file__).parent.parent / "sample_videos"

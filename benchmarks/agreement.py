@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from facetrack_cli.build import build_tracker
-from facetrack_cli.errors import InputError
-from facetrack_cli.recipe import load_recipe
-from facetrack_cli.spaces import size_of_points
-from facetrack_cli.start import haar_start
-from facetrack_cli.track import track
-from facetrack_cli.types import Array, Start
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import size_of_points
+from facetrack_cli.core.types import Array, Start
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.start import haar_start
 from facetrack_cli.video.source import open_source
 
 

@@ -9,12 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facetrack_cli.build import build_tracker
-from facetrack_cli.corrected import CorrectedTarget, kept_place
-from facetrack_cli.evaluation.boxes import iou
-from facetrack_cli.formats.table import Mask
-from facetrack_cli.recipe import Recipe
-from facetrack_cli.types import BOX, Array, Correction, Frame, Start, TargetResult, TargetStart
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.types import BOX, Array, Correction, Frame, Mask, Start, TargetResult, TargetStart
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.corrected import CorrectedTarget, kept_place
 
 WATCHED = 5
 """Frames on end that are wrong before he goes back, and the least distance of two corrections."""

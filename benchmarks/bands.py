@@ -25,15 +25,19 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from facetrack_cli.build import build_tracker
-from facetrack_cli.formats.table import Table, from_rows
-from facetrack_cli.particle_target import Likelihood, ParticleTarget
-from facetrack_cli.recipe import ColourRatio, FirstOrder, ParticleRecipe, Product, RandomWalk, SkinNcc, load_recipe
-from facetrack_cli.regression.bands import judge, measure
-from facetrack_cli.regression.goldens import Golden, find_goldens, read_golden
-from facetrack_cli.track import Tracker, track
-from facetrack_cli.trajectory import rows
-from facetrack_cli.types import BOX, Array, Frame, Particles
+from facetrack_cli.core.types import BOX, Array, Frame, Particles
+from facetrack_cli.evaluation.goldens.bands import judge, measure
+from facetrack_cli.evaluation.goldens.goldens import Golden, find_goldens, read_golden
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import ParticleRecipe
+from facetrack_cli.recipe.points import ColourRatio, RandomWalk
+from facetrack_cli.recipe.regions import FirstOrder, Product
+from facetrack_cli.recipe.skin import SkinNcc
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.loop import Tracker, track
+from facetrack_cli.tracking.target import Likelihood, ParticleTarget
+from facetrack_cli.trajectory.row import rows
+from facetrack_cli.trajectory.table import Table, from_rows
 from facetrack_cli.video.source import open_source
 
 FIRST_SEED = 20_000

@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 from speed import best, decode, enlarged
 
-from facetrack_cli.kernels.compiled import exact
-from facetrack_cli.likelihoods.contour import Contour
-from facetrack_cli.types import Array, Frame
+from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.tracking.kernels.compiled import exact
+from facetrack_cli.tracking.models.likelihoods.contour import Contour
 from facetrack_cli.video.source import open_source
 
 FRAMES = 60

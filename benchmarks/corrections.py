@@ -46,16 +46,17 @@ import cv2
 import numpy as np
 from annotator import BOUND, Outcome, Truth, Way, Work
 
-from facetrack_cli.build import build_tracker
-from facetrack_cli.errors import FacetrackError, InputError, RecipeError
-from facetrack_cli.experiments.begin import find_plan_start
-from facetrack_cli.experiments.compare import default_truth, variant
-from facetrack_cli.formats.read import read_truth
-from facetrack_cli.formats.table import Mask, Table
-from facetrack_cli.recipe import OpenCvRecipe, Recipe, load_recipe
-from facetrack_cli.spaces import size_of_points
-from facetrack_cli.start import haar_start
-from facetrack_cli.types import BOX, Array, Frame, Start
+from facetrack_cli.core.errors import FacetrackError, InputError, RecipeError
+from facetrack_cli.core.geometry import size_of_points
+from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start
+from facetrack_cli.evaluation.experiments.compare import default_truth, variant
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import OpenCvRecipe, Recipe
+from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.start import haar_start
+from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.table import Table
 from facetrack_cli.video.source import open_source
 
 CORNERS = ("mouth_left", "mouth_right")

@@ -24,9 +24,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.likelihoods.correlation import Correlation
-from facetrack_cli.plots.style import COLOURS, FAINT, WIDTH, heading, new_figure, render, style
-from facetrack_cli.types import Array, Frame, Image
+from facetrack_cli.core.types import Array, Frame, Image
+from facetrack_cli.report.figures.style import COLOURS, FAINT, WIDTH, heading, new_figure, render, style
+from facetrack_cli.tracking.models.likelihoods.correlation import Correlation
 from facetrack_cli.video.source import open_source
 
 ROOT = Path(__file__).parent.parent

@@ -19,9 +19,9 @@ from unittest import mock
 import numpy as np
 from speed import best, decode, enlarged, report
 
-from facetrack_cli.kernels import histogram as kernel
-from facetrack_cli.likelihoods.histogram import Histogram, Reference
-from facetrack_cli.types import Array, Frame
+from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.tracking.kernels import histogram as kernel
+from facetrack_cli.tracking.models.likelihoods.histogram import Histogram, Reference
 from facetrack_cli.video.source import open_source
 
 SIDE = 80.0

@@ -25,9 +25,9 @@ from pathlib import Path
 
 from accuracy import runs_of
 
-from facetrack_cli.errors import FacetrackError
+from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.evaluation.summary import Value, evaluate, figures
-from facetrack_cli.recipe import load_recipe
+from facetrack_cli.recipe.load import load_recipe
 
 COLUMNS = (
     *("recipe", "lost_below", "patience", "precision (gone)", "recall", "false alarms"),

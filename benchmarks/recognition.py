@@ -32,14 +32,14 @@ import cv2
 import numpy as np
 from adaptive_runs import Run, clip_of, follow, overlap_of
 
-from facetrack_cli.errors import FacetrackError
-from facetrack_cli.experiments.begin import truth_start
-from facetrack_cli.experiments.compare import default_truth
-from facetrack_cli.formats.read import read_truth
-from facetrack_cli.gallery import NONE, load_gallery
-from facetrack_cli.patches import Patches
-from facetrack_cli.start.haar import haar_start
-from facetrack_cli.types import Array, Frame, Start
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.types import Array, Frame, Start
+from facetrack_cli.evaluation.experiments.compare import default_truth
+from facetrack_cli.runs.plan import truth_start
+from facetrack_cli.tracking.identity.gallery import NONE, load_gallery
+from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.start.haar import haar_start
+from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.video.source import open_source
 
 GALLERY = Path(__file__).parent.parent / "sample_videos" / "gallery"

@@ -18,15 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
-from facetrack_cli.build import build_tracker
-from facetrack_cli.experiments.begin import find_plan_start
-from facetrack_cli.experiments.compare import default_truth
-from facetrack_cli.formats.read import read_truth
-from facetrack_cli.likelihoods.product import Product
-from facetrack_cli.particle_target import ParticleTarget
-from facetrack_cli.recipe import load_recipe
-from facetrack_cli.resampling import uniform
-from facetrack_cli.types import Frame, Particles
+from facetrack_cli.core.types import Frame, Particles
+from facetrack_cli.evaluation.experiments.compare import default_truth
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.models.likelihoods.product import Product
+from facetrack_cli.tracking.resampling import uniform
+from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.video.source import open_source
 
 REACH = 20

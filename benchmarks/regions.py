@@ -29,17 +29,19 @@ from pathlib import Path
 import numpy as np
 from accuracy import paired
 
-from facetrack_cli.errors import FacetrackError
-from facetrack_cli.evaluation.boxes import centre_errors, iou, measure_boxes
-from facetrack_cli.evaluation.match import Pair
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.types import Array, Start, TargetStart
+from facetrack_cli.evaluation.boxes import centre_errors, measure_boxes
+from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap, variant
+from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.trust import auroc
-from facetrack_cli.experiments.begin import find_plan_start
-from facetrack_cli.experiments.compare import TAIL_IOU, default_truth, tail_overlap, variant
-from facetrack_cli.experiments.runs import Plan
-from facetrack_cli.formats.read import read_truth
-from facetrack_cli.formats.table import Table
-from facetrack_cli.recipe import Recipe, load_recipe
-from facetrack_cli.types import Array, Start, TargetStart
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.seeds import Plan
+from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.table import Table
 
 Span = tuple[int, int]
 AWAY = 5  # rows
@@ -142,7 +144,7 @@ def trust(label: str, pairs: Sequence[Pair]) -> None:
 
 def figure(done: Sequence[Case], names: Mapping[str, str], out: Path, clip: Path) -> None:
     """The error over time, mean over the runs: a row of panels a target, a column a number of particles."""
-    from facetrack_cli.plots.style import heading, line_style, new_figure, render, style
+    from facetrack_cli.report.figures.style import heading, line_style, new_figure, render, style
 
     counts = sorted({case.particles for case in done})
     labels = list(dict.fromkeys(case.label for case in done))

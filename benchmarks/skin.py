@@ -28,16 +28,15 @@ from typing import NamedTuple
 import numpy as np
 from accuracy import paired
 
-from facetrack_cli.errors import FacetrackError, InputError
+from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.evaluation.boxes import measure_boxes, normalised_errors, within
-from facetrack_cli.evaluation.match import Pair
-from facetrack_cli.experiments.begin import find_plan_start
-from facetrack_cli.experiments.compare import TAIL, default_truth, labels, variant
-from facetrack_cli.experiments.runs import Plan
-from facetrack_cli.formats.read import read_truth
-from facetrack_cli.formats.table import Mask
-from facetrack_cli.recipe import load_recipe
-from facetrack_cli.types import Array
+from facetrack_cli.evaluation.experiments.compare import TAIL, default_truth, labels, variant
+from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.seeds import Plan
+from facetrack_cli.trajectory.formats.read import read_truth
 
 SAMPLES = Path(__file__).parent.parent / "sample_videos"
 OCCLUSIONS = tuple(SAMPLES / f"{name}.mp4" for name in ("map", "gestures", "passerby"))

@@ -20,8 +20,8 @@ from typing import NoReturn  # noqa: E402
 
 import click  # noqa: E402
 
-from facetrack_cli.cli import READER_GONE, cli  # noqa: E402
-from facetrack_cli.errors import ExitCode, FacetrackError, RecipeError  # noqa: E402
+from facetrack_cli.cli.app import READER_GONE, cli  # noqa: E402
+from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError  # noqa: E402
 
 with contextlib.suppress(ValueError):
     signal.signal(signal.SIGINT, _before)

@@ -7,8 +7,8 @@ import cv2
 import pytest
 
 from facetrack_cli.__main__ import main
-from tests.browser import chromium, command, fix, pick, served, windows  # noqa: F401 -- for every test, and one browser
-from tests.samples import FOLDER
+from tests.support.browser import chromium, command, fix, pick, served, windows  # noqa: F401 -- for every test, and one browser
+from tests.support.samples import FOLDER
 
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits
 # that: the tests of Ctrl-C would wait for a signal that never comes

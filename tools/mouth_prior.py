@@ -27,7 +27,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from facetrack_cli.priors import DEFAULT, ShapePrior
+from facetrack_cli.tracking.models.shape_prior import DEFAULT, ShapePrior
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 PAIRS = 200  # shapes come in pairs, each with its mirror image

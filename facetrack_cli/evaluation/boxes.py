@@ -13,7 +13,7 @@ known is nan. Three rules hold for every measure:
 Where the toolkits differ from that: got10k 0.1.3 counts a row without truth as a failure in its OTB experiment (in its
 GOT-10k experiment, and in the LaSOT experiment of its later sources, such rows are left out), and its AO is nan as soon
 as one prediction is nan. vot-toolkit leaves out rows without truth, but rows without a prediction too, unless told
-`ignore_unknown: False`, as VOTS tells it; `vot_skip_missing` is the other way. `tests/test_peers.py` holds us to both.
+`ignore_unknown: False`, as VOTS tells it; `vot_skip_missing` is the other way. Both are tested (`test_peers.py`).
 """
 
 from __future__ import annotations
@@ -22,13 +22,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.raster import vot_overlaps
-from facetrack_cli.formats.table import Mask, Whole
-from facetrack_cli.types import Array
 
 SUCCESS_THRESHOLDS: Array = np.linspace(0.0, 1.0, 21)  # overlap; OTB
+
+
 PRECISION_THRESHOLDS: Array = np.arange(51.0)  # pixels
+
+
 NORMALISED_THRESHOLDS: Array = np.linspace(0.0, 0.5, 51)  # error of the centre in sizes of the true box
+
+
 GOT10K_THRESHOLDS: Array = np.linspace(0.0, 1.0, 101)  # overlap
 
 
@@ -59,27 +65,6 @@ class BoxMeasures:
     vot_accuracy: float
     good_rate: float
     strict_rate: float
-
-
-def iou(a: Array, b: Array, size: tuple[int, int] | None = None) -> Array:
-    """(T,) intersection over union of boxes a and b (T, 4), 0..1; nan where one of them has nan.
-
-    As got10k has it (`rect_iou`): 2.2e-16 is added to the union, so that two empty boxes have 0; it shows only where
-    boxes are far smaller than a pixel. A box of negative width or height is empty.
-
-    With `size` (width, height) of the picture, boxes are first clipped to it as GOT-10k does: the corner is moved
-    inside, then the width is cut at the border. A box that sticks out on the left is thus moved, and keeps its width.
-    """
-    if size is not None:
-        a, b = _clip(a, size), _clip(b, size)
-    left, top = np.maximum(a[:, 0], b[:, 0]), np.maximum(a[:, 1], b[:, 1])
-    right, bottom = np.minimum(a[:, 0] + a[:, 2], b[:, 0] + b[:, 2]), np.minimum(a[:, 1] + a[:, 3], b[:, 1] + b[:, 3])
-    shared = np.maximum(right - left, 0.0) * np.maximum(bottom - top, 0.0)
-    union = a[:, 2] * a[:, 3] + b[:, 2] * b[:, 3] - shared
-    # negative sizes share nothing, but their areas may cancel to no union at all
-    ratio = np.divide(shared, union + np.finfo(np.float64).eps, out=shared.copy(), where=shared != 0.0)
-    clipped: Array = np.clip(ratio, 0.0, 1.0)
-    return clipped
 
 
 def centre_errors(ours: Array, truth: Array) -> Array:
@@ -211,11 +196,6 @@ def _checked(ours: Array, truth: Array) -> tuple[Array, Array]:
 
 def _known(boxes: Array) -> Mask:
     return np.asarray(np.isfinite(boxes).all(axis=1))
-
-
-def _clip(boxes: Array, size: tuple[int, int]) -> Array:
-    corner = np.clip(boxes[:, :2], 0.0, size)
-    return np.concatenate([corner, np.clip(boxes[:, 2:], 0.0, size - corner)], axis=1)
 
 
 def _centres(boxes: Array) -> Array:

@@ -9,34 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
-from facetrack_cli.errors import InputError
-from facetrack_cli.evaluation.rows import is_box
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import BOX, Mask, Whole
+from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.shift import find_shift
-from facetrack_cli.formats.source import picture_of
-from facetrack_cli.formats.table import Mask, Series, Table, Whole
-from facetrack_cli.formats.targets import choose
-from facetrack_cli.types import BOX
+from facetrack_cli.trajectory.header import picture_of
+from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.table import Series, Table
 
 NOT_SEEN = ("hidden", "absent")
+
+
 OF_TRUTH = ("visible", *NOT_SEEN)
+
+
 OF_TRACK = ("init", "tracked", "lost")
-
-
-class Pair(NamedTuple):
-    """One part and its truth, row by row: `ours.frame` and `truth.frame` are equal."""
-
-    name: str
-    ours: Series
-    truth: Series
-
-    @property
-    def kind(self) -> str:
-        """`boxes` if it is measured as such: one says that it is a box, and both have sizes; else `points`."""
-        return "boxes" if is_box(self.ours, self.truth) else "points"
 
 
 def match(

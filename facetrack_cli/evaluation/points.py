@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facetrack_cli.evaluation.rows import Figure, Rows, joined, spans
-from facetrack_cli.types import Array
+from facetrack_cli.core.spans import spans
+from facetrack_cli.core.types import Array
+from facetrack_cli.evaluation.rows import Figure, Rows, joined
 
 FAILURE = 0.1
 """Normalised error above which a row has failed, as COFW and WFLW have it; 300-W takes 0.08."""

@@ -18,8 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from facetrack_cli.formats.table import Mask
-from facetrack_cli.types import Array
+from facetrack_cli.core.types import Array, Mask
 
 
 def vot_overlaps(
@@ -42,7 +41,7 @@ def vot_overlaps(
     found[upright] = _rectangles(a[upright], b[upright], size)
     if (other := known & (a_poly | b_poly)).any():
         # numba takes a quarter of a second to load, and most truth is of rectangles
-        from facetrack_cli.evaluation.raster_polygons import count_pixels
+        from facetrack_cli.tracking.kernels.polygons import count_pixels
 
         unlike, within = _frames(a[other], a_poly[other], b[other], b_poly[other], size)
         pixels = np.empty((int(other.sum()), 2))

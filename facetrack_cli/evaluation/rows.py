@@ -5,24 +5,24 @@ Axes: R rows of one part, one a frame, in the order of their frames.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.evaluation.boxes import iou
-from facetrack_cli.formats.table import Mask, Series, Whole
-from facetrack_cli.types import Array
-
-if TYPE_CHECKING:
-    from facetrack_cli.evaluation.match import Pair
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.types import Array, Mask, Whole
+from facetrack_cli.trajectory.table import Series
 
 Figure: TypeAlias = float | None
 """A measured figure; None where it is not defined, as the precision of nothing."""
 
+
 NEAR = 1 / 6
 """A point is near if its error is less than this share of the normalising length."""
+
+
 NEAR_IOU = 0.5
 """A box is near if its overlap with the truth (intersection over union) is more than this."""
 
@@ -132,12 +132,6 @@ def joined(parts: Iterable[Rows], name: str) -> Any:
     return np.concatenate([getattr(part, name) for part in parts])
 
 
-def spans(mask: Mask) -> Iterator[tuple[int, int]]:
-    """(first, last + 1) of each run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-
-
 def share(of: Mask, those: Mask) -> Figure:
     """How much of `of` is also `those`, 0 to 1; None if there is nothing to count."""
     count = int(np.sum(of))
@@ -152,3 +146,16 @@ def says_box(ours: Series, truth: Series) -> bool:
 def is_box(ours: Series, truth: Series) -> bool:
     """Whether a pair is measured as boxes: one of them says that it is a box, and both have a size in some row."""
     return says_box(ours, truth) and all(bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in (ours, truth))
+
+
+class Pair(NamedTuple):
+    """One part and its truth, row by row: `ours.frame` and `truth.frame` are equal."""
+
+    name: str
+    ours: Series
+    truth: Series
+
+    @property
+    def kind(self) -> str:
+        """`boxes` if it is measured as such: one says that it is a box, and both have sizes; else `points`."""
+        return "boxes" if is_box(self.ours, self.truth) else "points"

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facetrack_cli.formats.table import Series, Whole
-from facetrack_cli.types import Array
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.trajectory.table import Series
 
 FARTHEST = 30  # frames that are searched to either side
 # chosen on 451 aligned tracks, real and simulated: no false alarm; of those that follow, cut by 12 frames, 4 of 5 found

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.errors import InputError
-from facetrack_cli.evaluation.boxes import BoxMeasures, iou, measure_boxes
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.evaluation.boxes import BoxMeasures, measure_boxes
 from facetrack_cli.evaluation.points import (
     FAILURE,
     Occlusion,
@@ -28,10 +29,10 @@ from facetrack_cli.evaluation.points import (
 from facetrack_cli.evaluation.rows import Figure, Rows, is_box, joined, rows_of, says_box
 from facetrack_cli.evaluation.trust import ConfidenceMeasures, CoverageMeasures, LostMeasures, Trust, measure_trust
 from facetrack_cli.evaluation.units import Unit, check_normalise, unit_of
-from facetrack_cli.formats.table import Series
+from facetrack_cli.trajectory.table import Series
 
 if TYPE_CHECKING:
-    from facetrack_cli.evaluation.match import Pair
+    from facetrack_cli.evaluation.rows import Pair
 
 Value: TypeAlias = float | int | None
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facetrack_cli.evaluation.rows import Figure, Rows, joined, share, spans
-from facetrack_cli.formats.table import Mask, Whole
-from facetrack_cli.types import Array
+from facetrack_cli.core.spans import spans
+from facetrack_cli.core.types import Array, Mask, Whole
+from facetrack_cli.evaluation.rows import Figure, Rows, joined, share
 
 BINS = 10
 ELLIPSE_50 = 2 * math.log(2)

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facetrack_cli.errors import UsageError
-from facetrack_cli.formats.table import Series, Whole
-from facetrack_cli.spaces import size_of_points
-from facetrack_cli.types import Array
+from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.geometry import size_of_points
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.trajectory.table import Series
 
 # names of the two parts, tried in this order
 NAMED = {"mouth": (("mouth_left", "mouth_right"),), "eyes": (("eye_left", "eye_right"), ("point_37", "point_46"))}

@@ -13,12 +13,19 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.formats.table import Mask, Series, Table, Whole
-from facetrack_cli.types import Array
+from facetrack_cli.core.spans import stretches
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.trajectory.table import Series, Table
 
 Kind: TypeAlias = Literal["start", "corrected", "lost", "back", "worst", "end"]
+
+
 MOST_PICTURES: Final = 12
+
+
 _HAPPENED: Final[tuple[Kind, ...]] = ("corrected", "lost", "back")
+
+
 _OF_EPISODES: Final = 2 / 3  # of the pictures beside start, worst and end, where there are too many events
 
 
@@ -179,12 +186,6 @@ def _corrections(table: Table, names: Sequence[str]) -> tuple[Corrected, ...]:
             given, absent = found.setdefault(int(series.frame[at]), ([], []))
             (absent if series.status[at] == "absent" else given).append(name)
     return tuple(Corrected(frame, tuple(given), tuple(absent)) for frame, (given, absent) in sorted(found.items()))
-
-
-def stretches(mask: Mask) -> list[tuple[int, int]]:
-    """(first, last) index of each unbroken stretch of True."""
-    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
-    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
 def _part(series: Series, name: str, clock: Clock) -> PartStory:

@@ -15,12 +15,13 @@ from typing import Final, NamedTuple, TypeAlias, cast
 import cv2
 import numpy as np
 
-from facetrack_cli.errors import InputError
-from facetrack_cli.formats.table import Series, Table
-from facetrack_cli.report.told import corners, identity, told_of
-from facetrack_cli.types import Frame, Image, PartResult, Result, Status, TargetResult
-from facetrack_cli.video.draw import Overlay
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import corners
+from facetrack_cli.core.types import Frame, Image, PartResult, Result, Status, TargetResult
+from facetrack_cli.report.diagnostics import identity, told_of
+from facetrack_cli.trajectory.table import Series, Table
 from facetrack_cli.video.images import listing
+from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 
 SMALLEST: Final = (640, 480)  # pictures are enlarged to fit this, so that the overlay can be read ...

@@ -9,19 +9,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from facetrack_cli import plots
-from facetrack_cli.errors import InputError
-from facetrack_cli.evaluation.match import Pair, match
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import Options, evaluate
-from facetrack_cli.formats.read import read_truth
-from facetrack_cli.formats.table import Table, read_trajectory
-from facetrack_cli.report.content import Content, Plot, Truth
+from facetrack_cli.report import figures as plots
+from facetrack_cli.report.command_line import command
 from facetrack_cli.report.events import Clock, key_frames, tell
 from facetrack_cli.report.frames import Clip, Report, pictures
-from facetrack_cli.report.header import Header, command, read_header
 from facetrack_cli.report.html import Image
 from facetrack_cli.report.measures import about, measures
-from facetrack_cli.report.page import render
+from facetrack_cli.report.page import Content, Plot, Truth, render
+from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.header import Header, read_header
+from facetrack_cli.trajectory.table import Table, read_trajectory
 
 NAME: Final = "report.html"
 _VIDEO: Final = "annotated.mp4"

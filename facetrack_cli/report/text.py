@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from facetrack_cli.formats.table import Table
+from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.report.events import Clock, Event, Story
-from facetrack_cli.report.header import Header
-from facetrack_cli.video.bar import clock as at_clock
+from facetrack_cli.trajectory.header import Header
+from facetrack_cli.trajectory.table import Table
 
 __all__ = ["at_clock", "count", "ended", "lasting", "names", "number", "percent", "rate", "sentences", "why"]
 

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from facetrack_cli.types import Array, Image
+from facetrack_cli.core.types import Array, Image
 from facetrack_cli.video import ffmpeg
 from facetrack_cli.video.recent import Recent
 from facetrack_cli.video.stamps import Reader, Stamps

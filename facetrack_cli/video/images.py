@@ -9,8 +9,8 @@ from typing import Any
 import imageio.v3 as iio
 import numpy as np
 
-from facetrack_cli.errors import InputError
-from facetrack_cli.types import Image
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Image
 
 SUFFIXES = frozenset(
     (".bmp", ".jp2", ".jpe", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp")

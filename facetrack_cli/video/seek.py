@@ -12,8 +12,8 @@ from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
 
-from facetrack_cli.errors import InputError
-from facetrack_cli.types import Frame, Image
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.video import images
 from facetrack_cli.video.cursors import Approach
 from facetrack_cli.video.recent import Recent, Turns

@@ -29,8 +29,8 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 import cv2
 
-from facetrack_cli.errors import InputError, UsageError
-from facetrack_cli.types import Frame
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.types import Frame
 from facetrack_cli.video import ffmpeg, images
 
 if os.environ["OPENCV_LOG_LEVEL"] == "SILENT":  # where OpenCV was loaded before us

@@ -21,7 +21,7 @@ from typing import IO, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.types import Array
+from facetrack_cli.core.types import Array
 from facetrack_cli.video import ffmpeg
 
 _Found = TypeVar("_Found")

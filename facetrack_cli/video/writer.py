@@ -22,8 +22,8 @@ from typing import IO
 
 import numpy as np
 
-from facetrack_cli.errors import OutputError
-from facetrack_cli.types import Image
+from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.types import Image
 from facetrack_cli.video import ffmpeg, images
 
 # of the presets, this one: superfast takes 0.8 of its time and makes files twice as large, faster takes twice its time

@@ -1,0 +1,109 @@
+"""The command line: a group that loads a command only when it is called, so that `facetrack --help` is instant."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from difflib import get_close_matches
+from importlib import import_module
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from facetrack_cli import __version__
+
+COMMANDS = {
+    "run": "Track faces, heads and hands in videos and image folders.",
+    "init": "Write where the track of a clip begins, as a file to edit.",
+    "fix": "Put a finished run right, on a page.",
+    "recipes": "List, show and check the recipes of trackers.",
+    "prior": "Learn shape priors from annotated frames, and draw them.",
+    "gallery": "Learn who is who from pictures and videos, and draw it.",
+    "eval": "Measure a trajectory against the truth.",
+    "compare": "Run and rank several recipes on a clip with truth.",
+    "repeat": "Show how far a recipe's runs differ from seed to seed.",
+    "regress": "Check clips against their golden results, for CI.",
+    "plot": "Draw what happened in a trajectory.",
+    "report": "Write one HTML page about a run.",
+    "export": "Write a trajectory as other tools read it.",
+}
+"""The one-line helps stand here because asking the commands for theirs would load them."""
+
+
+READER_GONE = 141
+"""Exit code when the reader of our output has gone, as in `facetrack ... | head`: the shell's, for SIGPIPE."""
+
+
+@contextmanager
+def _quiet_when_reader_gone() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise click.exceptions.Exit(READER_GONE) from None  # click itself would leave with 1, our fault
+
+
+class LazyGroup(click.Group):
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        with _quiet_when_reader_gone():
+            return super().make_context(info_name, args, parent, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        with _quiet_when_reader_gone():
+            return super().invoke(ctx)
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        command = import_module(f"facetrack_cli.cli.commands.{cmd_name}").command
+        assert isinstance(command, click.Command)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if name not in COMMANDS and not name.startswith("-"):
+            near = get_close_matches(name, COMMANDS, n=1)
+            hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join(COMMANDS)}"
+            ctx.fail(f'no command "{name}"; {hint}')
+        return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        names = [CompletionItem(name, help=text) for name, text in COMMANDS.items() if name.startswith(incomplete)]
+        return names + click.Command.shell_complete(self, ctx, incomplete)
+
+
+@click.group(cls=LazyGroup, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option("--debug", is_flag=True, help="Show the traceback of an error (also FACETRACK_DEBUG=1).")
+@click.version_option(__version__, prog_name="facetrack", message="%(prog)s %(version)s")
+@click.pass_context
+def cli(ctx: click.Context, debug: bool) -> None:
+    """Track faces, facial features, heads and hands in video with particle filters.
+
+    A recipe says which tracker; a clip goes in, a trajectory and an annotated
+    video come out:
+
+    \b
+        facetrack run clip.mp4 --config factorized
+        facetrack recipes
+        facetrack run --help
+
+    Exit codes: 0 done, 1 our fault, 2 usage, recipe or output, 3 input,
+    4 target lost (with --fail-on-lost), 5 some of a batch failed,
+    6 regression, 130 interrupted, 143 terminated.
+    """
+    if debug:
+        os.environ["FACETRACK_DEBUG"] = "1"  # an environment variable, so that the processes of a batch know too
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())

@@ -1,0 +1,145 @@
+"""`facetrack recipes`: list, show and check the recipes."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from typing import TYPE_CHECKING
+
+import click
+
+from facetrack_cli.core.errors import ExitCode, RecipeError
+
+if TYPE_CHECKING:
+    from facetrack_cli.recipe.model import Recipe
+
+
+@click.group(name="recipes", invoke_without_command=True)
+@click.pass_context
+def command(ctx: click.Context) -> None:
+    """List, show and check the recipes of trackers.
+
+    A recipe is a YAML file that says what is tracked, how it moves, how it
+    looks, and by which filter. Without a subcommand, the shipped ones are
+    listed: on a terminal as a table, otherwise as lines of name, particles and
+    description with tabs between them.
+
+    \b
+    Examples:
+        facetrack recipes
+        facetrack recipes show factorized > mine.yaml
+        facetrack run clip.mp4 --config mine.yaml
+    """
+    if ctx.invoked_subcommand is None:
+        _list()
+
+
+@command.command()
+@click.argument("recipe")
+def show(recipe: str) -> None:
+    """Print the text of a recipe: a starting point for your own.
+
+    RECIPE is the name of a shipped recipe, or a file.
+
+    \b
+    Example:
+        facetrack recipes show factorized > mine.yaml
+    """
+    from facetrack_cli.recipe.files import find_recipe, read_recipe
+
+    text = read_recipe(find_recipe(recipe))
+    if not _colour():
+        click.echo(text, nl=not text.endswith("\n"))
+        return
+    from rich.console import Console
+    from rich.syntax import Syntax
+
+    Console(soft_wrap=True).print(Syntax(text, "yaml", theme="ansi_dark", background_color="default"))
+
+
+@command.command()
+@click.argument("recipes", nargs=-1, required=True, metavar="RECIPE...")
+@click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Check with this key of the recipe changed, as in run.",
+)
+def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
+    """Say everything that is wrong with recipes, and where.
+
+    Each error has its file, line and column, what to do about it, and the line
+    with a caret under the place. The exit code is 2 if there are any.
+
+    \b
+    Examples:
+        facetrack recipes check mine.yaml
+        facetrack recipes check factorized --set filter.particles=50
+    """
+    from facetrack_cli.recipe.load import check_recipe
+
+    errors = 0
+    for name in recipes:
+        try:
+            found = [(str(problem), problem.span.excerpt()) for problem in check_recipe(name, overrides)]
+        except RecipeError as error:
+            found = [(str(error), error.excerpt)]
+        errors += len(found)
+        for message, excerpt in found:
+            click.echo(message)
+            if excerpt:
+                click.echo(excerpt)
+        if not found:
+            click.echo(f"{name}: good")
+    return ExitCode.USAGE if errors else ExitCode.DONE
+
+
+@command.command()
+def schema() -> None:
+    """Print the JSON Schema of recipes, for editors.
+
+    For completion: write it beside your recipe, and name it in the recipe's first line; editors
+    with the YAML language server (VS Code, Neovim, Emacs, ...) then complete
+    keys, show what they mean, and underline what is wrong.
+
+    \b
+    Example:
+        facetrack recipes schema > recipe.schema.json
+    \b
+    First line of mine.yaml:
+        # yaml-language-server: $schema=recipe.schema.json
+    """
+    from facetrack_cli.recipe.model import json_schema
+
+    click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+
+
+def _list() -> None:
+    from facetrack_cli.recipe.files import shipped_recipes
+    from facetrack_cli.recipe.load import load_recipe
+
+    recipes = [load_recipe(str(path)) for path in shipped_recipes()]
+    if not sys.stdout.isatty():
+        for recipe in recipes:
+            click.echo("\t".join(_row(recipe)))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("recipe", no_wrap=True, style="bold")
+    table.add_column("particles", justify="right", no_wrap=True)
+    table.add_column("description")
+    for recipe in recipes:
+        table.add_row(*_row(recipe))
+    Console().print(table)
+
+
+def _row(recipe: Recipe) -> tuple[str, str, str]:
+    return recipe.name, str(recipe.particles or "-"), " ".join(recipe.description.split())
+
+
+def _colour() -> bool:
+    return sys.stdout.isatty() and not os.environ.get("NO_COLOR")

@@ -1,0 +1,71 @@
+"""Boxes, points and outlines in the picture."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from facetrack_cli.core.types import Array, Box, PartResult, Point
+
+
+def iou(a: Array, b: Array, size: tuple[int, int] | None = None) -> Array:
+    """(T,) intersection over union of boxes a and b (T, 4), 0..1; nan where one of them has nan.
+
+    As got10k has it (`rect_iou`): 2.2e-16 is added to the union, so that two empty boxes have 0; it shows only where
+    boxes are far smaller than a pixel. A box of negative width or height is empty.
+
+    With `size` (width, height) of the picture, boxes are first clipped to it as GOT-10k does: the corner is moved
+    inside, then the width is cut at the border. A box that sticks out on the left is thus moved, and keeps its width.
+    """
+    if size is not None:
+        a, b = _clip(a, size), _clip(b, size)
+    left, top = np.maximum(a[:, 0], b[:, 0]), np.maximum(a[:, 1], b[:, 1])
+    right, bottom = np.minimum(a[:, 0] + a[:, 2], b[:, 0] + b[:, 2]), np.minimum(a[:, 1] + a[:, 3], b[:, 1] + b[:, 3])
+    shared = np.maximum(right - left, 0.0) * np.maximum(bottom - top, 0.0)
+    union = a[:, 2] * a[:, 3] + b[:, 2] * b[:, 3] - shared
+    # negative sizes share nothing, but their areas may cancel to no union at all
+    ratio = np.divide(shared, union + np.finfo(np.float64).eps, out=shared.copy(), where=shared != 0.0)
+    clipped: Array = np.clip(ratio, 0.0, 1.0)
+    return clipped
+
+
+def _clip(boxes: Array, size: tuple[int, int]) -> Array:
+    corner = np.clip(boxes[:, :2], 0.0, size)
+    return np.concatenate([corner, np.clip(boxes[:, 2:], 0.0, size - corner)], axis=1)
+
+
+def corners(affine: Array, part: PartResult) -> Array | None:
+    """(4, 2) corners, clockwise from the top left, of a part whose sides became parallel to the columns of `affine`.
+
+    `affine` (6,) begins with a1 to a4 of [[a1, a2], [a3, a4]]; the sides' lengths are the part's w and h. None where a
+    side has no direction.
+    """
+    across, down = affine[[0, 2]], affine[[1, 3]]
+    lengths = math.hypot(*across), math.hypot(*down)
+    if not all(math.isfinite(length) and length > 1e-9 for length in lengths):
+        return None
+    u, v = across * (part.w / 2 / lengths[0]), down * (part.h / 2 / lengths[1])
+    return np.array([part.x, part.y]) + np.stack([-u - v, u - v, u + v, v - u])
+
+
+def size_of_points(x0: Array) -> float:
+    """The unit of length of a recipe for points x0 (K, 2): the largest distance between two of them, in pixels."""
+    return float(np.sqrt(np.sum((x0[:, None] - x0[None]) ** 2, axis=2)).max())
+
+
+def inside(point: Point, size: tuple[int, int]) -> bool:
+    """Whether a point is on a pixel of a picture of that (width, height)."""
+    return -0.5 <= point[0] <= size[0] - 0.5 and -0.5 <= point[1] <= size[1] - 0.5
+
+
+def centre_inside(box: Box, size: tuple[int, int]) -> bool:
+    """Whether the centre of a box is on a pixel of the picture; its edges may stand out, as a face may."""
+    return inside((box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2), size)
+
+
+def common_area(a: Box, b: Box) -> float:
+    """Of two boxes, in pixels squared."""
+    across = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
+    down = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
+    return max(across, 0) * max(down, 0)

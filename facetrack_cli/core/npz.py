@@ -1,0 +1,109 @@
+"""Files of plain arrays: an .npz that says what it is and of which version, written whole or not at all, no pickle."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.errors import InputError, OutputError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a file holds: `format` and `version` in it, what people call it ("gallery"), the command that makes it."""
+
+    format: str
+    version: int
+    what: str
+    command: str
+
+    def write(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Equal arrays give equal bytes. Raises OutputError."""
+        whole: dict[str, Any] = {"format": np.array(self.format), "version": np.array(self.version, "<i8"), **arrays}
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            try:
+                with temporary.open("wb") as file:
+                    np.savez(file, **whole)
+                temporary.replace(path)
+            finally:
+                temporary.unlink(missing_ok=True)
+        except OSError as e:
+            raise OutputError(f"{path}: cannot be written: {e.strerror or e}; name another file with -o") from e
+
+    def read(self, path: Path, make: Callable[[Stored], T]) -> T:
+        """What `make` makes of the arrays. Raises InputError for any damage, and where `make` raises ValueError."""
+        remedy = f"make one with `{self.command}`"
+        unusable = f"{path}: is not a usable {self.what}"
+        try:
+            with path.open("rb") as raw:
+                file = np.load(raw, allow_pickle=False)
+                if not isinstance(file, np.lib.npyio.NpzFile):
+                    raise InputError(f"{path}: is a bare array, not a {self.what}; {remedy}")
+                found = {name: file[name] for name in ("format", "version") if name in file.files}
+                if str(found.get("format")) != self.format:
+                    raise InputError(f"{path}: is not a {self.what}; {remedy}")
+                if found.get("version") is None or found["version"].ravel()[0] != self.version:
+                    raise InputError(
+                        f"{path}: is a {self.what} of format version {found.get('version')}, and this facetrack reads "
+                        f"version {self.version}; make it again with `{self.command}`"
+                    )
+                return make(Stored(file))
+        except FileNotFoundError as e:
+            raise InputError(f"{path}: there is no such {self.what}; {remedy}") from e
+        except OSError as e:
+            raise InputError(
+                f"{path}: cannot be read: {e.strerror or e}; name a {self.what}, as `{self.command}` writes it"
+            ) from e
+        except KeyError as e:
+            raise InputError(f"{path}: the {self.what} lacks an array: {e.args[0]}; {remedy}") from e
+        except ValueError as e:
+            said = " ".join(str(e).split())
+            raise InputError(
+                f"{unusable}: {'it is no .npz of plain arrays' if 'pickle' in said else said}; {remedy}"
+            ) from e
+        except (TypeError, IndexError, EOFError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error) as e:
+            raise InputError(f"{unusable}: it is no .npz of plain arrays; {remedy}") from e
+
+
+@dataclass(frozen=True)
+class Stored:
+    """The arrays of a file, checked as they are taken: each method raises ValueError for what it does not find."""
+
+    file: Any
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        return tuple(map(str, self._array(key, "U", 1)))
+
+    def text(self, key: str) -> str:
+        return str(self._array(key, "U", 0))
+
+    def whole(self, key: str) -> tuple[int, ...]:
+        return tuple(map(int, self._array(key, "iu", 1)))
+
+    def number(self, key: str) -> float:
+        return float(self._array(key, "f", 0))
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.file.files
+
+    def reals(self, key: str, ndim: int) -> NDArray[Any]:
+        """An array of `ndim` axes, of the precision that it was stored in."""
+        found = self._array(key, "f", ndim)
+        return found.astype(found.dtype.newbyteorder("="))
+
+    def _array(self, key: str, kinds: str, ndim: int) -> NDArray[Any]:
+        found: NDArray[Any] = self.file[key]
+        if found.dtype.kind not in kinds or found.ndim != ndim:
+            raise ValueError(f"{key} is of {found.dtype} and {found.ndim} axes")
+        return found

@@ -1,0 +1,269 @@
+"""The values that pass between the parts of the engine.
+
+Axes, everywhere: N particles, K parts, D coordinates a part; x before y; pixels, pixel centres at whole numbers.
+Images are (H, W, 3) uint8 in OpenCV's order, blue first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+Image: TypeAlias = NDArray[np.uint8]
+
+
+Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
+
+
+Extent: TypeAlias = tuple[float, float, float, float]  # x from, y from, x to, y to
+
+
+# one step asks for the particles once more, and for a few single states in between
+MOST_REMEMBERED = 8
+
+
+@dataclass(slots=True)
+class Frame:
+    """One picture of the source: its 0-based index there, its time in seconds, and its pixels.
+
+    What is derived from the pixels is computed when first asked for, once, and only where it is needed.
+    """
+
+    index: int
+    time_s: float
+    bgr: Image
+    _reduced: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
+    _grey: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
+    _patches: dict[Hashable, tuple[Array, NDArray[np.float32]]] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self.bgr.shape[1], self.bgr.shape[0]
+
+    def reduced(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
+        """The picture reduced by `factor`, a power of two (area means), at least within `extent`.
+
+        Returns it with the place (left, top) in the whole picture at which it begins. Blocks are counted from the
+        picture's corner, so that the same place has the same mean in every frame and whatever else is asked for;
+        pixels beyond the last whole block are left out.
+        """
+        if factor == 1:
+            return self.bgr, 0, 0
+        known = self._reduced.get(factor)
+        if known is None or not _within(extent, known[3]):
+            # some more all around, since the next call of this frame asks for nearly the same place
+            asked = _widened(extent, 6.0 * factor)
+            known = self._reduced[factor] = (*self._reduce(factor, asked), asked)
+        return known[0], known[1], known[2]
+
+    def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
+        """The picture in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
+        known = self._grey.get(factor)
+        if known is None or not _within(extent, known[3]):
+            # what is reduced is widened there already
+            asked = _widened(extent, 6.0) if factor == 1 else extent
+            picture, left, top = self.reduced(factor, asked)
+            asked = asked if factor == 1 else self._reduced[factor][3]
+            height, width = picture.shape[:2]
+            # what is reduced is already hardly more than the extent; the whole picture is much more
+            x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
+            y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
+            grey = np.asarray(cv2.cvtColor(picture[y0:y1, x0:x1], cv2.COLOR_BGR2GRAY), np.uint8)
+            known = self._grey[factor] = grey, left + x0 * factor, top + y0 * factor, asked
+        return known[0], known[1], known[2]
+
+    def remembered(self, key: Hashable) -> NDArray[np.float32] | None:
+        """What was remembered with this key."""
+        known = self._patches.get(key)
+        return None if known is None else known[1]
+
+    def remember(self, key: Hashable, of: Array, values: NDArray[np.float32]) -> None:
+        """Keeps `values` for `remembered`, and the last few others, and `of`, whose id may be part of the key."""
+        if len(self._patches) >= MOST_REMEMBERED:
+            del self._patches[next(iter(self._patches))]
+        self._patches[key] = of, values
+
+    def _reduce(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
+        width, height = (max(side // factor, 1) for side in self.size)
+        left, right = _blocks(extent[0], extent[2], factor, width)
+        top, bottom = _blocks(extent[1], extent[3], factor, height)
+        # by halves, for which OpenCV has a fast path: other factors take four times as long
+        picture, x, y = self.reduced(factor // 2, (left * factor, top * factor, right * factor, bottom * factor))
+        dx, dy = 2 * x // factor, 2 * y // factor
+        region = picture[2 * top - dy : 2 * bottom - dy, 2 * left - dx : 2 * right - dx]
+        small = cv2.resize(region, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
+        return small.astype(np.uint8, copy=False), left * factor, top * factor
+
+
+def factor_for(longest: float, most: float | None) -> int:
+    """The least power of two that reduces a length to `most` pixels or less; 1 without a bound."""
+    return 1 if most is None else 2 ** math.ceil(math.log2(max(longest / most, 1.0)))
+
+
+def _within(inner: Extent, outer: Extent) -> bool:
+    return inner[0] >= outer[0] and inner[1] >= outer[1] and inner[2] <= outer[2] and inner[3] <= outer[3]
+
+
+def _widened(extent: Extent, more: float) -> Extent:
+    return extent[0] - more, extent[1] - more, extent[2] + more, extent[3] + more
+
+
+def _blocks(low: float, high: float, factor: int, count: int) -> tuple[int, int]:
+    """The half-open range of blocks of `factor` pixels that covers [low, high], within `count` blocks, never empty."""
+    first = min(max(math.floor(max(low, -1e9) / factor), 0), count - 1)
+    return first, min(max(math.ceil(min(high, 1e9) / factor) + 1, first + 1), count)
+
+
+class Particles(NamedTuple):
+    """A weighted sample of the posterior: x (N, K, D) in pixels, log_w (N,) with logsumexp 0."""
+
+    x: Array
+    log_w: Array
+
+
+class Info(NamedTuple):
+    """What a filter reports of one step: the effective sample size of each part, (K,), before any final resampling."""
+
+    ess: Array
+
+
+BOX = "box"  # the one part of a target that is followed as a box
+
+
+Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
+
+
+Point: TypeAlias = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class TargetStart:
+    """Where one target is in the first frame: a box, named points, or both; `windows` override the recipe's (w, h)."""
+
+    box: Box | None = None
+    points: Mapping[str, Point] = field(default_factory=dict)
+    windows: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """What is put right by hand of one target at one frame, from which it begins anew.
+
+    `given`: its box, or points of it, as in a start, without windows. `kept`: where its other points were; what is
+    neither given nor kept stays where the tracker sees it. `absent`: parts that are not to be seen from there on, True
+    for all of them. `learn`: whether what it looks like is learned anew there; None: of what is given.
+    """
+
+    frame: int
+    target: str
+    given: TargetStart = field(default_factory=TargetStart)
+    kept: Mapping[str, Point] = field(default_factory=dict)
+    absent: tuple[str, ...] | Literal[True] = ()
+    learn: bool | None = None
+
+    def hidden(self, parts: Sequence[str]) -> tuple[str, ...]:
+        """Those of `parts` that are not to be seen from there on."""
+        return tuple(part for part in parts if self.absent is True or part in self.absent)
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a track begins: the source frame, each target, and what said so (a file's path, "haar", "--box").
+
+    `corrections` follow in the order of their frames, all after `frame`; no target has two in one frame.
+    """
+
+    frame: int
+    targets: Mapping[str, TargetStart]
+    origin: str
+    corrections: tuple[Correction, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PartResult:
+    """The estimate of one part in one frame. (x, y) is the centre of its window of w x h pixels.
+
+    `cov` is the posterior's 2x2 covariance as (xx, xy, yy) in pixels squared. None is what a tracker cannot tell. An
+    absent part has nan for x, y, w, h. `by_hand`: a correction said so at this very frame.
+    """
+
+    name: str
+    x: float
+    y: float
+    w: float
+    h: float
+    status: Status
+    confidence: float | None = None
+    cov: tuple[float, float, float] | None = None
+    ess: float | None = None
+    angle: float | None = None
+    corners: Array | None = None  # (4, 2) clockwise from the top left, of a part that is no rectangle
+    by_hand: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a tracker that adapts says of one target in one frame, beside where it is; None is what it cannot tell.
+
+    `affine` is (a1, a2, a3, a4, tx, ty), the deformation since the start and the centre in pixels; `scale` is 1 at the
+    start. `error` is eps_t and `noise` eta, by which the noise is larger than usual. `posterior` over identities, and
+    its `entropy` in nats. `insets` are small grey pictures of what it knows, with their names.
+    """
+
+    affine: tuple[float, ...] | None = None
+    scale: float | None = None
+    error: float | None = None
+    noise: float | None = None
+    posterior: Mapping[str, float] | None = None
+    entropy: float | None = None
+    insets: tuple[tuple[str, Image], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class TargetResult:
+    """The estimate of one target in one frame; `cloud` (n, K, 2) are the particles' centres, for drawing."""
+
+    name: str
+    parts: tuple[PartResult, ...]
+    particles: int | None
+    cloud: Array
+    identity: str | None = None
+    identity_prob: float | None = None
+    notes: tuple[str, ...] = ()  # lines for the user, said in the first frame
+    told: Told | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """All that the tracker says of one frame."""
+
+    frame: Frame
+    targets: tuple[TargetResult, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Lines for the user, each once, with the first target that it is said of where there are several."""
+        first: dict[str, str] = {}
+        for target in self.targets:
+            for note in target.notes:
+                first.setdefault(note, target.name)
+        return tuple(f"{name}: {note}" if len(self.targets) > 1 else note for note, name in first.items())
+
+
+Whole: TypeAlias = NDArray[np.int64]
+
+
+Mask: TypeAlias = NDArray[np.bool_]
+
+
+Texts: TypeAlias = NDArray[np.str_]

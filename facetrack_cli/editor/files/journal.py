@@ -1,0 +1,122 @@
+"""Several files of a run replaced together: whatever ends the program meanwhile, in the end all of them are, or none.
+
+New files are written beside the old ones. Once they are whole, a journal says so; from then on they only have to take
+over, which whoever opens the run next finishes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from facetrack_cli.core.errors import OutputError
+
+JOURNAL: Final = ".saving.json"
+_PART: Final = re.compile(r"\..+-(\d+)\.fixed\b")
+
+
+def beside(path: Path, number: int | None = None) -> Path:
+    """Where a process, this one unless its `number` is given, writes what is to replace a file; a link stays one."""
+    whole = Path(os.path.realpath(path))
+    return whole.with_name(f".{whole.stem}-{os.getpid() if number is None else number}.fixed{whole.suffix}")
+
+
+def announce(folder: Path, files: Iterable[Path], instead: Sequence[Path] = ()) -> None:
+    """Say that what stands `beside` each of these files of a folder is whole, and that those `instead` are to go.
+
+    Raises OSError; nothing is to be replaced then. Otherwise `finish` follows.
+    """
+    names = {}
+    for path in files:
+        with beside(path).open("rb") as whole:
+            os.fsync(whole.fileno())
+        names[path.name] = _stamp(path)
+    record = {"process": os.getpid(), "files": names, "gone": [path.name for path in instead]}
+    journal = folder / JOURNAL
+    part = beside(journal)
+    try:
+        with part.open("w", encoding="utf-8") as file:
+            json.dump(record, file)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(journal)
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def finish(folder: Path) -> None:
+    """Replace what was announced and is not replaced yet, if anything. Again it may be interrupted, or fail.
+
+    Where other files stand by now, as those of another run, they stay. Raises OutputError.
+    """
+    journal = folder / JOURNAL
+    try:
+        record = _read(journal)
+        if record is None:
+            return
+        parts = {folder / name: beside(folder / name, record["process"]) for name in record["files"]}
+        left = {path: part for path, part in parts.items() if part.exists()}
+        ours = all(_stamp(path) == record["files"][path.name] for path in left)
+        for path, part in left.items():
+            with contextlib.suppress(FileNotFoundError):  # somebody else finishes, too
+                if ours:
+                    part.replace(os.path.realpath(path))
+                else:
+                    part.unlink()
+        for name in record["gone"] if ours else ():
+            (folder / name).unlink(missing_ok=True)
+        journal.unlink(missing_ok=True)
+    except OSError as e:
+        raise OutputError(
+            f"{e.filename or journal}: cannot be replaced by what was saved: {e.strerror or e}; make it writable, and "
+            f"facetrack fix {folder} does it"
+        ) from e
+
+
+def sweep(folder: Path) -> None:
+    """Remove what other processes, which are no more, wrote beside the run's files, and did not announce."""
+    if os.name != "posix" or (folder / JOURNAL).exists():
+        return
+    for path in list(folder.iterdir()):
+        found = _PART.match(path.name)
+        if found is not None and int(found[1]) != os.getpid() and not _runs(int(found[1])):
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+
+def _read(journal: Path) -> dict[str, Any] | None:
+    try:
+        record = json.loads(journal.read_bytes())
+        names = [*record["files"], *record["gone"]]
+        if any(Path(name).name != name for name in names) or not isinstance(record["process"], int):
+            raise ValueError("names what is elsewhere")
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (ValueError, TypeError, KeyError) as e:
+        raise OutputError(f"{journal}: is not as facetrack fix writes it; remove it") from e
+    found: dict[str, Any] = record
+    return found
+
+
+def _stamp(path: Path) -> list[int] | None:
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    return [found.st_size, found.st_mtime_ns]
+
+
+def _runs(number: int) -> bool:
+    try:
+        os.kill(number, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:  # it is somebody else's
+        pass
+    return True

@@ -1,0 +1,268 @@
+"""Corrections of a run, one after the other, and the rows that follow from them; every step can be taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import zip_longest
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Correction, Start
+from facetrack_cli.editor.corrections import completed
+from facetrack_cli.editor.files.rows import Rows, recorded
+from facetrack_cli.editor.files.run_folder import Run
+from facetrack_cli.editor.files.tracks import Store, Track
+from facetrack_cli.editor.retrack import Read, Report, Task, Tracking, spans
+from facetrack_cli.tracking.corrected import is_complete
+from facetrack_cli.tracking.start import name_targets, read_init
+from facetrack_cli.tracking.start.init_file import TARGET
+
+MOST_STEPS: Final = 1000  # that can be taken back
+
+
+class Now(NamedTuple):
+    """The corrections, and the rows that follow from them."""
+
+    corrections: tuple[Correction, ...]
+    rows: Rows
+
+
+class Fixer:
+    """A run and what is corrected of it `now`. What fails, or is stopped, leaves that as it was.
+
+    One call at a time changes anything; what there is now may be read from other threads meanwhile.
+    """
+
+    def __init__(self, run: Run, read: Read) -> None:
+        self.run = run
+        self._store = Store()
+        self._tracking = Tracking(run, self._store, read)
+        self._at_first = self._ordered(_completed_by_rows(run))
+        begins = {name: [None, *self._within(self._at_first, name)] for name in run.index.targets}
+        self._known: dict[str, list[Track]] = recorded(run.index, begins)
+        self.now = Now(self._at_first, Rows(run.index, {name: list(tracks) for name, tracks in self._known.items()}))
+        self._past: list[Now] = []
+
+    @property
+    def corrections(self) -> tuple[Correction, ...]:
+        return self.now.corrections
+
+    @property
+    def rows(self) -> Rows:
+        return self.now.rows
+
+    @property
+    def start(self) -> Start:
+        """Where the run begins, and what is corrected."""
+        return replace(self.run.start, corrections=self.corrections)
+
+    @property
+    def changed(self) -> bool:
+        """Whether the corrections are others than those in the run's files."""
+        return self.corrections != self._at_first
+
+    @property
+    def can_undo(self) -> bool:
+        return bool(self._past)
+
+    def find(self, frame: int, target: str) -> Correction | None:
+        return next((one for one in self.corrections if (one.frame, one.target) == (frame, target)), None)
+
+    def put(
+        self,
+        given: Sequence[Correction],
+        *,
+        report: Report = lambda done, total: None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Add corrections, or replace those of the same frames and targets, and track anew what follows from them."""
+        for one in given:
+            self.check(one)
+        done = [completed(one, self.rows.target(one.frame, one.target)) for one in given]
+        others = [one for one in self.corrections if not any(_same(one, new) for new in done)]
+        self._become([*others, *done], report, stop)
+
+    def remove(
+        self,
+        frame: int,
+        target: str,
+        *,
+        report: Report = lambda done, total: None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Take a correction away; what follows is tracked from the one before it, if it was not already."""
+        if self.find(frame, target) is None:
+            raise InputError(f"{target} has no correction at frame {frame}")
+        rest = [one for one in self.corrections if (one.frame, one.target) != (frame, target)]
+        self._become(rest, report, stop)
+
+    def undo(self) -> None:
+        """Take back the last step; nothing is tracked for it."""
+        if self._past:
+            self.now = self._past.pop()
+
+    def apply(
+        self,
+        corrections: Sequence[Correction],
+        *,
+        report: Report = lambda done, total: None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Have these corrections and no others. What they leave open is where the track before them is.
+
+        Those past the run's end are kept for a longer one.
+        """
+        for one in corrections:
+            self.check(one, beyond=True)
+        self._become(corrections, report, stop)
+
+    def check(self, one: Correction, *, beyond: bool = False) -> None:
+        """InputError if a correction does not fit the run; it may lie `beyond` its end."""
+        index = self.run.index
+        if one.target not in index.parts:
+            raise InputError(f"there is no {one.target} in the run; it has {', '.join(index.targets)}")
+        if not index.first < one.frame <= index.last and not (beyond and one.frame > index.last):
+            why = ", in which it begins; begin it anew with facetrack init" if one.frame == index.first else ""
+            raise InputError(
+                f"frame {one.frame} cannot be corrected{why}; the run can be from {index.first + 1} to {index.last}"
+            )
+        self._tracking.check(one)
+
+    def close(self) -> None:
+        self._store.close()
+
+    def _become(self, corrections: Sequence[Correction], report: Report, stop: Callable[[], bool]) -> None:
+        """Take up these corrections, tracking what no track is known of."""
+        plans = {name: self._plan(name, self._within(corrections, name)) for name in self._known}
+        found: dict[str, list[Track]] = {name: [] for name in plans}
+        ends: dict[str, Track] = {}  # which have the frame of the next beginning, too, if that wants it
+        done = total = 0
+        while any(plans.values()):
+            # one stretch a target at a time, so that targets which are corrected in the same frames share the pictures
+            tasks: list[Task] = []
+            for name, plan in plans.items():
+                while plan:
+                    task = self._completed(plan[0], ends.get(name))
+                    if (known := self._find(task, task.stop)) is None:
+                        tasks.append(task)
+                        break
+                    found[name].append(known)
+                    ends[name] = known
+                    plan.pop(0)
+            # each round goes through the frames of its tasks once
+            rounds = [tasks, *([one for one in row if one] for row in zip_longest(*_after(plans, tasks)))]
+            left = sum(stop - first for tasks_ in rounds for first, stop in spans(tasks_))
+            total = max(total, done + left)
+
+            def told(n: int, _: int, before: int = done, total: int = total) -> None:
+                report(before + n, max(total, before + n))
+
+            for task, track in zip(tasks, self._tracking.track(tasks, self.rows, report=told, stop=stop), strict=True):
+                # rows that are there stay, though one frame more was wanted
+                shorter = self._find(task, self._next_begins(plans[task.target], task.stop))
+                found[task.target].append(shorter or track)
+                ends[task.target] = track
+                plans[task.target].pop(0)
+            done += sum(stop - first for first, stop in spans(tasks))
+        begins = [track.begin for tracks in found.values() for track in tracks if track.begin is not None]
+        became = self._ordered([*begins, *(one for one in corrections if one.frame > self.run.index.last)])
+        for name, tracks in found.items():
+            self._known[name] += [track for track in tracks if track not in self._known[name]]
+        if became == self.corrections:
+            return
+        # without what the rows have worked out of all frames, which would add up
+        past = Now(self.corrections, Rows(self.run.index, self.rows.tracks))
+        self._past = [*self._past, past][-MOST_STEPS:]
+        self.now = Now(became, Rows(self.run.index, found))
+
+    def _within(self, corrections: Iterable[Correction], target: str) -> list[Correction]:
+        """Those of a target that the run comes to."""
+        return [one for one in corrections if one.target == target and one.frame <= self.run.index.last]
+
+    def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
+        places = {name: place for place, name in enumerate(self.run.index.targets)}
+        return tuple(sorted(corrections, key=lambda one: (one.frame, places[one.target])))
+
+    def _plan(self, target: str, corrections: Sequence[Correction]) -> list[Task]:
+        """What one target is made of: from each beginning to the next, one frame more where that leaves parts open."""
+        index = self.run.index
+        plan: list[Task] = []
+        begin: Correction | None = None
+        first = index.first
+        for one in sorted(corrections, key=lambda one: one.frame):
+            more = 0 if is_complete(one, index.parts[target]) else 1
+            plan.append(Task(target, begin, first, one.frame + more))
+            begin, first = one, one.frame
+        plan.append(Task(target, begin, first, index.last + 1))
+        return plan
+
+    @staticmethod
+    def _next_begins(plan: Sequence[Task], stop: int) -> int:
+        """The frame in which the second task of a plan begins; `stop` if there is none."""
+        return plan[1].first if len(plan) > 1 else stop
+
+    def _completed(self, task: Task, before: Track | None) -> Task:
+        """With its beginning completed by what the track before it has in that frame."""
+        if task.begin is None or is_complete(task.begin, self.run.index.parts[task.target]):
+            return task
+        assert before is not None
+        rows = Rows(self.run.index, {task.target: [before]})
+        return replace(task, begin=completed(task.begin, rows.target(task.first, task.target)))
+
+    def _find(self, task: Task, stop: int) -> Track | None:
+        """A track that is known already of what the task asks for, up to a frame."""
+        same = (track for track in self._known[task.target] if track.begin == task.begin)
+        return next((track for track in same if track.stop >= stop), None)
+
+
+def _completed_by_rows(run: Run) -> list[Correction]:
+    """The corrections that a run was made with; what they leave open is where the rows of their frames have it."""
+    rows = Rows(run.index, recorded(run.index, {name: [None] for name in run.index.targets}))
+    return [
+        completed(one, rows.target(one.frame, one.target)) if one.frame <= run.index.last else one
+        for one in run.start.corrections
+    ]
+
+
+def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
+    """The corrections of an init file that begins as the run does. InputError if it does not."""
+    start = _named(read_init(path), run)
+    if start.frame != run.start.frame:
+        raise InputError(
+            f"{path}: begins at frame {start.frame}, and the run at {run.start.frame}; run the clip anew with it"
+        )
+    for name, one in start.targets.items():
+        theirs = run.start.targets.get(name, one)
+        points = {part: theirs.points.get(part) for part in one.points}
+        if one.box not in (None, theirs.box) or points != one.points:
+            raise InputError(f"{path}: {name} does not begin where it does in the run; run the clip anew with it")
+    return start.corrections
+
+
+def _named(start: Start, run: Run) -> Start:
+    """With the targets that the recipe names, as a run takes them; what the file does not know is as in the run."""
+    names, out = run.recipe.followed, run.recipe.left_out
+    given = {name: one for name, one in start.targets.items() if name not in out}
+    if not names or not given:
+        return start
+    if len(given) == 1 and not given.keys() & set(names):
+        [called] = given
+        given = {TARGET: given[called]}
+        of_it = [replace(one, target=TARGET) for one in start.corrections if one.target == called]
+        start = replace(start, corrections=tuple(of_it))
+    rest = {name: one for name, one in run.start.targets.items() if name not in given and name != names[0]}
+    if not given.keys() & {names[0], TARGET}:
+        rest[names[0]] = run.start.targets[names[0]]
+    return name_targets(replace(start, targets={**given, **rest}), names, None, left_out=out)
+
+
+def _after(plans: Mapping[str, Sequence[Task]], tasks: Sequence[Task]) -> list[Sequence[Task]]:
+    """What is left of each plan once these first tasks are done."""
+    begun = {task.target for task in tasks}
+    return [plan[1:] if name in begun else plan for name, plan in plans.items()]
+
+
+def _same(one: Correction, other: Correction) -> bool:
+    return (one.frame, one.target) == (other.frame, other.target)

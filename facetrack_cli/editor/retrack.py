@@ -1,0 +1,167 @@
+"""Tracking targets anew over a part of a run, while the others stay as they are recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Correction, Frame
+from facetrack_cli.editor.files.rows import Rows
+from facetrack_cli.editor.files.run_folder import Run
+from facetrack_cli.editor.files.tracks import Recorder, Store, Track
+from facetrack_cli.recipe.model import ParticlesRecipe
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.corrected import CorrectedTarget
+from facetrack_cli.tracking.exclusion import Cover
+from facetrack_cli.tracking.loop import Target
+from facetrack_cli.tracking.start import check_start
+from facetrack_cli.tracking.start.checks import check_windows
+
+_APART_S: Final = 0.002  # a clip whose frames have other times than the run's is another clip
+
+Read: TypeAlias = Callable[[int], Frame]
+Report: TypeAlias = Callable[[int, int], None]  # frames done, frames in all
+
+
+class StoppedError(Exception):
+    """The wish to stop was granted; nothing has changed."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One target to track anew from a beginning, None for the start, up to and not including frame `stop`."""
+
+    target: str
+    begin: Correction | None
+    first: int
+    stop: int
+
+
+class Tracking:
+    """Tracks anew, over and over, in the frames that `read` gives."""
+
+    def __init__(self, run: Run, store: Store, read: Read) -> None:
+        self._run, self._store, self._read = run, store, read
+        self._start: Frame | None = None
+        self._alone = not (isinstance(run.recipe, ParticlesRecipe) and run.recipe.exclusion is not None)
+
+    def check(self, correction: Correction) -> None:
+        """InputError if a correction does not fit the clip or the recipe."""
+        start = replace(self._run.start, corrections=(correction,))
+        check_start(start, self._run.header.source.size, self._run.recipe.points)
+        tracker = build_tracker(self._run.recipe, start)
+        check_windows(self._run.recipe, tracker, self._run.header.source.size, start.origin)
+
+    def track(
+        self,
+        tasks: Sequence[Task],
+        rows: Rows,
+        *,
+        report: Report = lambda done, total: None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> list[Track]:
+        """The tracks of these tasks; where targets keep off each other, `rows` tell where the others are.
+
+        A target has one task at most. Raises StoppedError once `stop` says so, InputError if the clip is not the run's.
+        """
+        live = [_Live(self._run, self._store, task, self._first()) for task in tasks]
+        frames = spans(tasks)
+        total = sum(stop - first for first, stop in frames)
+        done = 0
+        for first, end in frames:
+            for index in range(first, end):
+                if stop():
+                    raise StoppedError
+                frame = self._frame(index)
+                now = [one for one in live if one.task.first <= index < one.task.stop]
+                for one in sorted(now, key=lambda one: one.place):
+                    one.step(frame, [] if self._alone else self._covers(one, now, rows, index))
+                done += 1
+                report(done, total)
+        return [one.recorder.track() for one in live]
+
+    def _first(self) -> Frame:
+        if self._start is None:
+            self._start = self._read(self._run.start.frame)
+        return self._start
+
+    def _frame(self, index: int) -> Frame:
+        frame = self._read(index)
+        then = self._run.index.time_of(index - self._run.index.first)
+        if then is not None and abs(frame.time_s - then) > _APART_S:
+            raise InputError(
+                f"{self._run.clip}: frame {index} is at {frame.time_s:.4f} s, and in the run at {then:.4f} s; "
+                "name the run's clip with --clip"
+            )
+        return frame
+
+    def _covers(self, one: _Live, now: Sequence[_Live], rows: Rows, index: int) -> list[Cover]:
+        """What the other targets explain: those that are tracked now as they are, the rest as they are recorded.
+
+        As in a run, targets before it are where they are in this frame, those after it where they were.
+        """
+        found: list[Cover | None] = []
+        running = {other.task.target: other for other in now}
+        for place, name in enumerate(rows.index.targets):
+            if place == one.place:
+                continue
+            ahead = place > one.place
+            other = running.get(name)
+            if other is not None and (other.begun or not ahead):
+                found.append(other.target.cover(other.state, ahead=ahead))
+            else:
+                found.append(recorded_cover(rows, max(index - ahead, rows.index.first), name))
+        return [cover for cover in found if cover is not None]
+
+
+def recorded_cover(rows: Rows, frame: int, name: str) -> Cover | None:
+    """What a target explains by its row; None of points, and where it is not to be seen."""
+    parts = rows.target(frame, name)["parts"]
+    try:
+        x, y, w, h = (float(parts[0][key]) for key in "xywh")
+    except KeyError:
+        return None
+    return None if len(parts) > 1 else Cover(np.array([x, y]), np.array([w, h]) / 2)
+
+
+class _Live:
+    """A target that is being tracked."""
+
+    def __init__(self, run: Run, store: Store, task: Task, first: Frame) -> None:
+        self.task = task
+        self.place = run.index.targets.index(task.target)
+        corrections = () if task.begin is None else (task.begin,)
+        target: Target = build_tracker(run.recipe, replace(run.start, corrections=corrections))[self.place]
+        if task.begin is not None:
+            assert isinstance(target, CorrectedTarget)
+            target = target.resumed(first)
+        self.target = target
+        self.recorder = Recorder(store, task.target, task.begin, task.first)
+        self.begun = False
+        self.state: Any = None
+        # a stream of its own for each target, as in a run
+        spawned = (self.place,) if self.place else ()
+        self._rng = np.random.default_rng(np.random.SeedSequence(run.recipe.seed, spawn_key=spawned))
+
+    def step(self, frame: Frame, covers: Sequence[Cover]) -> None:
+        if self.begun:
+            self.state, result = self.target.advance(self._rng, self.state, frame, covers)
+        else:
+            self.state, result = self.target.begin(self._rng, frame)
+            self.begun = True
+        self.recorder.add(frame, result)
+
+
+def spans(tasks: Sequence[Task]) -> list[tuple[int, int]]:
+    """(first, stop) of the frames that any task wants, in their order, those that touch put together."""
+    found: list[tuple[int, int]] = []
+    for first, stop in sorted((task.first, task.stop) for task in tasks):
+        if found and first <= found[-1][1]:
+            found[-1] = found[-1][0], max(found[-1][1], stop)
+        else:
+            found.append((first, stop))
+    return found

@@ -1,0 +1,113 @@
+"""Everything that was corrected into the run's folder: all files are written beside the old ones, then take over."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from facetrack_cli.core.errors import OutputError
+from facetrack_cli.editor.files.journal import announce, beside, finish, sweep
+from facetrack_cli.editor.files.rows import Rows
+from facetrack_cli.editor.files.run_folder import UNSAVED, Run
+from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.repaint import repaint
+from facetrack_cli.editor.retrack import Report
+from facetrack_cli.report.make import NAME as PAGE
+from facetrack_cli.runs.clip import past_end
+from facetrack_cli.tracking.start import write_init
+from facetrack_cli.tracking.start.init_writer import as_yaml, record_of
+from facetrack_cli.trajectory.header import CORRECTED
+
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def save(
+    fixer: Fixer,
+    *,
+    video: bool = True,
+    report: Report = lambda done, total: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> list[str]:
+    """Write the rows as they are now, the corrections, and with `video` the video, if the run has one.
+
+    What was written, a line each. Raises OutputError or InputError if something cannot be written, StoppedError once
+    `stop` says so; the folder is then as it was.
+    """
+    run, rows = fixer.run, fixer.rows
+    if not fixer.changed:
+        forget(run)
+        return [f"{run.folder}: nothing was corrected, all is as it was"]
+    _check(run)
+    init = {key: value for key, value in run.init.items() if key != "corrections"}
+    if fixer.corrections:
+        init["corrections"] = [record_of(one) for one in fixer.corrections]
+    files: list[Path] = []
+    said: list[str] = []
+    at = run.folder
+    try:
+        sweep(run.folder)
+        if run.video is not None and video:
+            files.append(run.video)
+            said += _painted(run, rows, report, stop)
+        for book in rows.index.books:
+            at = book.path
+            files.append(at)
+            with beside(at).open("wb") as file:
+                rows.write(book, file, init)
+        at = run.folder / CORRECTED
+        files.append(at)
+        beside(at).write_bytes(as_yaml(fixer.start, run.clip.name).encode())
+        _check(run)
+        announce(run.folder, files, [run.folder / UNSAVED])
+    except BaseException as e:
+        for path in files:
+            with contextlib.suppress(OSError):
+                beside(path).unlink(missing_ok=True)
+        if not isinstance(e, OSError):
+            raise
+        remedy = "free some space" if e.errno in _FULL else "make it writable"
+        raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
+    finish(run.folder)
+    said += past_end(fixer.corrections, rows.index.last, str(run.folder / CORRECTED))
+    old = [run.video] if run.video is not None and not video else []
+    old += [path for path in (run.folder / PAGE,) if path.is_file()]
+    said += [f"{path}: left as it was, it shows the track of before" for path in old]
+    return [*(f"{path}: written" for path in files), *said]
+
+
+def _painted(run: Run, rows: Rows, report: Report, stop: Callable[[], bool]) -> Sequence[str]:
+    """Paint the video beside the old one."""
+    assert run.video is not None
+    part = beside(run.video)
+    try:
+        return repaint(run, rows, part, report=report, stop=stop)
+    except OutputError as e:
+        raise OutputError(str(e).replace(str(part), str(run.video))) from e
+
+
+def _check(run: Run) -> None:
+    """OutputError if what is to be replaced is not what was opened, or no file."""
+    for book in run.index.books:
+        if not book.untouched:
+            raise OutputError(f"{book.path}: was written by somebody else since it was opened; begin again")
+    if (run.folder / CORRECTED).is_dir():
+        raise OutputError(f"{run.folder / CORRECTED}: is a folder, where a file is to be; move it away, and save again")
+
+
+def keep(fixer: Fixer) -> Path | None:
+    """Write the corrections that are not saved, for the next time; None if there are none. Raises OutputError."""
+    path = fixer.run.folder / UNSAVED
+    if not fixer.changed:
+        forget(fixer.run)
+        return None
+    write_init(path, fixer.start, clip=fixer.run.clip.name, overwrite=True)
+    return path
+
+
+def forget(run: Run) -> None:
+    """Remove what `keep` wrote."""
+    with contextlib.suppress(OSError):
+        (run.folder / UNSAVED).unlink(missing_ok=True)

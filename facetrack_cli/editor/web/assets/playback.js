@@ -1,0 +1,98 @@
+// Through the clip: slider, buttons, a field for the frame.
+
+import { $, icon } from "./dom.js";
+
+export class Clip {
+  constructor(store) {
+    this.store = store;
+    this.slider = $("frame-slider");
+    this.field = $("frame-number");
+    this.slider.addEventListener("input", () => store.show(this.slider.valueAsNumber));
+    this.field.addEventListener("change", () => {
+      if (Number.isFinite(this.field.valueAsNumber)) store.show(this.field.valueAsNumber);
+      this.update();
+    });
+    $("previous").addEventListener("click", () => this.by(-1));
+    $("following").addEventListener("click", () => this.by(1));
+    store.addEventListener("frame", () => this.update());
+    this.update();
+  }
+
+  by(step) {
+    this.store.show(this.store.frame + step);
+  }
+
+  update() {
+    const { frame, bounds, session } = this.store;
+    for (const input of [this.slider, this.field]) {
+      input.min = bounds.first;
+      input.max = bounds.last;
+      if (input.valueAsNumber !== frame) input.value = frame;
+    }
+    const share = bounds.last > bounds.first ? (frame - bounds.first) / (bounds.last - bounds.first) : 0;
+    this.slider.style.setProperty("--share", `${100 * share}%`);
+    this.slider.setAttribute("aria-valuetext", `frame ${frame}, ${clock(frame / session.fps)}`);
+    $("last-frame").textContent = `of ${bounds.exact ? "" : "about "}${bounds.last}`;
+    $("clock").textContent = clock(frame / session.fps);
+    $("previous").disabled = frame <= bounds.first;
+    $("following").disabled = frame >= bounds.last;
+  }
+}
+
+/** Seconds as 1:02:03.4; hours only if there are any. */
+function clock(seconds) {
+  const tenths = Math.floor(seconds * 10 + 1e-6);
+  const [h, m, s] = [Math.floor(tenths / 36000), Math.floor(tenths / 600) % 60, (tenths % 600) / 10];
+  const two = (value) => String(value).padStart(2, "0");
+  return `${h ? `${h}:${two(m)}` : m}:${s.toFixed(1).padStart(4, "0")}`;
+}
+
+// The clip at its own speed: frames that do not come in time are left out, never queued.
+
+export class Play {
+  constructor(store) {
+    this.store = store;
+    this.on = false;
+    this.button = $("play");
+    this.button.addEventListener("click", () => this.toggle());
+    // whoever goes elsewhere wants to look
+    store.addEventListener("frame", () => this.on && !this.own && this.stop());
+  }
+
+  toggle() {
+    if (this.on) return this.stop();
+    const { store } = this;
+    if (store.ended || store.live) return;
+    if (store.frame >= store.bounds.last) store.show(store.bounds.first);
+    this.on = true;
+    this.from = store.frame;
+    this.since = performance.now();
+    this.#look();
+    this.#tick();
+  }
+
+  stop() {
+    if (!this.on) return;
+    this.on = false;
+    cancelAnimationFrame(this.due);
+    this.#look();
+  }
+
+  #tick() {
+    this.due = requestAnimationFrame((now) => {
+      const { store } = this;
+      const frame = this.from + Math.floor(((now - this.since) * store.session.fps) / 1000);
+      this.own = true;
+      store.show(Math.min(Math.max(frame, this.from), store.bounds.last));
+      this.own = false;
+      if (frame >= store.bounds.last || store.ended) this.stop();
+      else if (this.on) this.#tick();
+    });
+  }
+
+  #look() {
+    this.button.replaceChildren(icon(this.on ? "pause" : "play"));
+    this.button.setAttribute("aria-label", this.on ? "Pause" : "Play");
+    this.button.title = this.on ? "Pause (K)" : "Play (K)";
+  }
+}

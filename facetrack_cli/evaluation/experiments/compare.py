@@ -1,0 +1,321 @@
+"""Recipes side by side on one clip with truth: what each run scores, and in which order the recipes stand.
+
+    score = score_run(run, truth, options)
+    places = rank(entries, "points.mean_normalised")
+
+*Spread* is the standard deviation over seeds, with n - 1 below the sum. *Order*: by the mean over seeds of one measure.
+A recipe stands clearly above another where the intervals mean +- 2 standard errors do not overlap; its place is the
+range from 1 + the number of recipes clearly above it to the number of all less those clearly below it. A deterministic
+tracker runs once and its interval is its value; of a single seed of any other nothing is known but the value.
+*Failure*: points, a part is lost for good (points.py); boxes, the median IoU over the last tenth of the rows with a
+true box is below 0.1.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.evaluation import summary
+from facetrack_cli.evaluation.boxes import share_up_to
+from facetrack_cli.evaluation.experiments.sheet import OVERRIDES
+from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.rows import Rows, joined, rows_of
+from facetrack_cli.evaluation.summary import Evaluation, evaluate, higher_is_better, names, scalars, units_of
+from facetrack_cli.runs.seeds import outline
+from facetrack_cli.trajectory.table import Table
+
+if TYPE_CHECKING:
+    from facetrack_cli.runs.seeds import Plan, SeedRun
+
+TAIL: Final = 0.1  # of the rows with a true box: those that tell whether the target is lost at the end
+TAIL_IOU: Final = 0.1
+ERRORS: Final = 2.0  # standard errors to either side
+CUMULATIVE_AT: Final = np.linspace(0, 0.25, 101)  # error in units of the normalising length
+PRIMARY: Final = {"boxes": "boxes.success_auc", "points": "points.mean_normalised"}
+TRUTH_NAMES: Final = ("groundtruth.csv", "groundtruth_rect.txt", "groundtruth.txt")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How runs are measured: which target of the truth, whether a truth shorter than the run is right, the frame that
+    the runs end before, and the picture's (width, height), to which GOT-10k and VOT clip boxes.
+    """
+
+    select: str | None = None
+    partial: bool = False
+    stop: int | None = None
+    size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What one run scores. `frame` (T,) are source frames, `error` (T,) the mean distance in pixels over all parts with
+    a known true position, nan where there is none; the curves (n,) are shares of rows at the thresholds above.
+
+    `frames_per_s` is of the tracker alone, decoding apart.
+    """
+
+    label: str
+    seed: int
+    figures: Mapping[str, float]
+    failed: bool
+    frames_per_s: float
+    frame: Whole
+    error: Array
+    hidden: Whole  # the frames in which some part is hidden or absent
+    success: Array | None = None
+    precision: Array | None = None
+    cumulative: Array | None = None
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One recipe: its scores, one a seed, or in `why` what kept it from running."""
+
+    label: str
+    scores: tuple[Score, ...] = ()
+    why: str = ""
+    deterministic: bool = False
+    begins: str = ""  # who said where, and the frame
+    warnings: tuple[str, ...] = ()
+
+    def values(self, measure: str) -> Array:
+        """(n,): the measure in the runs in which it is defined."""
+        return np.array([score.figures[measure] for score in self.scores if measure in score.figures])
+
+    def mean(self, measure: str) -> float | None:
+        values = self.values(measure)
+        return float(values.mean()) if values.size else None
+
+    def spread(self, measure: str) -> float | None:
+        """Standard deviation over seeds; None with fewer than two runs."""
+        values = self.values(measure)
+        return float(values.std(ddof=1)) if values.size > 1 else None
+
+    def interval(self, measure: str) -> tuple[float, float]:
+        """Mean +- 2 standard errors."""
+        values = self.values(measure)
+        if values.size > 1:
+            reach = ERRORS * float(values.std(ddof=1)) / math.sqrt(values.size)
+        else:
+            reach = 0.0 if self.deterministic else math.inf
+        return float(values.mean()) - reach, float(values.mean()) + reach
+
+    @property
+    def failures(self) -> int:
+        return sum(score.failed for score in self.scores)
+
+    @property
+    def frames_per_s(self) -> float | None:
+        """All frames over all time: the harmonic mean of the runs, which are equally long."""
+        rates = [score.frames_per_s for score in self.scores]
+        return len(rates) / sum(1 / rate for rate in rates) if rates and min(rates) > 0 else None
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a recipe stands: from `first` to `last`, the same where it is clear; None where it has no value."""
+
+    entry: Entry
+    first: int | None
+    last: int | None
+
+    @property
+    def text(self) -> str:
+        if self.first is None:
+            return "\N{EN DASH}"
+        return f"{self.first}" if self.first == self.last else f"{self.first}\N{EN DASH}{self.last}"
+
+
+def kind_of(entries: Sequence[Entry]) -> str:
+    """`boxes` or `points`: what the first recipe that ran is measured as."""
+    first = next((score for entry in entries for score in entry.scores), None)
+    return "points" if first is None or first.success is None else "boxes"
+
+
+def less_is_better(measure: str) -> bool:
+    return higher_is_better(measure) is False
+
+
+def check_measure(measure: str) -> str:
+    """`measure`, if recipes can be ranked by it; UsageError with what there is otherwise."""
+    able = [name for name in names() if higher_is_better(name) is not None]
+    if measure not in able:
+        near = [name for name in able if measure.rpartition(".")[2] in name] or able
+        raise UsageError(f"--rank-by {measure}: is nothing to rank by; there are {', '.join(near)}")
+    return measure
+
+
+def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
+    """All entries in their order by the mean of `measure`; those without a value come last, as they were given."""
+    sign = -1.0 if less_is_better(measure) else 1.0
+    valued = [entry for entry in entries if entry.mean(measure) is not None]
+    valued.sort(key=lambda entry: -sign * (entry.mean(measure) or 0.0))
+    bounds = [sorted(sign * end for end in entry.interval(measure)) for entry in valued]
+    places = []
+    for entry, (low, high) in zip(valued, bounds, strict=True):
+        above = sum(other[0] > high for other in bounds)
+        below = sum(other[1] < low for other in bounds)
+        places.append(Place(entry, 1 + above, len(valued) - below))
+    return [*places, *(Place(entry, None, None) for entry in entries if entry not in valued)]
+
+
+# --- one run -----------------------------------------------------------------------------------------------------
+
+
+def score_run(run: SeedRun, truth: Table, options: Options, note: Callable[[str], None] = lambda _: None) -> Score:
+    """Measure one run; `note` is told what was paired how (see `match`). InputError where the truth does not fit it."""
+    pairs = match(
+        run.table,
+        within(truth, run.table, options),
+        partial=options.partial,
+        select=options.select,
+        check_shift=False,
+        note=note,
+    )
+    evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.series)
+    units = units_of(pairs, reference=truth.series)
+    rows = [rows_of(pair, units[pair.ours.target].at(pair.ours.frame)) for pair in pairs]
+    frame, error = error_by_frame(rows)
+    boxes = evaluation.all.boxes
+    return Score(
+        label=run.label,
+        seed=run.seed,
+        figures=scalars(evaluation),
+        failed=has_failed(evaluation),
+        frames_per_s=run.frames_per_s,
+        frame=frame,
+        error=error,
+        hidden=np.unique(np.concatenate([part.frame[part.covered] for part in rows])),
+        success=None if boxes is None else boxes.success,
+        precision=None if boxes is None else boxes.precision,
+        cumulative=None if evaluation.all.points is None else cumulative(rows),
+    )
+
+
+def shifted(run: SeedRun, truth: Table, options: Options) -> InputError | None:
+    """What speaks for a truth that counts frames otherwise than the run; to be asked of runs that can be scored."""
+    try:
+        match(
+            run.table,
+            within(truth, run.table, options),
+            partial=options.partial,
+            select=options.select,
+            check_shift=True,
+        )
+    except InputError as e:
+        return e
+    return None
+
+
+def kinds_of(plan: Plan, truth: Table, options: Options, size: tuple[int, int]) -> set[str]:
+    """What the runs of a plan on pictures of that (width, height) will be measured as, `boxes` or `points`.
+
+    Raises, before anything runs, what recipe, start and the names in the truth are refused for.
+    """
+    frames = truth.frames[truth.frames > plan.start.frame]
+    table = outline(plan, np.array([plan.start.frame, *frames]), size)
+    pairs = match(table, within(truth, table, options), partial=True, select=options.select, check_shift=False)
+    return {pair.kind for pair in pairs}
+
+
+def within(truth: Table, trajectory: Table, options: Options) -> Table:
+    """The truth of the frames that were asked for: from the run's first one to before --stop."""
+    first = int(trajectory.frames[0])
+    last = math.inf if options.stop is None else options.stop - 1
+    kept = [one.take((one.frame >= first) & (one.frame <= last)) for one in truth.series]
+    if not any(len(one) for one in kept):
+        asked = f"from frame {first} on" if options.stop is None else f"from frame {first} to {options.stop - 1}"
+        raise InputError(f"{truth.path}: has no row {asked}; correct it, or give frames that it knows")
+    return replace(truth, series=tuple(one for one in kept if len(one)))
+
+
+def has_failed(evaluation: Evaluation) -> bool:
+    """Whether a run ends lost: a part lost for good, or a box off its target over the last tenth."""
+    if evaluation.all.points is not None and evaluation.all.points.lost_for_good:
+        return True
+    boxes = [part.boxes for part in evaluation.parts if part.boxes is not None]
+    return any(tail < TAIL_IOU for one in boxes if (tail := tail_overlap(one.overlap)) is not None)
+
+
+def tail_overlap(overlap: Array) -> float | None:
+    """Median IoU over the last tenth, at least one, of the rows (T,) with a true box; None where all are nan."""
+    known = overlap[np.isfinite(overlap)]
+    return float(np.median(known[-math.ceil(TAIL * known.size) :])) if known.size else None
+
+
+def error_by_frame(rows: Sequence[Rows]) -> tuple[Whole, Array]:
+    """(T,) frames and the mean error in pixels over the parts with one."""
+    frame, place = np.unique(joined(rows, "frame"), return_inverse=True)
+    error = joined(rows, "error")
+    known = np.isfinite(error)
+    count = np.bincount(place[known], minlength=len(frame))
+    total = np.bincount(place[known], weights=error[known], minlength=len(frame))
+    return frame, np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def cumulative(rows: Sequence[Rows]) -> Array | None:
+    """(n,) share of the visible rows whose normalised error is at most each of CUMULATIVE_AT; None without a length."""
+    seen = joined(rows, "visible") & joined(rows, "placed") & np.isfinite(joined(rows, "unit"))
+    normalised = joined(rows, "error")[seen] / joined(rows, "unit")[seen]
+    return share_up_to(normalised, CUMULATIVE_AT) if seen.any() else None
+
+
+def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
+    """All frames (T,) that any run has an error for, and by label the errors (S, T), nan where there is none."""
+    scores = [score for entry in entries for score in entry.scores]
+    frame = np.unique(np.concatenate([score.frame for score in scores]))
+    found = {entry.label: np.full((len(entry.scores), len(frame)), np.nan) for entry in entries if entry.scores}
+    for entry in entries:
+        for s, score in enumerate(entry.scores):
+            found[entry.label][s, np.searchsorted(frame, score.frame)] = score.error
+    return frame, found
+
+
+# --- what is asked -----------------------------------------------------------------------------------------------
+
+
+def variant(given: str) -> tuple[str, tuple[str, ...]]:
+    """A recipe and its overrides, from `name`, a file, or `name:key=value,key=value`."""
+    name, colon, rest = given.partition(":")
+    if not colon or "=" not in rest or Path(given).exists():
+        return given, ()
+    return name, tuple(re.split(OVERRIDES, rest))
+
+
+def labels(given: Sequence[str]) -> list[str]:
+    """A label for each --config that differs from all others: the recipe's name, else its path, and its overrides.
+
+    Raises UsageError for one that is given twice.
+    """
+    parsed = [variant(text) for text in given]
+    stems = [(Path(name).stem if Path(name).suffix else name, overrides) for name, overrides in parsed]
+    short = [f"{stem}:{','.join(overrides)}" if overrides else stem for stem, overrides in stems]
+    found = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
+    twice = next((text for text in found if found.count(text) > 1), None)
+    if twice is not None:
+        raise UsageError(f"--config {twice} is given twice; a recipe is compared with others")
+    return found
+
+
+def default_truth(clip: Path) -> Path:
+    """The truth of a clip: `<clip>.truth.csv` beside it, else groundtruth.csv in its folder or beside it."""
+    beside = clip.resolve().parent if clip.is_dir() else clip.parent
+    stem = clip.resolve().name if clip.is_dir() else clip.stem
+    folders = [clip, beside] if clip.is_dir() else [beside]
+    sought = [beside / f"{stem}.truth.csv", *(folder / name for folder in folders for name in TRUTH_NAMES)]
+    found = next((path for path in sought if path.is_file()), None)
+    if found is None:
+        raise InputError(
+            f"{clip}: there is neither {sought[0].name} nor groundtruth.csv beside it; name it with --truth"
+        )
+    return found

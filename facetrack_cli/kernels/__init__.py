@@ -1,4 +1,0 @@
-"""The inner loops, compiled. Arrays in, arrays out; nothing of ours is imported here, and nothing random happens here.
-
-Each kernel has a slow plain twin in `tests/naive*.py` that the tests hold it to.
-"""

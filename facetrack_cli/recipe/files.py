@@ -1,0 +1,85 @@
+"""The files of recipes: the shipped ones, and those that a recipe names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from facetrack_cli.core.errors import RecipeError
+from facetrack_cli.core.yaml_tree import Problem, Source, Span, YamlProblems, read_source
+from facetrack_cli.recipe.messages import locate, suggest
+from facetrack_cli.recipe.model import Recipe, error_of
+
+
+def shipped_folder() -> Path:
+    """Where the shipped recipes are: in the installed package, or beside it in a working copy."""
+    package = Path(__file__).resolve().parents[1]
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parent / "configs"
+
+
+def shipped_recipes() -> list[Path]:
+    """The files of the shipped recipes, by name."""
+    return sorted(shipped_folder().glob("*.yaml"))
+
+
+def find_recipe(name_or_path: str) -> Path:
+    """The file of a recipe: a path that exists, else a shipped one by its name, with or without `.yaml`."""
+    path, folder = Path(name_or_path), False
+    try:
+        folder = bool(name_or_path) and path.is_dir()
+        if name_or_path and path.exists() and not folder:
+            return path
+    except (OSError, ValueError):  # a name that the file system does not take
+        pass
+    shipped = {file.stem: file for file in shipped_recipes()}
+    wanted = name_or_path.removesuffix(".yaml")
+    if wanted in shipped:
+        return shipped[wanted]
+    near = suggest(path.name.removesuffix(".yaml"), list(shipped), "")
+    hint = f"{near} " if near.startswith("did") else ""
+    what = "a folder, not a recipe" if folder else "neither a file nor a shipped recipe"
+    names = ", ".join(shipped)
+    raise RecipeError(f'"{name_or_path}" is {what}; {hint or "give a file or a name; "}shipped are {names}')
+
+
+def read_recipe(path: Path) -> str:
+    """The text of a recipe's file, right or wrong; RecipeError if it is none."""
+    try:
+        return read_file(path).text
+    except YamlProblems as refused:
+        raise error_of(refused.problems) from None
+
+
+def resolve_file(recipe: Recipe, name: str, key: str = "") -> Path:
+    """A file that the recipe names: beside the recipe, then among the shipped ones. RecipeError if it is nowhere.
+
+    `key` is where the recipe names it, as in `prior.file`; without it the first key of that value is taken.
+    """
+    try:
+        return find_file(recipe, name, key)
+    except YamlProblems as refused:
+        raise error_of(refused.problems) from None
+
+
+def read_file(path: Path) -> Source:
+    try:
+        return read_source(path, str(path))
+    except OSError as error:
+        raise RecipeError(f"{path}: cannot be read: {error.strerror}; check the file's permissions") from None
+
+
+def find_file(recipe: Recipe, name: str, key: str = "") -> Path:
+    node = None
+    if recipe._root is not None and key:
+        node, _, exact = locate(recipe._root, tuple(key.split(".")))
+        node = node if exact else None
+    elif recipe._root is not None:
+        node = next((n for _, n in recipe._root.walk() if n.value == name), None)
+    said_in = [] if node is None else [node.span.source.folder]  # of --set: the working directory
+    folders = [*said_in, recipe.path.parent, shipped_folder()]
+    for folder in folders:
+        if (folder / name).is_file():
+            return folder / name
+    sought = " and ".join(str(folder) for folder in dict.fromkeys(folders))
+    span = node.span if node is not None else Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1)
+    raise YamlProblems([Problem(span, f'there is no file "{name}" in {sought}; correct the name, or put it there')])

@@ -1,0 +1,104 @@
+"""People to recognise, given beside recipes: what `--gallery FILE` does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.yaml_tree import Node, Source, Span, printable
+from facetrack_cli.recipe.affine import Affine
+from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, filters
+
+MADE_BY = "as facetrack gallery fit writes it"
+
+
+def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
+    """The recipes, those that recognise with the gallery's people; if none does, all that can.
+
+    A recipe recognises if it has a section `recognition`; those of affine targets can. Without a file each must have a
+    gallery of its own. Raises UsageError where there is nobody to recognise, or nothing that recognises, and InputError
+    where there is no such file.
+    """
+    recognising = [one for one in recipes if any(given.recognition is not None for _, given in filters(one))]
+    if file is None:
+        for recipe in recognising:
+            if wants_gallery(recipe):
+                raise UsageError(
+                    f"--gallery is missing: {recipe.name} says who somebody is, of the people of a gallery; give "
+                    f"--gallery FILE, {MADE_BY}, or name one in the recipe, in recognition.gallery"
+                )
+        return list(recipes)
+    check_file(file)
+    able = recognising or [one for one in recipes if any(isinstance(g.target, Affine) for _, g in filters(one))]
+    if not able:
+        raise UsageError(f"--gallery: {_why_not(recipes)}; take adaptive_recognition, or leave --gallery out")
+    return [put(one, file) if any(one is other for other in able) else one for one in recipes]
+
+
+def wants_gallery(recipe: Recipe) -> bool:
+    """Whether it recognises and does not say whom."""
+    return any(given.recognition is not None and given.recognition.gallery is None for _, given in filters(recipe))
+
+
+def check_file(file: str) -> None:
+    """Raises UsageError or InputError for what is no file."""
+    if not file:
+        raise UsageError(f"--gallery is empty; name a gallery, {MADE_BY}")
+    path, shown = Path(file), f"--gallery {printable(file)}"
+    try:
+        if path.is_file():
+            return
+        there, folder = path.exists(), path.is_dir()
+    except (OSError, ValueError):  # a name that the file system does not take
+        there = folder = False
+    if folder:
+        remedy = f"name a file in it, {MADE_BY}; facetrack gallery fit {printable(file)} makes one of people's folders"
+        raise InputError(f"{shown}: is a folder; {remedy}")
+    if there:
+        raise InputError(f"{shown}: is no regular file; copy it to one")
+    raise InputError(f"{shown}: no such file; correct the name, or make one with facetrack gallery fit")
+
+
+def put(recipe: Recipe, file: str) -> Recipe:
+    """The recipe with this gallery in place of its own: where it recognises, else wherever it can."""
+    assert recipe._root is not None
+    affine = [(above, given) for above, given in filters(recipe) if isinstance(given.target, Affine)]
+    own = [above for above, given in affine if given.recognition is not None]
+    span = Span(Source(f"--gallery {printable(file)}", "", Path(), is_file=False), 0, 0, 1)
+    root = _copy(recipe._root)
+    for above in own or [above for above, _ in affine]:
+        node = root
+        for key in filter(None, above.split(".")):
+            assert isinstance(node.value, dict)
+            node = node.value[key]
+        assert isinstance(node.value, dict)
+        section = node.value.get("recognition")
+        if section is None or section.value is None:
+            section = node.value["recognition"] = Node(span, {}, span)
+        assert isinstance(section.value, dict)
+        section.value["gallery"] = Node(span, file, span)
+    try:
+        return type(recipe).model_validate(root.plain(), context={"path": recipe.path, "root": root})
+    except ValidationError as e:  # it was a recipe before
+        raise AssertionError(str(e)) from e
+
+
+def _copy(node: Node) -> Node:
+    value = node.value
+    if isinstance(value, dict):
+        return Node(node.span, {key: _copy(one) for key, one in value.items()}, node.key)
+    return Node(node.span, [_copy(one) for one in value] if isinstance(value, list) else value, node.key)
+
+
+def _why_not(recipes: Sequence[Recipe]) -> str:
+    first = recipes[0]
+    if isinstance(first, OpenCvRecipe):
+        return f"{first.name} is one of OpenCV's own trackers, and people are recognised by affine targets alone"
+    types = sorted({given.target.type for _, given in filters(first)})
+    follows = " and ".join(
+        {"points": "points", "region": "a region", "cloud": "a cloud"}.get(one, one) for one in types
+    )
+    return f"{first.name} follows {follows}, and people are recognised by affine targets alone"

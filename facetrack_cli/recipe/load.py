@@ -1,0 +1,80 @@
+"""A recipe: everything a tracker is made of, as a checked, frozen value read from YAML.
+
+The kinds of recipe (`model.py`) and their sections, in the files beside it, are the format.
+
+    recipe = load_recipe("factorized", ["filter.particles=200"])
+    recipe.filter.particles         # 200
+    recipe.motion.sigma.of("nose")  # Length(value=0.1, px=False)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from facetrack_cli.core.yaml_tree import Node, Problem, Span, YamlProblems, assign, parse
+from facetrack_cli.recipe.files import find_file, find_recipe, read_file
+from facetrack_cli.recipe.messages import problems, suggest
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, error_of, filters
+
+
+def load_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> Recipe:
+    """Read a recipe from a path, or by the name of a shipped one; `overrides` are `a.b=VALUE` of the command line.
+
+    Raises RecipeError for the first thing that is wrong, and says how many more there are.
+    """
+    try:
+        return _load(find_recipe(name_or_path), overrides)
+    except YamlProblems as refused:
+        raise error_of(refused.problems) from None
+
+
+def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Problem]:
+    """Everything that is wrong with a recipe; also that the files it names are there."""
+    try:
+        recipe = _load(find_recipe(name_or_path), overrides)
+        for above, one in filters(recipe):
+            if one.prior is not None:
+                find_file(recipe, one.prior.file, f"{above}prior.file")
+            if one.recognition is not None and one.recognition.gallery is not None:
+                find_file(recipe, one.recognition.gallery, f"{above}recognition.gallery")
+    except YamlProblems as refused:
+        return list(refused.problems)
+    return []
+
+
+def _load(path: Path, overrides: Sequence[str]) -> Recipe:
+    source = read_file(path)
+    root = parse(source)
+    start = Span(source, 0, 0, 1)
+    if root is None or root.value is None:
+        shipped = "start from a shipped recipe: facetrack recipes show factorized"
+        raise YamlProblems([Problem(start, f"the recipe is empty; {shipped}")])
+    if not isinstance(root.value, dict):
+        raise YamlProblems([Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this")])
+    for override in overrides:
+        assign(root, "--set", override)
+    kind = _kind(root)
+    try:
+        return kind.model_validate(root.plain(), context={"path": path, "root": root})
+    except ValidationError as error:
+        raise YamlProblems(problems(error, kind, root)) from None
+
+
+def _kind(root: Node) -> type[Recipe]:
+    """The model of a recipe by its `type`: a particle filter where none is given."""
+    keys = root.value if isinstance(root.value, dict) else {}
+    given = keys.get("type")
+    if "targets" in keys and "target" not in keys and (given is None or given.value == "particle_filter"):
+        node = keys["targets"] if given is None else given
+        message = '"targets" is a key of several particle filters; write type: particle_filters'
+        raise YamlProblems([Problem((node.key or node.span) if given is None else node.span, message)])
+    if given is None:
+        return ParticleRecipe
+    name = given.value if isinstance(given.value, str) else ""
+    if name not in KINDS:
+        hint = suggest(name, list(KINDS), "it is one of")
+        raise YamlProblems([Problem(given.span, f'unknown type of recipe "{name}"; {hint}')])
+    return KINDS[name]

@@ -1,0 +1,261 @@
+"""What pydantic finds wrong with a recipe, as problems with a place in the text and a remedy."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
+from typing import Annotated, Any, NamedTuple, TypeAlias, Union, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from facetrack_cli.core.yaml_tree import Node, Problem, Span
+
+Steps: TypeAlias = tuple[str | int, ...]
+
+
+_WANTED = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "model_type": "a mapping of keys",
+    "model_attributes_type": "a mapping of keys",
+    "dict_type": "a mapping of keys",
+    "list_type": "a list",
+    "tuple_type": "a list",
+}
+
+
+_BOUNDS = {
+    "greater_than": ("gt", "greater than {}"),
+    "greater_than_equal": ("ge", "at least {}"),
+    "less_than": ("lt", "less than {}"),
+    "less_than_equal": ("le", "at most {}"),
+    "string_too_short": ("min_length", "at least {} characters long"),
+    "string_too_long": ("max_length", "at most {} characters long"),
+}
+
+
+_NAMES = "a name has small letters, digits and _, and begins with a letter"
+
+
+class Refusal(NamedTuple):
+    """What a rule between several fields finds wrong: the path from the model on, and whether its key is meant."""
+
+    path: Steps
+    message: str
+    at_key: bool = False
+
+
+def refuse(refusals: Sequence[Refusal]) -> None:
+    """Raise them, inside a validator, if there are any."""
+    if refusals:
+        raise PydanticCustomError("refused", "{summary}", {"summary": refusals[0].message, "refusals": refusals})
+
+
+def suggest(wrong: str, known: Sequence[str], otherwise: str) -> str:
+    """`did you mean "x"?` where something known is near, else `otherwise` and all that is known."""
+    near = get_close_matches(wrong, known, n=1)
+    return f'did you mean "{near[0]}"?' if near else f"{otherwise}: {', '.join(known)}"
+
+
+def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list[Problem]:
+    """Everything that the error lists, in the order of the text."""
+    errors = error.errors(include_url=False)
+    found = [problem for details in errors for problem in _problems(details, model, root)]
+    found += _short_lists([details["loc"] for details in errors if details["type"] == "missing"], root)
+    return sorted(found, key=lambda p: (not p.span.source.is_file, p.span.line, p.span.column))
+
+
+def _short_lists(missing: Sequence[Steps], root: Node) -> Iterator[Problem]:
+    """Of lists of a fixed length pydantic says which items are missing, one by one."""
+    wanted: dict[Steps, int] = {}
+    for *path, last in missing:
+        if isinstance(last, int):
+            wanted[tuple(path)] = max(last + 1, wanted.get(tuple(path), 0))
+    for steps, length in wanted.items():
+        node, keys, _ = locate(root, steps)
+        yield Problem(_value_span(node), f"{_dotted(keys)} must have {length} items, not {_length(node)}")
+
+
+def locate(root: Node, path: Steps) -> tuple[Node, list[str], bool]:
+    """The value at a path, or the nearest above it; the keys that lead there; and whether it is the value itself.
+
+    pydantic's paths also name the chosen member of a union (`filter`, `sir`, `particles`): such a step has no place.
+    """
+    node, keys, exact = root, [], True
+    union_open = False
+    for step in path:
+        value = node.value
+        if isinstance(value, dict):
+            kind = value.get("type")
+            if union_open and kind is not None and kind.value == step:
+                union_open = False
+                continue
+            if isinstance(step, str) and step in value:
+                node, union_open, exact = value[step], True, True
+                keys.append(step)
+                continue
+        elif isinstance(value, list) and isinstance(step, int) and step < len(value):
+            node, union_open, exact = value[step], True, True
+            keys.append(f"[{step + 1}]")
+            continue
+        exact = False
+    return node, keys, exact
+
+
+def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iterator[Problem]:
+    kind, path, context = details["type"], details["loc"], details.get("ctx", {})
+    if kind == "refused":
+        for refusal in context["refusals"]:
+            node, _, _ = locate(root, (*path, *refusal.path))
+            at_key = refusal.at_key and node.key is not None
+            yield Problem(node.key or node.span if at_key else _value_span(node), refusal.message)
+        return
+    node, keys, _ = locate(root, path)
+    where = _dotted(keys)
+    if kind == "too_short" and _length(node) >= context["min_length"]:
+        return  # pydantic does not count items that are wrong themselves
+    if kind == "missing" and isinstance(path[-1], int):
+        return  # told of the list as a whole
+    if kind == "missing":
+        section = f'"{where}"' if where else "the recipe"
+        yield Problem(node.key or node.span, f'{section} lacks the key "{path[-1]}"; add it')
+    elif kind == "extra_forbidden":
+        yield Problem(node.key or node.span, _unknown_key(str(path[-1]), path, model, root))
+    elif kind == "union_tag_not_found":
+        known = [_type_name(member) for member in _models_at(model, tuple(keys))]
+        yield Problem(node.key or node.span, f'"{where}" lacks the key "type"; it is one of: {", ".join(known)}')
+    elif kind == "union_tag_invalid":
+        wrong = str(context.get("tag"))
+        place = node.value["type"].span if isinstance(node.value, dict) else node.span
+        given = node.value["type"].value if isinstance(node.value, dict) else None
+        known = [_type_name(member) for member in _models_at(model, tuple(keys))]
+        if isinstance(given, str):
+            yield Problem(place, f'unknown {where} type "{wrong}"; {suggest(wrong, known, "it is one of")}')
+        else:
+            yield Problem(place, f"{where}.type cannot be {_shown(given)}; it is one of: {', '.join(known)}")
+    elif path[-1] == "[key]":  # how pydantic calls the name itself in a mapping from any name
+        rule = _NAMES if kind == "string_pattern_mismatch" else f"give {context['max_length']} characters at most"
+        yield Problem(node.key or node.span, f'"{keys[-1]}" cannot be one of {_dotted(keys[:-1])}; {rule}')
+    else:
+        yield Problem(_value_span(node), f"{where or 'the recipe'} {_must(details, node)}")
+
+
+def _must(details: ErrorDetails, node: Node) -> str:
+    kind, context = details["type"], details.get("ctx", {})
+    given = _shown(node.value)
+    if kind in _WANTED:
+        quoted = isinstance(node.value, str) and kind in ("int_type", "float_type") and _is_number(node.value)
+        return f"must be {_WANTED[kind]}, not {given}{'; remove the quotes' if quoted else ''}"
+    if kind in _BOUNDS:
+        name, phrase = _BOUNDS[kind]
+        return f"must be {phrase.format(_number(context[name]))}, not {given}"
+    if kind in ("too_short", "too_long"):
+        bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
+        return f"must have {bound} items, not {_length(node)}"
+    if kind == "literal_error":
+        known = [word.strip(" '") for word in str(context["expected"]).replace(" or ", ",").split(",")]
+        return f"cannot be {given}; {suggest(str(node.value), known, 'it is one of')}"
+    if kind == "string_pattern_mismatch":
+        return f"cannot be {given}; {_NAMES}"
+    return f"{details['msg']}, not {given}"
+
+
+def _unknown_key(key: str, path: Steps, model: type[BaseModel], root: Node) -> str:
+    node, keys, _ = locate(root, path[:-1])
+    section = _dotted(keys)
+    owners = _models_at(model, path[:-1])
+    known = [name for owner in owners[:1] for name in owner.model_fields]
+    variants = _models_at(model, tuple(keys))
+    homes = [_type_name(variant) for variant in variants if key in variant.model_fields]
+    if homes and section:
+        mine = _type_name(owners[0])
+        chosen = node.value.get("type") if isinstance(node.value, dict) else None
+        typed = chosen is not None and not chosen.span.source.is_file
+        remedy = f"give all of it at once: --set '{section}={{type: {mine}, ...}}'" if typed else "remove it"
+        return f'"{key}" does not belong to {section} type "{mine}" but to {" and ".join(homes)}; {remedy}'
+    inside = f' in "{section}"' if section else ""
+    return f'unknown key "{key}"{inside}; {suggest(key, known, "the keys there are")}'
+
+
+def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
+    """The models that may stand at a path: one, or all members of a union whose member the path does not name."""
+    here = [model]
+    named_by_user = False  # the key of a mapping from any name to a model
+    for step in path:
+        if named_by_user:
+            named_by_user = False
+            continue
+        named = [one for one in here if len(here) > 1 and _type_name(one) == step]
+        if named:
+            here = named
+            continue
+        fields = [one.model_fields[step] for one in here if isinstance(step, str) and step in one.model_fields]
+        named_by_user = any(get_origin(info.annotation) is dict for info in fields)
+        here = [below for info in fields for below in _models_in(info.annotation)]
+    return here
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if get_origin(annotation) in (Union, types.UnionType):
+        return [model for member in get_args(annotation) for model in _models_in(member)]
+    if get_origin(annotation) is dict:
+        return _models_in(get_args(annotation)[1])
+    return _models_in(get_args(annotation)[0]) if get_origin(annotation) is Annotated else []
+
+
+def _type_name(model: type[BaseModel]) -> str:
+    field = model.model_fields.get("type")
+    return str(get_args(field.annotation)[0]) if field is not None else ""
+
+
+def _length(node: Node) -> int:
+    return len(node.value) if isinstance(node.value, list | dict) else 0
+
+
+def _value_span(node: Node) -> Span:
+    """Where to point for a wrong value: at its key if it is a section, or if nothing stands there."""
+    nothing = node.span.end <= node.span.column
+    return node.key if node.key is not None and (nothing or isinstance(node.value, dict)) else node.span
+
+
+def _dotted(keys: Sequence[str]) -> str:
+    return ".".join(keys).replace(".[", "[")
+
+
+def _number(value: float) -> str:
+    """As people write it: 1000000, not 1e+06."""
+    return str(value) if isinstance(value, int) else format(value, ".0f" if value.is_integer() else "g")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, str):
+        short = value if len(value) <= 40 else value[:40] + "..."
+        return f'the text "{" ".join(short.split())}"'
+    if value is None:
+        return "empty (null)"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "a mapping"
+    return "a list" if isinstance(value, list) else str(value)
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )

@@ -1,0 +1,190 @@
+"""The sections of a recipe that follows a region, which is a box that moves and changes its size.
+
+All equations are those of Odobez, Ba & Gatica-Perez, "An Implicit Motion Likelihood for Tracking with Particle
+Filters", IDIAP-RR 03-15, 2003. No numerics are imported here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, TypeAlias
+
+from pydantic import Field, model_validator
+
+from facetrack_cli.recipe.messages import Refusal, Section, refuse
+from facetrack_cli.recipe.units import Length, LengthOrNone
+
+MOST_SEARCH, MOST_SEARCH_PX = 10.0, 10_000.0  # it reaches beyond most pictures, and every step of it takes time
+Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]
+Factor: TypeAlias = Annotated[float, Field(gt=0, le=100)]
+Entry: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]  # or powers of A overflow, stable or not
+Pair: TypeAlias = Annotated[tuple[Entry, Entry], Field(strict=False)]
+Noise: TypeAlias = Annotated[tuple[LengthOrNone, ...], Field(strict=False, min_length=1, max_length=2)]
+Share: TypeAlias = Annotated[
+    tuple[Annotated[float, Field(ge=0, le=1e6)], ...], Field(strict=False, min_length=1, max_length=2)
+]
+
+
+class Region(Section):
+    """A region of the picture: an upright box that moves and changes its size (section 3.2)."""
+
+    type: Literal["region"]
+    """A box that moves and changes its size."""
+    scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.25, 4.0)
+    """The least and the largest size of the box, as factors of its size at the start."""
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """A start need not place any point."""
+        return ()
+
+    @model_validator(mode="after")
+    def _check(self) -> Region:
+        if not self.scale[0] < 1 < self.scale[1]:
+            refuse(
+                [Refusal(("scale",), "target.scale is [least, largest], with 1, the size at the start, between them")]
+            )
+        return self
+
+
+class PositionDynamics(Section):
+    """c = A c + B w for x and its speed, and likewise for y."""
+
+    A: Annotated[tuple[Pair, Pair], Field(strict=False)]
+    """What place and speed become: [[place from place, from speed], [speed from place, from speed]]."""
+    B: Annotated[tuple[Noise, Noise], Field(strict=False)]
+    """How the noise enters place and speed: a row each, with a standard deviation for each of one or two sources."""
+
+    @model_validator(mode="after")
+    def _check(self) -> PositionDynamics:
+        refuse(_dynamics("position", self.A, self.B))
+        return self
+
+
+class ScaleDynamics(Section):
+    """c = A c + B w for the scale, 1 at the start, and its speed."""
+
+    A: Annotated[tuple[Pair, Pair], Field(strict=False)]
+    """What scale and speed become, as in position.A."""
+    B: Annotated[tuple[Share, Share], Field(strict=False)]
+    """How the noise enters scale and speed, as in position.B; numbers, since a scale has no unit."""
+
+    @model_validator(mode="after")
+    def _check(self) -> ScaleDynamics:
+        refuse(_dynamics("scale", self.A, self.B))
+        return self
+
+
+def _dynamics(name: str, a: tuple[Pair, Pair], b: tuple[Sequence[Any], Sequence[Any]]) -> list[Refusal]:
+    found = []
+    if len(b[0]) != len(b[1]):
+        found.append(Refusal(("B",), f"both rows of motion.{name}.B need the same number of sources of noise"))
+    (p, q), (r, s) = a
+    # the larger eigenvalue of a 2x2 matrix, by trace and determinant; complex ones come in pairs of the same size
+    half, determinant = (p + s) / 2, p * s - q * r
+    root = half * half - determinant
+    largest = abs(half) + root**0.5 if root >= 0 else determinant**0.5
+    if largest > 1 + 1e-9:
+        grows = f"motion.{name}.A makes the state grow {largest:.3g}-fold each frame"
+        found.append(Refusal(("A",), f"{grows}; its eigenvalues must not exceed 1"))
+    return found
+
+
+class FirstOrder(Section):
+    """First-order dynamics of place, scale and their speeds: c_k = A c_{k-1} + B w_k (section 3.2)."""
+
+    type: Literal["first_order"]
+    """Linear dynamics of place, scale and their speeds."""
+    position: PositionDynamics
+    """Of x and of y."""
+    scale: ScaleDynamics
+    """Of the size of the box."""
+
+
+class Contour(Section):
+    """Edges along the normals of the ellipse in the box (eq. 11)."""
+
+    normals: Annotated[int, Field(ge=4, le=360)] = 32
+    """L, the number of normals along which edges are looked for."""
+    sigma: Length
+    """Standard deviation of the distance of an edge from the ellipse."""
+    search: Length
+    """How far along a normal, inwards and outwards, edges are looked for."""
+    threshold: Annotated[float, Field(gt=0, le=255)]
+    """Contrast from which on there is an edge, in grey levels."""
+    outlier: Annotated[float, Field(gt=0, le=1)]
+    """K, the least likelihood of a normal: where no edge is found, or one too far off."""
+    max_size: Annotated[int, Field(ge=16)] | None = 64
+    """Boxes with a longer side, in pixels, are read from a reduced picture; null: every pixel."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Contour:
+        most = MOST_SEARCH_PX if self.search.px else MOST_SEARCH
+        if self.search.value > most:
+            reach = f"{MOST_SEARCH:g}, in units of the target's size, or {MOST_SEARCH_PX:g}px"
+            refuse([Refusal(("search",), f"likelihood.contour.search must be at most {reach}")])
+        return self
+
+
+class Histogram(Section):
+    """Histograms of hue and saturation in sub-regions of the box (section 3.3)."""
+
+    hue_bins: Annotated[int, Field(ge=1, le=64)]
+    """N_h."""
+    saturation_bins: Annotated[int, Field(ge=1, le=64)]
+    """N_s."""
+    regions: Annotated[tuple[Count, Count], Field(strict=False)]
+    """[columns, rows] of the sub-regions of the box, N_r of them in all."""
+    lambda_h: Annotated[float, Field(gt=0, le=1e6)]
+    """lambda in p(y | c) = exp(-lambda D^2), D the Bhattacharyya distance from the first frame's histograms."""
+    value_bins: Annotated[int, Field(ge=0, le=64)] = 1
+    """Bins, by brightness, of pixels too pale or too dark to have a hue; 0 as printed: they are binned by hue."""
+    least_saturation: Annotated[float, Field(ge=0, lt=1)] = 0.1
+    """Below this saturation, 0..1, a pixel counts as pale."""
+    least_value: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    """Below this value (of HSV), 0..1, a pixel counts as dark."""
+    max_size: Annotated[int, Field(ge=16)] | None = 128
+    """As in contour.max_size."""
+
+
+class Correlation(Section):
+    """Grey values of the box against those of its parent in the previous frame (eq. 12 and 13)."""
+
+    grid: Annotated[tuple[Count, Count], Field(strict=False)] = (16, 16)
+    """[columns, rows] of the reference grid on which both are sampled."""
+    region: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """R of eq. 6 as a share of the box's sides: less leaves out what is not the target at the borders of its box."""
+    distance: Literal["l2", "saturated_l1", "hausdorff"] = "l2"
+    """d_c of eq. 12; the paper takes l2, and compares it with the others in figure 5."""
+    sigma: Annotated[float, Field(ge=1e-3, le=1e6)]
+    """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2) for l2, 1 / sigma_c for the others."""
+    saturation: Annotated[float, Field(gt=0, le=255)] | None = None
+    """Where saturated_l1 stops to grow, in grey levels."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Correlation:
+        if self.distance == "saturated_l1" and self.saturation is None:
+            refuse([Refusal(("distance",), "distance: saturated_l1 needs saturation; add one, as in saturation: 20")])
+        if self.distance != "saturated_l1" and self.saturation is not None:
+            message = f"saturation has no meaning for distance: {self.distance}; remove it"
+            refuse([Refusal(("saturation",), message)])
+        return self
+
+
+class Product(Section):
+    """The product of the likelihoods that are given, each of them usable alone (eq. 10)."""
+
+    type: Literal["product"]
+    """The product of what is given of contour, histogram and correlation."""
+    contour: Contour | None = None
+    """Edges along the normals of the ellipse in the box (eq. 11)."""
+    histogram: Histogram | None = None
+    """Histograms of hue and saturation in sub-regions of the box."""
+    correlation: Correlation | None = None
+    """Grey values against those of the parent in the previous frame (eq. 12 and 13)."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Product:
+        if self.contour is None and self.histogram is None and self.correlation is None:
+            refuse([Refusal((), "likelihood has no factor; add contour, histogram or correlation")])
+        return self

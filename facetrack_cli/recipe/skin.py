@@ -1,0 +1,105 @@
+"""The sections of a recipe that follows skin: faces by colour and pattern, heads and hands as clouds of pixels.
+
+All equations are those of Gonzalez & Collet, "Face Tracking using a Combination of Colour and Pattern Matching Based on
+Particle Filter". No numerics are imported here.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field, model_validator
+
+from facetrack_cli.recipe.messages import Refusal, Section, refuse
+
+Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+MaxSize: TypeAlias = Annotated[int, Field(ge=16)]
+
+
+class Skin(Section):
+    """Skin in a rectangle of two regions of equal area, the inner one the face (eq. 3 to 9)."""
+
+    inner: Annotated[float, Field(ge=0.1, le=4)] = 1.0
+    """R_int as a share of the box's sides; R_ext, around it, has the same area."""
+    least_share: Share = 0.4
+    """If less of the ellipse in the box passes Kovac's rules for skin, its colours are learned as they are."""
+    max_size: MaxSize | None = 64
+    """Boxes with a longer side, in pixels, are read from a reduced picture; null: every pixel."""
+
+
+class Pattern(Section):
+    """Normalised cross-correlation with the first frame's grey template (eq. 10)."""
+
+    mean: Literal["keep", "remove"] = "keep"
+    """As printed the means are kept; removed, NCC is 0 where nothing is alike."""
+    exponent: Annotated[float, Field(gt=0, le=100)] = 1.0
+    """NCC to this power; the paper takes 1."""
+    adapt: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Share of each new frame in the template, while the match is good; the paper keeps the template, 0."""
+    adapt_above: Annotated[float, Field(ge=0, lt=1)] = 0.7
+    """... that is, while NCC (means removed) with the first template is at least this."""
+    max_size: MaxSize | None = 64
+    """As in skin.max_size."""
+
+
+class SkinNcc(Section):
+    """A face by skin colour, by a template, or by both together (eq. 11)."""
+
+    type: Literal["skin_ncc"]
+    """A face by what is given of skin and ncc, or by both together."""
+    skin: Skin | None = None
+    """Skin in a rectangle of two regions (rho, eq. 9)."""
+    ncc: Pattern | None = None
+    """Normalised cross-correlation with a template (eq. 10)."""
+    cost: Literal["shifted", "printed", "product"] = "shifted"
+    """Eq. 11 compares k with rho / NCC as printed, with (1 + rho) / NCC, or, beyond the paper, with rho * NCC."""
+    k: Annotated[float, Field(ge=-100, le=100)] | None = None
+    """k of eq. 11; null: the value in the first frame."""
+    sigma: Annotated[float, Field(ge=1e-4, le=100)]
+    """sigma of eq. 11, where rho goes from -1, a box of skin in a frame without, to 1."""
+
+    @model_validator(mode="after")
+    def _check(self) -> SkinNcc:
+        if self.skin is None and self.ncc is None:
+            refuse([Refusal((), "likelihood has neither skin nor ncc; add one, as in skin: {}")])
+        if self.ncc is None and self.cost == "product":
+            refuse([Refusal(("cost",), "cost: product is that of skin and ncc; add ncc, or leave cost out")])
+        return self
+
+
+class SkinCloud(Section):
+    """The probability that the colour of one pixel is skin; each particle is a pixel (Gianni et al. 2007)."""
+
+    type: Literal["skin"]
+    """The probability that a pixel is skin."""
+    learn_from: str | None = None
+    """The target whose box in the first frame teaches the colour of skin; null: the target itself."""
+    least_share: Share = 0.4
+    """As in skin_ncc."""
+    floor: Annotated[float, Field(gt=0, le=1)] = 0.01
+    """Likelihood of a pixel that is no skin at all."""
+    max_size: MaxSize | None = 32
+    """Of a target larger than this in pixels, particles are pixels of a reduced picture; null: of the clip's own."""
+
+
+class Cloud(Section):
+    """A cloud of pixels, whose mean is the target's place and whose spread is its size (Gianni et al. 2007)."""
+
+    type: Literal["cloud"]
+    """A cloud in which each particle is a pixel."""
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """A start need not place any point."""
+        return ()
+
+
+class Exclusion(Section):
+    """Targets keep off each other: a likelihood counts for less where another target is (section 3)."""
+
+    strength: Annotated[float, Field(ge=0, le=1)]
+    """What is lost of a particle's likelihood in the middle of another target; 0: nothing."""
+    reach: Annotated[float, Field(gt=0, le=10)] = 1.0
+    """How far another target goes, in halves of its box."""
+    first: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    """Targets that explain their skin first: the others keep off them, they keep off none."""

@@ -1,0 +1,165 @@
+"""A run's recipe and start as YAML, and the command that repeats the run."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import shlex
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.representer import RoundTripRepresenter
+
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.types import Correction, Start
+from facetrack_cli.recipe.files import shipped_recipes
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import to_dict
+from facetrack_cli.tracking.start import read_init
+from facetrack_cli.tracking.start.init_writer import as_yaml
+from facetrack_cli.trajectory.header import CORRECTED, ClipHeader, Header, InitHeader
+from facetrack_cli.video.images import listing
+from facetrack_cli.video.source import FOLDER_FPS
+
+# --- the recipe as YAML ------------------------------------------------------------------------------------------
+
+
+class _Representer(RoundTripRepresenter):
+    pass
+
+
+# null as a word, not as nothing
+_Representer.add_representer(type(None), lambda self, _: self.represent_scalar("tag:yaml.org,2002:null", "null"))
+
+
+def recipe_yaml(recipe: Mapping[str, Any]) -> str:
+    """A recipe's settings as a file that is the same recipe again; lists and inner mappings on one line each."""
+    return _dump(_tree({key: value for key, value in recipe.items() if key != "name"}, 0))
+
+
+def _dump(tree: Any) -> str:
+    yaml = YAML()
+    yaml.Representer = _Representer
+    yaml.width = 10_000
+    text = io.StringIO()
+    yaml.dump(tree, text)
+    return text.getvalue()
+
+
+def _tree(value: Any, depth: int) -> Any:
+    if isinstance(value, Mapping):
+        found: CommentedMap | CommentedSeq = CommentedMap(
+            (key, _tree(inner, depth + 1)) for key, inner in value.items()
+        )
+    elif isinstance(value, list | tuple):
+        found = CommentedSeq(_tree(inner, depth + 1) for inner in value)
+    else:
+        return value
+    if depth > 1 or isinstance(found, CommentedSeq):
+        found.fa.set_flow_style()
+    return found
+
+
+def init_yaml(header: Header) -> str:
+    """Where the run began, and what was put right, as an init file."""
+    return as_yaml(header.init.start, header.clip_name)
+
+
+# --- the command -------------------------------------------------------------------------------------------------
+
+
+def command(header: Header, last: int, folder: Path | None = None) -> str:
+    """The command line that makes the run again, up to the frame `last`.
+
+    A recipe that is a shipped one, some keys apart, is written as that; another as the file NAME.yaml. Corrections
+    come with the init file that the run began with, if they stand in it, else with the one in the run's `folder`; else
+    with a file `CORRECTED`, which is to be made of `init_yaml`.
+    """
+    words = ["facetrack", "run", header.source.path, *_recipe_words(header), "--seed", str(header.seed)]
+    words += [*_init_words(header.init, folder), "--stop", str(last + 1), *_rate_words(header.source), "-o", "again"]
+    return shlex.join(words)
+
+
+def needs_file(header: Header) -> bool:
+    """Whether the command names a recipe file, which is to be made of the YAML."""
+    return f"{header.recipe_name}.yaml" in _recipe_words(header)
+
+
+def _recipe_words(header: Header) -> list[str]:
+    name = header.recipe_name
+    shipped = next((file for file in shipped_recipes() if file.stem == name), None)
+    try:
+        # read anew, it has the keys that a later version added, at their defaults
+        with tempfile.TemporaryDirectory() as folder:
+            copy = Path(folder) / "recipe.yaml"
+            copy.write_text(recipe_yaml(header.recipe), encoding="utf-8")
+            wanted = _settings(copy)
+        if shipped is not None:
+            overrides = [f"{key}={value}" for key, value in _differences(_settings(shipped), wanted)]
+            if _settings(shipped, overrides) == wanted:
+                return ["--config", name, *(word for override in overrides for word in ("--set", override))]
+    except (FacetrackError, ValueError):  # of another version, or changed beyond what --set can say
+        pass
+    return ["--config", f"{name}.yaml"]
+
+
+def _settings(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    found = to_dict(load_recipe(str(path), overrides))
+    return {key: value for key, value in found.items() if key != "seed"}
+
+
+def _differences(ours: Mapping[str, Any], wanted: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+    """(key, value as YAML) of what is wanted otherwise; a mapping as a whole where it has other keys."""
+    for key, value in wanted.items():
+        own = ours.get(key)
+        if isinstance(value, Mapping) and isinstance(own, Mapping) and value.keys() == own.keys():
+            yield from _differences(own, value, f"{above}{key}.")
+        elif value != own:
+            yield f"{above}{key}", _inline(value)
+
+
+def _inline(value: Any) -> str:
+    return _dump(CommentedSeq([_tree(value, 2)])).strip().removeprefix("- ")
+
+
+def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
+    at = ["--init-frame", str(init.frame)]
+    if init.corrections:
+        beside = [] if folder is None else [str(folder / CORRECTED)]
+        for name in (init.origin, *beside):
+            with contextlib.suppress(FacetrackError):
+                found = read_init(Path(name))
+                if _put_right(found) == _put_right(init.start):
+                    return ["--init", name, *([] if found.frame == init.frame else at)]
+        return ["--init", CORRECTED]
+    first = next(iter(init.targets.values()), None)
+    if init.origin == "haar":
+        return ["--init", "haar", *(at if init.frame else [])]
+    if init.origin == "--box" and first is not None and first.box is not None:
+        return ["--box", ",".join(f"{side:.12g}" for side in first.box), *(at if init.frame else [])]
+    try:
+        same = read_init(Path(init.origin)).frame == init.frame
+    except FacetrackError:
+        same = False
+    return ["--init", init.origin, *([] if same else at)]
+
+
+def _put_right(start: Start) -> list[Correction]:
+    """The corrections, whatever the targets are called: a recipe may call a face the head."""
+    return [replace(one, target="") for one in start.corrections]
+
+
+def _rate_words(source: ClipHeader) -> list[str]:
+    path = Path(source.path)
+    try:
+        folder = listing(path) is not None or (not path.exists() and not path.suffix)
+    except (FacetrackError, OSError, ValueError):
+        folder = False
+    rate = Fraction(source.fps).limit_denominator(1001)
+    return ["--fps", str(rate)] if folder and rate != FOLDER_FPS else []

@@ -1,0 +1,46 @@
+"""The plots of a comparison as PNG files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from facetrack_cli.core.types import Array
+from facetrack_cli.evaluation.boxes import PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
+from facetrack_cli.evaluation.experiments.compare import CUMULATIVE_AT, Entry, Score, aligned
+from facetrack_cli.evaluation.experiments.compare_text import Comparison
+from facetrack_cli.evaluation.experiments.sheet import clip_name
+from facetrack_cli.evaluation.points import FAILURE
+from facetrack_cli.report.figures.style import render
+
+
+def figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
+    """Names and bytes of the files, recipes in their order. Wants matplotlib."""
+    from facetrack_cli.report import figures as plots
+
+    entries = [place.entry for place in comparison.places if place.entry.scores]
+
+    def curves(at: Array, of: Callable[[Score], Array | None]) -> dict[str, tuple[Array, Array]]:
+        return {entry.label: (at, values) for entry in entries if (values := _stacked(entry, of)) is not None}
+
+    clip = clip_name(comparison.clip)
+    if success := curves(SUCCESS_THRESHOLDS, lambda score: score.success):
+        yield "success.png", render(plots.success_figure(success, title=f"Success on {clip}"))
+    if precision := curves(PRECISION_THRESHOLDS, lambda score: score.precision):
+        yield "precision.png", render(plots.precision_figure(precision, title=f"Precision on {clip}"))
+    if cumulative := curves(100 * CUMULATIVE_AT, lambda score: score.cumulative):
+        figure = plots.cumulative_error_figure(
+            cumulative, threshold=100 * FAILURE, unit="% of the size", title=f"Cumulative error on {clip}"
+        )
+        yield "cumulative.png", render(figure)
+    frame, errors = aligned(entries)
+    hidden = np.unique(np.concatenate([score.hidden for entry in entries for score in entry.scores]))
+    figure = plots.error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}")
+    yield "error.png", render(figure)
+
+
+def _stacked(entry: Entry, of: Callable[[Score], Array | None]) -> Array | None:
+    """(S, n)."""
+    found = [values for score in entry.scores if (values := of(score)) is not None]
+    return np.stack(found) if found else None

@@ -1,0 +1,185 @@
+"""The one look of all figures: colours, type, and how a figure becomes the bytes of a file.
+
+Nothing of a user's matplotlib settings reaches a figure, and nothing of ours reaches them: figures are made without
+pyplot, inside `style()`, which puts the settings back. The same numbers give the same bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final
+
+from facetrack_cli.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FORMS: Final = ("png", "svg", "pdf")
+DPI: Final = 120.0
+WIDTH: Final = 10.0  # inches
+
+# the annotated video's colours (video/marks.py), darkened for white paper so that colour-blind eyes still tell them
+# apart;in their order, but that the dark one, which stands for white, comes last: the truth is dark too
+COLOURS: Final = ("#30A2DC", "#C49500", "#00795A", "#BE5CA6", "#2B3FC0", "#222222")
+LOST: Final = "#E0480A"  # vermilion: never a line's colour
+HIDDEN: Final = "#8A8A8A"
+ABSENT: Final = "#4A4A4A"
+INK: Final = "#222222"
+FAINT: Final = "#6B6B6B"
+GRID: Final = "#E3E3E3"
+# where colours run out: solid, dashed, dotted, dash-dotted
+DASHES: Final[tuple[Any, ...]] = ("-", (0, (5, 1.8)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+
+_SETTINGS: Final[Any] = {
+    "font.family": ["DejaVu Sans"],  # matplotlib brings it along
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 4.0,
+    "axes.labelsize": 9.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#B0B0B0",
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.unicode_minus": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "text.color": INK,
+    "text.parse_math": False,  # names may hold a dollar
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.major.size": 3.0,
+    "ytick.major.size": 3.0,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "lines.linewidth": 1.2,
+    "lines.scale_dashes": True,
+    "hatch.linewidth": 0.5,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "path.simplify": True,
+    "agg.path.chunksize": 20_000,
+    "svg.hashsalt": "facetrack",
+    "svg.fonttype": "path",
+    "pdf.fonttype": 42,
+}
+
+
+@cache
+def need_matplotlib() -> None:
+    """UsageError in one line where matplotlib is missing or broken.
+
+    What it says on its first import (the font cache is being built, the home folder cannot be written) is kept off
+    standard error: it changes nothing in a figure.
+    """
+    log = logging.getLogger("matplotlib")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    backend = os.environ.pop("MPLBACKEND", None)  # we need none, and a wrong one stops the import
+    try:
+        import matplotlib.font_manager  # builds the cache
+
+        if backend is not None:
+            with contextlib.suppress(ValueError):
+                matplotlib.rcParams["backend"] = backend
+    except ModuleNotFoundError as e:
+        missing = (e.name or "matplotlib").partition(".")[0]
+        raise UsageError(f"figures need {missing}, which is not installed: pip install 'facetrack[plot]'") from None
+    except (ImportError, ValueError, OSError) as e:
+        said = " ".join(str(e).split())
+        raise UsageError(f"matplotlib cannot be loaded: {said}; install it anew: pip install 'facetrack[plot]'") from e
+    finally:
+        log.setLevel(before)
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Our settings for the length of a `with`, whatever matplotlibrc the user has; then as they were before.
+
+    Arithmetic that overflows, and letters that the font lacks, are drawn as well as they can be, without a warning.
+    """
+    need_matplotlib()
+    import matplotlib
+    import numpy as np
+
+    with matplotlib.rc_context(), warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_SETTINGS)
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """A figure of `width` x `height` inches, without pyplot; call it within `style()`."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+
+
+def render(figure: Figure, form: str = "png", *, dpi: float = DPI) -> bytes:
+    """The figure as a file of that form (`FORMS`); the same figure gives the same bytes, with no date in them.
+
+    An SVG begins with an XML declaration and a doctype: what embeds it in HTML cuts up to `<svg`.
+    """
+    none: dict[str, dict[str, Any]] = {
+        "png": {"Software": None},
+        "svg": {"Date": None, "Creator": None},
+        "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+    }
+    into = io.BytesIO()
+    with style():
+        figure.savefig(into, format=form, dpi=dpi, metadata=none[form])
+    return into.getvalue()
+
+
+def line_style(index: int) -> dict[str, Any]:
+    """Colour and dash of the line of that number: all colours solid, then all of them dashed, and so on."""
+    turn, place = divmod(index, len(COLOURS))
+    return {"color": COLOURS[place], "linestyle": DASHES[turn % len(DASHES)]}
+
+
+def heading(axes: Axes, title: str, note: str = "", above: float = 0.0) -> None:
+    """A title at the top left, `above` points higher, and after it in grey what one should know to read the panel."""
+    from matplotlib.offsetbox import AnchoredOffsetbox, HPacker, TextArea
+    from matplotlib.transforms import ScaledTranslation
+
+    words: list[Any] = [TextArea(title, textprops={"weight": "bold", "color": INK, "size": 9})]
+    if note:
+        words.append(TextArea(note, textprops={"color": FAINT, "size": 8}))
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    box = AnchoredOffsetbox(
+        loc="lower left",
+        child=HPacker(children=words, align="baseline", pad=0, sep=6),
+        pad=0,
+        borderpad=0.25,
+        frameon=False,
+        bbox_to_anchor=(0, 1),
+        bbox_transform=axes.transAxes + ScaledTranslation(0, above / 72, figure.dpi_scale_trans),
+    )
+    axes.add_artist(box)
+
+
+def clean(text: str, most: int) -> str:
+    """A name on one line of at most so many characters, which a legend does not take for a hidden one."""
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    text = text if len(text) <= most else text[: most - 1] + "…"
+    return f" {text}" if text.startswith("_") else text

@@ -1,0 +1,194 @@
+"""The results of one job: what is refused before anything runs, and files that are closed whatever happens."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.files import FileSink, StreamSink, refused
+from facetrack_cli.trajectory.row import Footer, Header
+from facetrack_cli.trajectory.writers import WRITERS, Writer
+
+if TYPE_CHECKING:
+    from facetrack_cli.core.types import Result, Start
+    from facetrack_cli.runs.job import Job
+    from facetrack_cli.video.overlay.overlay import Overlay
+    from facetrack_cli.video.source import Source
+    from facetrack_cli.video.writer import VideoWriter
+
+VIDEO = "annotated.mp4"
+
+
+def planned(job: Job) -> dict[str, Path]:
+    """The files of a job by what they hold: "video" and the formats."""
+    if job.out is None:
+        return {}
+    video = {"video": job.out / VIDEO} if job.video else {}
+    return {**video, **{form: job.out / f"trajectory.{form}" for form in job.formats}}
+
+
+def check(job: Job) -> None:
+    """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
+    if job.out is None:
+        return
+    try:
+        if job.out.exists() and not job.out.is_dir():
+            raise OutputError(f"{job.out}: is a file, where a folder for the results is to be; name another with --out")
+        if _same(job.out, job.clip):
+            raise OutputError(f"{job.out}: the results would go among the frames of the input; name another with --out")
+        for path in planned(job).values():
+            _check_file(path, job)
+    except OSError as e:
+        raise refused(job.out, e) from e
+
+
+def _check_file(path: Path, job: Job) -> None:
+    inputs = {"input": job.clip, "init file": job.init, "recipe": job.recipe.path}
+    for what, given in inputs.items():
+        if isinstance(given, Path) and _same(path, given):
+            raise OutputError(f"{path}: is the {what} itself; name another folder with --out")
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder, where a file of results is to be; name another folder with --out")
+    if os.path.lexists(path) and not job.overwrite:
+        raise OutputError(f"{path}: is there already; --overwrite replaces it, --out names another folder")
+
+
+def _same(one: Path, other: Path) -> bool:
+    return one.exists() and other.exists() and one.samefile(other)
+
+
+class Outputs:
+    """The files of one job: they appear when the job closes them; one that fails before its first frame leaves none."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._sinks: list[FileSink | StreamSink] = []
+        self._made: list[Path] = []
+        self._video: VideoWriter | None = None
+        self._overlay: Overlay | None = None
+        self.writers: list[Writer] = []
+        self.written: list[Path] = []
+
+    def __enter__(self) -> Outputs:
+        out = self._job.out
+        if out is None:
+            self._sinks = [StreamSink(sys.stdout.buffer)]  # a stream that is closed says so when it is written
+            return self
+        try:
+            missing = [folder for folder in (out, *out.parents) if not folder.exists()]
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as e:
+            raise refused(out, e) from e
+        self._made = missing
+        try:
+            for form in self._job.formats:
+                self._sinks.append(FileSink(out / f"trajectory.{form}"))
+        except OutputError:
+            self.__exit__()
+            raise
+        return self
+
+    def begin(self, source: Source, start: Start) -> None:
+        """Write the headers and start the encoder."""
+        header = _header(self._job, source, start)
+        for form, sink in zip(self._job.formats, self._sinks, strict=True):
+            self.writers.append(WRITERS[form](sink, header))
+        if self._job.out is not None and self._job.video:
+            from facetrack_cli.video.overlay.overlay import Overlay
+            from facetrack_cli.video.writer import VideoWriter
+
+            self._overlay = Overlay(source.size, fps=float(source.fps), title=self._job.recipe.name)
+            sound = source.path if source.is_video else None
+            self._video = VideoWriter(self._job.out / VIDEO, source.size, source.fps, audio_from=sound)
+
+    def paint(self, result: Result) -> None:
+        """Draw one result and pass it to the encoder."""
+        assert self._overlay is not None and self._video is not None
+        self._video.write(self._overlay.draw(result), result.frame.time_s)
+
+    def close(self, footer: Footer) -> Footer:
+        """Finish every file and return the footer written; what could not be finished is raised after the others are.
+
+        The video comes first, so that the trajectory can tell what was wrong with it.
+        """
+        errors: list[Exception] = []
+        self._made = []
+        if self._video is not None:
+            self._finish(self._video, self._video.close, errors)
+            footer = footer._replace(warnings=(*footer.warnings, *self._video.warnings))
+        for writer, sink in zip(self.writers, self._sinks, strict=True):
+            self._finish(sink, partial(writer.close, footer), errors)
+        if errors:
+            raise errors[0]
+        return footer
+
+    def _finish(
+        self, file: FileSink | StreamSink | VideoWriter, end: Callable[[], None], errors: list[Exception]
+    ) -> None:
+        try:
+            end()
+        except Exception as e:
+            errors.append(e)
+        # a text file that a full disk cut short is kept, a video is not
+        if file.path is not None and file.published:
+            self.written.append(file.path)
+
+    def __exit__(self, *_: object) -> None:
+        """Drop what was not closed, and the folders made for it."""
+        for sink in self._sinks:
+            sink.discard()
+        if self._video is not None:
+            self._video.discard()
+        for folder in self._made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+def _versions() -> dict[str, str]:
+    """Of what the numbers may depend on beside facetrack itself."""
+    import cv2
+    import numba
+    import numpy
+
+    return {
+        "python": platform.python_version(),
+        "numpy": numpy.__version__,
+        "opencv": cv2.__version__,
+        "numba": numba.__version__,
+    }
+
+
+def _header(job: Job, source: Source, start: Start) -> Header:
+    from facetrack_cli.recipe.model import to_dict
+    from facetrack_cli.tracking.start.init_writer import record_of
+
+    return {
+        "versions": _versions(),
+        "source": {
+            "path": str(job.clip),
+            "size": list(source.size),
+            "fps": round(float(source.fps), 6),
+        },
+        "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
+        "seed": job.recipe.seed,
+        "init": {
+            "from": start.origin,
+            "frame": start.frame,
+            "targets": {
+                name: {
+                    **({"box": list(target.box)} if target.box else {}),
+                    **({"points": {key: list(xy) for key, xy in target.points.items()}} if target.points else {}),
+                    **({"windows": {key: list(wh) for key, wh in target.windows.items()}} if target.windows else {}),
+                }
+                for name, target in start.targets.items()
+            },
+            **({"corrections": [record_of(one) for one in start.corrections]} if start.corrections else {}),
+        },
+    }

@@ -1,0 +1,164 @@
+"""Where the runs of a command begin and end, from its options to plans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.types import Box, Start, TargetStart
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.job import HAAR, Job
+from facetrack_cli.runs.seeds import Plan
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.start import find_start, place_start
+from facetrack_cli.tracking.start import find_init
+from facetrack_cli.trajectory.table import Table
+from facetrack_cli.video.source import open_source
+
+
+def refuse_seed(overrides: Sequence[str]) -> None:
+    """UsageError for an override that would have no effect: a recipe's own seed gives way to those of --seeds."""
+    if any(one.partition("=")[0].strip() == "seed" for one in overrides):
+        raise UsageError("the recipe's seed has no effect here: every recipe runs with the seeds 0 to --seeds - 1")
+
+
+class Begin(NamedTuple):
+    """A clip, what says where its tracks begin (see `find_plan_start`), and the frame to end before."""
+
+    clip: Path
+    init: Path | Literal["haar"] | None
+    box: Box | None
+    stop: int | None
+    fps: Fraction | None
+    start: int = 0
+
+    @classmethod
+    def of(
+        cls, clip: Path, init: str | None, box: Box | None, stop: int | None, fps: Fraction | None, start: int = 0
+    ) -> Begin:
+        """From options; UsageError where they contradict each other."""
+        if init is not None and box is not None:
+            raise UsageError("--init and --box both say where the track starts; give one of them")
+        if init == "":
+            raise UsageError("--init is empty; name an init file, or haar to look for a face")
+        if stop is not None and stop <= start:
+            told = f"after --start {start}" if start else "at all"
+            raise UsageError(f"--stop {stop} leaves no frame {told}; it is the frame to stop before")
+        if fps is not None and clip.is_file():
+            raise UsageError("--fps is for image folders; a video brings its own rate")
+        return cls(clip, None if init is None else HAAR if init == HAAR else Path(init), box, stop, fps, start)
+
+    def plan(self, label: str, recipe: Recipe, seeds: int, truth: Table | None, stopped: Stop) -> Plan:
+        """A recipe with seeds 0 to `seeds` - 1."""
+        start = find_plan_start(
+            self.clip,
+            recipe,
+            init=self.init,
+            box=self.box,
+            truth=truth,
+            fps=self.fps,
+            first=self.start,
+            stop=self.stop,
+            stopped=stopped,
+        )
+        return Plan(label, self.clip, recipe, start, tuple(range(seeds)), self.stop, self.fps)
+
+    def picture_size(self) -> tuple[int, int]:
+        """(width, height) of the clip's pictures."""
+        with open_source(self.clip, fps=self.fps) as source:
+            return source.size
+
+
+def find_plan_start(
+    clip: Path,
+    recipe: Recipe,
+    *,
+    init: Path | Literal["haar"] | None = None,
+    box: Box | None = None,
+    truth: Table | None = None,
+    fps: Fraction | None = None,
+    first: int = 0,
+    stop: int | None = None,
+    stopped: Stop | None = None,
+) -> Start:
+    """Where a recipe begins on a clip: the box or init file given, the init file beside the clip, else the truth.
+
+    The truth's start is its first frame in which all that the recipe follows is visible. Without a truth a face is
+    looked for. `first` is the frame of the box, or where the search begins. Raises InputError where there is no such
+    place from that frame on.
+    """
+    beside = init is None and box is None and find_init(clip) is None
+    searched = init == HAAR or (beside and truth is None)
+    job = Job(clip, recipe, None, init=init, box=box, fps=fps)
+    job = replace(job, start=first if searched or box else 0, stop=stop if searched else None)
+    if beside and truth is not None:
+        start = place_start(job, truth_start(truth, recipe.points))
+    else:
+        found = find_start(job, stopped or Stop())
+        if found is None:
+            raise InputError(f"{clip}: stopped before a start was found")
+        start = found
+    begins = f"{clip}: {start.origin} begins at frame {start.frame}"
+    if start.frame < first:
+        raise InputError(
+            f"{begins}, before --start {first}; leave --start out, or begin elsewhere with --init or --box"
+        )
+    if stop is not None and start.frame >= stop:
+        raise InputError(f"{begins}, of which --stop {stop} leaves nothing; give a larger one, or begin elsewhere")
+    return start
+
+
+def truth_start(truth: Table, points: Sequence[str]) -> Start:
+    """The first frame of the truth in which its targets' boxes, or all these points of them, are visible."""
+    for frame in truth.frames.tolist():
+        targets: dict[str, TargetStart] = {}
+        for target in truth.targets:
+            box: Box | None = None
+            found: dict[str, tuple[float, float]] = {}
+            for one in truth.series:
+                at = int(np.searchsorted(one.frame, frame))
+                if one.target != target or at == len(one) or one.frame[at] != frame or one.status[at] not in _SEEN:
+                    continue
+                if np.isfinite(one.boxes[at]).all():
+                    left, top, w, h = one.boxes[at].tolist()
+                    box = (left, top, w, h)
+                elif np.isfinite([one.x[at], one.y[at]]).all():
+                    found[one.part] = (float(one.x[at]), float(one.y[at]))
+            wanted = {part: found[part] for part in points if part in found}
+            if box is not None or (points and len(wanted) == len(points)):
+                targets[target or "face"] = TargetStart(box=box, points=wanted if len(wanted) == len(points) else {})
+        if len(targets) == len(truth.targets):
+            return Start(frame, targets, str(truth.path))
+    what = ", ".join(points) if points else "a box"
+    other = "" if points else ", or take a recipe of points, as factorized"
+    raise InputError(
+        f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box{other}"
+    )
+
+
+def far_from_truth(start: Start, truth: Table) -> str | None:
+    """A line if a start's box lies elsewhere than the truth's in its frame: then every figure measures that."""
+    if start.origin == str(truth.path):
+        return None
+    for name, target in start.targets.items():
+        known = [one for one in truth.series if one.target in (name, "") and start.frame in one.frame]
+        for one in known if target.box is not None else []:
+            true = one.boxes[one.frame == start.frame]
+            overlap = float(iou(np.array([target.box]), true)[0]) if np.isfinite(true).all() else 1.0
+            if overlap < FAR:
+                return (
+                    f"{start.origin} puts the box of {name} in frame {start.frame} where it overlaps the truth's "
+                    f"by {overlap:.2f} alone; all figures measure that too: begin with --box, or with another --init"
+                )
+    return None
+
+
+FAR = 0.5  # overlap of the boxes, as a region is held to be found
+_SEEN = ("", "visible", "init", "tracked")

@@ -1,0 +1,59 @@
+"""Ctrl-C and SIGTERM: a wish to stop, which the loop over frames grants between two frames.
+
+Nothing is torn out of a half-written file: the signal only leaves a note. A second signal changes nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from types import FrameType
+
+from facetrack_cli.core.errors import ExitCode
+
+# a closed terminal ends a run as properly as SIGTERM does
+_CODES = {
+    "SIGINT": ExitCode.INTERRUPTED,
+    "SIGTERM": ExitCode.TERMINATED,
+    "SIGHUP": ExitCode.TERMINATED,
+}
+
+
+class Stop:
+    """Whether the run is to end. `code` is the exit code of the first wish; `elsewhere` asks another process."""
+
+    def __init__(self, elsewhere: Callable[[], ExitCode | None] = lambda: None) -> None:
+        self.code: ExitCode | None = None
+        self._elsewhere = elsewhere
+
+    def __call__(self) -> bool:
+        if self.code is None:
+            self.code = self._elsewhere()
+        return self.code is not None
+
+    @property
+    def reason(self) -> str:
+        return "terminated" if self.code is ExitCode.TERMINATED else "interrupted"
+
+    @contextlib.contextmanager
+    def listening(self) -> Iterator[Stop]:
+        """Take the signals over for the length of a `with`; a signal that is ignored (nohup) stays ignored."""
+
+        def note(number: int, _: FrameType | None) -> None:
+            # no lock is taken here: the thread that is interrupted may hold it
+            if self.code is None:
+                self.code = _CODES[signal.Signals(number).name]
+
+        before: dict[signal.Signals, object] = {}
+        if threading.current_thread() is threading.main_thread():
+            for name in _CODES:
+                number = getattr(signal, name, None)
+                if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                    before[number] = signal.signal(number, note)
+        try:
+            yield self
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)  # type: ignore[arg-type]

@@ -1,0 +1,202 @@
+"""Corrections along the clip: a target that begins anew wherever somebody put it right, and what of it is not there.
+
+At the frame of a correction a target begins anew, as it did in the first frame: its particles stand together, and its
+random numbers are of their own stream, (seed, target, frame). Parts that are given stand where the correction says;
+those that are kept, or not spoken of, stand where they were, rounded as in the CSV. What follows depends on the first
+frame, on the correction, and on the pictures from there on, and on nothing that was tracked before. So a part of a run
+can be tracked anew without the rest (`Resumed`), and gives the very rows that a whole run would.
+
+What is given is learned anew: a box, or those of the points that somebody put right; the others keep what the first
+frame taught. A correction's `learn` says otherwise: false learns nothing, true all that is there, points that are kept
+and the size of the face too. What is absent has rows without a place until a later correction gives it. All of this is
+ours; the papers begin once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from facetrack_cli.core.types import BOX, Correction, Frame, PartResult, Point, TargetResult, TargetStart
+from facetrack_cli.tracking.exclusion import Cover
+from facetrack_cli.tracking.loop import Target
+from facetrack_cli.tracking.target import ParticleTarget, absent_part
+from facetrack_cli.trajectory.row import DECIMALS
+
+STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets
+
+
+class Anew(NamedTuple):
+    """How a target begins anew, as `build.py` knows it.
+
+    `points`: whether it is placed by points; `learn`: whether all of it is learned anew, if nothing is said. `place`
+    finds the points that are not absent in a box given alone. `build` makes the target that learns what it looks like
+    in a frame where it is as given.
+    """
+
+    points: bool
+    learn: bool
+    place: Callable[[Frame, Correction], TargetStart]
+    build: Callable[[Frame, TargetStart], Target]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """`first`: the state after the first frame. `target` tracks now, with `inner`, None while nothing is to be seen.
+
+    `rng` are its random numbers since the last correction; before the first, None, they are the loop's.
+    """
+
+    first: Any
+    streams: np.random.SeedSequence
+    target: Target
+    inner: Any
+    rng: np.random.Generator | None = None
+
+
+@dataclass(frozen=True)
+class CorrectedTarget:
+    """A target and its corrections by their frames, all after the one in which it begins."""
+
+    target: Target
+    corrections: Mapping[int, Correction]
+    anew: Anew
+
+    @property
+    def name(self) -> str:
+        return self.target.name
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return self.target.parts
+
+    @property
+    def windows(self) -> Mapping[str, tuple[float, float]]:
+        return self.target.windows
+
+    def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[State, TargetResult]:
+        streams = rng.bit_generator.seed_seq
+        assert isinstance(streams, np.random.SeedSequence)
+        inner, result = self.target.begin(rng, frame)
+        return State(inner, streams, self.target, inner), result
+
+    def advance(
+        self, rng: np.random.Generator, state: State, frame: Frame, covers: Sequence[Cover]
+    ) -> tuple[State, TargetResult]:
+        correction = self.corrections.get(frame.index)
+        if correction is not None:
+            if not self.complete(correction):
+                correction = self._completed(correction, state, self._go_on(rng, state, frame, covers)[1])
+            return self.correct(state, frame, correction)
+        return self._go_on(rng, state, frame, covers)
+
+    def resumed(self, first: Frame) -> Resumed:
+        """The same from a correction on, of a run whose first frame is `first`."""
+        return Resumed(self.target, self.corrections, self.anew, first)
+
+    def cover(self, state: State, *, ahead: bool) -> Cover | None:
+        return None if state.inner is None else state.target.cover(state.inner, ahead=ahead)
+
+    def complete(self, correction: Correction) -> bool:
+        """Whether it says of every part where it is, or that it is not to be seen."""
+        return is_complete(correction, self.parts)
+
+    def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
+        """The state after `frame`, in which a `complete` correction says where the target is."""
+        given = correction.given
+        absent = correction.hidden(self.parts)
+        if len(absent) == len(self.parts):
+            result = TargetResult(self.name, tuple(map(absent_part, absent)), None, np.zeros((0, len(absent), 2)))
+            return replace(state, inner=None), _marked(result, absent)
+        if self.anew.points and given.box is not None and not given.points:
+            given = self.anew.place(frame, correction)
+        by_hand = tuple(part for part in self.parts if part in given.points or not self.anew.points)
+        if self.anew.points:
+            given = TargetStart(points={**correction.kept, **given.points}, windows=self._windows)
+        streams = state.streams
+        key = (*streams.spawn_key, STREAM, frame.index)
+        rng = np.random.default_rng(np.random.SeedSequence(streams.entropy, spawn_key=key))
+        if self.anew.learn if correction.learn is None else correction.learn:
+            target = self.anew.build(frame, given)
+            inner, result = target.begin(rng, frame)
+            # what is kept is where the tracker was, though it is learned anew
+            result = replace(result, parts=tuple(replace(part, status="tracked") for part in result.parts))
+        else:
+            target = self.target
+            assert isinstance(target, ParticleTarget)
+            anew = by_hand if correction.learn is None and self.anew.points else ()
+            inner, result = target.restart(rng, frame, state.first, given, absent, anew)
+        result = replace(result, parts=tuple(_placed(part) if part.name in by_hand else part for part in result.parts))
+        return replace(state, target=target, inner=inner, rng=rng), _marked(result, (*by_hand, *absent))
+
+    @property
+    def _windows(self) -> Mapping[str, tuple[float, float]]:
+        """Of points, those of the start: a part is compared by as much of the picture as before."""
+        return self.target.windows if self.anew.points else {}
+
+    def _go_on(
+        self, rng: np.random.Generator, state: State, frame: Frame, covers: Sequence[Cover]
+    ) -> tuple[State, TargetResult]:
+        if state.inner is None:
+            parts = tuple(absent_part(part) for part in self.parts)
+            return state, TargetResult(self.name, parts, None, np.zeros((0, len(parts), 2)))
+        inner, result = state.target.advance(state.rng or rng, state.inner, frame, covers)
+        return replace(state, inner=inner), result
+
+    def _completed(self, correction: Correction, state: State, tracked: TargetResult) -> Correction:
+        """With the parts that it does not speak of where they are tracked, or absent as they were."""
+        assert correction.absent is not True
+        spoken = {*correction.given.points, *correction.kept, *correction.absent}
+        rest = [part for part in tracked.parts if part.name not in spoken]
+        return replace(
+            correction,
+            kept={**correction.kept, **{part.name: kept_place(part) for part in rest if part.status != "absent"}},
+            absent=(*correction.absent, *(part.name for part in rest if part.status == "absent")),
+        )
+
+
+def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
+    """Whether it says of all `parts` of its target where they are, or that they are not to be seen.
+
+    A box alone says so of points, too; beside points it says nothing of the others.
+    """
+    given = correction.given
+    if correction.absent is True or (given.box is not None and (not given.points or tuple(parts) == (BOX,))):
+        return True
+    return {*given.points, *correction.kept, *correction.absent} >= set(parts)
+
+
+def kept_place(part: PartResult) -> Point:
+    """Where a part was, with the digits of the CSV: a run that is read back goes on as it did."""
+    return round(part.x, DECIMALS["x"]), round(part.y, DECIMALS["y"])
+
+
+def _placed(part: PartResult) -> PartResult:
+    """What somebody says is certain."""
+    return replace(part, status="init", confidence=None if part.confidence is None else 1.0)
+
+
+def _marked(result: TargetResult, by_hand: Sequence[str]) -> TargetResult:
+    return replace(result, parts=tuple(replace(part, by_hand=part.name in by_hand) for part in result.parts))
+
+
+@dataclass(frozen=True)
+class Resumed(CorrectedTarget):
+    """A corrected target from one of its corrections on; `first` is the first frame of the whole run.
+
+    Its `begin`, with the frame of that correction, gives the rows that the whole run has there, and `advance` those
+    that follow; the correction must be complete. It keeps its place among the tracker's targets, by which its random
+    numbers are drawn.
+    """
+
+    first: Frame
+
+    def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[State, TargetResult]:
+        correction = self.corrections[frame.index]
+        if not self.complete(correction):
+            raise ValueError(f"the correction of {self.name} at frame {frame.index} does not tell of all its parts")
+        state, _ = super().begin(rng, self.first)
+        return self.correct(state, frame, correction)

@@ -1,0 +1,232 @@
+"""Who is who: Zhou, Chellappa & Moghaddam (ICME 2003), sections 3.2 and 3.3.
+
+Three probabilistic subspaces (eq. 14, `subspaces.py`) over patches y of zero mean and unit variance:
+
+    frontal   the patches of the gallery                                  p_f = most / (1 + exp(-a log Q_FFS(y) - b))
+    intra     differences between pictures of one person, both signs      p_n = Q_IPS(y - I_n) / Q_EPS(y - I_n)
+    extra     differences between pictures of different persons           eq. 16
+
+What we take the paper to mean, and what is ours:
+
+- Eq. 15 is a density and enters eq. 5 as a probability: a logistic function of log Q, fitted to frontal faces of
+  persons that the subspace has not seen, and to patches cut off the mark. With `most` at 1/2 no frame decides alone:
+  of ten persons, one frame makes nobody more probable than .55, and two that agree .93.
+- Eq. 16 is a ratio of densities, of which only ratios between identities matter: it enters normalised over them, for
+  each patch.
+- I_n is one picture in the paper. Of several it is their mean, brought back to unit variance, and a difference is that
+  of a picture to the mean of the other pictures of its person, or to that of another person. Of two pictures that is
+  their difference, as published. The mean names as many patches rightly as the most typical picture or the mean of the
+  densities over all pictures do, and costs the least.
+- "none of them" is one more identity, whose log ratio is a threshold: that at which as many pictures of the gallery
+  would be taken for nobody, by spaces that have not seen their person, as strangers for somebody.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.npz import Kind, Stored
+from facetrack_cli.core.types import Array
+from facetrack_cli.tracking.identity.calibration import logistic
+from facetrack_cli.tracking.identity.subspaces import Rows, Subspace
+from facetrack_cli.tracking.resampling import logsumexp
+
+NONE: Final = "none"  # what the posterior calls nobody of the gallery
+MOST_FRONTAL: Final = 0.5
+KIND: Final = Kind("facetrack-gallery", 1, "gallery", "facetrack gallery fit")
+_SPACES = ("frontal", "intra", "extra")
+
+
+@dataclass(frozen=True, eq=False)
+class Gallery:
+    """Who is known, and how faces differ. P persons, patches of d = rows * cols points, flattened by rows.
+
+    `faces` (P, d) are the I_n. `calibration` is (a, b) of p_f and `most_frontal` its upper bound; `threshold` the log
+    ratio of "none of them", and `errors` the share of either error there, on the gallery. `counts` (P,) are the
+    pictures of each person, `notes` lines for the user. `proportion` is the width of a face's box over its height, None
+    where that is not known. Raises ValueError for anything else.
+    """
+
+    names: tuple[str, ...]
+    faces: Rows
+    shape: tuple[int, int]
+    frontal: Subspace
+    intra: Subspace
+    extra: Subspace
+    calibration: tuple[float, float]
+    threshold: float
+    errors: float
+    counts: tuple[int, ...]
+    most_frontal: float = MOST_FRONTAL
+    notes: tuple[str, ...] = ()
+    proportion: float | None = None
+
+    def __post_init__(self) -> None:
+        p = len(self.names)
+        if p < 2 or len(set(self.names)) != p:
+            raise ValueError("a gallery needs two persons or more, each named once")
+        for name in self.names:
+            if problem := name_problem(name):
+                raise ValueError(problem)
+        if len(self.shape) != 2 or min(self.shape) < 1 or self.faces.shape != (p, self.shape[0] * self.shape[1]):
+            raise ValueError(f"faces of {self.faces.shape} for {p} persons and a template of {self.shape}")
+        d = self.faces.shape[1]
+        if any(space.d != d for space in (self.frontal, self.intra, self.extra)):
+            raise ValueError(f"a subspace is not of {d} points")
+        if len(self.counts) != p or min(self.counts) < 1:
+            raise ValueError("each person has one picture or more")
+        if len(self.calibration) != 2:
+            raise ValueError("a calibration is two numbers")
+        numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors)
+        if not (np.isfinite(self.faces).all() and np.isfinite(numbers).all()):
+            raise ValueError("a number is not finite")
+        if np.abs(self.faces).max() > 2.0 * np.sqrt(d):
+            raise ValueError("a face is not of unit variance")
+        if self.proportion is not None and not 1e-3 < self.proportion < 1e3:
+            raise ValueError("a box has no such proportion")
+        if self.calibration[0] < 0.0 or not 0.0 <= self.most_frontal <= 1.0:
+            raise ValueError("p_f would not be a probability that grows with the density")
+
+    def log_scores(self, patches: Rows, *, sharpness: float = 1.0, none: bool = False) -> tuple[Array, Array]:
+        """p_f (N,) and log p_n (N, P) of patches (N, d), the latter with logsumexp 0 over the identities.
+
+        With `none` a column more, of nobody. `sharpness` multiplies the log of eq. 16 (1 as published). A patch of
+        zeros, where there was nothing to see, has p_f 0.
+        """
+        ratios = self._ratios
+        y = np.asarray(patches, np.float32)
+        seen = np.einsum("nd,nd->n", y, y).astype(np.float64)
+        projected = (y @ (ratios.all if none else ratios.all[:, : ratios.needed])).astype(np.float64)
+        p, s = len(self.names), len(self.frontal.values)
+        space = self.frontal
+        q = projected[:, p + 1 : p + 1 + s] - ratios.q_mean
+        error = np.maximum(seen - 2.0 * projected[:, p] + ratios.mean_square - (q**2).sum(1), 0.0)
+        log_q = space.log_constant - 0.5 * ((q**2) @ (1.0 / space.values) + (s < space.d) * error / space.rho)
+        frontal = self.most_frontal * logistic(log_q, *self.calibration)
+        log_ratio = projected[:, :p] + ratios.constant
+        if none:
+            # what all identities have in common
+            both = projected[:, p + 1 + s :] ** 2 @ ratios.signs + seen * ratios.isotropic
+            log_ratio = np.concatenate([log_ratio, (self.threshold - both)[:, None]], axis=1)
+        log_ratio *= sharpness
+        return np.where(seen > 0.0, frontal, 0.0), log_ratio - logsumexp(log_ratio, axis=1)[:, None]
+
+    def log_ratios(self, patches: NDArray[np.floating[Any]]) -> Array:
+        """(N, P): log of eq. 16 as it is, step by step."""
+        differences = [np.asarray(patches, np.float64) - face for face in self.faces]
+        return np.stack([self.intra.log_density(one) - self.extra.log_density(one) for one in differences], axis=1)
+
+    @cached_property
+    def _ratios(self) -> _Ratios:
+        return _Ratios.of(self)
+
+    def save(self, path: Path) -> None:
+        """Writes an .npz of plain arrays, whole or not at all; equal galleries give equal bytes. Raises OutputError."""
+        arrays: dict[str, NDArray[Any]] = {
+            "names": np.array(self.names),
+            "faces": np.ascontiguousarray(self.faces, "<f4"),
+            "shape": np.array(self.shape, "<i8"),
+            "calibration": np.array(self.calibration, "<f8"),
+            "threshold": np.array(self.threshold, "<f8"),
+            "errors": np.array(self.errors, "<f8"),
+            "counts": np.array(self.counts, "<i8"),
+            "most_frontal": np.array(self.most_frontal, "<f8"),
+            "notes": np.array(self.notes, f"<U{max(map(len, self.notes), default=1)}"),
+        }
+        if self.proportion is not None:
+            arrays["proportion"] = np.array(self.proportion, "<f8")
+        for name in _SPACES:
+            space: Subspace = getattr(self, name)
+            arrays[f"{name}_mean"] = np.ascontiguousarray(space.mean, "<f4")
+            arrays[f"{name}_vectors"] = np.ascontiguousarray(space.vectors, "<f4")
+            arrays[f"{name}_values"] = np.ascontiguousarray(space.values, "<f8")
+            arrays[f"{name}_rho"] = np.array(space.rho, "<f8")
+        KIND.write(path, arrays)
+
+
+@dataclass(frozen=True, eq=False)
+class _Ratios:
+    """Eq. 16 multiplied out, so that a patch takes part in one product of matrices only.
+
+    log Q(y - I) is quadratic in y: what is linear in it is a column for each identity, and what is quadratic is the
+    same for all of them. Columns of `all`: P of the identities, the mean of frontal faces, its s_f directions, and
+    those of the other spaces, each times the root of its weight; `needed` is the number of columns without these.
+    """
+
+    all: Rows
+    needed: int
+    constant: Array
+    signs: Array
+    isotropic: float
+    q_mean: Array
+    mean_square: float
+
+    @staticmethod
+    def of(gallery: Gallery) -> _Ratios:
+        faces, mean = gallery.faces.astype(np.float64), gallery.frontal.mean.astype(np.float64)
+        linear, constant = np.zeros_like(faces), np.zeros(len(faces))
+        roots, signs, isotropic = [], [], 0.0
+        for space, sign in ((gallery.intra, 1.0), (gallery.extra, -1.0)):
+            v = space.vectors.astype(np.float64)
+            plain = 1.0 / space.rho if len(space.values) < space.d else 0.0
+            weight = 1.0 / space.values - plain
+            centred = faces + space.mean
+            pulled = plain * centred + (centred @ v.T * weight) @ v
+            linear += sign * pulled
+            constant += sign * (space.log_constant - 0.5 * (centred * pulled).sum(1))
+            roots.append(v * np.sqrt(np.abs(weight))[:, None])
+            signs.append(-0.5 * sign * np.sign(weight))
+            isotropic -= 0.5 * sign * plain
+        columns = np.concatenate([linear, mean[None], gallery.frontal.vectors, *roots])
+        return _Ratios(
+            np.ascontiguousarray(columns.T, np.float32),
+            len(faces) + 1 + len(gallery.frontal.values),
+            constant,
+            np.concatenate(signs),
+            isotropic,
+            gallery.frontal.vectors @ mean,
+            float(mean @ mean),
+        )
+
+
+def name_problem(name: str) -> str | None:
+    """Why a person cannot be called this, or None."""
+    if not name or any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
+        return f"{name!r} is no name of a person: it is empty, or has letters that cannot be written"
+    if name.strip().casefold() == NONE:
+        return f"{name!r} stands for nobody of the gallery, and is no name of a person"
+    return None
+
+
+def load_gallery(path: Path) -> Gallery:
+    """The gallery in a file that `save` wrote. Raises InputError for anything else; nothing in it is executed."""
+    return KIND.read(path, _from_arrays)
+
+
+def _from_arrays(stored: Stored) -> Gallery:
+    frontal, intra, extra = (
+        Subspace(
+            stored.reals(f"{name}_mean", 1),
+            stored.reals(f"{name}_vectors", 2),
+            stored.reals(f"{name}_values", 1),
+            stored.number(f"{name}_rho"),
+        )
+        for name in _SPACES
+    )
+    rows, *cols = stored.whole("shape")
+    if len(cols) != 1:
+        raise ValueError("shape is not two numbers")
+    shape, calibration = (rows, cols[0]), stored.reals("calibration", 1).tolist()
+    return Gallery(
+        stored.texts("names"), stored.reals("faces", 2), shape, frontal, intra, extra,
+        tuple(calibration), stored.number("threshold"), stored.number("errors"), stored.whole("counts"),
+        stored.number("most_frontal"), stored.texts("notes"),
+        stored.number("proportion") if "proportion" in stored else None,
+    )  # fmt: skip

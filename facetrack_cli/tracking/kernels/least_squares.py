@@ -1,0 +1,200 @@
+"""B of eq. 12 of Zhou, Chellappa & Moghaddam 2003: least squares by the largest singular values.
+
+Not by LAPACK: on busy cores its threads take a hundred times as long for matrices as small as these, and the last
+digits depend on how many there are.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from facetrack_cli.tracking.kernels.compiled import fast, inline
+
+_ZERO = np.float32(0.0)
+_EPSILON = 2.3e-16
+_WIDE = 8  # columns that are turned together: the six of a motion, filled up
+_SWEEPS = 60  # for one value at most; it takes two
+
+
+@fast
+def differences(y: Any, chosen: Any, patch: Any) -> Any:
+    """y[chosen] less `patch` (J, d), and the products of these rows with each other (J, J) float64.
+
+    y (N, d), `chosen` (J,) int64, `patch` (d,). J may be 0.
+    """
+    count, d = len(chosen), len(patch)
+    even = count + count % 2  # by pairs, of which the last may be filled with nothing
+    rows, products = np.zeros((even, d), np.float32), np.empty((even, even))
+    for n in range(count):
+        row, seen = rows[n], y[chosen[n]]
+        for k in range(d):
+            row[k] = seen[k] - patch[k]
+    # four sums for four reads, where one at a time would be two reads each
+    for i in range(0, even, 2):
+        a, b = rows[i], rows[i + 1]
+        for j in range(0, i + 2, 2):
+            c, e = rows[j], rows[j + 1]
+            ac, ae, bc, be = _ZERO, _ZERO, _ZERO, _ZERO
+            for k in range(d):
+                ac += a[k] * c[k]
+                ae += a[k] * e[k]
+                bc += b[k] * c[k]
+                be += b[k] * e[k]
+            products[i, j], products[i, j + 1], products[i + 1, j], products[i + 1, j + 1] = ac, ae, bc, be
+            products[j, i], products[j + 1, i], products[j, i + 1], products[j + 1, i + 1] = ac, ae, bc, be
+    return rows[:count], products[:count, :count].copy()
+
+
+@fast
+def mapped(gain: Any, rows: Any, patch: Any, wanted: Any) -> Any:
+    """gain (6, J) times rows (J, d) times (patch - wanted) (d,) -> (6,)."""
+    off, out = np.empty_like(patch), np.zeros(len(gain))
+    for k in range(len(off)):
+        off[k] = patch[k] - wanted[k]
+    for n in range(len(rows)):
+        row, total = rows[n], _ZERO
+        for k in range(len(off)):
+            total += row[k] * off[k]
+        for i in range(len(gain)):
+            out[i] += gain[i, n] * total
+    return out
+
+
+@inline
+def _reflect(w: Any, v: Any, beta: float) -> None:
+    """w (n, 8) less beta v v^T w; v (k,) goes with its first k rows."""
+    along = np.zeros(_WIDE)
+    for i in range(len(v)):
+        for j in range(_WIDE):
+            along[j] += v[i] * w[i, j]
+    for i in range(len(v)):
+        by = beta * v[i]
+        for j in range(_WIDE):
+            w[i, j] -= by * along[j]
+
+
+@inline
+def _tridiagonal(a: Any, diagonal: Any, beside: Any, betas: Any) -> None:
+    """Householder's reduction of the symmetric a (n, n) in place, by its lower triangle: row k keeps its reflector."""
+    n = len(a)
+    p = np.empty(n)
+    for k in range(n - 1, 0, -1):
+        v, squares = a[k, :k], 0.0
+        for i in range(k - 1):
+            squares += v[i] * v[i]
+        diagonal[k], beside[k - 1] = a[k, k], v[k - 1]
+        if squares > 0.0:
+            alpha = -math.copysign(math.sqrt(squares + v[k - 1] * v[k - 1]), v[k - 1])
+            v[k - 1] -= alpha
+            beta, cross = 2.0 / (squares + v[k - 1] * v[k - 1]), 0.0
+            beside[k - 1], betas[k] = alpha, beta
+            for i in range(k):
+                row, total, v_i = a[i, :i], 0.0, v[i]
+                for j in range(i):
+                    total += row[j] * v[j]
+                    p[j] += row[j] * v_i
+                p[i] = total + a[i, i] * v_i
+            for i in range(k):
+                p[i] *= beta
+                cross += p[i] * v[i]
+            for i in range(k):
+                p[i] -= 0.5 * beta * cross * v[i]
+            for i in range(k):
+                row, v_i, p_i = a[i, : i + 1], v[i], p[i]
+                for j in range(i + 1):
+                    row[j] -= v_i * p[j] + p_i * v[j]
+    diagonal[0] = a[0, 0]
+
+
+@inline
+def _diagonal(d: Any, e: Any, w: Any, turns: Any, at: Any) -> int:
+    """The implicit QL method on the tridiagonal matrix of d (n,) and, beside it, e (n,); w (n, 8) is turned with it.
+
+    The turns (cosine, sine) are kept, with the row that each is `at`. How many there were, or -1 if it did not settle.
+    """
+    n, count = len(d), 0
+    for low in range(n):
+        sweeps = 0
+        while True:
+            m = low
+            while m < n - 1 and abs(e[m]) > _EPSILON * (abs(d[m]) + abs(d[m + 1])):
+                m += 1
+            if m == low:
+                break
+            sweeps += 1
+            if sweeps > _SWEEPS or count + m - low > len(at):
+                return -1
+            g = (d[low + 1] - d[low]) / (2.0 * e[low])
+            g = d[m] - d[low] + e[low] / (g + math.copysign(math.sqrt(g * g + 1.0), g))
+            s, c, p, whole = 1.0, 1.0, 0.0, True
+            for i in range(m - 1, low - 1, -1):
+                f, b = s * e[i], c * e[i]
+                r = math.sqrt(f * f + g * g)
+                e[i + 1] = r
+                if r == 0.0:
+                    d[i + 1] -= p
+                    e[m], whole = 0.0, False
+                    break
+                s, c = f / r, g / r
+                g = d[i + 1] - p
+                r = (d[i] - g) * s + 2.0 * c * b
+                p = s * r
+                d[i + 1] = g + p
+                g = c * r - b
+                turns[count, 0], turns[count, 1], at[count] = c, s, i
+                count += 1
+                for j in range(_WIDE):
+                    lower, upper = w[i, j], w[i + 1, j]
+                    w[i + 1, j], w[i, j] = s * lower + c * upper, c * lower - s * upper
+            if whole:
+                d[low] -= p
+                e[low], e[m] = g, 0.0
+    return count
+
+
+@fast
+def gain(x: Any, products: Any, components: int, rank: float) -> Any:
+    """X V_q S_q^-2 V_q^T (6, J), of motions x (J, 6) and Y^T Y = V S^2 V^T, `products` (J, J).
+
+    q is `components`, less those whose singular value is below `rank` times the largest. V is never formed: what turns
+    Y^T Y into S^2 is done to X, and undone. All 0 for values that are no numbers.
+    """
+    n = len(products)
+    out = np.zeros((6, n))
+    if n == 0:
+        return out
+    a, w = products.copy(), np.zeros((n, _WIDE))
+    d, e, betas = np.zeros(n), np.zeros(n), np.zeros(n)
+    for i in range(n):
+        for j in range(6):
+            w[i, j] = x[i, j]
+    _tridiagonal(a, d, e, betas)
+    for k in range(n - 1, 0, -1):
+        _reflect(w, a[k, :k], betas[k])
+    # about 1.7 sweeps a value, of half the length in the mean
+    turns, at = np.empty((4 * n * n + 64, 2)), np.empty(4 * n * n + 64, np.int32)
+    count = _diagonal(d, e, w, turns, at)
+    order = np.argsort(d)
+    least = max(rank * rank * d[order[n - 1]], 1e-12)
+    # not a number fails this too
+    if count < 0 or not d[order[n - 1]] < np.inf:
+        return out
+    for k in range(n):
+        i = order[k]
+        by = 1.0 / d[i] if k >= n - components and d[i] > least else 0.0
+        for j in range(_WIDE):
+            w[i, j] *= by
+    for t in range(count - 1, -1, -1):
+        i, c, s = at[t], turns[t, 0], turns[t, 1]
+        for j in range(_WIDE):
+            lower, upper = w[i, j], w[i + 1, j]
+            w[i, j], w[i + 1, j] = c * lower + s * upper, c * upper - s * lower
+    for k in range(1, n):
+        _reflect(w, a[k, :k], betas[k])
+    for i in range(n):
+        for j in range(6):
+            out[j, i] = w[i, j]
+    return out

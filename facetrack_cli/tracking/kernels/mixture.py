@@ -1,0 +1,243 @@
+"""Densities of patches under a mixture for each pixel, and how it learns (Zhou, Chellappa & Moghaddam 2003, eq. 6-11).
+
+A pixel has three components, in the order w, s, f: weights m, centres mu, standard deviations sigma, all (3, d).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
+
+# pixels whose sums are multiplied before one logarithm: lanes of 15 factors up to 4 each, and 32 lanes in float64
+_LANES, _TOGETHER = 32, 15 * 32
+_LEAST = np.float32(-126.0)
+_ONE, _ZERO, _NEVER = np.float32(1.0), np.float32(0.0), np.float32(-1e30)
+# a weight below it is none
+_LEAST_WEIGHT = 1e-30
+_HALF, _BIAS, _BITS = np.float32(0.5), np.int32(127), np.int32(23)
+# of 2^f on [-0.5, 0.5], by least relative error: 1e-7
+_C1, _C2, _C3 = np.float32(0.693147004), np.float32(0.240222424), np.float32(0.0555073395)
+_C4, _C5 = np.float32(0.00967151392), np.float32(0.00132647157)
+
+
+@inline
+def _exp2(x: Any) -> Any:
+    """2^x of x up to 0, float32, to a relative error of 4e-7; at least 2^-126."""
+    x = x if x > _LEAST else _LEAST
+    # towards 0 after half is taken off: the nearest whole number
+    whole = np.int32(x - _HALF)
+    f = x - np.float32(whole)
+    power = np.float32(np.int32((whole + _BIAS) << _BITS).view(np.float32))
+    return power * (_ONE + f * (_C1 + f * (_C2 + f * (_C3 + f * (_C4 + f * _C5)))))
+
+
+@inline
+def _exponent(y: Any, mu: Any, rate: Any, log: Any, laplace: bool) -> Any:
+    off = y - mu
+    return log - rate * (abs(off) if laplace else off * off)
+
+
+@exact
+def powers(x: Any) -> Any:
+    """2^x of x (n,) float32, as the kernels here take it: for the tests."""
+    out = np.empty_like(x)
+    for k in range(len(x)):
+        out[k] = _exp2(x[k])
+    return out
+
+
+@inline
+def _sum(a: Any, b: Any, c: Any) -> Any:
+    """(top, share): 2^a + 2^b + 2^c is share 2^top, and top the largest of the three."""
+    # `max` would look for what is not a number, at twice the time
+    high, low = a if a > b else b, b if a > b else a
+    top, middle = high if high > c else c, c if high > c else high
+    return top, _ONE + _exp2(middle - top) + _exp2(low - top)
+
+
+@inline
+def _sum_with(a: Any, b: Any, c: Any, more: Any) -> Any:
+    """As `_sum`, of four."""
+    top, share = _sum(a, b, c)
+    both = top if top > more else more
+    return both, share * _exp2(top - both) + _exp2(more - both)
+
+
+@inline
+def _log2_product(values: Any, lanes: Any) -> float:
+    """log2 of the product of `values`, float32 within 1..4, _TOGETHER of them at most."""
+    lanes[:] = _ONE
+    for start in range(0, len(values), _LANES):
+        some = values[start : start + _LANES]
+        for k in range(len(some)):
+            lanes[k] *= some[k]
+    product = 1.0
+    for k in range(_LANES):
+        product *= float(lanes[k])
+    return math.log2(product)
+
+
+@fast
+def log_densities(y: Any, mu: Any, rate: Any, log: Any, outlier: float, laplace: bool) -> Any:
+    """log p (N,) of patches y (N, d): eq. 6, the sum over the pixels of the log of each one's mixture.
+
+    A component's density is 2^(log - rate |y - mu|^2), with the first power if `laplace`; mu, rate, log are (3, d)
+    float32. `outlier` is a density that is added in every pixel; 0 for none.
+    """
+    count, d = y.shape
+    out = np.zeros(count)
+    shares, lanes = np.empty(_TOGETHER, np.float32), np.empty(_LANES, np.float32)
+    uniform = np.float32(math.log2(outlier)) if outlier > 0.0 else _ZERO
+    for start in range(0, d, _TOGETHER):
+        end = min(start + _TOGETHER, d)
+        mu_w, mu_s, mu_f = mu[0, start:end], mu[1, start:end], mu[2, start:end]
+        rate_w, rate_s, rate_f = rate[0, start:end], rate[1, start:end], rate[2, start:end]
+        log_w, log_s, log_f = log[0, start:end], log[1, start:end], log[2, start:end]
+        for n in range(count):
+            row, share, total = y[n, start:end], shares[: end - start], _ZERO
+            for k in range(len(row)):
+                a = _exponent(row[k], mu_w[k], rate_w[k], log_w[k], laplace)
+                b = _exponent(row[k], mu_s[k], rate_s[k], log_s[k], laplace)
+                c = _exponent(row[k], mu_f[k], rate_f[k], log_f[k], laplace)
+                top, share[k] = _sum_with(a, b, c, uniform) if outlier > 0.0 else _sum(a, b, c)
+                total += top
+            out[n] += (float(total) + _log2_product(share, lanes)) * math.log(2.0)
+    return out
+
+
+@fast
+def errors(y: Any, m: Any, mu: Any, sigma: Any) -> Any:
+    """phi (N,) of patches y (N, d): the mean over the pixels of sum_i m_i ((y - mu_i) / sigma_i)^2."""
+    count, d = y.shape
+    out = np.empty(count)
+    rate = np.empty_like(m)
+    for i in range(3):
+        for k in range(d):
+            rate[i, k] = m[i, k] / (sigma[i, k] * sigma[i, k])
+    for n in range(count):
+        total = _ZERO
+        for k in range(d):
+            w, s, f = y[n, k] - mu[0, k], y[n, k] - mu[1, k], y[n, k] - mu[2, k]
+            total += w * w * rate[0, k] + s * s * rate[1, k] + f * f * rate[2, k]
+        out[n] = total / d
+    return out
+
+
+@inline
+def _owners(y: Any, mu: Any, rate: Any, log: Any, outlier: float, laplace: bool, own: Any) -> None:
+    """o_i of the patch y (d,) into `own` (3, d), eq. 7."""
+    mu_w, mu_s, mu_f = mu[0], mu[1], mu[2]
+    rate_w, rate_s, rate_f = rate[0], rate[1], rate[2]
+    log_w, log_s, log_f = log[0], log[1], log[2]
+    own_w, own_s, own_f = own[0], own[1], own[2]
+    uniform = np.float32(math.log2(outlier)) if outlier > 0.0 else _NEVER
+    for k in range(len(y)):
+        a = _exponent(y[k], mu_w[k], rate_w[k], log_w[k], laplace)
+        b = _exponent(y[k], mu_s[k], rate_s[k], log_s[k], laplace)
+        c = _exponent(y[k], mu_f[k], rate_f[k], log_f[k], laplace)
+        top = a if a > b else b
+        top = top if top > c else c
+        top = top if top > uniform else uniform
+        a, b, c = _exp2(a - top), _exp2(b - top), _exp2(c - top)
+        share = _ONE / (a + b + c + _exp2(uniform - top))
+        own_w[k], own_s[k], own_f[k] = a * share, b * share, c * share
+
+
+@fast
+def update(
+    y: Any,
+    m: Any,
+    mu: Any,
+    sigma: Any,
+    moments: Any,
+    rate: Any,
+    log: Any,
+    outlier: float,
+    laplace: bool,
+    alpha: float,
+    least_sigma: float,
+    least_mixing: float,
+) -> Any:
+    """m, mu, sigma (3, d) float32 and the moments (2, d) float64 after the patch y (d,): eq. 7-11.
+
+    A pixel with y = 0 was not seen and keeps what it had. A component of weight 0 keeps that.
+    """
+    d = len(y)
+    own, keep = np.empty((3, d), np.float32), 1.0 - alpha
+    _owners(y, mu, rate, log, outlier, laplace, own)
+    new_m, new_mu, new_sigma, new_moments = np.empty_like(m), mu.copy(), sigma.copy(), np.empty_like(moments)
+    own_w, own_s, own_f = own[0], own[1], own[2]
+    old_w, old_s, old_f = m[0], m[1], m[2]
+    new_w, new_s, new_f = new_m[0], new_m[1], new_m[2]
+    w_centre, centre, spread = new_mu[0], new_mu[1], new_sigma[1]
+    first, second, new_first, new_second = moments[0], moments[1], new_moments[0], new_moments[1]
+    for k in range(d):
+        value, seen = float(y[k]), y[k] != _ZERO
+        w, s, f = float(old_w[k]), float(old_s[k]), float(old_f[k])
+        w_on, s_on, f_on = w > 0.0, s > 0.0, f > 0.0
+        gain = alpha * own_s[k]
+        w, s, f = alpha * own_w[k] + keep * w, gain + keep * s, alpha * own_f[k] + keep * f
+        known, some = seen & s_on, s > _LEAST_WEIGHT
+        # with alpha = 1 and nothing owned no moment is left: S stays
+        whole = s if some else (old_s[k] if s_on else 1.0)
+        mean = (gain * value + keep * first[k] if some else first[k]) / whole
+        square = (gain * value * value + keep * second[k] if some else second[k]) / whole
+        variance = square - mean * mean
+        variance = variance if variance > least_sigma * least_sigma else least_sigma * least_sigma
+        centre[k] = np.float32(mean) if known else centre[k]
+        spread[k] = np.float32(math.sqrt(variance)) if known else spread[k]
+        w_centre[k] = y[k] if seen else w_centre[k]
+        w, s, f = (
+            (w if w > least_mixing else least_mixing) if w_on else 0.0,
+            (s if s > least_mixing else least_mixing) if s_on else 0.0,
+            (f if f > least_mixing else least_mixing) if f_on else 0.0,
+        )
+        total, learns = w + s + f, seen & (w + s + f > _LEAST_WEIGHT)
+        new_w[k] = np.float32(w / total) if learns else old_w[k]
+        new_s[k] = np.float32(s / total) if learns else old_s[k]
+        new_f[k] = np.float32(f / total) if learns else old_f[k]
+        # what floors and rounding did to m_s is done to its moments, or S would move with it
+        new_first[k] = mean * new_s[k] if known else first[k]
+        new_second[k] = square * new_s[k] if known else second[k]
+    return new_m, new_mu, new_sigma, new_moments
+
+
+@fast
+def best_matches(y: Any, templates: Any) -> Any:
+    """The largest NCC of patches y (N, d) of mean 0 with any of the templates (n, d) -> (N,); 0 of a flat one."""
+    count, d = y.shape
+    out, means, squares = np.full(count, -1.0), np.zeros(len(templates)), np.zeros(len(templates))
+    for i in range(len(templates)):
+        row, total, square = templates[i], _ZERO, _ZERO
+        for k in range(d):
+            total += row[k]
+        mean = np.float32(total / d)
+        for k in range(d):
+            square += (row[k] - mean) * (row[k] - mean)
+        means[i], squares[i] = mean, square
+    for n in range(count):
+        row, square = y[n], _ZERO
+        for k in range(d):
+            square += row[k] * row[k]
+        for i in range(len(templates)):
+            other, mean, cross = templates[i], np.float32(means[i]), _ZERO
+            for k in range(d):
+                cross += row[k] * (other[k] - mean)
+            lengths = math.sqrt(float(square) * squares[i])
+            out[n] = max(out[n], cross / lengths if lengths > 1e-6 else 0.0)
+    return out
+
+
+@fast
+def greys(values: Any) -> Any:
+    """Values (d,) float32 as grey levels uint8: 0 is 128, one is 51 levels, and beyond 0..255 it ends."""
+    out = np.empty(len(values), np.uint8)
+    for k in range(len(values)):
+        level = values[k] * np.float32(51.0) + np.float32(128.0)
+        level = level if level > _ZERO else _ZERO
+        out[k] = np.uint8(np.int32(level if level < np.float32(255.0) else np.float32(255.0)))
+    return out

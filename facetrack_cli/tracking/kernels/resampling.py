@@ -1,0 +1,36 @@
+"""Drawing indices by weights."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from facetrack_cli.tracking.kernels.compiled import exact
+
+
+@exact
+def invert_cdf(weights: Any, points: Any) -> Any:
+    """For each column, the indices at which the cumulated weights first exceed each ascending point of [0, 1).
+
+    `weights` (N, K), not all zero in a column, need not sum to one; `points` (M, K) -> (M, K) int64. Never an index of
+    weight zero, and never N, however the sums are rounded.
+    """
+    n, columns = weights.shape
+    m = points.shape[0]
+    out = np.empty((m, columns), np.int64)
+    for k in range(columns):
+        total = 0.0
+        last = 0
+        for i in range(n):
+            total += weights[i, k]
+            if weights[i, k] > 0.0:
+                last = i
+        i = 0
+        cumulated = weights[0, k]
+        for j in range(m):
+            while i < last and cumulated <= points[j, k] * total:
+                i += 1
+                cumulated += weights[i, k]
+            out[j, k] = i
+    return out

@@ -1,0 +1,153 @@
+"""Windows read from a picture, and their colours compared (Patras & Pantic 2004, eq. 8 and 9)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
+
+L1, HUBER, TUKEY, GEMAN_MCCLURE = 0, 1, 2, 3
+ROBUST = {"l1": L1, "huber": HUBER, "tukey": TUKEY, "geman_mcclure": GEMAN_MCCLURE}
+
+
+@inline
+def _read_window(image: Any, x: float, y: float, w: int, h: int, pixels: Any, out: Any) -> Any:
+    """Bilinear window of w x h pixels centred at (x, y) into `out`; returns the sum of its values.
+
+    `image` (H, W * 3); outside it the nearest border pixel is read. Rows of `out` are (w + 1) * 3 long, the last pixel
+    of each is zero; `pixels` is scratch, (h + 1) * (w + 1) * 3 + 3 long.
+    """
+    height, width = image.shape[0], image.shape[1] // 3
+    left, top = x - (w - 1) / 2, y - (h - 1) / 2
+    x0, y0 = math.floor(left), math.floor(top)
+    fx, fy = np.float32(left - x0), np.float32(top - y0)
+    one = np.float32(1.0)
+    w00, w01 = (one - fy) * (one - fx), (one - fy) * fx
+    w10, w11 = fy * (one - fx), fy * fx
+    stride = 3 * (w + 1)
+    # whole rows are copied side by side, so that all arithmetic runs over one long flat row and vectorises
+    if x0 >= 0 and y0 >= 0 and x0 + w + 1 <= width and y0 + h + 1 <= height:
+        for i in range(h + 1):
+            source = image[y0 + i, 3 * x0 : 3 * x0 + stride]
+            row = pixels[i * stride : (i + 1) * stride]
+            for j in range(stride):
+                row[j] = np.float32(source[j])
+    else:
+        for i in range(h + 1):
+            yy = min(max(y0 + i, 0), height - 1)
+            for j in range(w + 1):
+                xx = min(max(x0 + j, 0), width - 1)
+                for c in range(3):
+                    pixels[i * stride + 3 * j + c] = np.float32(image[yy, 3 * xx + c])
+    right, below, both = pixels[3:], pixels[stride:], pixels[stride + 3 :]
+    for j in range(h * stride):
+        out[j] = w00 * pixels[j] + w01 * right[j] + w10 * below[j] + w11 * both[j]
+    for i in range(1, h + 1):
+        out[i * stride - 3] = out[i * stride - 2] = out[i * stride - 1] = np.float32(0.0)
+    total = np.float32(0.0)
+    for j in range(h * stride):
+        total += out[j]
+    return total
+
+
+@exact
+def read_window(image: Any, x: float, y: float, w: int, h: int) -> Any:
+    """The window of w x h pixels centred at (x, y), read bilinearly: (h, w + 1, 3) float32, its last column zero.
+
+    `image` is (H, W * 3), uint8 or float32.
+    """
+    out = np.empty(h * (w + 1) * 3, np.float32)
+    _read_window(image, x, y, w, h, np.zeros((h + 1) * (w + 1) * 3 + 3, np.float32), out)
+    return out.reshape(h, w + 1, 3)
+
+
+@inline
+def _mean_rho(template: Any, window: Any, gain: Any, robust: int, scale: float, n: int) -> Any:
+    """Mean of a robust function of template - gain * window, two flat rows that hold n values and zeros."""
+    one, two = np.float32(1.0), np.float32(2.0)
+    inverse = np.float32(1.0 / scale)
+    d = np.float32(0.0)
+    if robust == L1:
+        for j in range(len(template)):
+            d += abs(template[j] - gain * window[j])
+        return d / n
+    if robust == HUBER:
+        for j in range(len(template)):
+            u = abs(template[j] - gain * window[j]) * inverse
+            inner = min(u, one)
+            d += inner * (two * u - inner)
+        return 0.5 * scale * d / n
+    if robust == TUKEY:
+        for j in range(len(template)):
+            u = (template[j] - gain * window[j]) * inverse
+            rest = max(one - u * u, np.float32(0.0))
+            d += one - rest * rest * rest
+        return scale * d / n
+    for j in range(len(template)):
+        u = (template[j] - gain * window[j]) * inverse
+        d += u * u / (one + u * u)
+    return scale * d / n
+
+
+@fast
+def colour_ratio_distances(
+    image: Any,
+    ratios: Any,
+    offsets: Any,
+    sides: Any,
+    parts: Any,
+    x: Any,
+    origin_x: float,
+    origin_y: float,
+    factor: int,
+    least_mean: float,
+    robust: int,
+    scale: float,
+    out: Any,
+) -> None:
+    """Mean robust difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
+
+    Template g of part `parts[g]` is `ratios[offsets[g] : offsets[g + 1]]`, divided by its own mean and laid out as
+    `read_window` does, of `sides[g]` = (w, h) pixels. `x` (N, K, 2) are centres in the whole picture; `image`
+    (H, W * 3) shows it from (origin_x, origin_y) on, reduced by `factor`. The distance goes to `out[n, parts[g]]`. A
+    window darker than `least_mean` is divided by that instead of its mean.
+    """
+    largest = 0
+    for g in range(len(parts)):
+        largest = max(largest, (sides[g, 0] + 1) * (sides[g, 1] + 1) * 3)
+    pixels, buffer = np.zeros(largest + 3, np.float32), np.empty(largest, np.float32)
+    # far outside, every window shows the same border; the bound keeps the integers small
+    reach = 4.0 * (image.shape[0] + image.shape[1])
+    for g in range(len(parts)):
+        k, w, h = parts[g], sides[g, 0], sides[g, 1]
+        template = ratios[offsets[g] : offsets[g + 1]]
+        window = buffer[: len(template)]
+        n = w * h * 3
+        for p in range(x.shape[0]):
+            cx = (x[p, k, 0] - origin_x - 0.5 * (factor - 1)) / factor
+            cy = (x[p, k, 1] - origin_y - 0.5 * (factor - 1)) / factor
+            cx, cy = min(max(cx, -reach), reach), min(max(cy, -reach), reach)
+            total = _read_window(image, cx, cy, w, h, pixels, window)
+            gain = np.float32(1.0 / max(total / n, least_mean))
+            out[p, k] = _mean_rho(template, window, gain, robust, scale, n)
+
+
+@exact
+def extent(x: Any, reach: float) -> Any:
+    """(x from, y from, x to, y to) of everything within `reach` of the places x (N, K, 2)."""
+    x_low = x_high = x[0, 0, 0]
+    y_low = y_high = x[0, 0, 1]
+    for n in range(x.shape[0]):
+        for k in range(x.shape[1]):
+            x_low, x_high = min(x_low, x[n, k, 0]), max(x_high, x[n, k, 0])
+            y_low, y_high = min(y_low, x[n, k, 1]), max(y_high, x[n, k, 1])
+    return x_low - reach, y_low - reach, x_high + reach, y_high + reach
+
+
+def flat(image: NDArray[Any]) -> NDArray[Any]:
+    """A picture (H, W, 3) as the flat rows (H, W * 3) that the kernels read, without a copy if it is contiguous."""
+    return np.ascontiguousarray(image).reshape(image.shape[0], -1)

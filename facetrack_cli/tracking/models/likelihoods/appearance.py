@@ -1,0 +1,160 @@
+"""The adaptive appearance model W, S, F (Zhou, Chellappa & Moghaddam 2003, section 3.1.1).
+
+Each pixel of a patch y has a mixture of its own: W, the frame before; S, what is stable; F, the patch at the start.
+
+    p_a = prod over pixels of sum_i m_i N(y; mu_i, sigma_i^2), i = w, s, f        eq. 6
+    o_i = m_i N(y; mu_i, sigma_i^2) / p_a                                         eq. 7
+    m_i <- alpha o_i + (1 - alpha) m_i                                            eq. 8
+    M_p <- alpha y^p o_s + (1 - alpha) M_p, p = 1, 2                              eq. 9
+    S = M_1 / m_s,  sigma_s^2 = M_2 / m_s - S^2                                   eq. 10
+    W = y,  F, sigma_w and sigma_f stay                                           eq. 11
+
+What we took the print to mean: the product over the pixels is left out in eq. 6; eq. 7 has sigma_w where the
+component's own is meant, and eq. 10 has M_1 twice. The moments begin as M_1 = m_s F, M_2 = m_s (sigma_s^2 + F^2), which
+give F and sigma_s back; the printed m_s sigma_s^2 + F^2 does not. Ours beside it:
+
+- sigma_s is at least `least_sigma`, or a pixel that never changes drives it to 0, and the weights are at least
+  `least_mixing` before they are made to sum to 1, or a component that owned nothing for long never comes back. M_1 and
+  M_2 follow m_s there, so that S stays. A component of weight 0 at the start stays out.
+- A point that was not seen, since it lies beyond the picture, teaches nothing.
+- `laplace` has exp(-|y - mu| / b) / (2 b), b = sigma / sqrt(2), so that sigma is the standard deviation of both. With
+  weights (0, 0, 1) it is the fixed template of the authors' earlier tracker.
+- `outlier`: a fourth component, the L of Jepson et al. (the paper's [3]), uniform over `OUTLIER_RANGE`, of that weight
+  always; the other three share the rest.
+- `pixels`: neighbours in a patch are alike, and as independent factors they make the weights of eq. 6 so sharp that the
+  best particle has them all and the spread is nought. So many count as independent: log p_a times `pixels` / d.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Array, Frame, Image, Particles, Told
+from facetrack_cli.tracking.kernels import mixture as kernel
+from facetrack_cli.tracking.models.patches import Patches
+
+# a normalised patch lies within 3 standard deviations of its mean, but for a few points
+OUTLIER_RANGE = 6.0
+_NEVER = -1e30
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """a_t: weights `m`, centres `mu`, standard deviations `sigma`, (3, d) float32 each, in the order w, s, f.
+
+    `moments` (2, d) are M_1 and M_2 of S; `state` (1, 6) the estimate at which the model last learned.
+    """
+
+    m: NDArray[np.float32]
+    mu: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    moments: Array
+    state: Array
+    laplace: bool = False
+    outlier: float = 0.0
+
+    @cached_property
+    def terms(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(rate, log), (3, d) each: a component's density is 2^(log - rate |y - mu|^2), or |y - mu| of `laplace`."""
+        with np.errstate(divide="ignore"):
+            if self.laplace:
+                rate = np.float32(math.sqrt(2.0) / math.log(2.0)) / self.sigma
+                log = np.log2(np.float32((1.0 - self.outlier) / math.sqrt(2.0)) * self.m / self.sigma)
+            else:
+                rate = np.float32(0.5 / math.log(2.0)) / np.square(self.sigma)
+                log = np.log2(np.float32((1.0 - self.outlier) / math.sqrt(2.0 * math.pi)) * self.m / self.sigma)
+        return rate, np.maximum(log, np.float32(_NEVER))
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """`patches`: how faces are read; `alpha`: how fast the model learns. `mixing` and `sigma` at the start: w, s, f.
+
+    See the module for the rest.
+    """
+
+    patches: Patches
+    alpha: float
+    mixing: tuple[float, float, float]
+    sigma: tuple[float, float, float]
+    least_sigma: float
+    least_mixing: float
+    density: Literal["gaussian", "laplace"] = "gaussian"
+    outlier: float | None = None
+    pixels: float | None = None
+
+    def init(self, frame: Frame, x0: Array) -> Mixture:
+        """The model of the patch at x0 (1, 6). Raises InputError if there is nothing to see."""
+        x0 = np.array(x0, np.float64)
+        face = self.patches.read(frame, x0[None], self.patches.factor(x0))[0]
+        if not face.any():
+            what = (
+                "more than half of the box lies outside the picture" if self.patches.inside(frame, x0) < 0.5
+                else "the face's box is of one grey level throughout"
+            )  # fmt: skip
+            raise InputError(
+                f"frame {frame.index}: {what}, so that there is no face to follow: "
+                "choose another box, or begin elsewhere with --init-frame"
+            )
+        mixing = np.array(self.mixing) / sum(self.mixing)
+        # a component that is left out may come without a sigma
+        sigmas = np.where(mixing > 0.0, self.sigma, 1.0)
+        m, sigma = (np.repeat(np.array(v, np.float32)[:, None], face.size, axis=1) for v in (mixing, sigmas))
+        first = face.astype(np.float64)
+        moments = m[1].astype(np.float64) * np.stack([first, sigmas[1] ** 2 + np.square(first)])
+        centres = np.repeat(face[None], 3, axis=0)
+        return Mixture(m, centres, sigma, moments, x0, self.density == "laplace", self.outlier or 0.0)
+
+    def score(self, learned: Mixture, frame: Frame, x: Array, parents: Array | None = None) -> Array:
+        """log p_a of x (N, 1, 6) -> (N, 1), eq. 6; parents do not matter."""
+        y = self.patches.read(frame, x, self.patches.factor(learned.state))
+        uniform = learned.outlier / OUTLIER_RANGE
+        rate, log = learned.terms
+        log_p = np.asarray(kernel.log_densities(y, learned.mu, rate, log, uniform, learned.laplace))[:, None]
+        return log_p if self.pixels is None else log_p * (self.pixels / y.shape[1])
+
+    def learn(self, learned: Mixture, frame: Frame, state: Array, particles: Particles | None = None) -> Mixture:
+        """The model after the patch at the estimate `state` (1, 6), eq. 7-11; particles do not matter."""
+        y = self.patches.read(frame, state, self.patches.factor(learned.state))[0]
+        if not y.any():
+            return learned
+        rate, log = learned.terms
+        m, mu, sigma, moments = kernel.update(
+            y, learned.m, learned.mu, learned.sigma, learned.moments, rate, log,
+            learned.outlier / OUTLIER_RANGE, learned.laplace, self.alpha, self.least_sigma, self.least_mixing,
+        )  # fmt: skip
+        return Mixture(m, mu, sigma, moments, np.array(state), learned.laplace, learned.outlier)
+
+    def error(self, learned: Mixture, patches: NDArray[np.float32]) -> Array:
+        """eps_t of section 3.1.2 for patches (N, d) -> (N,): phi = 1/d sum_pixels sum_i m_i ((y - mu_i) / sigma_i)^2.
+
+        It is 1 where the model is right. The paper leaves phi open; this is that of the authors' later paper (IEEE
+        Trans. Image Processing 13(11), 2004).
+        """
+        return np.asarray(kernel.errors(patches, learned.m, learned.mu, learned.sigma))
+
+    def distances(self, learned: Mixture, frame: Frame, x: Array) -> Array:
+        """1 less the NCC of x (N, 1, 6) with S or with F, whichever is larger -> (N, 1), 0..1; 0 is a perfect match."""
+        y = self.patches.read(frame, x, self.patches.factor(learned.state))
+        match = np.asarray(kernel.best_matches(y, learned.mu[1:]))
+        return np.clip(1.0 - match, 0.0, 1.0)[:, None]
+
+    def expected(self, learned: Mixture) -> NDArray[np.float32]:
+        """(d,): the mean of the mixture in each pixel."""
+        return np.asarray((learned.m * learned.mu).sum(axis=0))
+
+    def tell(self, learned: Mixture) -> Told:
+        """S and W as grey pictures, those that take part, as the paper's figure 3 shows them."""
+        shown = [(name, i) for name, i in (("S", 1), ("W", 0)) if self.mixing[i] > 0] or [("F", 2)]
+        return Told(insets=tuple((name, self._grey(learned.mu[i])) for name, i in shown))
+
+    def _grey(self, values: NDArray[np.float32]) -> Image:
+        """Standard deviations as grey levels: 0 is a middle grey, and 2.5 either way black or white."""
+        return np.asarray(kernel.greys(values)).reshape(self.patches.shape)

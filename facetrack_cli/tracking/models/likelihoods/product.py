@@ -1,0 +1,69 @@
+"""The product of several likelihoods of the same part (Odobez, Ba & Gatica-Perez, IDIAP-RR 03-15, 2003, eq. 10).
+
+    p(z_k | z_{k-1}, c_k, c_{k-1}) = p_c(z_k | z_{k-1}, c_k, c_{k-1}) x p_o(z_k | c_k)
+
+p_o may itself be the product of a contour and a histogram (section 4). The factors are taken to be independent; the
+paper notes that this is not strictly so for colours and correlation, which look at the same pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from facetrack_cli.core.types import Array, Frame, Particles
+
+
+class Factor(Protocol):
+    """One likelihood of the product; what it has learned is a value of its own."""
+
+    def init(self, frame: Frame, x0: Array) -> Any: ...
+
+    def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array: ...
+
+    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any: ...
+
+
+class ObjectFactor(Factor, Protocol):
+    """A likelihood of what the object looks like, which can tell by itself how well a place matches."""
+
+    def distances(self, learned: Any, frame: Frame, x: Array) -> Array: ...
+
+
+@dataclass(frozen=True)
+class Product:
+    """`objects` say what the target looks like, p_o, and `motions` how it moved, p_c. At least one of them in all."""
+
+    objects: tuple[ObjectFactor, ...]
+    motions: tuple[Factor, ...] = ()
+
+    @property
+    def factors(self) -> tuple[Factor, ...]:
+        return *self.objects, *self.motions
+
+    def init(self, frame: Frame, x0: Array) -> tuple[Any, ...]:
+        """What each factor learns from the first frame with the parts at x0 (K, D)."""
+        return tuple(factor.init(frame, x0) for factor in self.factors)
+
+    def score(self, learned: tuple[Any, ...], frame: Frame, x: Array, parents: Array) -> Array:
+        """(N, K): the sum of the factors' log-likelihoods."""
+        total = np.zeros(x.shape[:2])
+        for factor, known in zip(self.factors, learned, strict=True):
+            total += factor.score(known, frame, x, parents)
+        return total
+
+    def learn(self, learned: tuple[Any, ...], frame: Frame, state: Array, particles: Particles) -> tuple[Any, ...]:
+        """What each factor knows after a frame."""
+        return tuple(f.learn(known, frame, state, particles) for f, known in zip(self.factors, learned, strict=True))
+
+    def distances(self, learned: tuple[Any, ...], frame: Frame, x: Array) -> Array:
+        """(N, K): the mean of what the object's factors say, each from 0, a perfect match, to about 1, none.
+
+        The motion says nothing of what the object is. Raises ValueError without a factor that does.
+        """
+        if not self.objects:
+            raise ValueError("only what the object looks like can be compared with the first frame")
+        known = learned[: len(self.objects)]
+        return np.asarray(np.mean([f.distances(k, frame, x) for f, k in zip(self.objects, known, strict=True)], axis=0))

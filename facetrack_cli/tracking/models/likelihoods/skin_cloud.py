@@ -1,0 +1,75 @@
+"""Each particle is a pixel, weighed by the probability that its colour is skin (Gianni, Collet & Dalle, GW 2007).
+
+As Gonzalez & Collet describe that tracker (section 3): a head or a hand is a cloud of points, each of which is a pixel;
+that targets do not take each other's skin is left to exclusion (`exclusion.py`).
+
+    p(y | x) = max(p(c(x) | skin), floor)
+
+with the skin colour of eq. 4, learned from one box in the first frame, such as the face's for head and hands alike. The
+floor, ours, is what a pixel that is no skin counts, so that a cloud without any skin spreads out and finds some.
+
+Beyond the paper: `max_size` takes for pixels those of a picture reduced by a power of two (area means), so that noise
+of the camera and the clip's resolution matter less.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.types import Array, Box, Frame, Particles, factor_for
+from facetrack_cli.tracking.kernels import skin as kernel
+from facetrack_cli.tracking.kernels.windows import extent
+from facetrack_cli.tracking.models.skin_colour import LEAST_SHARE, learn_skin, note
+
+MIDDLE = 0.7  # of the box's sides: what is looked at to tell whether a place is skin
+GRID = 9  # points along each side of it
+
+
+@dataclass(frozen=True)
+class Learned:
+    """The skin's colour as a table of 255 p by [Cb, Cr], (256, 256); what there is to say of it."""
+
+    table: NDArray[np.uint8]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SkinCloud:
+    """`size`: width and height in pixels at the start; `teacher`: the box that teaches the colour, in pixels."""
+
+    size: tuple[float, float]
+    teacher: Box
+    least_share: float = LEAST_SHARE
+    floor: float = 0.01
+    max_size: int | None = 32
+
+    def init(self, frame: Frame, x0: Array) -> Learned:
+        """The colour of skin in the teacher's box. Raises InputError if nothing of it is in the picture."""
+        model = learn_skin(frame, self.teacher, least_share=self.least_share)
+        said = note(model)
+        return Learned(model.table, () if said is None else (said,))
+
+    def score(self, learned: Learned, frame: Frame, x: Array, parents: Array) -> Array:
+        """(N, 1): log p(y | x) of x (N, 1, D), x and y first."""
+        return np.log(np.maximum(self._skin(learned, frame, x[:, 0, :2]), self.floor))[:, None]
+
+    def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
+        """As it was: the colour is the first frame's."""
+        return learned
+
+    def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
+        """(N, 1): 1 less the mean probability of skin about each place."""
+        steps = np.linspace(-0.5, 0.5, GRID) * MIDDLE
+        grid = np.stack(np.meshgrid(steps * self.size[0], steps * self.size[1]), axis=-1).reshape(-1, 2)
+        skin = self._skin(learned, frame, (x[:, 0, None, :2] + grid).reshape(-1, 2))
+        return np.asarray(1.0 - skin.reshape(len(x), -1).mean(axis=1)[:, None])
+
+    def _skin(self, learned: Learned, frame: Frame, xy: Array) -> Array:
+        """(N,): p of the pixel at each place xy (N, 2); 0 beyond the picture."""
+        factor = factor_for(max(self.size), self.max_size)
+        picture, left, top = frame.reduced(factor, extent(xy[:, None], 0.0))
+        there = (xy - (left, top) - (factor - 1) / 2) / factor
+        return np.asarray(kernel.at_points(picture, learned.table, there))

@@ -1,0 +1,169 @@
+"""Face by skin colour and pattern (Gonzalez & Collet, "Face Tracking using a Combination of Colour and Pattern Matching
+Based on Particle Filter", section 4).
+
+    rho = sum over R_ext of p(skin)  -  sum over R_int of p(skin)                      (eq. 5, 6, 9; by eq. 7 and 8)
+    NCC = correlation of the box with the template of the start                       (eq. 10, see ncc.py)
+    p   ~ exp( -(k - rho / NCC)^2 / (2 sigma^2) )                                                           (eq. 11)
+
+R_int is the box times `inner`, R_ext a frame around it of equal area: together a box with sides sqrt(2) as long. rho is
+divided by the area of R_int, so that it lies in -1..1 at any scale. Beyond the picture nothing is skin.
+
+rho is most negative where the face is, -1 at best, so that rho / NCC prefers the worse match. What k and the cost are:
+
+    printed   v = rho / NCC              as in eq. 11, for k = v at the start: a target value, not an extreme
+    shifted   v = (1 + rho) / NCC        positive and least at the face, so that k = 0 makes its least value the best
+    product   v = rho max(NCC, 0)        ours: most negative where there is skin and the match is good
+
+with `exponent` e, NCC^e stands for NCC. Of skin alone v = rho (shifted: 1 + rho), of NCC alone v = NCC^e. The
+log-likelihood is -(k - v)^2 / (2 sigma^2); `k` None takes v at the start.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.types import Array, Frame, Particles, factor_for
+from facetrack_cli.tracking.kernels import patches
+from facetrack_cli.tracking.kernels import skin as kernel
+from facetrack_cli.tracking.models.likelihoods import ncc as matching
+from facetrack_cli.tracking.models.likelihoods.ncc import Ncc
+from facetrack_cli.tracking.models.skin_colour import LEAST_SHARE, learn_skin, note
+
+# what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
+LEAST_NCC = 0.01
+# a start with hardly more skin within than around cannot scale a distance
+LEAST_RHO = 0.05
+# pixels whose sum, each up to 255, an int32 holds
+MOST_EXACT = 2**23
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Settings of the skin cue: `inner`: R_int in terms of the box; `least_share` as in `learn_skin`.
+
+    `max_size` (pixels of the box's longer side) reads larger boxes from a reduced picture.
+    """
+
+    inner: float = 1.0
+    least_share: float = LEAST_SHARE
+    max_size: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """`table` (256, 256) uint8, 255 p at [Cb, Cr]; `rho` of the start; `k`, what v is compared with.
+
+    `notes`: what the user should know of the start, a line each.
+    """
+
+    table: NDArray[np.uint8] | None
+    template: matching.Template | None
+    rho: float
+    k: float
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SkinNcc:
+    """`size`: (w, h) of the box at scale 1, pixels. Without `skin` or without `ncc` the other cue alone.
+
+    `cost`: "printed", "shifted" or "product"; see the module. Raises ValueError without any cue.
+    """
+
+    size: tuple[float, float]
+    skin: Skin | None = field(default_factory=Skin)
+    ncc: Ncc | None = field(default_factory=Ncc)
+    cost: str = "shifted"
+    k: float | None = None
+    sigma: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.skin is None and self.ncc is None:
+            raise ValueError("neither skin nor ncc: nothing tells the target")
+
+    def init(self, frame: Frame, x0: Array) -> Learned:
+        """The skin's colour and the template of the box at x0 (1, 6).
+
+        Raises InputError if nothing of the box is in the picture.
+        """
+        notes, table, template = [], None, None
+        if self.skin is not None:
+            cx, cy, s = x0[0, :3].tolist()
+            w, h = (side * s for side in self.size)
+            box = (cx - 0.5 * (w - 1), cy - 0.5 * (h - 1), w, h)
+            model = learn_skin(frame, box, least_share=self.skin.least_share)
+            table = model.table
+            notes.append(note(model))
+        if self.ncc is not None:
+            template = matching.learn_template(frame, self.size, x0, self.ncc.max_size)
+            if not matching.has_pattern(template):
+                notes.append("the face's box is of one grey level throughout, so that no pattern can be matched")
+        learned = Learned(table, template, 0.0, 0.0, tuple(one for one in notes if one))
+        rho = float(self.rho(learned, frame, x0[None])[0]) if self.skin is not None else 0.0
+        k = float(self._values(learned, frame, x0[None])[0]) if self.k is None else self.k
+        return replace(learned, rho=rho, k=k)
+
+    def score(self, learned: Learned, frame: Frame, x: Array, parents: Array | None = None) -> Array:
+        """-(k - v)^2 / (2 sigma^2) of boxes x (N, 1, 6) -> (N, 1) (eq. 11); parents do not matter."""
+        off = learned.k - self._values(learned, frame, x)
+        return np.asarray((off * off / (-2.0 * self.sigma**2))[:, None])
+
+    def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
+        """How far boxes x (N, 1, 6) are from the start's -> (N, 1), 0..1, the mean over the cues.
+
+        Skin: 0 where rho is that of the start or less, 1 where there is no more skin within than around. Template: 1
+        less the zero-mean NCC, at most 1.
+        """
+        found = []
+        if self.skin is not None:
+            found.append(1.0 - np.clip(-self.rho(learned, frame, x) / max(-learned.rho, LEAST_RHO), 0.0, 1.0))
+        if learned.template is not None:
+            found.append(1.0 - np.maximum(matching.correlate(learned.template, frame, x)[1], 0.0))
+        return np.asarray(np.mean(found, axis=0)[:, None])
+
+    def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
+        """The template adapts, if it is to; skin stays as it is."""
+        if self.ncc is None or learned.template is None:
+            return learned
+        return replace(learned, template=matching.adapted(learned.template, self.ncc, frame, state))
+
+    def rho(self, learned: Learned, frame: Frame, x: Array) -> Array:
+        """(R_ext - R_int) / area of R_int, eq. 9, of boxes x (N, 1, 6) -> (N,), -1..1; 0 of what is no box."""
+        assert self.skin is not None
+        assert learned.table is not None
+        factor = factor_for(max(self.size), self.skin.max_size)
+        w, h = (self.skin.inner * side for side in self.size)
+        reach = math.sqrt(2.0) * w, math.sqrt(2.0) * h
+        extent = patches.boxes_extent(np.ascontiguousarray(x[:, 0, :3]), reach, *frame.size)
+        picture, left, top = frame.reduced(factor, extent)
+        # of the whole picture, or of what another asked for, no more than the boxes cover
+        height, width = picture.shape[:2]
+        x0, y0 = (
+            min(int(low - at) // factor, n - 1)
+            for low, at, n in zip(extent[:2], (left, top), (width, height), strict=True)
+        )
+        x1, y1 = (int(high - at) // factor + 2 for high, at in zip(extent[2:], (left, top), strict=True))
+        skin = kernel.skin_map(picture[y0:y1, x0:x1], learned.table)
+        integral = cv2.integral(skin, sdepth=cv2.CV_32S if skin.size <= MOST_EXACT else cv2.CV_64F)
+        inner, outer, area = kernel.nested(x, w, h, factor, left + x0 * factor, top + y0 * factor)
+        sums = kernel.differences(integral, inner, outer)
+        rho = (sums[:, 1] - 2.0 * sums[:, 0]) / np.where(area > 0.0, 255.0 * area, 1.0)
+        return np.asarray(np.clip(rho, -1.0, 1.0))
+
+    def _values(self, learned: Learned, frame: Frame, x: Array) -> Array:
+        """v of boxes x (N, 1, 6) -> (N,)."""
+        rho = self.rho(learned, frame, x) if self.skin is not None else None
+        if self.ncc is None or learned.template is None:
+            assert rho is not None
+            return 1.0 + rho if self.cost == "shifted" else rho
+        keep, remove = matching.correlate(learned.template, frame, x)
+        match = keep if self.ncc.mean == "keep" else remove
+        if rho is None or self.cost == "product":
+            good = np.maximum(match, 0.0) ** self.ncc.exponent
+            return good if rho is None else rho * good
+        return (1.0 + rho if self.cost == "shifted" else rho) / np.maximum(match, LEAST_NCC) ** self.ncc.exponent

@@ -1,0 +1,143 @@
+"""Motion models: how a particle moves from one frame to the next, and the density of that move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from facetrack_cli.core.types import Array
+from facetrack_cli.tracking.kernels.affine import diffuse
+
+
+@dataclass(frozen=True)
+class RandomWalk:
+    """Zero-order Gaussian motion, p(a_i | a_i^-) = N(a_i^-, sigma_i^2 I) (Patras & Pantic 2004, section 3.3).
+
+    `sigma` (K,): the standard deviation of each part along each coordinate, in pixels.
+    """
+
+    sigma: Array
+
+    def propagate(self, rng: np.random.Generator, x: Array) -> Array:
+        """x (N, K, D) moved by one frame."""
+        return x + self.sigma[:, None] * rng.standard_normal(x.shape)
+
+    def expect(self, x: Array) -> Array:
+        """The mean of p(x_t | x_{t-1} = x), (N, K, D)."""
+        return x
+
+    def log_transition(self, x: Array, parents: Array) -> Array:
+        """log p(x_n | parents_m) of each part: x (N, K, D), parents (M, K, D) -> (N, M, K)."""
+        d = x.shape[2]
+        squared = np.sum((x[:, None] - parents[None]) ** 2, axis=3)
+        constant = -0.5 * d * np.log(2 * np.pi) - d * np.log(self.sigma)
+        return np.asarray(-0.5 * squared / self.sigma**2 + constant)
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """Linear dynamics of values and speeds, c_k = A c_{k-1} + B w_k, w_k ~ N(0, I) (Odobez et al. 2003, section 3.2).
+
+    The state (x, y, s, and the speed of each) falls into pairs c = (value, speed), which move independently: x and y
+    by `position` (A, B), s by `scale`; A is (2, 2), B (2, M) with M sources of noise. `least` and `most` bound s, since
+    linear dynamics would lead to boxes of no or of negative size: there it stops, and its speed becomes 0.
+    """
+
+    position: tuple[Array, Array]
+    scale: tuple[Array, Array]
+    least: float
+    most: float
+
+    def propagate(self, rng: np.random.Generator, x: Array) -> Array:
+        """x (N, K, 6) moved by one frame."""
+        moved = np.empty_like(x)
+        for i, (a, b) in enumerate((self.position, self.position, self.scale)):
+            noise = rng.standard_normal((*x.shape[:2], b.shape[1]))
+            # by columns: products of thousands of tiny matrices take three times as long
+            for row in (0, 1):
+                moved[..., i + 3 * row] = a[row, 0] * x[..., i] + a[row, 1] * x[..., i + 3]
+                for source in range(b.shape[1]):
+                    moved[..., i + 3 * row] += b[row, source] * noise[..., source]
+        s = moved[..., 2]
+        beyond = (s < self.least) | (s > self.most)
+        moved[..., 5] = np.where(beyond, 0.0, moved[..., 5])
+        moved[..., 2] = np.clip(s, self.least, self.most)
+        return moved
+
+    def expect(self, x: Array) -> Array:
+        """The mean of p(x_t | x_{t-1} = x), (N, K, 6); the bounds of s are left out."""
+        moved = np.empty_like(x)
+        for i, (a, _) in enumerate((self.position, self.position, self.scale)):
+            moved[..., i::3] = x[..., i::3] @ a.T
+        return moved
+
+    def log_transition(self, x: Array, parents: Array) -> Array:
+        """log p(x_n | parents_m) of each part: x (N, K, 6), parents (M, K, 6) -> (N, M, K).
+
+        The bounds of s are left out. Where B has fewer sources of noise than c has numbers, the density is that on the
+        line that the noise spans, and -inf beside it.
+        """
+        total = np.zeros((len(x), len(parents), x.shape[1]))
+        for i, (a, b) in enumerate((self.position, self.position, self.scale)):
+            off = x[:, None, :, i::3] - parents[None, :, :, i::3] @ a.T
+            total += _log_normal(off, b @ b.T)
+        return total
+
+
+@dataclass(frozen=True)
+class AffineWalk:
+    """Gaussian noise on the parameters of an affine map, theta_t = theta_{t-1} + u_t (Zhou et al. 2003, eq. 1).
+
+    The state is (x, y, a1, a2, a3, a4). `position` is the standard deviation of x and y, in pixels, and of r_0 u_0 of
+    section 2.1; `deform` that of the scale, `turn` of the turn (None: the same), `shear` of the stretch along one side
+    and of the shear: the paper leaves u_0 open, and faces keep their shape more than their size. If all are the same it
+    is that of each of a1 to a4. `least` and `most` bound the scale: a deformation beyond is brought back to it.
+    """
+
+    position: float
+    deform: float
+    shear: float
+    least: float
+    most: float
+    turn: float | None = None
+
+    @cached_property
+    def _noise(self) -> Array:
+        """(6, 6): from standard noise to that of the state."""
+        return _AFFINE * self._sigma()
+
+    def _sigma(self) -> Array:
+        turn = self.deform if self.turn is None else self.turn
+        return np.array([self.position, self.position, self.deform, turn, self.shear, self.shear])
+
+    def propagate(self, rng: np.random.Generator, x: Array, shift: Array | None = None, noise: float = 1.0) -> Array:
+        """x (N, 1, 6) moved by one frame: by the `shift` (1, 6), nu_t, and `noise`, r_t / r_0, times the noise."""
+        moved = np.zeros((1, 6)) if shift is None else shift
+        u = rng.standard_normal(x.shape)
+        return np.asarray(diffuse(x[:, 0], u[:, 0], self._noise, moved[0], noise, self.least, self.most))[:, None]
+
+    def expect(self, x: Array) -> Array:
+        """The mean of p(x_t | x_{t-1} = x), (N, 1, 6); the bounds of the scale are left out."""
+        return x
+
+    def log_transition(self, x: Array, parents: Array) -> Array:
+        """log p(x_n | parents_m): x (N, 1, 6), parents (M, 1, 6) -> (N, M, 1); the bounds are left out."""
+        return _log_normal((x[:, None] - parents[None]) @ _AFFINE, np.diag(self._sigma() ** 2))
+
+
+# from noise of (x, y, scale, turn, stretch, shear) to that of (x, y, a1, a2, a3, a4); orthogonal
+_AFFINE = np.eye(6)
+_AFFINE[2:, 2:] = np.sqrt(0.5) * np.array([[1, 0, 1, 0], [0, -1, 0, 1], [0, 1, 0, 1], [1, 0, -1, 0]])
+
+
+def _log_normal(off: Array, cov: Array) -> Array:
+    """log N(off; 0, cov) over the last axis; of a singular cov, the density on its support."""
+    values, vectors = np.linalg.eigh(cov)
+    along = off @ vectors
+    spread = values > 1e-12 * max(float(values[-1]), 1e-300)
+    z = along[..., spread] / np.sqrt(values[spread])
+    inside = (np.abs(along[..., ~spread]) <= 1e-9 * (1.0 + np.abs(off).max(axis=-1, keepdims=True))).all(axis=-1)
+    log_p = -0.5 * (z**2).sum(axis=-1) - 0.5 * float(np.sum(np.log(2 * np.pi * values[spread])))
+    return np.where(inside, log_p, -np.inf)

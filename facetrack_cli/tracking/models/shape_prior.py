@@ -1,0 +1,226 @@
+"""The shape prior of Patras & Pantic, section 3.3: a Parzen density over the relative positions of the parts (eq. 11).
+
+A hypothesis s is registered to the training shapes by
+
+    q(s)_i = ((s_i - s_n) - (s0_i - s0_n)) / L0
+
+with n the stable part (the nose), s0 the first frame, L0 the distance of two parts in it (the mouth's width): the
+displacement of every part since the first frame, seen from the nose, in mouth widths. A training shape h_j is the same
+of an annotated frame. With M shapes of K parts, d_j = |q(s) - h_j| and the kernel's standard deviation sigma,
+
+    log_density(s) = log (1/M) sum_j exp(-d_j^2 / (2 sigma^2)).
+
+What is left out is constant: as a density in pixels of the K - 1 other parts given the stable one, it lacks
+-(K - 1) log(2 pi (sigma L0)^2).
+
+The printed eq. 11 writes d(q(s_k)), h_j; the text below it names d(q(s_k), h_j), and that is what is taken.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.core.npz import Kind, Stored
+from facetrack_cli.core.types import Array
+from facetrack_cli.recipe.files import shipped_folder
+from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
+
+KIND = Kind("facetrack-shape-prior", 1, "shape prior", "facetrack prior fit")
+DEFAULT = "mouth_prior.npz"
+LEAST_SIGMA = 0.005  # of the unit; the float32 exponents of narrower kernels would be wrong by 0.001 and more
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePrior:
+    """Training shapes h_j, (M, K, 2): displacements since the first frame, relative to the part `stable`.
+
+    Their unit is the distance of the two parts named by `scale` in the first frame (the mouth's width); the stable
+    part's own displacement is zero in every shape. Raises ValueError for anything else.
+    """
+
+    parts: tuple[str, ...]
+    shapes: Array
+    stable: str
+    scale: tuple[str, str]
+
+    def __post_init__(self) -> None:
+        if len(self.parts) < 2 or len(set(self.parts)) != len(self.parts):
+            raise ValueError("a prior needs two parts or more, each named once")
+        unknown = [name for name in (self.stable, *self.scale) if name not in self.parts]
+        if unknown:
+            raise ValueError(f"{unknown[0]!r} is none of the parts {', '.join(self.parts)}")
+        if self.scale[0] == self.scale[1]:
+            raise ValueError("the scale is the distance of two different parts")
+        if self.shapes.ndim != 3 or self.shapes.shape[1:] != (len(self.parts), 2) or not len(self.shapes):
+            raise ValueError(f"shapes of {self.shapes.shape} where (M, {len(self.parts)}, 2) belongs")
+        if not np.isfinite(self.shapes).all():
+            raise ValueError("a shape is not finite")
+        if np.abs(self.shapes).max() > 100.0:
+            raise ValueError("a part moves more than 100 units: shapes are displacements in mouth widths, not pixels")
+        if np.abs(self.shapes[:, self.parts.index(self.stable)]).max() > 1e-9:
+            raise ValueError(f"the stable part {self.stable!r} moves")
+
+    def save(self, path: Path) -> None:
+        """Writes an .npz of plain arrays, whole or not at all; equal priors give equal bytes. Raises OutputError."""
+        KIND.write(
+            path,
+            {
+                "parts": np.array(self.parts),
+                "stable": np.array(self.stable),
+                "scale": np.array(self.scale),
+                "shapes": np.ascontiguousarray(self.shapes, "<f8"),
+            },
+        )
+
+    def spacing(self) -> float:
+        """Mean distance of a shape to its nearest neighbour, in units of the scale; 0 for a single shape."""
+        if len(self.shapes) < 2:
+            return 0.0
+        flat = self.shapes.reshape(len(self.shapes), -1)
+        nearest = [np.partition(((flat - one) ** 2).sum(1), 1)[1] for one in flat]
+        return float(np.sqrt(nearest).mean())
+
+
+def default_prior_path() -> Path:
+    """The prior that is shipped: beside the recipes in the wheel, or in the source tree's configs/."""
+    return shipped_folder() / DEFAULT
+
+
+def load_prior(path: Path) -> ShapePrior:
+    """The prior in a file that `save` wrote. Raises InputError for anything else; nothing in the file is executed."""
+    return KIND.read(path, _made)
+
+
+def _made(stored: Stored) -> ShapePrior:
+    parts, scale = stored.texts("parts"), stored.texts("scale")
+    if len(scale) != 2:
+        raise ValueError(f"scale names {len(scale)} parts where 2 belong")
+    return ShapePrior(
+        parts, np.asarray(stored.reals("shapes", 3), np.float64), stored.text("stable"), (scale[0], scale[1])
+    )
+
+
+def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> BoundPrior:
+    """The prior for one track: `parts` in the tracker's order, `first` (K, 2) their pixels in the first frame.
+
+    `sigma`, the kernel's standard deviation, is in mouth widths (the prior's unit). Raises RecipeError if the parts are
+    not the prior's or sigma is below LEAST_SIGMA, InputError if the first frame gives no scale.
+    """
+    strange = [name for name in parts if name not in prior.parts]
+    absent = [name for name in prior.parts if name not in parts]
+    if strange or absent or len(set(parts)) != len(parts):
+        said = [f"the shape prior knows {', '.join(prior.parts)}"]
+        said += [f"not {', '.join(strange)}"] if strange else []
+        said += [f"and the recipe does not track {', '.join(absent)}"] if absent else []
+        said += ["and the recipe tracks a part twice"] if not strange and not absent else []
+        raise RecipeError(" ".join(said) + "; fit a prior with `facetrack prior fit --parts` or change the parts")
+    if not LEAST_SIGMA <= sigma < math.inf:
+        raise RecipeError(f"the shape prior's sigma is {sigma:g}; give {LEAST_SIGMA} mouth widths or more, such as 0.1")
+    first = np.array(first, np.float64)
+    if first.shape != (len(parts), 2) or not np.isfinite(first).all():
+        raise InputError(
+            f"the first frame gives no finite position for each of {', '.join(parts)}; complete the init file"
+        )
+    left, right = (first[list(parts).index(name)] for name in prior.scale)
+    length = float(np.hypot(*(right - left)))
+    if not length > 0.0:
+        raise InputError(
+            f"{prior.scale[0]} and {prior.scale[1]} are at the same place in the first frame, "
+            "so the shape prior has no scale; move them apart in the init file"
+        )
+    order = [prior.parts.index(name) for name in parts]
+    return BoundPrior(
+        tuple(parts), prior.shapes[:, order], first, list(parts).index(prior.stable), length, float(sigma)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """What the kernels need to compare hypotheses with all shapes over some of the parts."""
+
+    parts: NDArray[np.int64]
+    stable: int
+    h: NDArray[np.float32]
+    bias: NDArray[np.float32]
+
+
+class BoundPrior:
+    """A prior registered to one track; made by `bind`. x is (N, K, 2) in pixels; lengths are pixels throughout.
+
+    Given the other parts, the Parzen density of one part is a mixture with one component for each shape j:
+
+    - a part i that is not the stable one: mean x_n + (s0_i - s0_n) + L0 h_ji, standard deviation sigma L0, weight
+      exp(-|q(x) - h_j|^2 / (2 sigma^2)) over the other parts alone;
+    - the stable part n: each other part k says where it would be, r_jk = x_k - (s0_k - s0_n) - L0 h_jk. The exponent
+      sum_k |r_jk - x_n|^2 splits into (K - 1) |x_n - mean_k r_jk|^2 + sum_k |r_jk - mean_k r_jk|^2: mean of the r_jk,
+      standard deviation sigma L0 / sqrt(K - 1), and a weight from the second sum, which is the squared distance between
+      x and h_j after the means over the other parts are taken off both.
+
+    So the normalised conditional of any part is density(with the part) / density(of the other parts) / (2 pi sd^2).
+    """
+
+    def __init__(
+        self, parts: tuple[str, ...], shapes: Array, first: Array, stable: int, length: float, sigma: float
+    ) -> None:
+        self.parts, self.first, self.length, self.sigma = parts, first, length, sigma
+        self._shapes, self._stable, self._width = shapes, stable, sigma * length
+        self._moving = [k for k in range(len(parts)) if k != stable]
+        self._all = self._table(self._moving, stable)
+        self._without = [
+            self._table([k for k in self._moving if k != part], stable if part != stable else -1)
+            for part in range(len(parts))
+        ]
+
+    def _table(self, parts: list[int], stable: int) -> _Table:
+        h = self._shapes[:, parts] / self.sigma
+        if stable < 0:
+            h = h - h.mean(1, keepdims=True)
+        flat = h.reshape(len(h), -1).T.astype(np.float32)
+        bias = np.full(-(-len(h) // LANES) * LANES, PADDING)
+        bias[: len(h)] = -0.5 * (flat**2).sum(0)
+        # in rows: along columns the kernels would not vectorise
+        padded = np.ascontiguousarray(np.pad(flat, ((0, 0), (0, len(bias) - len(h)))))
+        return _Table(np.array(parts, np.int64), stable, padded, bias)
+
+    def _log_sum(self, table: _Table, x: Array) -> Array:
+        x = np.ascontiguousarray(x, np.float64)
+        return np.asarray(
+            log_parzen(x, table.parts, self.first, table.stable, self._width, table.h, table.bias), np.float64
+        )
+
+    def _spread(self, part: int) -> float:
+        return self._width / math.sqrt(len(self._moving)) if part == self._stable else self._width
+
+    def log_density(self, x: Array) -> Array:
+        """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, and finite for any x within 1e100.
+
+        Right to about 1e-5 near the shapes, and to 1e-6 of its value far from them.
+        """
+        return self._log_sum(self._all, x) - math.log(len(self._shapes))
+
+    def propose(self, rng: np.random.Generator, x: Array, part: int) -> Array:
+        """(N, 2): part `part` drawn from the prior given the other parts of each particle; x[:, part] is not read."""
+        x = np.ascontiguousarray(x, np.float64)
+        u, noise = rng.random(len(x)), rng.standard_normal((len(x), 2))
+        table = self._without[part]
+        chosen = pick_shape(x, table.parts, self.first, table.stable, self._width, table.h, table.bias, u)
+        if part == self._stable:
+            h = self._shapes[chosen]
+            centre = (x - self.first - self.length * h)[:, self._moving].mean(1)
+        else:
+            centre = x[:, self._stable] - self.first[self._stable] + self.length * self._shapes[chosen, part]
+        return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
+
+    def log_conditional(self, x_part: Array, x: Array, part: int) -> Array:
+        """(N,): log density, per square pixel, with which `propose` draws x_part (N, 2) for `part` of x (N, K, 2)."""
+        full = np.array(x, np.float64)
+        full[:, part] = x_part
+        others = self._log_sum(self._without[part], full)
+        return self._log_sum(self._all, full) - others - math.log(2.0 * math.pi * self._spread(part) ** 2)

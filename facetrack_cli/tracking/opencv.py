@@ -1,0 +1,126 @@
+"""OpenCV's own trackers of a box, wrapped to stand beside ours: MIL, CSRT, KCF and MOSSE.
+
+They are here to be compared with, as OpenCV ships them, with its default parameters. What they do not tell (spread,
+confidence) is left out. A tracker that says itself that it has lost the target is `lost`, and the box stays where it
+was; MIL and CSRT hardly ever say so. OpenCV takes boxes over whole pixels, so a start is rounded.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.core.types import BOX, Box, Frame, PartResult, Status, TargetResult
+
+FACTORIES: Final = {
+    "mil": "TrackerMIL_create",
+    "csrt": "TrackerCSRT_create",
+    "kcf": "TrackerKCF_create",
+    "mosse": "legacy.TrackerMOSSE_create",
+}
+LEAST: Final = 6  # pixels: MIL looks for ever for features in a box of 4x4
+NO_CLOUD: Final = np.zeros((0, 1, 2))
+
+
+def find(tracker: str) -> Callable[[], Any] | None:
+    """What makes a tracker of that name, None where this build of OpenCV has none."""
+    found: Any = cv2
+    for name in FACTORIES[tracker].split("."):
+        found = getattr(found, name, None)
+    return found  # type: ignore[no-any-return]
+
+
+def check(tracker: str) -> None:
+    """RecipeError if this build of OpenCV has no such tracker."""
+    if find(tracker) is None:
+        raise RecipeError(
+            f"the installed OpenCV {cv2.__version__} has no {tracker.upper()} tracker; pip uninstall "
+            "opencv-python-headless, then pip install 'opencv-contrib-python-headless<5'"
+        )
+
+
+class _State(NamedTuple):
+    tracker: Any
+    box: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class OpenCvTarget:
+    """A target followed by one of OpenCV's trackers. `box` is its place in the first frame; `origin` who said so."""
+
+    name: str
+    box: Box
+    tracker: str
+    origin: str
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return (BOX,)
+
+    @property
+    def windows(self) -> Mapping[str, tuple[float, float]]:
+        return {}
+
+    def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[_State, TargetResult]:
+        """Raises InputError for a box too small, or too large, for this tracker."""
+        create = find(self.tracker)
+        assert create is not None
+        box = self._whole(frame)
+        _seed(int(rng.integers(1, 2**31)))
+        tracker = create()
+        try:
+            tracker.init(frame.bgr, box)
+        except cv2.error as e:
+            raise InputError(
+                f"{self.origin}: OpenCV's {self.tracker.upper()} cannot begin with the box {list(box)} of {self.name} "
+                f"({e.err}); give one that leaves some of the picture around it"
+            ) from None
+        return _State(tracker, box), self._result(box, "init")
+
+    def advance(
+        self, rng: np.random.Generator, state: _State, frame: Frame, covers: object = ()
+    ) -> tuple[_State, TargetResult]:
+        try:
+            found, box = state.tracker.update(frame.bgr)
+        except cv2.error:  # as MIL does where no place is left to look at
+            found, box = False, state.box
+        # one that has lost its target reports an empty box
+        if not found or box[2] < 1 or box[3] < 1:
+            return state, self._result(state.box, "lost")
+        return _State(state.tracker, box), self._result(box, "tracked")
+
+    def cover(self, state: _State, *, ahead: bool) -> None:
+        """OpenCV's trackers know nothing of each other."""
+
+    def _whole(self, frame: Frame) -> tuple[int, int, int, int]:
+        """The start's box over whole pixels, inside the picture and off its right and lower edge."""
+        width, height = frame.size
+        # corner and size each on their own: a square stays one
+        x, y, w, h = (round(side) for side in self.box)
+        left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width - 1), min(y + h, height - 1)
+        if right - left < LEAST or bottom - top < LEAST:
+            raise InputError(
+                f"{self.origin}: the box of {self.name} covers less than {LEAST}x{LEAST} pixels of the picture; "
+                "give a larger one"
+            )
+        return left, top, right - left, bottom - top
+
+    def _result(self, box: tuple[float, ...], status: Status) -> TargetResult:
+        left, top, w, h = (float(side) for side in box)
+        part = PartResult(name=BOX, x=left + (w - 1) / 2, y=top + (h - 1) / 2, w=w, h=h, status=status)
+        return TargetResult(self.name, (part,), None, NO_CLOUD)
+
+
+def _seed(seed: int) -> None:
+    """Seed what MIL draws its features from: the C library's generator, where one can reach it, and OpenCV's own."""
+    cv2.setRNGSeed(seed)
+    try:
+        ctypes.CDLL(None).srand(seed)
+    except (TypeError, OSError, AttributeError):  # on Windows there is no one C library to ask
+        return

@@ -1,0 +1,96 @@
+"""Resampling schemes, the effective sample size, and arithmetic on log weights.
+
+Every scheme takes the generator, normalised log weights (N,), or (N, K) for K populations side by side, and a number of
+draws M; it returns M indices (M,) or (M, K) int64, in ascending order, each below N and never of a particle whose
+weight is zero. Expected counts are M * w for them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.types import Array
+from facetrack_cli.tracking.kernels.resampling import invert_cdf
+
+Indices: TypeAlias = NDArray[np.int64]
+Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Indices]
+
+
+def logsumexp(a: Array, axis: int = 0) -> Array:
+    """log(sum(exp(a))) along `axis`, without overflow; -inf for an empty sum of weights."""
+    top = np.max(a, axis=axis, keepdims=True)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        total = np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top
+    return np.asarray(total.squeeze(axis))
+
+
+def normalise(log_w: Array) -> Array:
+    """Log weights (N,) or (N, K) shifted so that the logsumexp along N is 0.
+
+    Where all are zero, or one is no number, they become equal: a frame that no particle explains must not end a track,
+    and equal weights leave the predictive density as it was.
+    """
+    top = log_w.max(axis=0)
+    hopeless = ~np.isfinite(top)
+    if hopeless.any():
+        log_w, top = np.where(hopeless, 0.0, log_w), np.where(hopeless, 0.0, top)
+    shifted = log_w - top
+    return np.asarray(shifted - np.log(np.exp(shifted).sum(axis=0)))
+
+
+def effective_sample_size(log_w: Array) -> Array:
+    """1 / sum(w^2) of normalised log weights along N: from 1 (one particle holds all) to N (all equal)."""
+    return np.asarray(1.0 / np.exp(2.0 * log_w).sum(axis=0))
+
+
+def uniform(n: int) -> Array:
+    """Normalised log weights of n equal particles, (n,)."""
+    return np.full(n, -np.log(n))
+
+
+def _invert(w: Array, points: Array) -> Indices:
+    """`invert_cdf` for one population (N,) or several (N, K)."""
+    return np.asarray(invert_cdf(w.reshape(len(w), -1), points.reshape(len(points), -1)).reshape(points.shape))
+
+
+def systematic(rng: np.random.Generator, log_w: Array, m: int) -> Indices:
+    """One uniform offset, M evenly spaced points: the least noisy, each count is floor or ceil of M * w."""
+    return _invert(np.exp(log_w), np.add.outer(np.arange(m), rng.random(log_w.shape[1:])) / m)
+
+
+def stratified(rng: np.random.Generator, log_w: Array, m: int) -> Indices:
+    """One uniform point in each of M equal strata."""
+    return _invert(np.exp(log_w), (np.arange(m) + rng.random((*log_w.shape[1:], m))).T / m)
+
+
+def multinomial(rng: np.random.Generator, log_w: Array, m: int) -> Indices:
+    """M independent draws, as the papers' algorithms are written."""
+    return _invert(np.exp(log_w), np.sort(rng.random((m, *log_w.shape[1:])), axis=0))
+
+
+def residual(rng: np.random.Generator, log_w: Array, m: int) -> Indices:
+    """floor(M * w) copies of each, and the remainder drawn systematically from what is left over."""
+    if log_w.ndim > 1:
+        return np.stack([residual(rng, column, m) for column in log_w.T], axis=1)
+    w = np.exp(log_w)
+    expected = m * w / w.sum()
+    copies = np.floor(expected).astype(np.int64)
+    rest = m - int(copies.sum())
+    fixed = np.repeat(np.arange(w.size), copies)
+    if rest <= 0:  # rounding can make the floors add up to all of M
+        return fixed[:m]
+    drawn = _invert(expected - copies, (np.arange(rest) + rng.random()) / rest)
+    return np.sort(np.concatenate([fixed, drawn]))
+
+
+SCHEMES: dict[str, Resampling] = {
+    "systematic": systematic,
+    "stratified": stratified,
+    "multinomial": multinomial,
+    "residual": residual,
+}

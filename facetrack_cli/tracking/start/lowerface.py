@@ -1,0 +1,188 @@
+"""Nose and mouth, read off a straightened picture of the lower face.
+
+The dark lines are the evidence: the one between the lips, from corner to corner, and the shade under the nose. They are
+there in nearly every face, in colour and in grey, and hardly move with the light. All lengths are in the *eye frame*:
+the origin is half-way between the eyes, x runs from the left eye (as seen in the picture) to the right one, y down the
+face, and the distance between the eyes is 1. What the picture does not show is left to the mean proportions.
+"""
+
+from __future__ import annotations
+
+from typing import Final, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.types import Array, Image, Point
+
+Index: TypeAlias = NDArray[np.int64]
+
+UNIT: Final = 64  # pixels of the straightened picture for a length of 1
+LEFT, RIGHT, TOP, BOTTOM = -0.75, 0.75, 0.25, 1.75  # what it shows
+WIDTH, HEIGHT = round((RIGHT - LEFT) * UNIT), round((BOTTOM - TOP) * UNIT)
+
+# Mean and spread: from 1,502 frontal faces with 68 landmarks (corners at y 1.03 there) and 26 pictures from clips and
+# portraits (1.14; in many of the clips pixels are wider than high, so that faces look long). The means lie between.
+MOUTH_Y: Final = (1.12, 0.10)
+SHADE_Y: Final = (0.72, 0.06)  # the dark line under the nose
+SHADE_TO_MOUTH: Final = (0.43, 0.08)
+HALF_WIDTH: Final = (0.415, 0.065)  # from the middle of the mouth to a corner
+UPPER: Final = (0.14, 0.05)  # from the dark line, in the middle, up to the upper lip's edge
+LOWER: Final = (0.23, 0.09)  # from half-way between that line and the corners down to the lower lip's edge
+TIP_ABOVE_SHADE: Final = 0.15
+
+CLEAR: Final = 0.1  # a valley this deep (in log grey) is a line beyond doubt
+BEND: Final = 0.05  # price of a row up or down from one column to the next
+CORNER: Final = 0.55  # beyond a corner the line has less than this share of its depth in the middle
+EDGE: Final = 15.0  # weight of a lip's edge, per log grey and pixel of the straightened picture
+
+
+def read_points(picture: Image) -> dict[str, Point]:
+    """The five points of a straightened lower face (HEIGHT, WIDTH, 3), in the eye frame."""
+    grey, red = _log_grey(picture), _log_red(picture)
+    valley = _valleys(grey)
+    line = np.minimum(valley / CLEAR, 1)
+    shade_y, mouth_y = _dark_lines(line)
+    path = _follow(line, mouth_y)
+    left, right = _corners(valley, path)
+    upper, lower = _lips(grey, red, left, right, path)
+    return {
+        "nose": (_nose_x(grey, valley, shade_y), shade_y - TIP_ABOVE_SHADE),
+        "mouth_left": left,
+        "mouth_right": right,
+        "lip_upper": upper,
+        "lip_lower": lower,
+    }
+
+
+def _columns() -> Array:
+    return LEFT + (np.arange(WIDTH) + 0.5) / UNIT
+
+
+def _rows() -> Array:
+    return TOP + (np.arange(HEIGHT) + 0.5) / UNIT
+
+
+def _log_grey(picture: Image) -> Array:
+    """Log of the grey value: a factor on the light is a constant that differences drop."""
+    return np.log(picture.astype(np.float64) @ (0.114, 0.587, 0.299) + 8)
+
+
+def _log_red(picture: Image) -> Array:
+    """Log of red over green: lips stand out, shades do not; zero everywhere in a grey picture."""
+    soft = cv2.GaussianBlur(picture, (0, 0), 1.5).astype(np.float64)
+    return np.asarray(np.log((soft[..., 2] + 8) / (soft[..., 1] + 8)))
+
+
+def _valleys(grey: Array) -> Array:
+    """How much darker each pixel is than what is above and below it, at the best of three widths."""
+    deepest = np.zeros_like(grey)
+    for width in (1.5, 2.5, 3.5):
+        soft = cv2.GaussianBlur(grey, (0, 0), sigmaX=1.5 * width, sigmaY=width, borderType=cv2.BORDER_REPLICATE)
+        bent = np.zeros_like(soft)
+        bent[2:-2] = (soft[4:] + soft[:-4] - 2 * soft[2:-2]) * (width**2 / 4)
+        np.maximum(deepest, bent, out=deepest)
+    return deepest
+
+
+def _off(value: Array, norm: tuple[float, float]) -> Array:
+    """Half the squared distance from a mean, in its spreads; bounded, so that no mean overrules a clear picture."""
+    return np.asarray(np.minimum(0.5 * ((value - norm[0]) / norm[1]) ** 2, 8.0))
+
+
+def _dark_lines(line: Array) -> tuple[float, float]:
+    """Heights of the shade under the nose and of the line between the lips: the pair that fits picture and means."""
+    xs, ys = _columns(), _rows()
+    near = np.flatnonzero(np.abs(xs) <= 0.3)
+    middle = WIDTH // 2
+    strength = (_outwards(line, near[near >= middle]) + _outwards(line, near[near < middle][::-1])) / near.size
+    shade, mouth = ys[:, None], ys[None, :]
+    value = 4 * strength[:, None] - _off(shade, SHADE_Y) + 8 * strength[None, :] - _off(mouth, MOUTH_Y)
+    value = value - _off(mouth - shade, SHADE_TO_MOUTH)
+    best_shade, best_mouth = np.unravel_index(int(np.argmax(value)), value.shape)
+    return float(ys[best_shade]), float(ys[best_mouth])
+
+
+def _outwards(line: Array, columns: Index) -> Array:
+    """For each row the best sum along a path from the first of the columns to the last, one row up or down a column."""
+    total = np.zeros(HEIGHT)
+    for column in columns[::-1]:
+        up, down = np.append(total[1:], -1.0), np.insert(total[:-1], 0, -1.0)
+        total = np.maximum(total, np.maximum(up, down) - BEND) + line[:, column]
+    return total
+
+
+def _follow(line: Array, mouth_y: float) -> Index:
+    """The row of the line between the lips in every column (WIDTH,), by dynamic programming around `mouth_y`."""
+    xs, ys = _columns(), _rows()
+    away = np.abs(ys[:, None] - mouth_y)
+    # without a line to follow, straight on
+    gain = np.where(away <= 0.08 + 0.2 * np.abs(xs), line - 0.01 * away, -1.0)
+    total = gain[:, 0].copy()
+    back = np.zeros((WIDTH, HEIGHT), np.int64)
+    steps = np.array([-1, 0, 1])
+    for column in range(1, WIDTH):
+        padded = np.pad(total, 1, constant_values=-np.inf)
+        options = np.stack([padded[:-2] - BEND, padded[1:-1], padded[2:] - BEND])
+        choice = np.argmax(options, axis=0)
+        back[column] = np.arange(HEIGHT) + steps[choice]
+        total = np.take_along_axis(options, choice[None], axis=0)[0] + gain[:, column]
+    rows = np.zeros(WIDTH, np.int64)
+    rows[-1] = int(np.argmax(total))
+    for column in range(WIDTH - 1, 0, -1):
+        rows[column - 1] = back[column, rows[column]]
+    return rows
+
+
+def _corners(valley: Array, path: Index) -> tuple[Point, Point]:
+    """Where the line between the lips ends on either side: its depth inside against its depth beyond."""
+    xs, ys = _columns(), _rows()
+    depth = valley[path, np.arange(WIDTH)]
+    inside = float(np.median(depth[np.abs(xs) < 0.25]))
+    # a line that can hardly be seen says little about where it ends
+    share = (np.minimum(depth / max(inside, 1e-6), 1.0) - CORNER) * min(2 * inside / CLEAR, 1.0)
+    ends = []
+    for sign in (-1, 1):
+        order = np.flatnonzero(sign * xs > 0)[::sign]
+        value = np.cumsum(share[order]) - _off(np.abs(xs[order]), HALF_WIDTH)
+        column = order[int(np.argmax(value))]
+        ends.append((float(xs[column]), float(ys[path[column]])))
+    return ends[0], ends[1]
+
+
+def _lips(grey: Array, red: Array, left: Point, right: Point, path: Index) -> tuple[Point, Point]:
+    """The lips' outer edges below and above the middle between the corners."""
+    x, y = (left[0] + right[0]) / 2, (left[1] + right[1]) / 2
+    xs, ys = _columns(), _rows()
+    band = np.abs(xs - x) <= 0.08
+    darker = -_slope(grey[:, band].mean(axis=1))
+    redder = _slope(red[:, band].mean(axis=1))
+    upper = EDGE * (darker + 4 * redder)
+    lower = -2 * EDGE * redder  # in grey a lower lip shades into the chin: the mean knows better
+    middle = float(ys[path[band]].mean())
+    up, down = middle - ys, ys - (middle + y) / 2
+    best_up = np.argmax(np.where(up > 0.02, np.minimum(upper, 3.0) - _off(up, UPPER), -np.inf))
+    best_down = np.argmax(np.where(down > 0.04, np.minimum(lower, 3.0) - _off(down, LOWER), -np.inf))
+    return (x, float(ys[best_up])), (x, float(ys[best_down]))
+
+
+def _slope(profile: Array) -> Array:
+    """Change for a pixel down, smoothed."""
+    return np.asarray(np.gradient(cv2.GaussianBlur(profile[:, None], (0, 0), 1.5).ravel()))
+
+
+def _nose_x(grey: Array, valley: Array, shade_y: float) -> float:
+    """Where the nose is across: the middle of the shade under it, drawn to the bright ridge above (weights: a fit)."""
+    xs, ys = _columns(), _rows()
+    shade = np.where(np.abs(xs) <= 0.35, valley[np.abs(ys - shade_y) <= 0.06].mean(axis=0), 0.0) ** 0.5
+    total = float(shade.sum())
+    middle = float(shade @ xs) / total if total > 0 else 0.0
+    above = (ys > shade_y - 0.3) & (ys < shade_y - 0.08)
+    profile = cv2.GaussianBlur(grey[above].mean(axis=0)[None], (0, 0), 3.0).ravel()
+    half = round(0.17 * UNIT)
+    bright = np.full(WIDTH, -np.inf)
+    bright[half:-half] = 2 * profile[half:-half] - profile[2 * half :] - profile[: -2 * half]
+    bright[np.abs(xs - middle) > 0.2] = -np.inf
+    ridge = float(xs[int(np.argmax(bright - 0.075 * ((xs - middle) / 0.15) ** 2))])
+    return 0.6 * middle + 0.3 * ridge

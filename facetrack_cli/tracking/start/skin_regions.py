@@ -1,0 +1,97 @@
+"""Where hands are in a first frame: the largest regions of skin colour apart from the face. Nothing here is random."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import cv2
+import numpy as np
+
+from facetrack_cli.core.geometry import common_area
+from facetrack_cli.core.types import Array, Box, Frame, factor_for
+from facetrack_cli.tracking.kernels.skin import skin_map
+from facetrack_cli.tracking.models.skin_colour import SkinModel
+
+LONGEST: Final = 400  # pixels of the picture's longer side, at most, when it is searched
+LEAST_P: Final = 0.2  # of a region's pixels, smoothed over a tenth of the face
+# what is not a hand: the face's box, widened to the ears, the hair and the chin, and the neck; in sizes of the box
+FACE: Final = (-0.3, -0.6, 1.3, 1.25)  # left, top, right, bottom
+NECK: Final = (0.0, 1.25, 1.0, 1.6)
+LEAST, MOST = 0.12, 5.0  # skin of a hand, with its arm, over that of the face
+NEAR: Final = 0.3  # of the smaller box's area: a region that shares as much with a target that is known is that target
+ARM: Final = 5.0  # sizes of the face's box: hands are no farther from the face's middle
+
+
+def hand_regions(
+    frame: Frame, face: Box, model: SkinModel, count: int, taken: Sequence[Box] = (), least: float = 0.0
+) -> list[Box]:
+    """The `count` largest connected regions of skin colour apart from the face and its neck, from left to right.
+
+    Those that are in one of the boxes `taken`, or have a side of less than `least` pixels, are passed over.
+
+    Boxes are (left, top, width, height) in pixels of the picture, within it, each side at most about the face's; of a
+    larger region, such as a bare arm, the box holds as much skin as it can. Fewer if there are not so many of a hand's
+    size within an arm's reach.
+    """
+    factor = factor_for(max(frame.size), LONGEST)
+    picture, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
+    height, width = picture.shape[:2]
+    w, h = face[2] / factor, face[3] / factor
+    left, top = (face[0] + 0.5) / factor - 0.5, (face[1] + 0.5) / factor - 0.5
+
+    p = skin_map(picture, model.table) / 255.0
+    p = np.asarray(cv2.blur(p, (_odd(w / 10), _odd(h / 10)), borderType=cv2.BORDER_REPLICATE), np.float64)
+    its_skin = float(_cut(p, left, top, left + w, top + h).sum())
+    for x0, y0, x1, y1 in (FACE, NECK):
+        _cut(p, left + x0 * w, top + y0 * h, left + x1 * w, top + y1 * h)[...] = 0
+
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((p >= LEAST_P).astype(np.uint8), connectivity=4)
+    most = min(max(round(w), 2), width), min(max(round(h), 2), height)
+    found = []
+    for k in range(1, len(stats)):
+        x, y, across, down = stats[k, :4].tolist()
+        part = np.s_[y : y + down, x : x + across]
+        region = np.where(labels[part] == k, p[part], 0.0)
+        if LEAST * its_skin <= region.sum() <= MOST * its_skin:
+            skin, (dx, dy, across, down) = _most_skin(region, most)
+            middle = x + dx + across / 2, y + dy + down / 2
+            if math.dist(middle, (left + w / 2, top + h / 2)) <= ARM * max(w, h):
+                found.append((-skin, (x + dx, y + dy, across, down)))
+    # by what a box holds, or a ceiling of nearly skin colour would be more of a hand than hands are
+    boxes: list[Box] = [
+        (float(x * factor), float(y * factor), float(across * factor), float(down * factor))
+        for _, (x, y, across, down) in sorted(found)
+    ]
+    free = [box for box in boxes if min(box[2:]) >= least and all(_shared(box, other) < NEAR for other in taken)]
+    return sorted(free[:count])
+
+
+def _shared(a: Box, b: Box) -> float:
+    """Common area of two boxes over that of the smaller one."""
+    return common_area(a, b) / min(a[2] * a[3], b[2] * b[3])
+
+
+def _most_skin(region: Array, most: tuple[int, int]) -> tuple[float, tuple[int, int, int, int]]:
+    """The part of a region no larger than `most` that holds most skin: how much, and left, top, width, height."""
+    across, down = min(region.shape[1], most[0]), min(region.shape[0], most[1])
+    sums = cv2.integral(region)
+    held = sums[down:, across:] - sums[:-down, across:] - sums[down:, :-across] + sums[:-down, :-across]
+    row, column = divmod(int(held.argmax()), held.shape[1])
+    return float(held[row, column]), (column, row, across, down)
+
+
+def _cut(p: Array, x0: float, y0: float, x1: float, y1: float) -> Array:
+    """The pixels of a map whose centres are in a box, as a view; edges in pixels, none beyond its border."""
+    height, width = p.shape
+    columns = slice(_first(x0, width), _first(x1, width))
+    return p[_first(y0, height) : _first(y1, height), columns]
+
+
+def _first(edge: float, count: int) -> int:
+    return math.ceil(min(max(edge - 0.5, 0.0), float(count)))
+
+
+def _odd(side: float) -> int:
+    return 2 * math.floor(max(side, 1.0) / 2) + 1

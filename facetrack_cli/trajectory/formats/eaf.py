@@ -1,0 +1,222 @@
+"""ELAN's annotation format, EAF 3.0 (www.mpi.nl/tools/elan/EAFv3.0.xsd): tiers of what was lost and how a head moved.
+
+For each target: `lost@face`, whose annotations name the parts that are lost (a new one begins where others are);
+`absent@face`, the same of those that corrections call absent, if there are any; and, as far as its parts can tell,
+`horizontal@face`, `vertical@face`, `tilt@face`, `size@face`, `nods@face`, `still@face`: motion in the picture plane,
+see `motion.py`. Their values are controlled vocabularies, described in the file.
+
+Times are those of the frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as
+it is, not percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import uuid
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+from itertools import groupby
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.trajectory.formats.head_motion import head_motion, kinds_of
+from facetrack_cli.trajectory.select import by_target
+from facetrack_cli.trajectory.table import Series, Table
+
+XSI = "http://www.w3.org/2001/XMLSchema-instance"
+SCHEMA = "http://www.mpi.nl/tools/elan/EAFv3.0.xsd"
+MIME = {
+    ".mp4": "video/mp4",
+    ".m4v": "video/mp4",
+    ".mpg": "video/mpeg",
+    ".mpeg": "video/mpeg",
+    ".mov": "video/quicktime",
+    ".webm": "video/webm",
+    ".avi": "video/x-msvideo",
+    ".mkv": "video/x-matroska",
+}
+CONSTRAINTS = {
+    "Time_Subdivision": "Time subdivision of parent annotation's time interval, no time gaps allowed within this "
+    "interval",
+    "Symbolic_Subdivision": "Symbolic subdivision of a parent annotation. Annotations refering to the same parent are "
+    "ordered",
+    "Symbolic_Association": "1-1 association with a parent annotation",
+    "Included_In": "Time alignable annotations within the parent annotation's time interval, gaps are allowed",
+}
+"""The four that ELAN itself writes into every file, in its own words."""
+VOCABULARIES = {
+    "horizontal": {"left": "moves to the left of the picture", "right": "moves to the right of the picture"},
+    "vertical": {"up": "moves up in the picture", "down": "moves down in the picture"},
+    "tilt": {
+        "clockwise": "turns clockwise in the picture plane",
+        "counterclockwise": "turns counterclockwise in the picture plane",
+    },
+    "size": {"approach": "grows in the picture", "recede": "shrinks in the picture"},
+    "nods": {"nod": "swings up and down, three times or more", "shake": "swings left and right, three times or more"},
+    "still": {"still": "none of the motions of the other tiers for a second or more"},
+}
+FRAME_S = 0.04  # how long a single frame lasts where nothing tells
+
+
+def write_eaf(table: Table, media: Path, folder: Path, *, written: datetime) -> str:
+    """The XML text. `media` is the video that the times belong to, `folder` where the file will stand.
+
+    Raises InputError when rows have no time, or times that do not increase from frame to frame.
+    """
+    begin, end = _times(table)
+    tiers = [tier for target, parts in by_target(table) for tier in _tiers(target, parts)]
+    root = ET.Element(
+        "ANNOTATION_DOCUMENT",
+        {
+            "AUTHOR": "facetrack",
+            "DATE": written.astimezone().isoformat(timespec="seconds"),
+            "FORMAT": "3.0",
+            "VERSION": "3.0",
+            "xmlns:xsi": XSI,
+            "xsi:noNamespaceSchemaLocation": SCHEMA,
+        },
+    )
+    spans = [
+        [(begin[first], end[last], text) for first, last, text in rows if end[last] > begin[first]]
+        for _, _, rows in tiers
+    ]
+    _header(root, media, folder, sum(map(len, spans)))
+    # every annotation has two slots of its own, as ELAN makes them; slots stand in the order of their times
+    times = sorted((time, n) for n, time in enumerate(t for rows in spans for a, b, _ in rows for t in (a, b)))
+    order = ET.SubElement(root, "TIME_ORDER")
+    slots: dict[int, str] = {}
+    for place, (time, n) in enumerate(times, 1):
+        slots[n] = f"ts{place}"
+        ET.SubElement(order, "TIME_SLOT", TIME_SLOT_ID=f"ts{place}", TIME_VALUE=str(time))
+    count = 0
+    for (kind, target, _), rows in zip(tiers, spans, strict=True):
+        about = {"LINGUISTIC_TYPE_REF": kind, "TIER_ID": _clean(f"{kind}@{target}"), "ANNOTATOR": "facetrack"}
+        tier = ET.SubElement(root, "TIER", {**about, "PARTICIPANT": _clean(target)})
+        for _, _, text in rows:
+            count += 1
+            entry = {"CVE_REF": _entry(kind, text)} if kind in VOCABULARIES else {}
+            one = ET.SubElement(
+                ET.SubElement(tier, "ANNOTATION"),
+                "ALIGNABLE_ANNOTATION",
+                {
+                    "ANNOTATION_ID": f"a{count}",
+                    **entry,
+                    "TIME_SLOT_REF1": slots[2 * count - 2],
+                    "TIME_SLOT_REF2": slots[2 * count - 1],
+                },
+            )
+            ET.SubElement(one, "ANNOTATION_VALUE").text = _clean(text)
+    _types(root, list(dict.fromkeys(kind for kind, _, _ in tiers)))
+    ET.indent(root, "    ")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def spans_of(parts: Sequence[Series], status: str = "lost") -> list[tuple[int, int, str]]:
+    """First and last frame, and the names of the parts lost in them, for one target; split where other parts are.
+
+    The same of any other `status`, as absent.
+    """
+    frames = np.unique(np.concatenate([part.frame for part in parts]))
+    lost = np.zeros((len(frames), len(parts)), dtype=bool)
+    for k, part in enumerate(parts):
+        lost[np.searchsorted(frames, part.frame), k] = part.status == status
+    names = [", ".join(part.part for part, gone in zip(parts, row, strict=True) if gone) for row in lost.tolist()]
+    # frames that the table passes over are in no span
+    breaks = np.concatenate([[0], np.cumsum(np.diff(frames) != 1)]).tolist()
+    found = []
+    for (_, text), rows in groupby(zip(breaks, names, frames.tolist(), strict=True), key=lambda row: row[:2]):
+        members = [frame for _, _, frame in rows]
+        if text:
+            found.append((members[0], members[-1], status if text == "box" else text))
+    return found
+
+
+def _tiers(target: str, parts: Sequence[Series]) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
+    """Kind, target, and its spans; a kind that the parts can tell has a tier also if nothing was found."""
+    name = target or "target"
+    yield "lost", name, spans_of(parts)
+    if absent := spans_of(parts, "absent"):  # only where a correction says so
+        yield "absent", name, absent
+    moved = head_motion(parts)
+    for kind in kinds_of(parts):
+        yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
+
+
+def _times(table: Table) -> tuple[dict[int, int], dict[int, int]]:
+    """When each frame begins and when the next one does, in milliseconds, by frame."""
+    frames = table.frames
+    time_s = np.full(len(frames), np.nan)
+    for one in table.series:
+        rows = np.searchsorted(frames, one.frame)
+        time_s[rows] = np.where(np.isfinite(one.time_s), one.time_s, time_s[rows])
+    unknown = np.flatnonzero(~np.isfinite(time_s))
+    if unknown.size:
+        raise InputError(f"frame {frames[unknown[0]]} has no time_s, and annotations need times; fill that column")
+    back = np.flatnonzero(np.diff(time_s) <= 0)
+    if back.size:
+        raise InputError(
+            f"frame {frames[back[0] + 1]} is at {time_s[back[0] + 1]:g} s, not after frame {frames[back[0]]} at "
+            f"{time_s[back[0]]:g} s; correct time_s"
+        )
+    steps = np.diff(time_s) / np.diff(frames)
+    usual = float(np.median(steps)) if steps.size else FRAME_S
+    after = np.append(time_s[1:], time_s[-1] + usual)
+    apart = np.append(np.diff(frames) > 1, False)
+    after = np.where(apart, np.minimum(after, time_s + usual), after)
+    milliseconds = [np.rint(np.maximum(t, 0) * 1000).astype(np.int64).tolist() for t in (time_s, after)]
+    return dict(zip(frames.tolist(), milliseconds[0], strict=True)), dict(
+        zip(frames.tolist(), milliseconds[1], strict=True)
+    )
+
+
+def _header(root: ET.Element, media: Path, folder: Path, annotations: int) -> None:
+    header = ET.SubElement(root, "HEADER", MEDIA_FILE="", TIME_UNITS="milliseconds")
+    whole = Path(os.path.normpath(media.absolute())).as_posix()  # a link keeps the name that the user knows it by
+    about = {
+        "MEDIA_URL": "file:///" + _clean(whole.lstrip("/")),
+        "MIME_TYPE": MIME.get(media.suffix.lower(), "video/*"),
+    }
+    try:
+        relative = Path(os.path.relpath(whole, folder)).as_posix()
+        about["RELATIVE_MEDIA_URL"] = _clean(relative if relative.startswith("../") else f"./{relative}")
+    except ValueError:  # another drive of Windows: no way leads there
+        pass
+    ET.SubElement(header, "MEDIA_DESCRIPTOR", about)
+    urn = uuid.uuid5(uuid.NAMESPACE_URL, f"{about['MEDIA_URL']} {annotations} {root.get('DATE')}")
+    ET.SubElement(header, "PROPERTY", NAME="URN").text = f"urn:nl-mpi-tools-elan-eaf:{urn}"
+    ET.SubElement(header, "PROPERTY", NAME="lastUsedAnnotationId").text = str(annotations)
+
+
+def _types(root: ET.Element, kinds: Sequence[str]) -> None:
+    """What stands below the tiers, in the schema's order: types, language, constraints, vocabularies."""
+    for kind in kinds:
+        about = {"GRAPHIC_REFERENCES": "false", "LINGUISTIC_TYPE_ID": kind, "TIME_ALIGNABLE": "true"}
+        given = {"CONTROLLED_VOCABULARY_REF": kind} if kind in VOCABULARIES else {}
+        ET.SubElement(root, "LINGUISTIC_TYPE", {**given, **about})
+    language = {"LANG_DEF": "http://cdb.iso.org/lg/CDB-00138502-001", "LANG_ID": "eng", "LANG_LABEL": "English (eng)"}
+    ET.SubElement(root, "LANGUAGE", language)
+    for stereotype, description in CONSTRAINTS.items():
+        ET.SubElement(root, "CONSTRAINT", DESCRIPTION=description, STEREOTYPE=stereotype)
+    for kind in kinds:
+        if kind in VOCABULARIES:
+            group = ET.SubElement(root, "CONTROLLED_VOCABULARY", CV_ID=kind)
+            ET.SubElement(group, "DESCRIPTION", LANG_REF="eng").text = "motion of the target in the picture plane"
+            for label, description in VOCABULARIES[kind].items():
+                entry = ET.SubElement(group, "CV_ENTRY_ML", CVE_ID=_entry(kind, label))
+                ET.SubElement(entry, "CVE_VALUE", DESCRIPTION=description, LANG_REF="eng").text = label
+
+
+def _entry(kind: str, label: str) -> str:
+    return f"cveid_{kind}_{label}"
+
+
+_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def _clean(text: str) -> str:
+    """Text without the characters that XML 1.0 has no way to write."""
+    return _NO_XML.sub("\ufffd", text)

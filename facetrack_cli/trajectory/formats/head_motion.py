@@ -1,0 +1,376 @@
+"""Head motion as spans of frames, as far as tracked points or a box can tell it: motion in the picture plane.
+
+A turn of the head and a step aside look alike here: both move the face to the left or right of the picture.
+
+    for span in head_motion([table.find("face", "nose"), ...]):
+        span.kind, span.label, span.first, span.last      # "vertical", "down", frames 120..131
+
+Three signals are read off a target's parts that are not lost: its place (the median of its points), its angle and the
+logarithm of its size (medians over the pairs of points); of a box its centre, its angle if the file has one, and the
+root of its area. A part that gets lost or is found again makes no step in them. Lengths are in units of the target's
+size, times in seconds, whatever the frame rate, which may vary.
+
+| kind | label | begins above, lasts while above, for a change of at least | smoothed over |
+|---|---|---|---|
+| horizontal | left, right | 0.15 sizes/s, 0.07 sizes/s, 0.05 sizes | 0.12 s |
+| vertical | up, down | the same | 0.12 s |
+| tilt | clockwise, counterclockwise | 12 degrees/s, 5 degrees/s, 5 degrees | 0.2 s |
+| size | approach, recede | 15 %/s, 7 %/s, 15 % | 0.3 s |
+| nods | nod, shake | at least 3 swings, see below | 0.04 s |
+| still | still | none of these for 1 s | |
+
+All last at least 0.2 s. A nod is a run of swings up and down, a shake of swings left and right: each of at least 0.03
+sizes, 0.05 to 0.6 s long, and 1.5 times larger than what the target does across it meanwhile. What is smoothed is so by
+a Gaussian of that standard deviation. Where a track is so noisy that noise alone would pass a threshold, the threshold
+is raised to 4 standard deviations of the noise, which is measured on second differences. Nothing is said of frames in
+which the target is lost. The size of points that belong to a mouth also changes when it opens wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from facetrack_cli.core.spans import runs
+from facetrack_cli.core.types import Array, Mask, Whole
+from facetrack_cli.trajectory.table import Series
+
+LIGHT_S = 0.04  # smoothing of swings: a nod of 6 Hz keeps a third of its height
+
+
+GAP_S = 0.25  # a pause between rows that ends a stretch
+
+
+NOISE, KEPT = 4.0, 0.5  # deviations of noise that a threshold stands above; what of it stays from frame to frame
+
+
+SWING, SWINGS, SWING_S, ACROSS = 0.03, 3, (0.05, 0.6), 1.5
+
+
+STILL_S = 1.0
+
+
+LEAST_S = 0.2
+
+
+POINTS_TO_FACE = 2.0
+"""The size of a target of points, in largest distances between two: nose and mouth, or eyes and mouth, span about half
+a face, so that the thresholds mean about the same for points and for a face's box."""
+
+
+class Rate(NamedTuple):
+    """When a signal counts as moving: rates in its unit a second once smoothed, and the least change of a span."""
+
+    begin: float
+    last: float
+    change: float
+    smooth_s: float
+
+
+MOVE = Rate(0.15, 0.07, 0.05, 0.12)
+
+
+TILT = Rate(12.0, 5.0, 5.0, 0.2)
+
+
+SIZE = Rate(0.15, 0.07, 0.15, 0.3)
+
+
+# kind: labels of a falling and a rising signal (y points down, angles turn clockwise in the picture)
+LABELS = {
+    "horizontal": ("left", "right"),
+    "vertical": ("up", "down"),
+    "tilt": ("counterclockwise", "clockwise"),
+    "size": ("recede", "approach"),
+}
+
+
+class Span(NamedTuple):
+    """Frames `first` to `last`, both within it, in which a target moved as `label` says."""
+
+    kind: str
+    label: str
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Pose:
+    """How a target stands in each of T frames; (T,) each, nan where it is lost.
+
+    x, y in units of its size, angle in degrees (None: cannot be told), size as a logarithm (None: cannot be told).
+    Values are relative: only differences mean something, and none across frames that `begins` marks.
+    """
+
+    frame: Whole
+    time_s: Array
+    x: Array
+    y: Array
+    angle: Array | None
+    size: Array | None
+    begins: Mask
+
+
+def head_motion(parts: Sequence[Series]) -> list[Span]:
+    """The motion of one target, given the series of its parts; kinds in the table's order, spans in order of time.
+
+    Spans of one kind do not overlap. `time_s` of the rows must be known and increase.
+    """
+    pose = read_pose(parts)
+    found = [span for stretch in _stretches(pose) for span in _spans(pose, stretch)]
+    return sorted(found, key=lambda span: (KINDS.index(span.kind), span.first))
+
+
+KINDS = (*LABELS, "nods", "still")
+
+
+def kinds_of(parts: Sequence[Series]) -> tuple[str, ...]:
+    """The kinds that can be told of a target with these parts at all: a single point has neither angle nor size."""
+    pose = read_pose(parts)
+    missing = {kind for kind, signal in (("tilt", pose.angle), ("size", pose.size)) if signal is None}
+    return tuple(kind for kind in KINDS if kind not in missing)
+
+
+# --- from parts to one pose --------------------------------------------------------------------------------------
+
+
+def read_pose(parts: Sequence[Series]) -> Pose:
+    """The signals of one target from its parts, which may have rows in different frames."""
+    frame = np.unique(np.concatenate([part.frame for part in parts]))
+    shape = len(frame), len(parts)
+    xy, side, angle = np.full((*shape, 2), np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
+    time_s = np.full(len(frame), np.nan)
+    for k, part in enumerate(parts):
+        rows = np.searchsorted(frame, part.frame)
+        time_s[rows] = np.where(np.isfinite(part.time_s), part.time_s, time_s[rows])
+        seen = part.status != "lost"
+        xy[rows, k] = np.where(seen[:, None], np.stack([part.x, part.y], axis=1), np.nan)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            side[rows, k] = np.where(seen & (part.w > 0) & (part.h > 0), 0.5 * np.log(part.w * part.h), np.nan)
+        angle[rows, k] = np.where(seen, part.angle, np.nan)
+    good = np.isfinite(xy).all(axis=2)
+    if len(parts) == 1:
+        size = side if np.isfinite(side).any() and np.nanmax(side) > np.nanmin(side) else None
+        turn = np.exp(1j * np.radians(angle)) if np.isfinite(angle).any() else None
+        unit = float(np.exp(np.nanmedian(side))) if np.isfinite(side).any() else np.nan
+    else:
+        size, turn, unit = _of_pairs(xy)
+    if not unit > 0:  # nothing tells how large it is
+        unit = np.nan
+    x, begins = _follow(xy[:, :, 0], good)
+    y, _ = _follow(xy[:, :, 1], good)
+    return Pose(
+        frame,
+        time_s,
+        x / unit,
+        y / unit,
+        None if turn is None else _follow_angle(turn),
+        None if size is None else _follow(size, np.isfinite(size))[0],
+        begins,
+    )
+
+
+def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
+    """Log distances (T, M) and directions (T, M, complex) of pairs of points xy (T, K, 2), and the target's size."""
+    k = xy.shape[1]
+    if k <= 12:
+        one, other = np.triu_indices(k, 1)
+    else:  # of many points, those across from one another in the list do
+        one, other = np.arange(k), (np.arange(k) + k // 2) % k
+    apart = xy[:, other] - xy[:, one]
+    length = np.hypot(apart[..., 0], apart[..., 1])
+    typical = _nanmedian(length, axis=0)
+    largest = float(np.nanmax(typical)) if np.isfinite(typical).any() else np.nan
+    # directions between points close together are mostly noise
+    far = typical >= 0.5 * largest
+    apart, length = np.nan_to_num(apart[:, far]), np.where(length[:, far] > 0, length[:, far], np.nan)
+    turn = np.exp(1j * np.arctan2(apart[..., 1], apart[..., 0]))
+    return np.log(length), np.where(np.isfinite(length), turn, np.nan), POINTS_TO_FACE * largest
+
+
+def _follow(values: Array, good: Mask) -> tuple[Array, Mask]:
+    """One signal (T,) for columns (T, M) that move together: the median of their departures from their usual values.
+
+    Where other columns are good than in the row before, the step is that of the columns good in both, so that a column
+    that comes or goes makes none. Also whether each row begins anew: it shares no good column with the row before.
+    """
+    values = np.where(good, values, np.nan)
+    departure = values - _nanmedian(values, axis=0)
+    level = _nanmedian(departure, axis=1)
+    step = np.diff(level, prepend=np.nan)
+    both = good[1:] & good[:-1]
+    changed = 1 + np.flatnonzero((good[1:] != good[:-1]).any(axis=1) & both.any(axis=1))
+    steps = np.where(both, np.diff(values, axis=0), np.nan)
+    step[changed] = _nanmedian(steps[changed - 1], axis=1)
+    begins = np.concatenate([[True], ~both.any(axis=1)])[: len(values)]
+    step[begins] = 0.0  # each stretch is relative to its first row
+    return np.where(good.any(axis=1), np.cumsum(np.nan_to_num(step)), np.nan), begins
+
+
+def _follow_angle(turn: Array) -> Array:
+    """As `_follow`, of directions (T, M) as unit complex numbers, in degrees."""
+    usual = np.nansum(turn, axis=0)
+    usual = np.where(np.abs(usual) > 0, usual, 1.0)
+    departure = np.degrees(np.angle(turn / usual))
+    return _follow(departure, np.isfinite(departure))[0]
+
+
+def _nanmedian(values: Array, axis: int) -> Array:
+    """numpy's nanmedian, nan without a warning where there is nothing."""
+    empty = ~np.isfinite(values).any(axis=axis)
+    filled = np.where(np.expand_dims(empty, axis), 0.0, values)
+    return np.where(empty, np.nan, np.nanmedian(filled, axis=axis)) if filled.size else np.full(empty.shape, np.nan)
+
+
+# --- from signals to spans ---------------------------------------------------------------------------------------
+
+
+def _stretches(pose: Pose) -> Iterator[Whole]:
+    """Rows without a break: not lost, no pause between them, long enough to say something of."""
+    known = np.flatnonzero(np.isfinite(pose.x) & np.isfinite(pose.y) & np.isfinite(pose.time_s))
+    if known.size == 0:
+        return
+    broken = (np.diff(known) > 1) | (np.diff(pose.time_s[known]) > GAP_S) | pose.begins[known[1:]]
+    for rows in np.split(known, 1 + np.flatnonzero(broken)):
+        if len(rows) > 2 and pose.time_s[rows[-1]] - pose.time_s[rows[0]] >= LEAST_S:
+            yield rows
+
+
+def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
+    """The spans of one stretch of rows, on a grid of equal steps in time."""
+    time_s = pose.time_s[rows]
+    dt = float(np.median(np.diff(time_s)))
+    grid = np.arange(time_s[0], time_s[-1] + dt / 2, dt)
+
+    def even(signal: Array) -> Array:
+        values = signal[rows]
+        known = np.isfinite(values)  # of angle and size, pairs may be missing where points are not
+        return np.interp(grid, time_s[known], values[known]) if known.any() else np.zeros(len(grid))
+
+    def spans(kind: str, label: str, begin: int, end: int) -> Iterator[Span]:
+        # grid times are rounding errors away from the rows'; where rows are far apart, a span may hold none
+        first = int(np.searchsorted(time_s, grid[begin] - dt / 4))
+        after = int(np.searchsorted(time_s, grid[begin] + (end - begin - 0.25) * dt))
+        if after > first:
+            yield Span(kind, label, int(pose.frame[rows[first]]), int(pose.frame[rows[after - 1]]))
+
+    busy = np.zeros(len(grid), dtype=bool)
+    x, y = even(pose.x), even(pose.y)
+    signals = [("horizontal", x, MOVE), ("vertical", y, MOVE)]
+    signals += [("tilt", even(pose.angle), TILT)] if pose.angle is not None else []
+    signals += [("size", even(pose.size), SIZE)] if pose.size is not None else []
+    for kind, signal, rate in signals:
+        for begin, end, label in _moving(signal, dt, rate, LABELS[kind]):
+            busy[begin:end] = True
+            yield from spans(kind, label, begin, end)
+    for begin, end, label in _swinging(x, y, dt):
+        busy[begin:end] = True
+        yield from spans("nods", label, begin, end)
+    for begin, end in runs(~busy):
+        if (end - begin) * dt >= STILL_S:
+            yield from spans("still", "still", begin, end)
+
+
+def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> Iterator[tuple[int, int, str]]:
+    smooth = _gauss(signal, rate.smooth_s / dt)
+    speed = np.gradient(smooth, dt)
+    slope = np.gradient(_kernel(rate.smooth_s / dt), dt)
+    begin_above = max(rate.begin, NOISE * _noise(signal) * _left_by(slope))
+    for sign, label in zip((-1, 1), labels, strict=True):
+        for begin, end in runs(sign * speed > rate.last):
+            fast = np.max(sign * speed[begin:end]) > begin_above
+            change = abs(smooth[end - 1] - smooth[begin])
+            if fast and (end - begin) * dt >= LEAST_S and change >= rate.change:
+                yield begin, end, label
+
+
+def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
+    """Nods and shakes, in order of time: runs of quick swings between turning points."""
+    found: list[tuple[int, int, str]] = []
+    for main, across, label in ((y, x, "nod"), (x, y, "shake")):
+        light, side = _gauss(main, LIGHT_S / dt), _gauss(across, LIGHT_S / dt)
+        least = max(SWING, NOISE * _noise(main) * _left_by(_kernel(LIGHT_S / dt)))
+        turns = _turning_points(light, least)
+        quick = np.zeros(max(0, len(turns) - 1), dtype=bool)
+        for n, (a, b) in enumerate(pairwise(turns)):
+            # half a swing more at both ends: a circle is as wide as it is high, but not within half of its way
+            more = (b - a + 1) // 2
+            width = np.ptp(side[max(0, a - more) : b + more + 1])
+            quick[n] = SWING_S[0] <= (b - a) * dt <= SWING_S[1] and abs(light[b] - light[a]) >= ACROSS * width
+        for a, b in runs(quick):
+            if b - a >= SWINGS:
+                found.append((_leaves(light, turns[a], turns[a + 1]), _reaches(light, turns[b - 1], turns[b]), label))
+    after = 0
+    for begin, end, label in sorted(found):
+        # the last swing of one may still be going on in the first of the other
+        if (end - max(begin, after)) * dt >= LEAST_S:
+            yield max(begin, after), end, label
+            after = end
+
+
+def _turning_points(signal: Array, least: float) -> list[int]:
+    """Where a signal turns by at least `least`: highs and lows in turn, smaller wiggles passed over."""
+    turns: list[int] = []
+    low = high = 0
+    up: bool | None = None
+    for i, value in enumerate(signal.tolist()):
+        if value > signal[high]:
+            high = i
+        if value < signal[low]:
+            low = i
+        if up is not False and signal[high] - value >= least:
+            turns.append(high)
+            up, low = False, i
+            high = i
+        elif up is not True and value - signal[low] >= least:
+            turns.append(low)
+            up, high = True, i
+            low = i
+    if up is not None:  # the last swing ends where it got farthest
+        turns.append(high if up else low)
+    return turns
+
+
+def _leaves(signal: Array, a: int, b: int) -> int:
+    """Where between two turning points the swing begins: at the last place within a fifth of its height of `a`."""
+    near = np.abs(signal[a : b + 1] - signal[a]) <= 0.2 * abs(signal[b] - signal[a])
+    return a + int(np.flatnonzero(near)[-1])
+
+
+def _reaches(signal: Array, a: int, b: int) -> int:
+    """Where between two turning points the swing ends: at the first place within a fifth of its height of `b`."""
+    near = np.abs(signal[a : b + 1] - signal[b]) <= 0.2 * abs(signal[b] - signal[a])
+    return a + int(np.flatnonzero(near)[0])
+
+
+def _kernel(sigma: float) -> Array:
+    reach = int(np.ceil(4 * sigma))
+    weights: Array = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    return weights / np.sum(weights)
+
+
+def _gauss(signal: Array, sigma: float) -> Array:
+    """Smoothed by a Gaussian of `sigma` samples; beyond its ends the signal is mirrored."""
+    kernel = _kernel(sigma)
+    smooth: Array = np.convolve(np.pad(signal, len(kernel) // 2, mode="symmetric"), kernel, mode="valid")
+    return smooth
+
+
+def _noise(signal: Array) -> float:
+    """The standard deviation of noise on a signal, from the median of its second differences.
+
+    Of the noise of particles about half stays from one frame to the next: of such noise of unit variance, second
+    differences have the variance 6 - 8 KEPT + 2 KEPT^2.
+    """
+    second = np.diff(signal, n=2)
+    return float(np.median(np.abs(second)) / 0.6745 / np.sqrt(6 - 8 * KEPT + 2 * KEPT**2)) if second.size else 0.0
+
+
+def _left_by(kernel: Array) -> float:
+    """The deviation that noise of unit deviation, of which KEPT stays from frame to frame, has after a filter."""
+    lags = np.abs(np.arange(1 - len(kernel), len(kernel)))
+    return float(np.sqrt(np.sum(np.correlate(kernel, kernel, "full") * KEPT**lags)))

@@ -1,0 +1,270 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import click
+import pytest
+
+from facetrack_cli import __version__
+from facetrack_cli.__main__ import main
+from facetrack_cli.cli import app as cli
+from facetrack_cli.core.errors import ExitCode, InputError, OutputError, RecipeError
+from tests.support.terminal import read_all
+
+HEAVY = {"numpy", "cv2", "numba", "pydantic", "rich", "imageio", "imageio_ffmpeg", "ruamel"}
+PACKAGE = Path(cli.__file__).parent
+
+
+def facetrack(*arguments, flags=(), cwd=None, **environment):
+    return subprocess.run(
+        [sys.executable, *flags, "-m", "facetrack_cli", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(PACKAGE.parent), **environment},
+    )
+
+
+@pytest.fixture
+def boom(monkeypatch):
+    """Put a command `boom` on the command line that does what it is given."""
+
+    def boom(action):
+        @click.command()
+        def command():
+            return action()
+
+        module = types.ModuleType("facetrack_cli.cli.commands.boom")
+        module.command = command
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        monkeypatch.setitem(cli.COMMANDS, "boom", "Test.")
+        monkeypatch.delenv("FACETRACK_DEBUG", raising=False)
+        return main(["boom"])
+
+    return boom
+
+
+def raising(error):
+    def action():
+        raise error
+
+    return action
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], [], ["recipes", "--help"], ["rnu"]])
+def test_nothing_heavy_is_imported_for_help(arguments):
+    done = facetrack(*arguments, flags=["-X", "importtime"])
+    imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time:")}
+    assert "click" in imported and "facetrack_cli.cli.app" in imported
+    assert {name.partition(".")[0] for name in imported} & HEAVY == set()
+    commands = {name for name in imported if name.startswith("facetrack_cli.cli.commands.")}
+    assert commands <= {f"facetrack_cli.cli.commands.{name}" for name in arguments}
+
+
+def test_help_lists_the_commands(capsys):
+    assert main(["--help"]) == 0
+    listed = capsys.readouterr().out
+    for name, text in cli.COMMANDS.items():
+        assert f"  {name} " in listed and text in listed
+    assert main([]) == 0
+    assert capsys.readouterr().out == listed
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"facetrack {__version__}\n"
+
+
+def every_command():
+    for name in cli.COMMANDS:
+        command = cli.cli.get_command(click.Context(cli.cli), name)
+        yield name, command
+        for below, subcommand in getattr(command, "commands", {}).items():
+            yield f"{name} {below}", subcommand
+
+
+@pytest.mark.parametrize(("name", "command"), list(every_command()))
+def test_a_command_has_an_example_and_help_of_80_columns(name, command, capsys):
+    assert main([*name.split(), "--help"]) == 0
+    text = capsys.readouterr().out
+    example = text if isinstance(command, click.Group) else text.partition("Example")[2]
+    assert f"facetrack {name}" in example.partition("Options:")[0]
+    assert [line for line in text.splitlines() if len(line) > 80] == []
+    assert not command.get_short_help_str(60).endswith("..."), "the first sentence of the help is too long for a list"
+    for option in command.params:
+        assert not isinstance(option, click.Option) or option.help, option.name
+
+
+# errors end in one line and an exit code
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (InputError("clip.mp4: empty; record it again"), 3, "error: clip.mp4: empty; record it again"),
+        (OutputError("out: full"), 2, "error: out: full"),
+        (InputError("a\nb.mp4: empty"), 3, "error: a b.mp4: empty"),
+        (click.UsageError("No such thing."), 2, "error: No such thing (see facetrack boom --help)"),
+        (click.FileError("x.csv", "gone"), 2, "error: Could not open file 'x.csv': gone"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_an_error_is_one_line(boom, capsys, error, code, said):
+    assert boom(raising(error)) == code
+    out, err = capsys.readouterr()
+    assert out == "" and err.strip() == f"facetrack: {said}"
+
+
+def test_a_recipe_error_has_its_excerpt(boom, capsys):
+    assert boom(raising(RecipeError("r.yaml:1:2: wrong", "    1 | ab\n      |  ^"))) == 2
+    assert capsys.readouterr().err == "facetrack: error: r.yaml:1:2: wrong\n    1 | ab\n      |  ^\n"
+
+
+def test_a_crash_is_our_fault_in_one_line(boom, capsys, monkeypatch):
+    assert boom(raising(ZeroDivisionError("two\nlines"))) == ExitCode.FAULT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("facetrack: error: this is our fault, not yours: ZeroDivisionError: two lines; run it again")
+    monkeypatch.setenv("FACETRACK_DEBUG", "1")
+    assert main(["boom"]) == ExitCode.FAULT
+    assert "Traceback" in capsys.readouterr().err
+    monkeypatch.setenv("FACETRACK_DEBUG", "0")
+    assert main(["boom"]) == ExitCode.FAULT
+    assert "Traceback" not in capsys.readouterr().err
+    assert main(["--debug", "boom"]) == ExitCode.FAULT
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("code", list(ExitCode))
+def test_a_command_may_return_its_exit_code_or_leave_with_it(boom, code):
+    assert boom(lambda: code) == code
+    assert boom(raising(click.exceptions.Exit(code))) == code
+    assert boom(lambda: None) == 0
+    with pytest.raises(SystemExit) as left:
+        boom(raising(SystemExit(code)))
+    assert left.value.code == code
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["rnu"], 'no command "rnu"; did you mean "run"? (see facetrack --help)'),
+        (["xyzzy"], f'no command "xyzzy"; there are: {", ".join(cli.COMMANDS)} (see facetrack --help)'),
+        (["--hlep"], "No such option"),
+        (["recipes", "show"], "Missing argument 'RECIPE' (see facetrack recipes show --help)"),
+        (["recipes", "show", "factorised"], '"factorised" is neither a file nor a shipped recipe; did you mean'),
+    ],
+)
+def test_usage_errors(arguments, said, capsys):
+    assert main(arguments) == ExitCode.USAGE
+    out, err = capsys.readouterr()
+    assert out == "" and said in err and err.startswith("facetrack: error: ") and err.count("\n") == 1
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes break otherwise there")
+@pytest.mark.parametrize("arguments", [["recipes", "schema"], ["--help"]])
+def test_a_reader_that_goes_is_no_error(arguments):
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "facetrack_cli", *arguments]
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (cli.READER_GONE, "")
+
+
+def test_completion_of_a_command_loads_none():
+    done = facetrack(_FACETRACK_COMPLETE="bash_complete", COMP_WORDS="facetrack r", COMP_CWORD="1")
+    assert done.stdout.split() == [f"plain,{name}" for name in cli.COMMANDS if name.startswith("r")]
+
+
+# recipes
+
+
+def test_shipped_recipes_are_found_from_anywhere(tmp_path):
+    done = facetrack("recipes", cwd=tmp_path)
+    assert done.returncode == 0 and done.stderr == ""
+    rows = [line.split("\t") for line in done.stdout.splitlines()]
+    particles = {name: count for name, count, _ in rows}
+    assert (particles["factorized"], particles["independent"], particles["mil"]) == ("100", "1000", "-")
+    assert len(rows) == 30
+    assert all(len(text) > 20 for *_, text in rows)
+    for name in ("factorized", "factorized.yaml"):
+        done = facetrack("recipes", "show", name, cwd=tmp_path)
+        assert done.stdout.startswith("# Patras & Pantic") and "\x1b" not in done.stdout
+
+
+def test_show_prints_the_very_text(capsys, tmp_path):
+    path = tmp_path / "r.yaml"
+    path.write_text("# wrong, but shown: é\nseed: [", encoding="utf-8")
+    assert main(["recipes", "show", str(path)]) == 0
+    assert capsys.readouterr().out == path.read_text(encoding="utf-8") + "\n"
+
+
+def test_check_lists_every_error_of_every_file(capsys, tmp_path):
+    path = tmp_path / "r.yaml"
+    path.write_text("description: x\nseed: -1\nsed: 2\n")
+    assert main(["recipes", "check", "sir", str(path), "nowhere.yaml"]) == 2
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == "sir: good"
+    assert f"{path}:2:7: seed must be at least 0, not -1" in out
+    assert out[out.index(f'{path}:3:1: unknown key "sed"; did you mean "seed"?') + 2] == "      | ^^^"
+    assert sum("lacks the key" in line for line in out) == 4
+    assert out[-1].startswith('"nowhere.yaml" is neither a file')
+    assert main(["recipes", "check", "sir", "--set", "filter.particles=0"]) == 2
+    assert main(["recipes", "check", "sir", "--set", "filter.particles=9"]) == 0
+
+
+def test_schema_is_json(capsys):
+    assert main(["recipes", "schema"]) == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "Recipe"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs a pseudo-terminal")
+def test_on_a_terminal_there_are_a_table_and_colours():
+    def seen(*arguments, **environment):
+        import pty
+
+        ours, theirs = pty.openpty()
+        command = [sys.executable, "-m", "facetrack_cli", *arguments]
+        plain = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "FORCE_COLOR")}
+        terminal = {**plain, "TERM": "xterm-256color", "COLUMNS": "80", **environment}
+        with subprocess.Popen(command, stdout=theirs, stderr=theirs, env=terminal) as process:
+            os.close(theirs)
+            said = read_all(ours)
+        assert process.returncode == 0
+        return said
+
+    table = seen("recipes")
+    assert "particles" in table and "\x1b[1m" in table and "\t" not in table
+    assert "\x1b[" in seen("recipes", "show", "sir")
+    assert "\x1b[" not in seen("recipes", "show", "sir", NO_COLOR="1")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+@pytest.mark.parametrize("args", [["--help"], ["recipes"], ["recipes", "show", "sir"], ["recipes", "check", "sir"]])
+def test_standard_output_on_a_full_disk(args):
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "facetrack_cli", *args]
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr == (
+        "facetrack: error: standard output: cannot be written: No space left on device; send it elsewhere\n"
+    )
+
+
+def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):
+    def refuse(*_):
+        raise MemoryError("Unable to allocate 73 TiB")
+
+    monkeypatch.setattr("facetrack_cli.recipe.files.shipped_recipes", refuse)
+    assert main(["recipes"]) == 1
+    assert capsys.readouterr().err.startswith("facetrack: error: not enough memory (Unable to allocate 73 TiB); take")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_signal_outside_a_run(monkeypatch, capsys):
+    monkeypatch.setattr("facetrack_cli.recipe.files.shipped_recipes", lambda: os.kill(os.getpid(), signal.SIGTERM))
+    assert main(["recipes"]) == 143
+    assert capsys.readouterr().err == "facetrack: terminated\n"
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

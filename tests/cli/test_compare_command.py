@@ -1,0 +1,295 @@
+"""facetrack compare and facetrack repeat as their users meet them: tables, files, exit codes."""
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import ExitCode, UsageError
+from facetrack_cli.report.figures import style as plot_style
+from facetrack_cli.runs import seeds as runs
+
+SAMPLES = Path(__file__).parents[2] / "sample_videos"
+CLIP = SAMPLES / "occlusion.mp4"
+TWO = ["--config", "sir:filter.particles=30", "--config", "independent:filter.particles=10"]
+SHORT = ["--stop", "12", "--seeds", "2"]
+PNG = b"\x89PNG"
+
+
+@pytest.fixture
+def facetrack(tmp_path, monkeypatch, capfd):
+    """Run in an empty folder: exit code, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        code = main([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        return code, out, err
+
+    return run
+
+
+def test_compare_writes_a_table_data_and_plots(facetrack):
+    code, out, err = facetrack("compare", CLIP, *TWO, *SHORT)
+    assert code == 0, err
+    folder = Path("occlusion-compare")
+    names = {"compare.json", "compare.csv", "compare.md", "cumulative.png", "error.png"}
+    assert {path.name for path in folder.iterdir()} == names
+    assert all((folder / name).read_bytes()[:4] == PNG for name in names if name.endswith("png"))
+    assert max(map(len, out.splitlines())) <= 100 and "\x1b" not in out
+    for expected in ("sir: ", " filter.particles=30", "±", "0 of 2", "per s", "×1.00", "frames 0 to 11"):
+        assert expected in out, expected
+    assert "frames 0 to 11" in (folder / "compare.md").read_text(encoding="utf-8")
+    assert "error.png" in err and "occlusion-compare" in err
+
+    found = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+    assert found["complete"] and found["ranked_by"] == "points.mean_normalised" and found["seeds"] == 2
+    recipe = {one["label"]: one["recipe"] for one in found["recipes"]}["sir:filter.particles=30"]
+    assert recipe["filter"]["particles"] == 30
+
+    code, out, err = facetrack("compare", CLIP, *TWO, *SHORT)
+    assert code == ExitCode.USAGE and "--overwrite" in err and err.count("\n") == 1, "said before anything runs"
+
+
+def test_compare_prints_data(facetrack):
+    code, out, _ = facetrack(
+        "compare", CLIP, *TWO, *SHORT, "--csv", "-q", "--no-plots", "--rank-by", "points.median_px"
+    )
+    rows = list(csv.DictReader(io.StringIO(out)))
+    assert code == 0 and [row["seed"] for row in rows] == ["0", "1", "0", "1"]
+    assert float(rows[0]["points.mean_px"]) > 0 and float(rows[0]["frames_per_s"]) > 0
+    assert not list(Path("occlusion-compare").glob("*.png"))
+    assert out == Path("occlusion-compare/compare.csv").read_text(encoding="utf-8")
+    found = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))
+    assert found["ranked_by"] == "points.median_px"
+
+
+def test_processes_change_no_number(facetrack):
+    arguments = ["compare", CLIP, *TWO, *SHORT, "--csv", "-q", "--no-plots", "-o"]
+
+    def numbers(out):
+        return [{k: v for k, v in row.items() if k != "frames_per_s"} for row in csv.DictReader(io.StringIO(out))]
+
+    one, two = facetrack(*arguments, "one"), facetrack(*arguments, "two", "-j", "2")
+    assert one[0] == two[0] == 0 and len(numbers(one[1])) == 4
+    assert numbers(one[1]) == numbers(two[1])
+
+
+def test_a_recipe_that_cannot_run_does_not_stop_the_others(facetrack):
+    code, out, err = facetrack("compare", CLIP, *TWO, "--config", "mil", "--stop", "4", "--seeds", "1", "--no-plots")
+    assert code == ExitCode.BATCH
+    assert "mil: not run: " in out and "1 of 3 recipes could not run" in err
+    found = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))
+    last = found["recipes"][-1]
+    assert last["label"] == "mil" and last["rank"] is None and last["error"] and not last["runs"]
+
+
+def test_nothing_is_left_behind_when_none_can_run(facetrack):
+    code, out, err = facetrack("compare", CLIP, "--config", "mil", "--stop", "3")
+    assert code == ExitCode.INPUT and not out and "occlusion.truth.csv" in err
+    assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--config", "sir", "--config", "sir"], "given twice"),
+        (["--config", "sir", "--rank-by", "beauty"], "nothing to rank by"),
+        (["--config", "sir", "--box", "1,2,3,4", "--init", "haar"], "give one of them"),
+        (["--config", "sir", "-o", "-"], "names no folder"),
+        (["--config", "sir:filter.particle=3"], "filter.particle"),
+        (["--config", "sir", "--fps", "25"], "image folders"),
+        (["--config", "sir", "--set", "seed=3"], "seed has no effect here"),
+        (["--config", "sir:filter.particles=9,seed=3"], "seed has no effect here"),
+        (["--config", "sir", "--stop", "0"], "--stop 0 leaves no frame at all"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(facetrack, arguments, said):
+    code, out, err = facetrack("compare", CLIP, *arguments)
+    assert code == ExitCode.USAGE and said in err and not out
+    assert not list(Path().iterdir())
+
+
+def test_without_matplotlib_the_table_is_there(facetrack, monkeypatch):
+    def missing():
+        raise UsageError("figures need matplotlib, which is not installed: pip install 'facetrack[plot]'")
+
+    monkeypatch.setattr(plot_style, "need_matplotlib", missing)
+    for command in (["compare", CLIP, *TWO], ["repeat", CLIP, "--config", "sir"]):
+        code, out, err = facetrack(*command, *SHORT)
+        assert code == 0 and "facetrack[plot]" in err and out
+    assert not list(Path().rglob("*.png")) and len(list(Path().rglob("*.json"))) == 2
+
+
+def test_an_interrupt_keeps_what_is_complete(facetrack, monkeypatch):
+    whole = runs.run_plans
+
+    def interrupted(plans, workers, stop, report):
+        yield from whole(plans[:1], workers, stop, report)
+        stop.code = ExitCode.INTERRUPTED
+
+    monkeypatch.setattr(runs, "run_plans", interrupted)
+    code, out, _ = facetrack("compare", CLIP, *TWO, *SHORT, "--no-plots")
+    assert code == ExitCode.INTERRUPTED and "Interrupted" in out and "0 of 2" in out
+    found = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))
+    assert not found["complete"] and [len(one["runs"]) for one in found["recipes"]] == [2, 0]
+
+    def at_once(plans, workers, stop, report, **more):
+        stop.code = ExitCode.INTERRUPTED
+        yield from ()
+
+    monkeypatch.setattr(runs, "run_plans", at_once)
+    for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
+        code, out, err = facetrack(*command, *SHORT, "-o", "none", "--no-plots")
+        assert code == ExitCode.INTERRUPTED and not out
+        assert err.startswith("facetrack: interrupted before ") and err.endswith("; nothing was written\n")
+        assert not Path("none").exists()
+
+
+def test_what_does_not_fit_the_truth_is_told_before_anything_runs(facetrack, monkeypatch):
+    boxes = "".join(f"{n},106,74,106,106\n" for n in range(4))
+    Path("boxes.csv").write_text("frame,x,y,w,h\n" + boxes, encoding="utf-8")
+    started = []
+    whole = runs.run_plans
+    monkeypatch.setattr(runs, "run_plans", lambda plans, *more: started.extend(plans) or whole(plans, *more))
+    arguments = ["compare", CLIP, "--truth", "boxes.csv", "--stop", "4", "--seeds", "1", "--no-plots"]
+    code, out, err = facetrack(*arguments, *TWO)
+    assert code == ExitCode.INPUT and "boxes.csv" in err and "face/nose" in err and not out and not started
+    code, out, _ = facetrack(*arguments, *TWO, "--config", "mil")
+    assert code == ExitCode.BATCH and out.count("not run: boxes.csv") == 2 and [one.label for one in started] == ["mil"]
+    started.clear()
+    code, _, err = facetrack(*arguments, "--config", "mil", "--rank-by", "points.mean_px", "-o", "other")
+    assert code == ExitCode.USAGE and "measures boxes of mil" in err and not started and not Path("other").exists()
+
+    far = "".join(f"{n},1106,74,106,106\n" for n in range(4))
+    Path("boxes.csv").write_text("frame,x,y,w,h\n" + far, encoding="utf-8")
+    code, _, err = facetrack(*arguments, "--config", "mil", "-o", "other")
+    assert code == ExitCode.INPUT and "outside of the picture of 320x240" in err and not started
+
+
+def test_a_truth_of_other_frames_is_told_after_the_first_recipe(facetrack):
+    Path("cut.mp4").write_bytes((SAMPLES / "expressions.mp4").read_bytes()[:30000])
+    given = ["--truth", SAMPLES / "expressions.truth.csv", "--init", SAMPLES / "expressions.init.yaml", "--no-plots"]
+    seen = []
+    original = runs._run
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runs, "_run", lambda plan, *more: seen.append(plan.label) or original(plan, *more))
+        code, _, err = facetrack("compare", "cut.mp4", *TWO, *given, "--seeds", "1")
+    assert code == ExitCode.INPUT and "--partial" in err and err.count("\n") == 1 and len(seen) == 1
+
+    code, _, err = facetrack("compare", "cut.mp4", *TWO, *given, "--seeds", "1", "--partial")
+    assert code == 0 and err.count("warning: cut.mp4: cut short or damaged") == 1
+    code, _, err = facetrack("repeat", "cut.mp4", *given[2:], "--seeds", "2")
+    assert code == 0 and err.count("warning: cut.mp4: cut short or damaged") == 1
+
+
+def test_a_disk_that_fills_up_costs_files_not_the_table(facetrack, monkeypatch):
+    original = Path.write_bytes
+
+    def full(self, data):
+        if self.name.startswith((".error.png", ".spread.png")):
+            raise OSError(28, "No space left on device")
+        return original(self, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
+        code, out, err = facetrack(*command, *SHORT)
+        assert code == ExitCode.USAGE and "No space left" in err and "frames 0 to 11" in out
+
+
+def test_a_folder_in_the_way_of_a_file_is_refused_beforehand(facetrack):
+    Path("out/compare.csv").mkdir(parents=True)
+    code, out, err = facetrack("compare", CLIP, *TWO, *SHORT, "-o", "out", "--overwrite")
+    assert code == ExitCode.USAGE and "compare.csv: is a folder" in err and not out
+    assert [path.name for path in Path("out").iterdir()] == ["compare.csv"]
+
+
+# --- repeat ------------------------------------------------------------------------------------------------------
+
+
+def test_repeat_writes_the_spread_of_each_frame(facetrack):
+    truth = SAMPLES / "occlusion.truth.csv"
+    code, out, err = facetrack(
+        "repeat", CLIP, "--config", "sir", "--set", "filter.particles=20", "--seeds", "5", "--stop", "40",
+        "--truth", truth,
+    )  # fmt: skip
+    assert code == 0, err
+    folder = Path("occlusion-sir-repeat")
+    assert {path.name for path in folder.iterdir()} == {"repeat.csv", "repeat.json", "repeat.md", "spread.png"}
+    assert (folder / "spread.png").read_bytes()[:4] == PNG
+    assert max(map(len, out.splitlines())) <= 100
+    rows = list(csv.DictReader(io.StringIO((folder / "repeat.csv").read_text(encoding="utf-8"))))
+    assert len(rows) == 40 * 5 and rows[0]["part"] == "nose" and float(rows[0]["std_x"]) == 0
+    assert sum(float(row["std_x"]) for row in rows) > 0
+
+    # 20 particles over a joint state of ten dimensions: the runs part, and the table says where
+    found = json.loads((folder / "repeat.json").read_text(encoding="utf-8"))
+    assert found["parting"] == min(part["parting"] for part in found["parts"] if part["parting"] is not None)
+    assert f"The first to part ways, at frame {found['parting']}:" in " ".join(out.split())
+    for part in found["parts"]:
+        assert sorted(seed for group in part["groups"] for seed in group["seeds"]) == [0, 1, 2, 3, 4]
+        assert all(group["error_px"] >= 0 for group in part["groups"])
+        far = np.array(part["from_median"])
+        assert far.max() == max(float(row["from_median"]) for row in rows if row["part"] == part["part"])
+
+
+def test_repeat_says_that_runs_are_identical(facetrack):
+    code, out, err = facetrack("repeat", CLIP, "--config", "mil", "--seeds", "2", "--stop", "3", "--no-plots")
+    assert code == 0, err
+    assert "All 2 runs are identical.\n" in out, "MIL draws random numbers, which make no difference so soon"
+    found = json.loads(Path("occlusion-mil-repeat/repeat.json").read_text(encoding="utf-8"))
+    assert found["identical"] and found["parting"] is None
+
+
+def test_repeat_refuses_an_empty_span(facetrack):
+    code, _, err = facetrack("repeat", CLIP, "--start", "5", "--stop", "5")
+    assert code == ExitCode.USAGE and "--stop 5" in err
+    code, _, err = facetrack("repeat", CLIP, "--set", "seed=5")
+    assert code == ExitCode.USAGE and "seed has no effect here" in err
+
+
+def test_a_truth_that_all_runs_fit_better_elsewhere_is_refused(facetrack):
+    lines = (SAMPLES / "expressions.truth.csv").read_text(encoding="utf-8").splitlines()
+    moved = [",".join([str(int(frame) - 6), *rest]) for frame, *rest in (line.split(",") for line in lines[1:])]
+    kept = [line for line in moved if not line.startswith("-")]
+    Path("moved.csv").write_text("\n".join([lines[0], *kept]) + "\n", encoding="utf-8")
+    clip = SAMPLES / "expressions.mp4"
+    arguments = ["compare", clip, "--truth", "moved.csv", "--partial", "--config", "factorized:filter.particles=50"]
+    arguments += ["--seeds", "1", "--stop", "120", "--no-plots", "-q"]
+    code, out, err = facetrack(*arguments)
+    assert code == ExitCode.INPUT and "--shift 6" in err and not out
+    code, out, _ = facetrack(*arguments, "--shift", "6", "--json")
+    assert code == 0 and json.loads(out)["recipes"][0]["mean"]["points.mean_px"] < 2
+    assert facetrack(*arguments, "--shift", "0", "--overwrite")[0] == 0, "asked for as it is"
+
+
+def test_repeat_shows_what_there_was_when_it_was_interrupted(facetrack, monkeypatch):
+    def interrupted(plans, workers, stop, report, **more):
+        def tell(done, total):
+            if done >= 3 * 9:
+                stop.code = ExitCode.INTERRUPTED
+
+        return whole(plans, workers, stop, tell, **more)
+
+    whole = runs.run_plans
+    monkeypatch.setattr(runs, "run_plans", interrupted)
+    code, out, _ = facetrack("repeat", CLIP, "--seeds", "3", "--no-plots")
+    assert code == ExitCode.INTERRUPTED and "3 runs of factorized on frames 0 to 8" in out
+    assert "Interrupted: these are the frames that 3 runs had reached." in out
+    found = json.loads(Path("occlusion-factorized-repeat/repeat.json").read_text(encoding="utf-8"))
+    assert not found["complete"] and found["seeds"] == [0, 1, 2]
+
+
+def test_a_start_elsewhere_than_the_truth_is_told(facetrack):
+    Path("boxes.csv").write_text("frame,x,y,w,h\n0,10,10,30,30\n5,12,10,30,30\n")
+    code, _, err = facetrack(
+        *("compare", CLIP, "--truth", "boxes.csv", "--config", "mil", "--seeds", "1", "--stop", "6", "--no-plots")
+    )
+    assert code == 0 and "puts the box of face in frame 0 where it overlaps the truth's by 0.00 alone" in err
+    data = json.loads(Path("occlusion-compare/compare.json").read_text())
+    assert data["recipes"][0]["begins"].endswith(".init.yaml, frame 0")

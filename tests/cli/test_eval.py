@@ -1,0 +1,376 @@
+"""facetrack eval: one value of all measures, and the command that prints and writes it."""
+
+import csv
+import io
+import json
+import math
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.cli.app import cli
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.evaluation.boxes import measure_boxes
+from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.evaluation.summary import evaluate, figures, higher_is_better, names, pooled, scalars
+from facetrack_cli.trajectory.table import series
+
+SAMPLES = Path(__file__).parents[2] / "sample_videos"
+HEAD = "frame,target,part,x,y,w,h,confidence,status,std_x,std_y\n"
+# left and right are 12 apart in frame 0: near is less than 2 off, failed more than 1.2
+OURS = """\
+0,face,left,10,10,,,1,init,0,0
+0,face,right,22,10,,,1,init,0,0
+1,face,left,11,10,,,0.9,tracked,1,1
+1,face,right,22,13,,,0.2,lost,1,1
+2,face,left,10,10,,,0.8,tracked,1,1
+2,face,right,22,19,,,0.3,lost,1,1
+"""
+TRUTH = """\
+frame,target,part,x,y,status
+0,face,left,10,10,visible
+0,face,right,22,10,visible
+1,face,left,10,10,visible
+1,face,right,22,10,visible
+2,face,left,10,10,visible
+2,face,right,22,10,hidden
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder with ours.csv and truth.csv, which is the current one."""
+    monkeypatch.chdir(tmp_path)
+    Path("ours.csv").write_text(HEAD + OURS)
+    Path("truth.csv").write_text(TRUTH)
+    return tmp_path
+
+
+def run(*arguments, code=0, capsys=None):
+    assert main(["eval", *arguments]) == code
+    return capsys.readouterr() if capsys else None
+
+
+def measured(capsys, *arguments):
+    """What `--json -` says."""
+    return json.loads(run("ours.csv", "--truth", "truth.csv", "--json", "-", *arguments, capsys=capsys).out)
+
+
+def pair(part="box", **columns):
+    """A pair of series from `ours_*` and `true_*` columns."""
+    frame = columns.pop("frame")
+    mine = {key.removeprefix("ours_"): value for key, value in columns.items() if key.startswith("ours_")}
+    true = {key.removeprefix("true_"): value for key, value in columns.items() if key.startswith("true_")}
+    target = columns.get("target", "head")
+    return Pair(f"{target}/{part}", series(target, part, frame, **mine), series(target, part, frame, **true))
+
+
+# --- one value ---------------------------------------------------------------------------------------------------
+
+
+def test_names_are_stable_and_each_knows_which_way_is_better():
+    every = names()
+    assert len(set(every)) == len(every)
+    assert {"points.mean_px", "points.failure_rate", "boxes.success_auc", "boxes.ao", "occlusions.recovered"} < {*every}
+    assert {"lost.precision", "lost.false_alarms", "confidence.auroc_near", "coverage.within_50"} < {*every}
+    ways = {way: {name for name in every if higher_is_better(name) is way} for way in (True, False, None)}
+    assert {"points.auc", "boxes.success_auc", "lost.recall", "confidence.auroc_visible"} < ways[True]
+    assert {"points.mean_px", "points.missing", "lost.delay_back", "confidence.brier"} < ways[False]
+    assert {"points.rows", "boxes.rows", "coverage.within_90", "lost.spans_called"} < ways[None]
+    assert not [name for name in ways[True] if name.endswith(("_px", "rows", "rate")) and "boxes" not in name]
+
+
+def test_figures_of_points(folder, capsys):
+    found = measured(capsys)
+    points = found["all"]["points"]
+    assert points["rows"] == 5 and points["mean_px"] == pytest.approx(4 / 5) and points["hidden_mean_px"] == 9
+    assert points["failure_rate"] == 1 / 5 and points["mean_normalised"] == pytest.approx(4 / 5 / 12)
+    assert [one["part"] for one in found["parts"]] == ["left", "right"]
+    assert found["parts"][1]["points"]["mean_px"] == 1.5
+    assert found["all"]["lost"]["precision"] == 0.5 and found["all"]["lost"]["precision_gone"] == 1.0
+    assert found["all"]["confidence"]["auroc_near"] == 1.0 and len(found["all"]["confidence"]["bins"]) == 10
+    assert found["all"]["coverage"]["within_50"] == pytest.approx(2 / 3)
+    assert found["all"]["coverage"]["rows"] == 3  # the given row is left out, and the hidden one
+    assert found["occlusions"] == [
+        {
+            "target": "face",
+            "parts": ["right"],
+            "first": 2,
+            "last": 2,
+            "frames_to_return": None,
+            "decided": False,
+        }
+    ]
+    assert found["all"]["occlusions"]["recovered"] is None
+    assert any("recovery is not known" in note for note in found["notes"])
+    assert "boxes" not in found["all"] and "12.0 px" in found["units"]["face"]
+    assert found["schema"] == "facetrack-evaluation" and found["version"] == 1
+
+
+def test_scalars_leave_out_what_is_not_defined():
+    one = pair("nose", frame=[0, 1], ours_x=[1, 1], ours_y=[0, 0], true_x=[0, 0], true_y=[0, 0])
+    found = evaluate([one], ["as given"])
+    assert scalars(found)["points.mean_px"] == 1.0 and "points.auc" not in scalars(found)
+    assert not {name for name in scalars(found) if name.startswith(("lost", "boxes", "confidence"))}
+    assert all(math.isfinite(value) for value in scalars(found).values())
+    assert found.notes[0] == "as given"
+    assert any("--normalise PIXELS" in note for note in found.notes), "one point has no size"
+    assert sum("the trajectory has no" in note for note in found.notes) == 3
+
+
+def boxes(count=30, *, seed=0, target="head", **more):
+    random = np.random.default_rng(seed)
+    truth = {"true_x": np.arange(count) + 50.0, "true_y": np.full(count, 40.0)}
+    size = {f"{who}_{side}": np.full(count, 20.0) for who in ("ours", "true") for side in "wh"}
+    ours = {"ours_x": truth["true_x"] + random.normal(0, 6, count), "ours_y": truth["true_y"]}
+    return pair(frame=np.arange(count), target=target, **{**truth, **size, **ours, **more})
+
+
+def test_boxes_are_measured_as_boxes_and_hidden_ones_apart():
+    status = ["visible"] * 20 + ["hidden"] * 10
+    one = boxes(true_status=status, ours_status=["init"] + ["tracked"] * 29)
+    found = evaluate([one])
+    assert found.all.points is None
+    twin = measure_boxes(one.ours.boxes, one.truth.boxes, valid=np.arange(30) < 20)
+    assert scalars(found)["boxes.success_auc"] == twin.auc and scalars(found)["boxes.ao"] == twin.ao
+    assert scalars(found)["boxes.rows"] == 20
+    overlap = iou(one.ours.boxes, one.truth.boxes)
+    assert scalars(found)["boxes.hidden_rows"] == 10
+    assert scalars(found)["boxes.hidden_overlap"] == pytest.approx(overlap[20:].mean())
+    near = overlap > 0.5
+    assert scalars(found)["lost.tracked_near"] == pytest.approx(near[1:].mean())
+    assert "sqrt(width * height)" in found.units["head"]
+
+
+def test_several_boxes_are_pooled_as_if_their_rows_were_of_one():
+    one, other = boxes(30, seed=1), boxes(7, seed=2, target="hand")
+    each = [measure_boxes(p.ours.boxes, p.truth.boxes, first_is_init=False) for p in (one, other)]
+    both = measure_boxes(
+        np.concatenate([one.ours.boxes, other.ours.boxes]),
+        np.concatenate([one.truth.boxes, other.truth.boxes]),
+        first_is_init=False,
+    )
+    for name, value in vars(pooled(each)).items():
+        np.testing.assert_allclose(value, getattr(both, name), atol=1e-12, err_msg=name)
+    # with a given first row, the toolkits count unlike numbers of rows: 29 and 6 of these
+    each = [measure_boxes(p.ours.boxes, p.truth.boxes) for p in (one, other)]
+    for name in ("ao", "sr50", "vot_accuracy"):
+        assert getattr(pooled(each), name) == pytest.approx(
+            sum(getattr(m, name) * n for m, n in zip(each, (29, 6), strict=True)) / 35
+        )
+    found = evaluate([one, other])
+    assert [m.name for m in found.parts] == ["head/box", "hand/box"] and found.all.name == "all"
+    assert figures(found.all)["boxes.rows"] == 37
+
+
+def test_a_box_without_our_size_is_measured_as_a_point():
+    found = evaluate([boxes(ours_w=np.full(30, np.nan), ours_h=np.full(30, np.nan))])
+    assert found.all.boxes is None and found.all.points.rows == 30
+    assert found.all.points.mean_normalised == pytest.approx(found.all.points.mean_px / 20)
+
+
+def test_truth_that_is_a_trajectory_is_not_believed_where_it_is_lost():
+    one = pair("nose", frame=[0, 1, 2], ours_x=[0, 0, 0], ours_y=[0, 0, 0], true_x=[0, 1, 50], true_y=[0, 0, 0],
+               true_status=["init", "tracked", "lost"])  # fmt: skip
+    found = evaluate([one])
+    assert found.visible == 2 and found.all.points.mean_px == 0.5
+
+
+def test_no_rows_at_all_are_refused():
+    with pytest.raises(InputError, match="no row"):
+        evaluate([pair("nose", frame=[])])
+
+
+def test_the_sample_clip_agrees_with_plain_arithmetic(tmp_path, capsys):
+    rows = list(csv.DictReader((SAMPLES / "occlusion.truth.csv").read_text().splitlines()))
+    random = np.random.default_rng(4)
+    lines, errors = [], {}
+    for row in rows:
+        dx, dy = (round(v, 3) for v in random.normal(0, 2, 2))
+        x, y = float(row["x"]) + dx, float(row["y"]) + dy
+        status = "init" if row["frame"] == "0" else "tracked"
+        lines.append(f"{row['frame']},face,{row['part']},{x:.3f},{y:.3f},,,,{status},,\n")
+        errors.setdefault((row["part"], row["status"]), []).append(math.hypot(dx, dy))
+    (tmp_path / "ours.csv").write_text(HEAD + "".join(lines))
+    at = str(tmp_path / "ours.csv"), "--truth", str(SAMPLES / "occlusion.truth.csv"), "--json", "-"
+    found = json.loads(run(*at, capsys=capsys).out)
+    for part in found["parts"]:
+        own = errors[part["part"], "visible"]
+        assert part["points"]["rows"] == len(own)
+        assert part["points"]["mean_px"] == pytest.approx(statistics.fmean(own), abs=1e-9)
+        assert part["points"]["median_px"] == pytest.approx(statistics.median(own), abs=1e-9)
+        assert part["points"]["std_px"] == pytest.approx(statistics.pstdev(own), abs=1e-9)
+    seen = [e for (_, status), own in errors.items() if status == "visible" for e in own]
+    first = {row["part"]: (float(row["x"]), float(row["y"])) for row in rows if row["frame"] == "0"}
+    size = max(math.dist(a, b) for a in first.values() for b in first.values())
+    assert found["all"]["points"]["failure_rate"] == sum(e > 0.1 * size for e in seen) / len(seen)
+    assert [(o["first"], o["last"], o["parts"]) for o in found["occlusions"]] == [
+        (51, 101, ["mouth_left", "lip_lower"]),
+        (155, 207, ["mouth_right", "lip_upper"]),
+    ]
+
+
+# --- the command -------------------------------------------------------------------------------------------------
+
+
+def test_the_tables(folder):
+    done = CliRunner().invoke(cli, ["eval", "ours.csv", "--truth", "truth.csv"])
+    assert done.exit_code == 0, done.output
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("ours.csv against truth.csv (read as ")
+    assert lines[1] == "3 frames, 0 to 2; rows, one a frame and part: 5 visible, 1 hidden"
+    titles = [line.split("  ")[0] for line in lines if line[:4].isupper()]
+    assert titles == ["POINTS", "OCCLUSIONS", "LOST", "CONFIDENCE", "SPREAD", "NOTES"]
+    points = lines[lines.index(next(line for line in lines if line.startswith("POINTS"))) :][:6]
+    cells = [line.split() for line in points[3:]]
+    assert cells == [
+        ["left", "3", "0.33", "0.00", "0.47", "0.90", "2.8", "0.0", "0.722", "0", "0", "–", "–"],
+        ["right", "2", "1.50", "1.50", "1.50", "2.85", "12.5", "50.0", "0.500", "0", "1", "9.00", "9.00"],
+        ["all", "5", "0.80", "0.00", "1.17", "2.60", "6.7", "20.0", "0.633", "0", "1", "9.00", "9.00"],
+    ]
+    assert len({len(line) for line in points[2:]}) == 1, "the columns are aligned"
+    assert "\x1b" not in done.stdout and "nan" not in done.stdout and max(map(len, lines)) <= 130
+    assert not [line for line in lines if line != line.rstrip()]
+
+
+def test_a_row_for_a_shell_loop(folder, capsys):
+    rows = list(csv.reader(io.StringIO(run("ours.csv", "--truth", "truth.csv", "--csv", "-", capsys=capsys).out)))
+    assert rows[0] == ["trajectory", "truth", "target", "part", *names()]
+    assert [row[:4] for row in rows[1:]] == [
+        ["ours.csv", "truth.csv", "face", "left"],
+        ["ours.csv", "truth.csv", "face", "right"],
+        ["ours.csv", "truth.csv", "all", ""],
+    ]
+    last = dict(zip(rows[0], rows[-1], strict=True))
+    assert float(last["points.mean_px"]) == pytest.approx(0.8)
+    assert last["boxes.ao"] == last["occlusions.recovered"] == "" and last["occlusions.occlusions"] == "1"
+
+
+def test_files_are_written_beside_the_tables(folder, capsys):
+    wanted = ["--json", "a.json", "--csv", "a.csv", "--plot", "a.png"]
+    said = run("ours.csv", "--truth", "truth.csv", *wanted, capsys=capsys)
+    assert "POINTS" in said.out and said.err == "ours.csv -> a.json\nours.csv -> a.csv\nours.csv -> a.png\n"
+    assert json.loads(Path("a.json").read_text())["all"]["points"]["rows"] == 5
+    assert Path("a.csv").read_text().count("\n") == 4
+    assert Path("a.png").read_bytes().startswith(b"\x89PNG")
+    Path("a.csv").write_text("mine")
+    said = run("ours.csv", "--truth", "truth.csv", "--csv", "a.csv", code=2, capsys=capsys)
+    assert said.out == "" and "a.csv: exists already" in said.err and Path("a.csv").read_text() == "mine"
+    said = run("ours.csv", "--truth", "truth.csv", "--csv", "a.csv", "--overwrite", "--json", "-", capsys=capsys)
+    assert json.loads(said.out) and Path("a.csv").read_text().startswith("trajectory,")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        (["--json", "-", "--csv", "-"], 2, "both want standard output"),
+        (["--json", "same", "--csv", "./same"], 2, "name the same file"),
+        (["--json", ""], 2, "--json is empty"),
+        (["--csv", "."], 2, "is a folder"),
+        (["--csv", "no/where.csv"], 2, "there is no folder no"),
+        (["--csv", "ours.csv", "--overwrite"], 2, "ours.csv: is read here"),
+        (["--json", "truth.csv", "--overwrite"], 2, "truth.csv: is read here"),
+        (["--plot", "a.pdf"], 2, "let its name end in .png"),
+        (["--normalise", "furlong"], 2, "--normalise 'furlong': give size, mouth"),
+        (["--normalise", "left:chin"], 2, "the truth has no chin; it has left, right"),
+        (["--failure", "0"], 2, "give a normalised error above 0"),
+        (["--failure", "nan"], 2, "give a normalised error above 0"),
+        (["--truth", "none.csv"], 3, "none.csv: no such file"),
+        (["--truth-format", "xml"], 2, "xml"),
+    ],
+)
+def test_what_is_refused_in_one_line(folder, capsys, arguments, code, told):
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    said = run("ours.csv", "--truth", "truth.csv", *arguments, code=code, capsys=capsys)
+    assert told in said.err and said.err.count("\n") == 1 and said.out == ""
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_options_change_what_they_say(folder, capsys):
+    assert measured(capsys, "--normalise", "3")["all"]["points"]["mean_normalised"] == pytest.approx(0.8 / 3)
+    assert measured(capsys, "--failure", "0.05")["all"]["points"]["failure_rate"] == 2 / 5
+    assert measured(capsys, "--normalise", "left:right")["units"]["face"].startswith("left to right in each frame")
+    found = measured(capsys, "--target", "face/left")
+    assert [one["part"] for one in found["parts"]] == ["left"]
+    assert "12.0 px" in found["units"]["face"], "the size is still that of the whole truth"
+    Path("truth.csv").write_text(TRUTH.replace("face", "anna"))
+    assert "12.0 px" in measured(capsys, "--target", "face/left")["units"]["face"], "whatever the target's name there"
+    assert "anna of the truth is taken for face: both have one target" in measured(capsys)["notes"]
+
+
+def test_the_truth_beside_the_clip(folder, capsys):
+    source = {"path": "clip.mp4", "size": [64, 48], "fps": 25.0}
+    part = {"part": "nose", "x": 3.0, "y": 4.0, "status": "init"}
+    frames = [{"frame": 0, "time_s": 0.0, "targets": [{"target": "face", "parts": [part]}]}]
+    head = {"schema": "facetrack-trajectory", "version": 1, "source": source}
+    Path("run").mkdir()
+    Path("run/trajectory.json").write_text(json.dumps({**head, "frames": frames}))
+    said = run("run", code=2, capsys=capsys)
+    assert "clip.truth.csv; give --truth FILE" in said.err
+    Path("clip.truth.csv").write_text("frame,target,part,x,y\n0,face,nose,0,0\n")
+    said = run("run", capsys=capsys)
+    assert said.out.startswith("run/trajectory.json against clip.truth.csv")
+    assert "does not name its clip" in run("ours.csv", code=2, capsys=capsys).err
+
+
+def test_no_confidence_no_plot(folder, capsys):
+    Path("ours.csv").write_text("frame,target,part,x,y\n0,face,left,1,1\n0,face,right,9,1\n1,face,left,1,1\n")
+    Path("truth.csv").write_text("frame,target,part,x,y\n0,face,left,1,1\n0,face,right,9,1\n1,face,left,1,1\n")
+    said = run("ours.csv", "--truth", "truth.csv", "--plot", "a.png", code=3, capsys=capsys)
+    assert "ours.csv: has no confidence" in said.err and not Path("a.png").exists()
+    out = run("ours.csv", "--truth", "truth.csv", capsys=capsys).out
+    assert "CONFIDENCE" not in out and "LOST" not in out and "SPREAD" not in out
+    assert "the trajectory has no confidence, so confidence is not measured" in out
+
+
+def test_truth_of_another_size_is_told_by_the_start(folder, capsys):
+    said = "the track starts 30 px from the truth: is that of another clip, another size, or other frames?"
+    assert said not in run("ours.csv", "--truth", "truth.csv", capsys=capsys).out
+    Path("truth.csv").write_text(TRUTH.replace("left,10", "left,40").replace("right,22", "right,52"))
+    assert said in run("ours.csv", "--truth", "truth.csv", "--shift", "0", capsys=capsys).out
+
+
+def test_a_track_of_the_given_row_alone(folder, capsys):
+    Path("ours.csv").write_text(HEAD + "".join(OURS.splitlines(keepends=True)[:2]))
+    out = run("ours.csv", "--truth", "truth.csv", "--partial", capsys=capsys).out
+    assert "all rows were given to the tracker, so lost, confidence and coverage are not measured" in out
+    assert "has no status" not in out
+
+
+def test_results_of_another_tracker_are_measured_as_ours(folder, capsys):
+    rows = [(i, 30 + 3 * i, 40 + i % 5, 20, 10) for i in range(30)]
+    lines = [f"{i},head,box,{x},{y},{w},{h},,{'tracked' if i else 'init'},,\n" for i, x, y, w, h in rows]
+    Path("box.csv").write_text(HEAD + "".join(lines))
+    true = "".join(f"{i},{x - 9.5 + i % 3},{y - 4.5},{w},{h}\n" for i, x, y, w, h in rows)
+    Path("boxes.csv").write_text("frame,x,y,w,h\n" + true)
+    expected = None
+    for form in (None, "otb", "got10k", "mot", "vot"):
+        if form is not None:
+            assert main(["export", "box.csv", "--to", form, "-o", f"{form}.txt"]) == 0
+        capsys.readouterr()
+        out = run(f"{form}.txt" if form else "box.csv", "--truth", "boxes.csv", "--json", "-", capsys=capsys).out
+        found = json.loads(out)
+        assert ("trajectory_read_as" in found) == (form is not None)
+        assert "--truth-format" not in found.get("trajectory_read_as", "")
+        expected = expected or found["all"]["boxes"]
+        assert found["all"]["boxes"] == expected
+    out = run("otb.txt", "--format", "vot", "--truth", "boxes.csv", "--json", "-", capsys=capsys).out
+    assert json.loads(out)["all"]["boxes"]["success_auc"] < expected["success_auc"]  # a pixel off
+
+
+def test_as_a_process_in_another_encoding(folder):
+    done = subprocess.run(
+        [sys.executable, "-m", "facetrack_cli", "eval", "ours.csv", "--truth", "truth.csv"],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    assert done.returncode == 0 and done.stderr == b""
+    assert done.stdout.isascii() and b"\\u" not in done.stdout and b" - " in done.stdout

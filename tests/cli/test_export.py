@@ -1,0 +1,296 @@
+"""facetrack export: each format read back, what it says of lost rows, and what it refuses."""
+
+import csv
+import json
+import math
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.cli.app import cli
+from facetrack_cli.trajectory.formats.boxes import read_got10k, read_otb
+from facetrack_cli.trajectory.formats.mot import read_mot
+from facetrack_cli.trajectory.formats.vot import read_vot
+from facetrack_cli.trajectory.row import COLUMNS, SCHEMA, Row
+from facetrack_cli.trajectory.select import by_target, enclose
+from facetrack_cli.trajectory.table import Table, read_trajectory, series
+from facetrack_cli.trajectory.writers import csv_lines
+
+FORMS = ("mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
+
+
+def rows(target="face", parts=("nose", "lip_upper"), frames=range(6), lost=(3, 4), size=(20.0, 10.0), **more):
+    for frame in frames:
+        for k, part in enumerate(parts):
+            gone = k == 1 and frame in lost
+            x, y = 100.25 + 30 * k + frame, 80.5 + 20 * k
+            status = "init" if frame == 0 else "lost" if gone else "tracked"
+            known = {"w": size[0], "h": size[1], "confidence": 0.1 if gone else 0.9, "status": status, **more}
+            yield Row(frame, frame / 25, target, part, x, y, **known)
+
+
+@pytest.fixture
+def track(tmp_path):
+    """Writes rows as trajectory.csv, or .json with a header, and gives the path."""
+
+    def write(*groups, header=None):
+        given = [row for group in (groups or (rows(),)) for row in group]
+        text = ",".join(COLUMNS) + "\n" + csv_lines(given)
+        path = tmp_path / "trajectory.csv"
+        path.write_text(text)
+        if header is None:
+            return path
+        frames = {}
+        for one in given:
+            about = {k: v for k, v in one._asdict().items() if v not in (None, "") and k not in ("frame", "time_s")}
+            frame = frames.setdefault(one.frame, {"frame": one.frame, "time_s": one.time_s, "targets": []})
+            frame["targets"].append({"target": about.pop("target"), "parts": [about]})
+        path.unlink()
+        path = path.with_suffix(".json")
+        path.write_text(json.dumps({"schema": SCHEMA, **header, "frames": list(frames.values())}))
+        return path
+
+    return write
+
+
+def export(*args, code=0):
+    result = CliRunner().invoke(cli, ["export", *map(str, args)])
+    assert result.exit_code == code, result.output + repr(result.exception)
+    return result
+
+
+def refused(*args, code):
+    """The one line of an error, through the program's own handler."""
+    from facetrack_cli.core.errors import FacetrackError
+
+    result = CliRunner().invoke(cli, ["export", *map(str, args)])
+    assert isinstance(result.exception, FacetrackError), result.output + repr(result.exception)
+    assert result.exception.exit_code == code
+    said = str(result.exception)
+    assert "\n" not in said
+    return said
+
+
+SOURCE = {"source": {"path": "clip.mp4", "size": [640, 480], "fps": 25.0}, "recipe": {"name": "sir"}}
+
+
+@pytest.mark.parametrize(
+    ("form", "read"), [("mot", lambda p: read_mot(p, results=True)), ("otb", read_otb), ("got10k", read_got10k),
+                       ("vot", read_vot)]
+)  # fmt: skip
+def test_boxes_come_back_as_they_were(track, form, read):
+    path = track(rows(parts=("box",), size=(20.5, 10.0)))
+    export(path, "--to", form)
+    ours, (found,) = read_trajectory(path).series[0], read(path.with_name(f"trajectory.{form}.txt")).series
+    np.testing.assert_array_equal(found.frame, ours.frame)
+    first = 1 if form == "vot" else 0  # VOT does not repeat the box that a track began with
+    for name in ("x", "y", "w", "h"):
+        np.testing.assert_allclose(getattr(found, name)[first:], getattr(ours, name)[first:], atol=1e-4)
+    if form == "mot":
+        np.testing.assert_allclose(found.confidence, ours.confidence)
+
+
+def test_mot_numbers_targets_and_keeps_gaps(track):
+    path = track(rows(), rows("hand", ("box",), frames=(2, 4)))
+    export(path, "--to", "mot")
+    one, two = read_mot(path.with_name("trajectory.mot.txt"), results=True).series
+    assert (one.target, two.target) == ("1", "2")
+    assert one.frame.tolist() == [0, 1, 2, 3, 4, 5] and two.frame.tolist() == [2, 4]
+
+
+@pytest.mark.parametrize(("box", "ltwh"), [("windows", [90.75, 76, 50, 30]), ("points", [100.25, 80.5, 31, 21])])
+def test_the_box_of_points_encloses_windows_or_points(track, box, ltwh):
+    found = export(track(), "--to", "otb", "--box", box, "-o", "-").stdout.splitlines()
+    assert len(found) == 6
+    assert [float(v) for v in found[0].split(",")] == pytest.approx([ltwh[0] + 1, ltwh[1] + 1, *ltwh[2:]])
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(2, 4), st.integers(1, 8), st.integers(0, 2**32))
+def test_the_enclosing_box_touches_what_it_encloses(parts, frames, seed):
+    rng = np.random.default_rng(seed)
+    made = [
+        series("t", f"p{k}", np.arange(frames), x=rng.uniform(0, 99, frames), y=rng.uniform(0, 99, frames),
+               w=rng.uniform(1, 9, frames), h=rng.uniform(1, 9, frames))
+        for k in range(parts)
+    ]  # fmt: skip
+    windows = np.stack([one.boxes for one in made])
+    found = enclose(made).boxes
+    np.testing.assert_allclose(found[:, :2], windows[:, :, :2].min(axis=0))
+    np.testing.assert_allclose(found[:, :2] + found[:, 2:], (windows[:, :, :2] + windows[:, :, 2:]).max(axis=0))
+
+
+def test_statuses_and_confidence_of_a_target_sum_up_its_parts():
+    def one(name, status, confidence):
+        t = len(status)
+        return series("t", name, np.arange(t), x=np.ones(t), y=np.ones(t), w=np.ones(t), h=np.ones(t), status=status,
+                      confidence=confidence)  # fmt: skip
+
+    found = enclose([
+        one("a", ["init", "lost", "lost", "", "visible"], [1, 0.2, 0.2, np.nan, np.nan]),
+        one("b", ["init", "lost", "tracked", "", "hidden"], [1, 0.4, 0.8, np.nan, 0.5]),
+    ])  # fmt: skip
+    assert found.status.tolist() == ["init", "lost", "tracked", "", "visible"]
+    np.testing.assert_allclose(found.confidence, [1, 0.3, 0.5, np.nan, 0.5])
+
+
+def test_coco_says_lost_by_visibility(track):
+    path = track(rows(), rows("hand", ("box",), frames=(0, 1)), header=SOURCE)
+    export(path, "--to", "coco")
+    found = json.loads(path.with_name("trajectory.coco.json").read_text())
+    face, hand = found["categories"]
+    assert face["keypoints"] == ["nose", "lip_upper"] and face["skeleton"] == [[1, 2]] and "keypoints" not in hand
+    assert found["images"][3] == {"id": 4, "file_name": "clip/000003.png", "width": 640, "height": 480, "frame_id": 3}
+    by_image = {(one["image_id"], one["category_id"]): one for one in found["annotations"]}
+    assert sorted(one["id"] for one in found["annotations"]) == list(range(1, 9))
+    lost = by_image[4, 1]
+    assert lost["keypoints"] == [103.25, 80.5, 2, 133.25, 100.5, 1] and lost["num_keypoints"] == 2
+    assert lost["bbox"] == [93.75, 76, 50, 30] and lost["area"] == 1500 and lost["score"] == pytest.approx(0.5)
+    assert by_image[3, 1]["keypoints"][5] == 2
+    assert by_image[1, 2]["track_id"] == 2
+
+
+def test_coco_names_the_images_of_a_folder(track, tmp_path):
+    folder = tmp_path / "img"
+    folder.mkdir()
+    for n in range(1, 13):
+        cv2.imwrite(str(folder / f"{n}.png"), np.zeros((48, 64, 3), np.uint8))
+    path = track()
+    export(path, "--to", "coco", "--media", folder)
+    found = json.loads(path.with_name("trajectory.coco.json").read_text())["images"]
+    assert [(one["file_name"], one["width"], one["height"]) for one in found[:2]] == [
+        ("1.png", 64, 48),
+        ("2.png", 64, 48),
+    ]
+    other = track(header={"source": {"path": str(folder), "size": [640, 480]}})
+    assert "64x48, but the track is of a clip of 640x480" in refused(
+        other, "--to", "coco", "--media", folder, "--overwrite", code=3
+    )
+    late = track(rows(frames=range(10, 14)))
+    assert "has 12 images, and the track a frame 13" in refused(
+        late, "--to", "coco", "--media", folder, "--overwrite", code=3
+    )
+
+
+def test_deeplabcut_s_header_rows(track):
+    path = track(header=SOURCE)
+    export(path, "--to", "dlc")
+    lines = list(csv.reader(path.with_name("trajectory.dlc.csv").read_text().splitlines()))
+    assert lines[:3] == [
+        ["scorer", *["facetrack-sir"] * 6],
+        ["bodyparts", *["nose"] * 3, *["lip_upper"] * 3],
+        ["coords", *["x", "y", "likelihood"] * 2],
+    ]
+    assert lines[3 + 4] == ["4", "104.250", "80.500", "0.9000", "134.250", "100.500", "0.1000"]
+    export(track(rows(), rows("hand", ("box",))), "--to", "dlc", "--overwrite")
+    lines = list(csv.reader(path.with_name("trajectory.dlc.csv").read_text().splitlines()))
+    assert lines[1] == ["individuals", *["face"] * 6, *["hand"] * 3]
+    assert [line[0] for line in lines[:4]] == ["scorer", "individuals", "bodyparts", "coords"]
+
+
+def test_dropped_lost_rows_are_not_known(track):
+    path = track(rows(parts=("box", "box2"), lost=(3, 4)), header=SOURCE)
+
+    def text(form):
+        return export(path, "--to", form, "--drop-lost", "--target", "face/box2", "-o", "-").stdout
+
+    assert [line.split(",")[0] for line in text("mot").splitlines()] == ["1", "2", "3", "6"]
+    assert text("otb").splitlines()[3] == "nan,nan,nan,nan"
+    assert text("vot").splitlines()[3:5] == ["2", "2"]
+    assert text("dlc").splitlines()[3 + 3] == "3,,,"
+    assert len(json.loads(text("coco"))["annotations"]) == 4
+
+
+def test_a_folder_its_json_and_the_clip_beside_it(track, tmp_path):
+    clip = tmp_path / "clip.mp4"
+    clip.touch()
+    path = track(header={"source": {"path": "clip.mp4"}})
+    result = export(tmp_path, "--to", "eaf")
+    assert "warning" not in result.stderr
+    (media,) = ET.parse(path.with_name("trajectory.eaf")).getroot().iter("MEDIA_DESCRIPTOR")
+    assert media.get("RELATIVE_MEDIA_URL") == "./clip.mp4" and media.get("MEDIA_URL") == f"file://{clip}"
+    clip.unlink()
+    assert "clip.mp4 is not there; ELAN will ask for it" in export(tmp_path, "--to", "eaf", "--overwrite").stderr
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_format_goes_to_standard_output_and_beside_the_trajectory(track, tmp_path, form):
+    path = track(header=SOURCE)
+    assert form in export("--help").stdout
+    text = export(path, "--to", form, "-o", "-").stdout
+    assert text.endswith("\n") and list(tmp_path.iterdir()) == [path]
+    made = tmp_path / f"trajectory{'.eaf' if form == 'eaf' else f'.{form}'}"
+    export(path, "--to", form)
+    (written,) = set(tmp_path.iterdir()) - {path}
+    assert written.name.startswith(made.name)
+    if form != "eaf":  # which holds the time of writing
+        assert written.read_text() == text
+    before = written.read_bytes()
+    assert "exists already" in refused(path, "--to", form, code=2)
+    export(path, "--to", form, "--overwrite", "--target", "face/nose")
+    assert written.read_bytes() != before
+    assert {one.name for one in tmp_path.iterdir()} == {path.name, written.name}
+
+
+def test_otb_says_which_frame_is_line_1(track):
+    assert "line 1 is frame 10" in export(track(rows(frames=range(10, 13))), "--to", "otb").stderr
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "said"),
+    [
+        (["--to", "otb", "--target", "hand"], 2, "has no 'hand'; choose among face, face/nose, face/lip_upper"),
+        (["--to", "mot", "--media", "x.mp4"], 2, "--media is for coco and eaf"),
+        (["--to", "dlc", "--box", "points"], 2, "dlc has no boxes"),
+        (["--to", "eaf", "--drop-lost"], 2, "--drop-lost is not for eaf"),
+        (["--to", "eaf"], 3, "trajectory.csv: does not name its video"),
+        (["--to", "coco"], 3, "trajectory.csv: does not say how large its pictures are"),
+        (["--to", "eaf", "--media", "nowhere.mp4"], 3, "nowhere.mp4: no such file; correct --media"),
+        (["--to", "mot", "-o", ""], 2, "--out is empty"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(track, args, code, said):
+    assert said in refused(track(), *args, code=code)
+
+
+def test_tables_that_a_format_has_no_room_for(track, tmp_path):
+    two = track(rows(), rows("hand", ("box",)))
+    assert "otb holds one target; choose with --target among face, hand" in refused(two, "--to", "otb", code=2)
+    gap = track(rows(frames=(0, 1, 5)))
+    assert f"{gap}: face/box: no row between frames 1 and 5" in refused(gap, "--to", "got10k", code=3)
+    bare = track(rows(size=(None, None)))
+    assert f"{bare}: face/nose: frame 0 has no w and h; enclose the points with --box points" in refused(
+        bare, "--to", "mot", code=3
+    )
+    export(bare, "--to", "mot", "--box", "points")
+    empty = track(row._replace(x=None, y=None) for row in rows())
+    assert f"{empty}: no row has a place" in refused(empty, "--to", "dlc", code=3)
+    timeless = track(row._replace(time_s=None) for row in rows())
+    (tmp_path / "clip.mp4").touch()
+    assert f"{timeless}: frame 0 has no time_s" in refused(
+        timeless, "--to", "eaf", "--media", tmp_path / "clip.mp4", code=3
+    )
+    assert "is read here, and would be replaced" in refused(two, "--to", "dlc", "-o", two, "--overwrite", code=2)
+    assert "is a folder" in refused(two, "--to", "dlc", "-o", tmp_path, code=2)
+    assert "there is no folder" in refused(two, "--to", "dlc", "-o", tmp_path / "no/such/file.csv", code=2)
+    folder = track(header={"source": {"path": str(tmp_path)}})
+    assert "is a folder of images, which ELAN cannot play" in refused(folder, "--to", "eaf", code=3)
+
+
+def test_a_header_that_says_nothing_useful_is_as_none(track):
+    path = track(header={"source": "clip.mp4", "recipe": ["sir"]})
+    assert export(path, "--to", "dlc", "-o", "-").stdout.startswith("scorer,facetrack,")
+    assert "does not name its video" in refused(path, "--to", "eaf", code=3)
+
+
+def test_targets_keep_the_table_s_order():
+    found = [series(t, p, [0]) for t, p in (("b", "x"), ("a", "x"), ("b", "y"))]
+    grouped = [(name, [one.part for one in parts]) for name, parts in by_target(Table(Path("t"), tuple(found)))]
+    assert grouped == [("b", ["x", "y"]), ("a", ["x"])]
+    assert all(math.isnan(v) for v in enclose([found[0], found[2]], "points").x)

@@ -1,0 +1,173 @@
+"""facetrack gallery fit and show: files, words, refusals, and the picture."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.report.figures.gallery import WIDTH, calibrated, draw_gallery, kept
+from facetrack_cli.tracking.identity.fit import fit_gallery
+from facetrack_cli.tracking.identity.gallery import load_gallery
+from tests.support.gallery_faces import NAMES, people_folder
+from tests.support.samples import FOLDER
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """`IN`: people/ with two persons of three pictures each, single/ with one picture each."""
+    folder = tmp_path_factory.mktemp("galleries")
+    people_folder(folder / "people", 3)
+    people_folder(folder / "single", 1)
+    return folder
+
+
+def names_here():
+    return sorted(path.name for path in Path().iterdir())
+
+
+def some_gallery(names, pictures=3, shape=(30, 26), seed=0):
+    """Faces made of smooth noise, with a calibration as real ones have."""
+    rng = np.random.default_rng(seed)
+
+    def smooth(count):
+        noise = rng.normal(size=(count, *shape))
+        blurred = np.stack([cv2.GaussianBlur(one, (0, 0), 3) for one in noise]).reshape(count, -1)
+        return (blurred - blurred.mean(1, keepdims=True)) / blurred.std(1, keepdims=True)
+
+    own = np.repeat(smooth(len(names)), pictures, 0) + 0.3 * smooth(len(names) * pictures)
+    own = (own - own.mean(1, keepdims=True)) / own.std(1, keepdims=True)
+    return fit_gallery(own, np.repeat(names, pictures).tolist(), shape, negatives=smooth(60))
+
+
+def test_fit_and_show(facetrack, clips):
+    code, out, err = facetrack("gallery", "fit", "IN/people", "-o", "own.npz")
+    assert (code, out) == (0, "")
+    gallery = load_gallery(Path("own.npz"))
+    assert gallery.names == NAMES and gallery.counts == (3, 3) and gallery.shape == (30, 26)
+    lines = err.splitlines()
+    assert [line.split() for line in lines[:3]] == [
+        ["person", "used", "skipped"],
+        ["collins", "3", "0"],
+        ["hopper", "3", "0"],
+    ]
+    assert calibrated(gallery) in lines and lines[-1] == "own.npz: 2 persons, 6 pictures"
+    assert f"intra-personal: {kept(gallery.intra)}" in lines
+
+    code, out, err = facetrack("gallery", "show", "own.npz")
+    assert (code, err) == (0, "")
+    for said in ("template: 26 points across, 30 down", "   1 collins: 3 pictures", "picture: own.png"):
+        assert said in out.splitlines()
+    picture = cv2.imread("own.png")
+    assert picture.shape[1] == WIDTH
+    code, _, err = facetrack("gallery", "show", "own.npz")
+    assert code == 2 and "own.png" in err and "--overwrite" in err
+    assert facetrack("gallery", "show", "own.npz", "--overwrite")[0] == 0
+    assert names_here() == ["own.npz", "own.png"]
+
+
+def test_the_sample_gallery_is_whole(facetrack):
+    code, _, err = facetrack("gallery", "fit", FOLDER / "gallery", "--jitter", "0")
+    assert code == 0 and "warning" not in err
+    gallery = load_gallery(Path("gallery.npz"))
+    assert len(gallery.names) == 6 and gallery.counts == (5,) * 6
+
+
+def test_equal_input_gives_equal_bytes(facetrack, clips):
+    for name in ("a.npz", "b.npz"):
+        assert facetrack("gallery", "fit", "IN/people", "-o", name, "-q", "--jitter", "1") == (0, "", "")
+    assert Path("a.npz").read_bytes() == Path("b.npz").read_bytes()
+
+
+def test_template_is_width_by_height(facetrack, clips):
+    assert facetrack("gallery", "fit", "IN/people", "--template", "13x15", "-q")[0] == 0
+    assert load_gallery(Path("gallery.npz")).shape == (15, 13)
+    code, out, _ = facetrack("gallery", "show")
+    assert code == 0 and "template: 13 points across, 15 down" in out
+
+
+def test_a_single_picture_each_is_told_and_without_copies_refused(facetrack, clips):
+    code, _, err = facetrack("gallery", "fit", "IN/single", "--jitter", "0")
+    assert code == 3 and f"{clips}/single: " in err and "cannot be learned" in err and "--jitter" in err
+    assert err.count("\n") == 1 and names_here() == []
+    code, _, err = facetrack("gallery", "fit", "IN/single")
+    note = [line for line in err.splitlines() if line.startswith("note: ")]
+    assert code == 0 and len(note) == 1 and "collins, hopper" in note[0] and "cannot be learned" in note[0]
+    assert note[0] in facetrack("gallery", "show")[1].splitlines()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["IN/absent"], 3, "no such folder"),
+        (["IN/people", "-o", "own.npy"], 2, "own.npy"),
+        (["IN/people", "-o", "no/own.npz"], 2, "no folder no"),
+        (["IN/people", "--start", "5", "--stop", "5"], 2, "--stop"),
+        (["IN/people", "--template", "30"], 2, "26x30"),
+        (["IN/people", "--template", "3x900"], 2, "from 6 to 128"),
+        (["IN/people", "--frames", "0"], 2, "--frames"),
+        (["IN/people/collins"], 3, "no folders"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(facetrack, arguments, code, said):
+    found, out, err = facetrack("gallery", "fit", *arguments)
+    assert found == code and said in err and err.count("\n") == 1 and out == "" and names_here() == []
+
+
+def test_what_is_there_is_not_replaced(facetrack):
+    Path("gallery.npz").write_text("precious")
+    code, _, err = facetrack("gallery", "fit", "IN/people")
+    assert code == 2 and "gallery.npz" in err and "--overwrite" in err
+    assert Path("gallery.npz").read_text() == "precious"
+    code, _, err = facetrack("gallery", "show")
+    assert code == 3 and "gallery.npz: is not a usable gallery" in err
+    code, _, err = facetrack("gallery", "show", "-o", "look.jpg")
+    assert code == 2 and "look.jpg" in err and ".png" in err
+    assert facetrack("gallery", "fit", "IN/people", "--overwrite", "-q", "--jitter", "0")[0] == 0
+    assert load_gallery(Path("gallery.npz")).names == NAMES
+
+
+@pytest.mark.parametrize("place", ["facetrack_cli.tracking.identity.people.find_faces", "numpy.savez"])
+def test_an_interrupt_leaves_nothing_behind(facetrack, monkeypatch, place):
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(place, interrupted)
+    code, out, err = facetrack("gallery", "fit", "IN/people", "--jitter", "0")
+    assert (code, out) == (130, "") and err.splitlines()[-1] == "facetrack: interrupted"
+    assert names_here() == []
+
+
+# --- the picture ---------------------------------------------------------------------------------------------------
+
+LONG = "Ada Augusta King, Countess of Lovelace, of Ockham Park"
+
+
+@pytest.mark.parametrize("count", [2, 10, 60, 90])
+def test_the_picture_has_everyone_in_it(count):
+    names = [f"person {number:03}" for number in range(count)]
+    gallery = some_gallery(names, pictures=2, shape=(15, 13))
+    picture = draw_gallery(gallery, "gallery.npz")
+    assert picture.shape[1:] == (WIDTH, 3) and picture.dtype == np.uint8 and picture.shape[0] < 4200
+    assert (picture == picture[..., :1]).all()  # it is stored as one channel
+    # no text or face runs out of the page
+    edge = np.concatenate([picture[:, :20], picture[:, -20:]], axis=1)
+    assert (edge == 255).all() and (picture[-6:] == 255).all()
+    # another name or another face shows
+    other = some_gallery([*names[:-1], "zz"], pictures=2, shape=(15, 13))
+    changed = np.argwhere((draw_gallery(other, "gallery.npz") != picture).any(2))
+    assert len(changed) and changed[:, 0].min() > 500
+    assert (draw_gallery(gallery, "gallery.npz") == picture).all()
+
+
+@pytest.mark.parametrize("name", [LONG, LONG.replace(" ", ""), "Ñandú Žižek", "李小龍", "a", "$x_1^2$", "x" * 300])
+def test_names_of_every_kind_are_drawn(name):
+    picture = draw_gallery(some_gallery([name, "ben"]), name)
+    assert (picture[:, -20:] == 255).all()
+    assert (picture < 128).any(2).sum() > 5000
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (64, 20), (12, 90), (8, 200)])
+def test_templates_of_every_shape_are_drawn(shape):
+    picture = draw_gallery(some_gallery(["anna", "ben"], shape=shape), "gallery.npz")
+    assert picture.shape[1] == WIDTH and (picture[:, -20:] == 255).all()

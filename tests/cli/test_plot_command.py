@@ -1,0 +1,174 @@
+"""facetrack plot: what it writes, where, and what it refuses."""
+
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.cli.commands import plot as command
+from facetrack_cli.report import figures as plots
+from facetrack_cli.trajectory.row import COLUMNS
+
+pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
+SAMPLES = Path(__file__).parents[2] / "sample_videos"
+
+
+def write(path, rows, columns=COLUMNS):
+    path.write_text("\n".join([",".join(columns), *(",".join(map(str, row)) for row in rows)]) + "\n")
+    return path
+
+
+@pytest.fixture
+def run(tmp_path):
+    """The folder of a run of two parts over 30 frames."""
+    rows = [
+        (
+            f,
+            f / 25,
+            "face",
+            part,
+            100 + k + f / 3,
+            80 + k,
+            12,
+            12,
+            "",
+            0.9,
+            "init" if f == 0 else "tracked",
+            1,
+            1,
+            50,
+            20,
+            "",
+            "",
+        )
+        for f in range(30)
+        for k, part in enumerate(("nose", "chin"))
+    ]
+    folder = tmp_path / "run"
+    folder.mkdir()
+    write(folder / "trajectory.csv", rows)
+    return folder
+
+
+@pytest.fixture
+def truth(tmp_path):
+    names = ("frame", "target", "part", "x", "y")
+    rows = [(f, "face", p, 101 + k + f / 3, 80 + k) for f in range(30) for k, p in enumerate(("nose", "chin"))]
+    return write(tmp_path / "truth.csv", rows, names)
+
+
+def facetrack(capsys, *arguments):
+    code = main(["plot", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    assert out == ""
+    return code, err
+
+
+def size(png):
+    data = png.read_bytes()
+    assert data.startswith(b"\x89PNG") and data.rstrip().endswith(b"IEND\xaeB`\x82")
+    return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+
+
+def test_the_page_lies_beside_the_trajectory_and_is_not_overwritten(capsys, run):
+    assert facetrack(capsys, run) == (0, f"{run} -> {run / 'plot.png'}\n")
+    assert size(run / "plot.png")[0] == 1200
+    before = (run / "plot.png").read_bytes()
+    code, err = facetrack(capsys, run / "trajectory.csv", "--dpi", "60")
+    assert code == 2 and "exists already; replace it with --overwrite" in err
+    assert (run / "plot.png").read_bytes() == before
+    assert facetrack(capsys, run / "trajectory.csv", "--dpi", "60", "--width", "8", "--overwrite")[0] == 0
+    assert size(run / "plot.png")[0] == 480
+    assert sorted(p.name for p in run.iterdir()) == ["plot.png", "trajectory.csv"]
+
+
+@pytest.mark.parametrize("form", plots.FORMS)
+def test_every_form_by_its_ending(capsys, run, form):
+    path = run / f"page.{form.upper()}"
+    assert facetrack(capsys, run, "-o", path, "--title", "Über <b>")[0] == 0
+    data = path.read_bytes()
+    if form == "svg":
+        assert ET.fromstring(data).tag.endswith("svg")
+    assert data[:5] == {"png": b"\x89PNG\r", "svg": b"<?xml", "pdf": b"%PDF-"}[form]
+
+
+def test_truth_adds_the_error(capsys, run, truth, monkeypatch):
+    seen = []
+    draw = plots.page_figure
+    monkeypatch.setattr(
+        plots, "page_figure", lambda table, pairs, **more: seen.append((table, pairs)) or draw(table, pairs, **more)
+    )
+    assert facetrack(capsys, run, "--truth", truth)[0] == 0
+    assert facetrack(capsys, run, "--truth", truth, "--target", "face/chin", "--overwrite")[0] == 0
+    (table, pairs), (chosen, pair) = seen
+    assert [s.name for s in table.series] == ["face/nose", "face/chin"] == [p.name for p in pairs]
+    assert (pairs[0].ours.x - pairs[0].truth.x).round(2).tolist() == [-1.0] * 30
+    assert [s.name for s in chosen.series] == ["face/chin"] == [p.name for p in pair]
+
+
+def test_truth_that_does_not_belong_is_refused(capsys, run, truth, tmp_path):
+    code, err = facetrack(capsys, run, "--truth", truth, "--shift", "7")
+    assert code == 3 and err.count("\n") == 1
+    assert facetrack(capsys, run, "--truth", truth, "--shift", "7", "--partial")[0] == 0
+    assert facetrack(capsys, run, "--truth", tmp_path / "none.csv", "--overwrite")[0] == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["-o", "page.jpg"], 2, "page.jpg: cannot tell the kind of file; let its name end in .png, .svg or .pdf"),
+        (["-o", ""], 2, "--out is empty"),
+        (["-o", "nowhere/page.png"], 2, "nowhere/page.png: there is no folder nowhere"),
+        (["--target", "hand"], 2, "has no 'hand'; choose among face"),
+        (["--partial"], 2, "give it with --truth FILE"),
+        (["--dpi", "1"], 2, "--dpi"),
+    ],
+)
+def test_usage(capsys, run, arguments, code, said):
+    found, err = facetrack(capsys, run, *arguments)
+    assert found == code and said in err and err.startswith("facetrack: error: ") and err.count("\n") == 1
+    assert [p.name for p in run.iterdir()] == ["trajectory.csv"]
+
+
+def test_what_is_no_trajectory(capsys, tmp_path):
+    assert facetrack(capsys, tmp_path / "none.csv")[0] == 3
+    code, err = facetrack(capsys, write(tmp_path / "empty.csv", []))
+    assert code == 3 and "has a header and no rows" in err
+    assert not (tmp_path / "plot.png").exists()
+
+
+def test_a_full_disk_leaves_nothing_behind(capsys, run, monkeypatch):
+    def full(self, data):
+        self.open("wb").close()
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    code, err = facetrack(capsys, run)
+    assert code == 2 and "plot.png: cannot be written: No space left on device" in err
+    assert [p.name for p in run.iterdir()] == ["trajectory.csv"]
+
+
+def test_without_matplotlib(run):
+    script = (
+        "import sys; sys.modules['matplotlib'] = None\n"
+        "from facetrack_cli.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run([sys.executable, "-c", script, "plot", run], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == (
+        "facetrack: error: figures need matplotlib, which is not installed: pip install 'facetrack[plot]'\n"
+    )
+
+
+def test_lists_of_the_command_are_those_of_the_library():
+    assert command.FORMS == plots.FORMS
+
+
+def test_a_truth_file_is_a_trajectory_too(capsys, tmp_path):
+    """It knows positions and nothing else."""
+    out = tmp_path / "truth.png"
+    assert facetrack(capsys, SAMPLES / "occlusion.truth.csv", "-o", out, "--dpi", "50")[0] == 0
+    assert size(out)[0] == 500

@@ -1,0 +1,318 @@
+"""Recipes of skin and of several targets at the command line: what users, pipelines and batches meet."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import pytest
+from click.testing import CliRunner
+
+from facetrack_cli.cli.app import cli
+from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
+from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.model import json_schema
+from facetrack_cli.tracking.start import read_init
+from tests.support.media import write_pictures
+from tests.support.samples import FOLDER, read_pictures
+from tests.support.terminal import refusal
+
+ALL = ["head", "left_hand", "right_hand"]
+HEAD, LEFT, RIGHT = "[135, 44, 50, 50]", "[82, 138, 48, 57]", "[188, 131, 50, 60]"
+FEW = [f"--set=targets.{name}.filter.particles=200" for name in ALL]
+RECIPE = (shipped_folder() / "head_hands.yaml").read_text()
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """`sign` as it is, `grey`, `dark` beyond Kovac's rules; `late`: hands from 2 on, `gone`: in 0, `bare`: none."""
+    folder = tmp_path_factory.mktemp("clips")
+    pictures = list(read_pictures("signing")[:8])
+    bare = [picture.copy() for picture in pictures]
+    for picture in bare:
+        picture[115:] = (40, 30, 25)
+    write_pictures(folder / "sign", pictures)
+    grey = [cv2.cvtColor(cv2.cvtColor(p, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR) for p in pictures]
+    write_pictures(folder / "grey", grey)
+    write_pictures(folder / "dark", [(p * (0.25, 0.26, 0.3)).astype("uint8") for p in pictures])
+    write_pictures(folder / "late", bare[:2] + pictures[2:])
+    write_pictures(folder / "bare", bare[:3])
+    write_pictures(folder / "gone", pictures[:1] + bare[1:6])
+    (folder / "dark.truth.csv").write_text((FOLDER / "signing.truth.csv").read_text())
+    (folder / "dark.init.yaml").write_text((FOLDER / "signing.init.yaml").read_text())
+    return folder
+
+
+def run(facetrack, *args, name="sign", config="head_hands"):
+    few = FEW if config.startswith("head") else []
+    return facetrack("run", f"IN/{name}", "--config", config, *few, "--no-video", "-q", *args)
+
+
+def init(**boxes):
+    """An init file of these boxes, or of points where they begin with a brace."""
+    lines = [f"{name}: {{{'points' if at[0] == '{' else 'box'}: {at}}}" for name, at in boxes.items()]
+    Path("here.yaml").write_text("\n".join(["frame: 0", *lines]) + "\n")
+    return ["--init", "here.yaml"]
+
+
+def rows(text):
+    """The rows of the first frame by their target: left, top, width, height."""
+    first = [row for row in csv.DictReader(text.splitlines()) if row["status"] == "init"]
+    numbers = {row["target"]: [float(row[key]) for key in "xywh"] for row in first}
+    return {name: [x - (w - 1) / 2, y - (h - 1) / 2, w, h] for name, (x, y, w, h) in numbers.items()}
+
+
+# --- where to begin --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
+@pytest.mark.parametrize(
+    "begin", [["--init", "haar"], ["--box", "135,44,50,50"], {"head": HEAD}, {"head": HEAD, "right_hand": RIGHT}]
+)
+def test_hands_that_nobody_placed_are_found(facetrack, config, begin):
+    code, out, err = run(facetrack, *(init(**begin) if isinstance(begin, dict) else begin), "-o", "-", config=config)
+    assert (code, err) == (0, "")
+    found = rows(out)
+    assert list(found) == ALL
+    assert found["left_hand"][0] < found["head"][0] < found["right_hand"][0]
+    if "right_hand" in begin:
+        assert found["right_hand"] == pytest.approx([188, 131, 50, 60]), "what the file says is kept"
+
+
+def test_a_target_set_to_null_is_passed_over_in_the_init_file(facetrack):
+    options = init(head=HEAD, left_hand=LEFT, right_hand=RIGHT)
+    code, out, err = facetrack(
+        *("run", "IN/sign", "--config", "head_hands", "--set", "targets.right_hand=null", *FEW[:2], *options),
+        *("--no-video", "-q", "-o", "-"),
+    )
+    assert (code, err) == (0, "")
+    assert list(rows(out)) == ALL[:2]
+
+
+@pytest.mark.parametrize(
+    ("begin", "said"),
+    [
+        (
+            {"left_hand": LEFT, "right_hand": RIGHT},
+            "no box of head, which the recipe begins with; it follows head, left",
+        ),
+        ({"left_hand": LEFT, "right_hand": RIGHT}, "add one, as in head: {box: [x, y, w, h]}, or look for a face with"),
+        ({"head": "{nose: [160, 70]}", "left_hand": LEFT, "right_hand": RIGHT}, "has no box of head"),
+        ({"head": HEAD, "left_hand": "{nose: [90, 160]}", "right_hand": RIGHT}, "left_hand has no box"),
+        ({"head": HEAD, "foot": LEFT}, "has foot, which the recipe does not know; it follows head, left_hand, right_"),
+        (
+            {"head": HEAD, "left_hand": "[-80, 138, 48, 57]", "right_hand": RIGHT},
+            "of left_hand is outside the picture of",
+        ),
+        ({"head": "[-500, 44, 50, 50]"}, "here.yaml: the centre of the box [-500, 44, 50, 50] of head is outside"),
+        ({"head": "[155, 60, 3, 3]"}, "here.yaml: the box of head is smaller than 6x6 pixels"),
+        (
+            {"head": "[155, 60, 3, 3]", "left_hand": LEFT, "right_hand": RIGHT},
+            "the box of head is smaller than 6x6 pixels",
+        ),
+        (
+            {"head": "[0, 0, 330, 240]", "left_hand": LEFT, "right_hand": RIGHT},
+            "330x240 pixels, is larger than the picture",
+        ),
+        ({"head": "[155, 60, 6, 6]"}, "sign: frame 0 shows no region of skin beside the head"),
+    ],
+)
+@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
+def test_a_start_that_does_not_do_is_told_in_one_line(facetrack, config, begin, said):
+    assert said in refusal(run(facetrack, *init(**begin), config=config), 3)
+
+
+@pytest.mark.parametrize("box", ["[135, -20, 50, 60]", "[0, 0, 320, 240]", "[155, 60, 6, 6]"])
+def test_boxes_at_the_border_large_and_tiny_ones_are_followed(facetrack, box):
+    options = init(head=box, left_hand="[-20, 138, 48, 57]", right_hand="[290, 200, 50, 60]")
+    code, out, _ = run(facetrack, *options, "-o", "-")
+    assert code == 0 and len(out.splitlines()) == 1 + 3 * 8
+    assert "nan" not in out and "inf" not in out
+
+
+@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud", "skin", "skin_ncc", "skin_ncc_robust"])
+@pytest.mark.parametrize("begin", [["--box", "135,44,50,50"], ["--init", "haar", "--stop", "2"]])
+def test_a_grey_clip_is_refused_by_its_name_and_with_a_remedy(facetrack, clips, config, begin):
+    said = refusal(run(facetrack, *begin, name="grey", config=config), 3)
+    assert f"{clips}/grey: " in said and "of the face's box have a colour" in said and "as ncc" in said
+
+
+def test_a_face_is_looked_for_until_hands_show_too(facetrack):
+    code, out, err = run(facetrack, "-o", "-", name="late")
+    assert (code, err) == (0, "")
+    assert out.splitlines()[1].startswith("2,") and list(rows(out)) == ALL
+    said = refusal(run(facetrack, name="bare"), 3)
+    assert "frame 0 shows no region of skin beside the head" in said and said.endswith("; no frame to 2 shows more")
+
+
+# --- what a recipe may say -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("targets.Foot=null", '"Foot" cannot be one of targets; a name has small letters'),
+        ("targets.head=null", 'there is no target "head" to learn from; there are left_hand, right_hand'),
+        ("exclusion.first=[foot]", 'there is no target "foot"; there are head, left_hand, right_hand'),
+        ("targets.left_hand.likelihood.learn_from=foot", 'there is no target "foot" to learn from'),
+        ("exclusion.strength=2", "exclusion.strength must be at most 1, not 2"),
+        ("targets.left_hand.motion.scale=0.1", "a target of type cloud has none: remove it"),
+        ("targets.left_hand.particles=1", 'unknown key "particles" in "targets.left_hand"'),
+        ("targets={}", "targets must have at least 1 items, not 0"),
+    ],
+)
+def test_a_wrong_value_is_told_once_with_its_key(facetrack, override, said):
+    assert said in refusal(facetrack("run", "IN/sign", "--config", "head_hands", "--set", override), 2)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [["exclusion=null"], ["exclusion={strength: 1, reach: 10, first: [head, head]}"], ["targets.foot=null"]],
+)
+def test_what_a_recipe_may_leave_out(facetrack, overrides):
+    options = [word for override in overrides for word in ("--set", override)]
+    assert run(facetrack, *options, "--stop", 3, "-o", "o")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "marked", "said"),
+    [
+        ("type: particle_filters\n", "", "targets", '"targets" is a key of several particle filters'),
+        ("type: particle_filters\n", "type: particle_filter\n", "particle_filter", "write type: particle_filters"),
+        ("  left_hand:\n", "  left_hand:\n    colour: red\n", "colour", 'unknown key "colour" in "targets.left_hand"'),
+        ("type: region}", "type: region, foo: 1}", "foo", 'unknown key "foo" in "targets.head.target"'),
+        ("inner: 1.0}", "iner: 1.0}", "iner", 'unknown key "iner" in "targets.head.likelihood.skin"; did you mean'),
+        ("reach: 1.0", "reech: 1.0", "reech", 'unknown key "reech" in "exclusion"; did you mean "reach"?'),
+        ("  right_hand:\n", "  left_hand:\n", "left_hand", 'the key "left_hand" is repeated'),
+        ("  right_hand:\n", "  Right Hand:\n", "Right Hand", '"Right Hand" cannot be one of targets; a name has'),
+        ("  right_hand:\n", f"  {'a' * 70}:\n", "a" * 70, "cannot be one of targets; give 60 characters at most"),
+        ("  left_hand:\n", "  left_hand: &hand\n", "&", "is an anchor; remove it, and write out what refers to it"),
+    ],
+)
+def test_a_wrong_recipe_is_told_where_it_is_wrong(tmp_path, old, new, marked, said):
+    file = tmp_path / "mine.yaml"
+    assert RECIPE.count(old) == 1
+    file.write_text(RECIPE.replace(old, new))
+    problem = check_recipe(str(file))[0]
+    text = file.read_text().splitlines()[problem.span.line]
+    assert text[problem.span.column : problem.span.end] == marked
+    assert said in str(problem)
+
+
+def many(tmp_path, count, particles):
+    """A recipe of a head and `count` - 1 hands with so many particles each."""
+    head, _, rest = RECIPE.partition("  left_hand:\n")
+    hand = rest.partition("  right_hand:\n")[0].partition("    filter:")[0]
+    hands = [f"  hand_{i}:\n{hand}    filter: {{type: sir, particles: {particles}}}\n" for i in range(count - 1)]
+    file = tmp_path / "many.yaml"
+    file.write_text(head + "".join(hands))
+    return str(file)
+
+
+def test_all_targets_together_have_room_in_memory(tmp_path):
+    assert check_recipe(many(tmp_path, 5, 1_000_000)) == []
+    [problem] = check_recipe(many(tmp_path, 6, 1_000_000))
+    assert "the targets have 5,001,500 particles; no more than 5,000,000 fit into memory" in str(problem)
+    assert check_recipe(many(tmp_path, 20, 10)) == []
+    [problem] = check_recipe(many(tmp_path, 30, 10))
+    assert "targets must have at most 20 items, not 30" in str(problem)
+
+
+def test_the_schema_knows_which_names_targets_may_have():
+    targets = json_schema()["$defs"]["ParticlesRecipe"]["properties"]["targets"]
+    assert targets["additionalProperties"] is False
+    assert list(targets["patternProperties"]) == ["^[a-z][a-z0-9_]*$"]
+
+
+# --- what is told ----------------------------------------------------------------------------------------------------
+
+
+def test_a_fallback_is_told_once_and_kept(facetrack):
+    code, _, err = facetrack("run", "IN/dark", "--config", "head_hands", *FEW, "--no-video", "-o", "o")
+    assert code == 0 and err.count("Kovac") == 1 and "facetrack: warning: head: Kovac's rules find skin in only" in err
+    assert [w.partition(": ")[0] for w in json.loads(Path("o/trajectory.json").read_text())["warnings"]] == ["head"]
+    code, _, err = facetrack("run", "IN/dark", "--config", "skin", "--init", "haar", "--no-video", "-o", "p")
+    assert "facetrack: warning: Kovac" in err, "one target needs no name"
+
+    both = ["--seeds", 2, "--stop", 4, "--no-plots", *FEW]
+    code, _, err = facetrack("compare", "IN/dark", "--config", "head_hands", "--partial", *both, "-o", "c")
+    assert code == 0 and err.count("Kovac") == 1
+    [recipe] = json.loads(Path("c/compare.json").read_text())["recipes"]
+    assert len(recipe["warnings"]) == 1 and "Kovac" in recipe["warnings"][0]
+    code, _, err = facetrack("repeat", "IN/dark", "--config", "head_hands", *both, "-o", "r")
+    assert code == 0 and err.count("Kovac") == 1
+    assert json.loads(Path("r/repeat.json").read_text())["warnings"] == recipe["warnings"]
+
+
+def test_of_a_batch_each_line_names_its_clip_once_and_what_worked_is_kept(facetrack, clips):
+    options = ["--config", "head_hands", *FEW, "--seed", 3, "--no-video"]
+    code, _, err = facetrack("run", "IN/dark", "IN/sign", "IN/bare", *options, "-j", 2, "-o", "many")
+    assert code == 5 and "1 of 3 inputs failed" in err
+    [failure] = [line for line in err.splitlines() if line.startswith("facetrack: error: ")]
+    assert failure.count(f"{clips}/bare") == 1
+    [warning] = [line for line in err.splitlines() if line.startswith("facetrack: warning: ")]
+    assert warning.startswith(f"facetrack: warning: {clips}/dark: head: Kovac")
+    assert sorted(path.name for path in Path("many").iterdir()) == ["dark-head_hands", "sign-head_hands"]
+    for threads in (1, 2):
+        assert facetrack("run", "IN/sign", *options, "--threads", threads, "-o", f"t{threads}", "-q")[0] == 0
+    alone, again, among = (Path(f, "trajectory.csv").read_bytes() for f in ("t1", "t2", "many/sign-head_hands"))
+    assert alone == again == among
+
+
+def test_fail_on_lost_has_its_exit_code(facetrack):
+    options = [*init(head=HEAD, left_hand=LEFT, right_hand=RIGHT), "--set", "targets.left_hand.confidence.patience=1"]
+    assert run(facetrack, *options, "--fail-on-lost", "-o", "there")[0] == 0
+    assert run(facetrack, *options, "--fail-on-lost", "-o", "gone", name="gone")[0] == 4
+    assert "left_hand/box" in json.loads(Path("gone/trajectory.json").read_text())["lost_frames"]
+
+
+def test_an_interrupted_stream_ends_in_whole_lines():
+    words = [sys.executable, "-m", "facetrack_cli", "run", FOLDER / "signing.mp4", "--config", "head_hands"]
+    with subprocess.Popen(
+        [*map(str, words), "--format", "jsonl", "-o", "-"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        begun = [process.stdout.readline() for _ in range(3)]  # the pipe is full long before the clip ends
+        os.kill(process.pid, signal.SIGINT)
+        rest, err = process.communicate(timeout=100)
+    lines = [json.loads(line) for line in [*begun, *rest.splitlines()]]
+    assert process.returncode == 130 and "interrupted" in err
+    assert [target["target"] for target in lines[1]["targets"]] == ALL
+    assert lines[-1]["complete"] is False and len(lines) < 252
+
+
+# --- facetrack init --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud", "skin_ncc_robust", "csrt", "mil", "factorized"])
+def test_init_writes_what_a_recipe_begins_with(clips, tmp_path, config):
+    file, look = tmp_path / "begin.yaml", tmp_path / "look.png"
+    words = ["init", clips / "sign", "--config", config, "-o", file, "--preview", look]
+    done = CliRunner().invoke(cli, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    targets = read_init(file).targets
+    assert list(targets) == (list(load_recipe(config).followed) or ["face"])
+    assert bool(next(iter(targets.values())).points) == (config == "factorized")
+    assert cv2.imread(str(look)) is not None
+
+
+def test_init_refuses_before_it_writes(clips, tmp_path):
+    for words, said in (
+        (["--box", "155,60,4,4"], "the box of head is smaller than 6x6"),
+        (["-o", tmp_path / "none" / "i.yaml"], "there is no folder"),
+    ):
+        given = ["init", clips / "sign", "--config", "head_hands", "-o", tmp_path / "i.yaml", *words]
+        done = CliRunner().invoke(cli, [str(word) for word in given])
+        assert done.exit_code != 0 and said in str(done.exception)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_every_shipped_recipe_is_good():
+    names = [path.stem for path in shipped_recipes()]
+    assert {"skin", "skin_ncc", "skin_ncc_robust", "ncc", "head_hands", "head_hands_cloud"} <= set(names)
+    done = CliRunner().invoke(cli, ["recipes", "check", *names])
+    assert done.exit_code == 0 and done.output.count(": good") == len(names)

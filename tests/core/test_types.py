@@ -1,0 +1,92 @@
+"""A frame's reduced pictures."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.types import Frame, factor_for
+
+
+def naive_blocks(picture, factor):
+    """Area means of whole blocks, halved again and again as bytes, each step rounded half up."""
+    while factor > 1:
+        h, w = picture.shape[0] // 2, picture.shape[1] // 2
+        blocks = picture[: 2 * h, : 2 * w].reshape(h, 2, w, 2, 3).astype(int)
+        picture, factor = (blocks.sum(axis=(1, 3)) + 2) // 4, factor // 2
+    return picture
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    factor=st.sampled_from([2, 4, 8]),
+    extents=st.lists(
+        st.tuples(st.floats(-300, 300), st.floats(-300, 300), st.floats(0, 200), st.floats(0, 200)),
+        min_size=1,
+        max_size=4,
+    ),
+    order=st.permutations([2, 4, 8]),
+)
+def test_blocks_are_the_same_whatever_was_asked_before(factor, extents, order):
+    picture = np.random.default_rng(0).integers(0, 256, (101, 147, 3), dtype=np.uint8)
+    frame = Frame(0, 0.0, picture)
+    for x, y, w, h in extents:
+        for f in (*order, factor):
+            small, left, top = frame.reduced(f, (x, y, x + w, y + h))
+            assert left % f == top % f == 0
+            whole = naive_blocks(picture, f)
+            i, j = top // f, left // f
+            np.testing.assert_allclose(small, whole[i : i + small.shape[0], j : j + small.shape[1]], atol=1)
+            # all that lies in the picture and in the extent is there
+            rows, columns = whole.shape[:2]
+            assert left <= max(min(x, (columns - 1) * f), 0)
+            assert top <= max(min(y, (rows - 1) * f), 0)
+            assert left + small.shape[1] * f >= min(max(x + w, 0), columns * f)
+            assert top + small.shape[0] * f >= min(max(y + h, 0), rows * f)
+
+
+anywhere = st.tuples(st.floats(-90, 190), st.floats(-90, 150), st.floats(0, 120), st.floats(0, 90))
+
+
+@settings(max_examples=80, deadline=None)
+@given(calls=st.lists(st.tuples(st.booleans(), st.sampled_from([1, 2, 4]), anywhere), min_size=1, max_size=8))
+def test_grey_is_that_of_the_whole_picture_whatever_was_asked_before(calls):
+    picture = np.random.default_rng(1).integers(0, 256, (61, 98, 3), dtype=np.uint8)
+    frame = Frame(0, 0.0, picture)
+    for grey, factor, (x, y, w, h) in calls:
+        seen, left, top = (frame.grey if grey else frame.reduced)(factor, (x, y, x + w, y + h))
+        whole = Frame(0, 0.0, picture).reduced(factor, (0, 0, 98, 61))[0]
+        whole = cv2.cvtColor(whole, cv2.COLOR_BGR2GRAY) if grey else whole
+        i, j = top // factor, left // factor
+        assert left % factor == top % factor == 0
+        np.testing.assert_array_equal(seen, whole[i : i + seen.shape[0], j : j + seen.shape[1]])
+        # all of the extent that there is
+        rows, columns = whole.shape[:2]
+        assert j <= min(max(x // factor, 0), columns - 1) and i <= min(max(y // factor, 0), rows - 1)
+        assert j + seen.shape[1] > min(max((x + w) // factor, 0), columns - 1)
+        assert i + seen.shape[0] > min(max((y + h) // factor, 0), rows - 1)
+    assert frame.bgr is picture
+
+
+def test_factor_one_is_the_picture_itself():
+    picture = np.zeros((5, 7, 3), np.uint8)
+    small, left, top = Frame(0, 0.0, picture).reduced(1, (0, 0, 3, 3))
+    assert small is picture
+    assert (left, top) == (0, 0)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (3, 2, 3), (2, 9, 3)])
+def test_a_picture_smaller_than_a_block_is_one_block(shape):
+    small, _, _ = Frame(0, 0.0, np.full(shape, 77, np.uint8)).reduced(8, (0, 0, 1, 1))
+    assert small.shape[0] >= 1
+    assert small.shape[1] >= 1
+    assert np.all(small == 77)
+
+
+@pytest.mark.parametrize(
+    ("longest", "most", "factor"),
+    [(100.0, None, 1), (5.0, 64, 1), (64.0, 64, 1), (64.5, 64, 2), (128.0, 64, 2), (129.0, 64, 4), (3840.0, 15, 256)],
+)
+def test_the_factor_is_the_least_power_of_two_that_brings_a_length_below_its_bound(longest, most, factor):
+    assert factor_for(longest, most) == factor

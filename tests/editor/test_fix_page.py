@@ -1,0 +1,387 @@
+"""facetrack fix as its users meet it: what the page asks, the command, and what is interrupted."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.editor import save as saving
+from facetrack_cli.editor.files.rows import Rows
+from facetrack_cli.editor.files.run_folder import UNSAVED, open_run
+from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.retrack import Tracking
+from facetrack_cli.editor.web import serve as run_module
+from facetrack_cli.editor.web import server as server_module
+from facetrack_cli.editor.web import session as session_module
+from facetrack_cli.editor.web.fix_session import FixSession
+from facetrack_cli.editor.web.pictures import Pictures
+from facetrack_cli.editor.web.serve import run_page
+from facetrack_cli.editor.web.server import serving
+from facetrack_cli.tracking.start import read_init
+from facetrack_cli.trajectory.csv_reader import read_csv
+from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.video.seek import Frames
+from tests.support.page_client import Client, wait_for
+from tests.support.samples import FOLDER
+from tests.support.terminal import refusal
+
+CLIP = FOLDER / "expressions.mp4"
+STOP = 20
+NOSE = {"points": {"nose": [150.0, 130.5]}}
+MADE = ("--set", "filter.particles=20", "--stop", str(STOP), "-q")
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """The folder of a run, `out`."""
+    folder = tmp_path_factory.mktemp("clips")
+    assert main(["run", str(CLIP), "-o", str(folder / "out"), *MADE, "--no-video"]) == 0
+    return folder
+
+
+@pytest.fixture
+def out(clips, tmp_path):
+    shutil.copytree(clips / "out", tmp_path / "out")
+    return tmp_path / "out"
+
+
+class Page:
+    """A run's page and one window of it."""
+
+    def __init__(self, folder, **options):
+        self.run = open_run(folder)
+        self.frames = Frames(self.run.clip)
+        self.fixer = Fixer(self.run, self.frames.read)
+        self.session = FixSession(self.fixer, self.frames, Pictures(self.frames), **options)
+        self._serving = serving(self.session)
+        self.client = Client(self._serving.__enter__().url)
+
+    def post(self, path, **body):
+        return self.client.ask("POST", f"api/{path}", body)
+
+    def track(self, frame, **targets):
+        """Drag, and have it tracked."""
+        assert self.client.put_draft(frame, **targets).status == 200
+        got = self.post("track", base=self.state()["revision"])
+        if got.status == 202:
+            self.idle()
+        return got
+
+    def state(self):
+        return self.client.get("api/state").json
+
+    def idle(self):
+        return self.client.until(lambda state: state["job"] is None)
+
+    def rows(self, first, last):
+        return self.client.get(f"api/rows?from={first}&to={last}").json["frames"]
+
+    def close(self):
+        self.client.close()
+        self._serving.__exit__(None, None, None)
+        self.fixer.close()
+        self.frames.close()
+        self.run.index.close()
+
+
+@pytest.fixture
+def page(out, monkeypatch):
+    monkeypatch.setattr(server_module, "POLL_S", 0.005)
+    pages = []
+
+    def make(**options):
+        pages.append(Page(out, **options))
+        return pages[-1]
+
+    yield make
+    for one in pages:
+        one.close()
+
+
+# --- the page --------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_told_of_the_run(page, out):
+    one = page()
+    told = one.client.get("api/session").json
+    assert (told["mode"], told["clip"], told["recipe"], told["size"]) == ("fix", CLIP.name, "factorized", [320, 240])
+    assert told["frames"] == {"first": 0, "last": STOP - 1, "exact": True}
+    [wants] = told["wants"]
+    assert (wants["target"], wants["box"], wants["points"][0], told["free"]) == ("face", "optional", "nose", False)
+    assert told["saves_to"] == str(out) and wants["about"]["nose"] == "the tip of the nose"
+    assert one.client.get("api/frame/19.jpg").status == 200 and one.client.get("api/frame/20.jpg").status == 404
+    got = one.client.get("api/rows?from=5&to=9999").json
+    assert got["from"] == 5 and len(got["frames"]) == STOP - 5 and got["parts"][0] == ["face", "nose"]
+    row = read_csv(out / "trajectory.csv")[5 * 5]
+    assert got["frames"][0][0] == [row.x, row.y, row.w, row.h, None, row.confidence, "tracked", False, None]
+    assert one.client.get("api/rows?from=a").status == 400
+    found = one.client.get("api/overview?bins=7").json
+    assert (found["bins"], found["last"], len(found["parts"]), found["corrections"]) == (7, STOP - 1, 5, [])
+
+
+def test_what_is_dragged_is_tracked_and_undone(page):
+    one = page()
+    before = one.rows(0, STOP - 1)
+    assert one.track(8, face=NOSE).status == 202
+    state = one.state()
+    assert (state["rows_revision"], state["can_undo"], state["message"]) == (1, True, None)
+    assert state["draft"] == {"frame": 8, "targets": {}}  # it has become a correction
+    after = one.rows(0, STOP - 1)
+    assert after[:8] == before[:8] and all(new != old for new, old in zip(after[8:], before[8:], strict=True))
+    nose, corner = after[8][0], after[8][1]
+    assert (nose[:2], nose[6:8]) == ([150.0, 130.5], ["init", True]) and (corner[:2], corner[7]) == (
+        before[8][1][:2],
+        False,
+    )
+    [correction] = one.client.get("api/overview").json["corrections"]
+    assert correction == {"frame": 8, "target": "face", "parts": ["nose"], "absent": []}
+    assert one.track(8, face={"absent": ["lip_upper"]}).status == 202  # over what is there
+    hidden = one.rows(8, 8)[0]
+    assert hidden[0][:2] == [150.0, 130.5] and hidden[3] == [None] * 6 + ["absent", True, None]
+    for expected in (after, before):
+        assert one.post("undo").status == 202
+        one.idle()
+        assert one.rows(0, STOP - 1) == expected
+    assert one.post("undo").status == 422 and not one.state()["can_undo"]
+
+
+def test_what_something_covers_is_not_learned(page):
+    one = page()
+    assert one.client.get("api/session").json["learns"] is True
+    for said, learn in (({"learn": False}, False), ({"learn": None}, None), ({"learn": False}, False), ({}, False)):
+        assert one.client.put_draft(8, face=NOSE).status == 200
+        assert one.post("track", base=one.state()["revision"], **said).status == 202
+        one.idle()
+        [correction] = one.fixer.corrections
+        assert correction.learn is learn
+    assert one.client.put_draft(8, face=NOSE).status == 200
+    refused = one.post("track", base=one.state()["revision"], learn="no")
+    assert (refused.status, refused.json["error"]) == (400, "learn is true, false or null")
+
+
+def test_a_correction_is_removed(page):
+    one = page()
+    before = one.rows(0, STOP - 1)
+    one.track(8, face=NOSE)
+    assert one.post("remove", frame=8, target="ben").status == 422
+    assert one.post("remove", frame="8", target="face").status == 422
+    assert one.post("remove", frame=8, target="face").status == 202
+    one.idle()
+    assert one.rows(0, STOP - 1) == before and one.client.get("api/overview").json["corrections"] == []
+
+
+@pytest.mark.parametrize(
+    ("frame", "target", "code", "said"),
+    [
+        (0, NOSE, 422, "frame 0 cannot be corrected, in which it begins"),
+        (5, {"points": {"nose": [999, 5]}}, 422, "outside"),
+        (5, {}, 422, "nothing is put right in frame 5"),
+    ],
+)
+def test_what_cannot_be_tracked_is_refused_in_one_line(page, frame, target, code, said):
+    one = page()
+    got = one.track(frame, face=target)
+    assert got.status == code and said in got.json["error"] and "\n" not in got.json["error"]
+    assert one.state()["rows_revision"] == 0
+
+
+def test_drafts_of_what_is_not_in_the_run_are_refused(page):
+    one = page()
+    for frame, targets, said in (
+        (STOP, {"face": NOSE}, "the run has no frame 20"),
+        (5, {"ben": NOSE}, "the run has no ben; it has face"),
+        (5, {"face": {"points": {"chin": [1, 1]}}}, "face has no chin; it has nose"),
+        (5, {"face": {"absent": ["chin"]}}, "face has no chin"),
+    ):
+        got = one.client.put_draft(frame, **targets)
+        assert got.status == 400 and said in got.json["error"]
+    assert one.post("track", base=77).status == 409
+
+
+def test_while_a_job_runs_nothing_else_is_begun_and_rows_are_read(page, monkeypatch):
+    one, go = page(), threading.Event()
+    whole = Tracking.track
+
+    def held(self, *args, **options):
+        assert go.wait(60)
+        return whole(self, *args, **options)
+
+    monkeypatch.setattr(Tracking, "track", held)
+    one.client.put_draft(8, face=NOSE)
+    assert one.post("track", base=1).status == 202
+    assert one.state()["job"]["what"] == "tracking face"
+    for path, body in (("track", {"base": 1}), ("undo", {}), ("save", {"base": 1})):
+        assert one.post(path, **body).status in (409, 422)
+    assert len(one.rows(0, 3)) == 4
+    assert one.client.put_draft(9, face={"points": {"nose": [151, 131]}}).status == 200  # somebody goes on meanwhile
+    go.set()
+    one.idle()
+    assert one.state()["draft"]["frame"] == 9 and one.state()["rows_revision"] == 1
+
+
+def test_an_error_while_tracking_leaves_all_as_it_was(page, monkeypatch):
+    one = page()
+    before = one.rows(0, STOP - 1)
+    read = one.frames.read
+    monkeypatch.setattr(one.fixer._tracking, "_read", lambda n: read(n) if n < 12 else read(99_999))
+    one.track(8, face=NOSE)
+    state = one.state()
+    assert "there is no frame 99999" in state["message"] and state["draft"]["frame"] == 8
+    assert (state["rows_revision"], state["can_undo"]) == (0, False) and one.rows(0, STOP - 1) == before
+
+
+def test_proposals_are_those_of_the_runs_targets(page):
+    found = page().client.get("api/proposals/3").json
+    assert found["frame"] == 3
+    [one] = found["proposals"]
+    assert set(one["targets"]) == {"face"} and one["targets"]["face"]["box"] is None
+    assert set(one["targets"]["face"]["points"]) == {"nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower"}
+
+
+def test_save_writes_the_run_and_ends(page, out, monkeypatch):
+    one = page()
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    one.track(8, face=NOSE)
+    assert (out / UNSAVED).is_file()
+    assert {p.name: p.read_bytes() for p in out.iterdir() if p.name != UNSAVED} == before
+    one.client.put_draft(9, face=NOSE)
+    got = one.client.save()
+    assert got.status == 422 and "what was moved in frame 9 is not tracked yet" in got.json["error"]
+    one.client.put_draft(9)
+    real = saving.as_yaml
+    monkeypatch.setattr(saving, "as_yaml", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "No space left")))
+    assert one.client.save().status == 202
+    state = one.idle()
+    assert "No space left; free some space, and save again" in state["message"] and state["ended"] is None
+    monkeypatch.setattr(saving, "as_yaml", real)
+    assert one.client.save().status == 202
+    ended = one.client.until(lambda state: state["ended"])["ended"]
+    assert f"{out / CORRECTED}: written" in ended["said"] and ended["next"] == f"facetrack report {out} --overwrite"
+    assert sorted(path.name for path in out.iterdir()) == [CORRECTED, "trajectory.csv", "trajectory.json"]
+    assert one.post("undo").status == 409
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+def test_an_init_file_is_applied_without_a_page(facetrack, out):
+    init = Path("c.yaml")
+    init.write_text(
+        CLIP.with_suffix(".init.yaml").read_text() + "corrections:\n- {frame: 9, points: {nose: [150, 130]}}\n"
+    )
+    code, said, err = facetrack("fix", out, "--init", init)
+    assert (code, said) == (0, "") and f"{out / 'trajectory.csv'}: written" in err.splitlines()
+    assert facetrack("run", CLIP, "--init", out / CORRECTED, "-o", "again", *MADE, "--no-video")[0] == 0
+    assert Path("again/trajectory.csv").read_bytes() == (out / "trajectory.csv").read_bytes()
+    code, said, err = facetrack("fix", out, "--init", init)
+    assert (code, err.splitlines()[-1]) == (0, f"{out}: nothing was corrected, all is as it was")
+
+
+def test_what_is_wrong_is_said_in_one_line(facetrack, out, tmp_path):
+    assert "no such folder" in refusal(facetrack("fix", "nowhere"), 3)
+    assert "gone.mp4: no such file" in refusal(facetrack("fix", out, "--clip", "gone.mp4"), 3)
+    assert "is 64x48" not in refusal(facetrack("fix", out, "--init", "i.yaml"), 3)
+    assert "--port is for the page" in refusal(facetrack("fix", out, "--init", "i.yaml", "--port", 9000), 2)
+    assert "--quiet goes with --init" in refusal(facetrack("fix", out, "-q"), 2)
+    Path("late.yaml").write_text(
+        CLIP.with_suffix(".init.yaml").read_text() + "corrections:\n- {frame: 9, points: {nose: [950, 130]}}\n"
+    )
+    assert "nose of face at frame 9 at [950, 130] is outside" in refusal(
+        facetrack("fix", out, "--init", "late.yaml"), 3
+    )
+    (out / UNSAVED).write_text("frame: 0\n")
+    assert "corrections that were not saved are there" in refusal(facetrack("fix", out, "--init", "late.yaml"), 2)
+
+
+def test_interrupted_without_a_page_leaves_the_run_as_it_was(facetrack, out, monkeypatch):
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    write = Rows.write
+
+    def interrupted(self, *args):
+        os.kill(os.getpid(), signal.SIGINT)
+        return write(self, *args)
+
+    track = Tracking.track
+
+    def stopped(self, *args, **options):
+        os.kill(os.getpid(), signal.SIGINT)
+        return track(self, *args, **options)
+
+    Path("c.yaml").write_text(
+        CLIP.with_suffix(".init.yaml").read_text() + "corrections:\n- {frame: 9, points: {nose: [150, 130]}}\n"
+    )
+    monkeypatch.setattr(Tracking, "track", stopped)
+    code, _, err = facetrack("fix", out, "--init", "c.yaml")
+    assert code == 130 and err.splitlines()[-1] == f"facetrack: interrupted; {out} is as it was"
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    # once files are being written, they are all written
+    monkeypatch.setattr(Tracking, "track", track)
+    monkeypatch.setattr(Rows, "write", interrupted)
+    assert facetrack("fix", out, "--init", "c.yaml", "-q")[0] == 0
+    assert (out / CORRECTED).is_file()
+
+
+READY = "open this page: "
+
+
+def start(folder, *arguments):
+    environment = {**os.environ, "PYTHONPATH": str(FOLDER.parent), "PYTHONUNBUFFERED": "1"}
+    words = [sys.executable, "-m", "facetrack_cli", "fix", str(folder), *arguments]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=environment)
+    said = []
+    while not (line := process.stderr.readline()).startswith(READY):
+        assert line, said
+        said.append(line)
+    return process, Client(line.removeprefix(READY).strip()), said
+
+
+def test_interrupted_it_keeps_the_corrections_and_goes_on_with_them(out):
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    process, client, _ = start(out)
+    client.put_draft(8, face=NOSE)
+    client.ask("POST", "api/track", {"base": 1})
+    client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    client.close()
+    kept = out / UNSAVED
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == (
+        f"facetrack: interrupted; the corrections are kept in {kept}, all else is as it was; "
+        f"facetrack fix {out} goes on with them"
+    )
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path != kept} == before
+    assert [one.frame for one in read_init(kept).corrections] == [8]
+
+    process, client, said = start(out)
+    assert said == [f"{kept}: one correction was not saved the last time; the page begins with it\n"]
+    client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
+    assert "the corrections of the last time, which were not saved" in client.get("api/state").json["message"]
+    assert client.get("api/rows?from=8&to=8").json["frames"][0][0][:2] == [150.0, 130.5]
+    client.ask("POST", "api/undo", {})
+    client.until(lambda state: state["rows_revision"] == 2)
+    client.close()
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert err.splitlines()[-1] == "facetrack: interrupted; nothing was written"
+    assert not kept.exists()
+
+
+def test_the_page_ends_with_its_session(page, monkeypatch):
+    monkeypatch.setattr(run_module, "POLL_S", 0.005)
+    monkeypatch.setattr(session_module, "LINGER_S", 0.0)
+    monkeypatch.setattr(session_module, "LAST_S", 0.0)
+    session, said = page().session, []
+    worker = threading.Thread(target=run_page, args=(session, lambda: False, said.append))
+    worker.start()
+    client = Client(wait_for(lambda: next((s for s in said if s.startswith(READY)), None), "the address")[len(READY) :])
+    assert client.save().status == 202
+    worker.join(60)
+    assert not worker.is_alive() and "nothing was corrected" in session.ended["said"][0]
+    client.close()

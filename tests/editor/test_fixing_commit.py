@@ -1,0 +1,189 @@
+"""A save that is torn off at any moment: the run is then as it was, or as it was to be, never something between."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import OutputError
+from facetrack_cli.editor import save as saving
+from facetrack_cli.editor.files.journal import JOURNAL, announce, beside, finish, sweep
+from facetrack_cli.editor.files.run_folder import UNSAVED, open_run
+from facetrack_cli.editor.save import keep, save
+from facetrack_cli.trajectory.header import CORRECTED
+from tests.editor.test_fixing_odd import fixing, nose, put
+from tests.support.samples import FOLDER
+
+CLIP = FOLDER / "expressions.mp4"
+
+
+class Killed(BaseException):
+    """Nothing is done after it."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The folder of a run, and its files once they are corrected."""
+    folder = tmp_path_factory.mktemp("made")
+    words = ["run", CLIP, "-o", folder / "out", "--set", "filter.particles=20", "--stop", "8", "-q"]
+    assert main([str(word) for word in [*words, "--format", "csv,json,jsonl"]]) == 0
+    shutil.copytree(folder / "out", folder / "after")
+    put(folder / "after", nose(4, 158, 140))
+    return folder / "out", files_of(folder / "after")
+
+
+@pytest.fixture
+def out(made, tmp_path):
+    shutil.copytree(made[0], tmp_path / "out")
+    return tmp_path / "out"
+
+
+def files_of(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "annotated.mp4"}
+
+
+def hidden(folder):
+    return {path.name for path in folder.iterdir() if path.name.startswith(".")}
+
+
+@pytest.mark.parametrize("moment", range(7))
+def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, monkeypatch, moment):
+    """At the encoder's file, at the journal, and at each of the five files that take over."""
+    before, after, done = files_of(out), made[1], []
+    replace = Path.replace
+
+    def torn(self, to):
+        if len(done) == moment:
+            raise Killed
+        done.append(self)
+        return replace(self, to)
+
+    with fixing(out) as fixer, monkeypatch.context() as patch:
+        fixer.put([nose(4, 158, 140)])
+        keep(fixer)
+        patch.setattr(Path, "replace", torn)
+        patch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
+        with pytest.raises(Killed):
+            save(fixer)
+    whole = moment > 1
+    with open_run(out) as opened:
+        assert [one.frame for one in opened.start.corrections] == ([4] if whole else [])
+    assert (out / UNSAVED).exists() != whole
+    if not whole:
+        assert {name: files_of(out)[name] for name in before} == before
+        put(out, nose(4, 158, 140))
+    found = files_of(out)
+    assert {name: found.pop(name) for name in after} == after
+    assert not found
+
+
+def test_what_another_process_left_is_swept_away(made, out):
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait(60)
+    names = [".trajectory-{}.fixed.csv", "..annotated-{0}.fixed-{0}.part.mp4", ".mine-{}.csv"]
+    for number in (gone.pid, os.getpid(), os.getppid(), 10**30):
+        for name in names:
+            (out / name.format(number)).write_text("x")
+    sweep(out)
+    left = hidden(out)
+    there = {name.format(number) for name in names for number in (os.getpid(), os.getppid())}
+    assert left == there | {f".mine-{gone.pid}.csv", f".mine-{10**30}.csv"}
+    (out / names[0].format(gone.pid)).write_text("x")
+    put(out, nose(4, 158, 140))
+    assert names[0].format(gone.pid) not in hidden(out)
+
+
+def test_what_was_announced_does_not_replace_a_run_that_was_made_since(out):
+    (csv, text), new = (out / "trajectory.csv", out / "trajectory.json"), out / "new"
+    for path in (csv, text, new):
+        beside(path).write_text("saved")
+    unsaved = out / UNSAVED
+    unsaved.write_text("of another run")
+    announce(out, [csv, text, new], [unsaved])
+    text.write_text("another run")
+    before = csv.read_bytes()
+    finish(out)
+    assert (csv.read_bytes(), text.read_text(), new.exists()) == (before, "another run", False)
+    assert unsaved.exists() and not hidden(out)
+
+
+def test_two_may_finish_at_once(out, monkeypatch):
+    """What the other one has moved in the meantime is not missed."""
+    csv, replace = out / "trajectory.csv", Path.replace
+    beside(csv).write_text("saved")
+    announce(out, [csv])
+
+    def first(self, to):
+        replace(self, to)
+        return replace(self, to)
+
+    monkeypatch.setattr(Path, "replace", first)
+    finish(out)
+    assert csv.read_text() == "saved" and not hidden(out)
+
+
+def test_what_was_announced_is_not_swept_away(out):
+    (out / JOURNAL).write_text("")
+    (out / f".trajectory-{10**30}.fixed.csv").write_text("x")
+    sweep(out)
+    assert len(hidden(out)) == 2
+
+
+def test_links_stay_links(out, tmp_path):
+    kept = tmp_path / "elsewhere.csv"
+    shutil.move(out / "trajectory.csv", kept)
+    (out / "trajectory.csv").symlink_to(kept)
+    put(out, nose(4, 158, 140))
+    assert (out / "trajectory.csv").is_symlink() and ",158.000,140.000," in kept.read_text()
+
+
+NOT_OURS = [
+    "",
+    "[]",
+    '{"files": {}, "gone": []}',
+    '{"process": 1, "files": {"../x": null}, "gone": []}',
+    '{"process": 1, "files": {}, "gone": ["/x"]}',
+]
+
+
+@pytest.mark.parametrize("text", NOT_OURS)
+def test_a_journal_that_is_not_ours_is_refused(out, text):
+    (out / JOURNAL).write_text(text)
+    with pytest.raises(OutputError, match=r"saving.json: is not as facetrack fix writes it; remove it"):
+        open_run(out)
+
+
+def test_a_folder_in_the_place_of_the_init_file_is_refused_before_anything_is_replaced(out):
+    before = files_of(out)
+    (out / CORRECTED).mkdir()
+    with pytest.raises(OutputError, match=r"corrected.init.yaml: is a folder, where a file is to be"):
+        put(out, nose(4, 158, 140))
+    (out / CORRECTED).rmdir()
+    assert files_of(out) == before
+
+
+def test_a_run_that_is_made_anew_while_it_is_saved_is_not_replaced(out, monkeypatch):
+    def slow(start, clip, real=saving.as_yaml):
+        (out / "trajectory.csv").write_text("another run")
+        return real(start, clip)
+
+    monkeypatch.setattr(saving, "as_yaml", slow)
+    before = files_of(out)
+    with pytest.raises(OutputError, match=r"trajectory.csv: was written by somebody else since it was opened"):
+        put(out, nose(4, 158, 140))
+    assert files_of(out) == {**before, "trajectory.csv": b"another run"}
+
+
+def test_where_nothing_is_corrected_any_more_the_files_do_not_speak_of_corrections(made, out):
+    before = files_of(out)
+    put(out, nose(4, 158, 140))
+    with fixing(out) as fixer:
+        fixer.remove(4, "face")
+        save(fixer)
+    after = files_of(out)
+    assert b"corrections" not in after.pop(CORRECTED)
+    assert after == before

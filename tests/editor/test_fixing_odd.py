@@ -1,0 +1,312 @@
+"""Runs that are put right though something about them is out of the way."""
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import tempfile
+
+import cv2
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.types import Correction, TargetStart
+from facetrack_cli.editor import save as saving
+from facetrack_cli.editor.files import run_folder
+from facetrack_cli.editor.files.run_folder import open_run
+from facetrack_cli.editor.history import Fixer, corrections_of
+from facetrack_cli.editor.overview import overview
+from facetrack_cli.editor.save import save
+from facetrack_cli.tracking.start import read_init
+from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import open_source
+from tests.support.samples import FOLDER
+from tests.support.terminal import refusal
+
+FEW = ["--set", "filter.particles=20", "--no-video", "-q"]
+
+
+def run(*words):
+    assert main(["run", *map(str, words), *FEW]) == 0
+
+
+@contextlib.contextmanager
+def fixing(folder):
+    with (
+        open_run(folder) as opened,
+        Frames(opened.clip, fps=opened.fps) as frames,
+        contextlib.closing(Fixer(opened, frames.read)) as fixer,
+    ):
+        yield fixer
+
+
+def put(folder, *corrections):
+    """Have these corrections, one after the other, and save."""
+    with fixing(folder) as fixer:
+        for one in corrections:
+            fixer.put([one])
+        return save(fixer)
+
+
+def nose(frame, x, y):
+    return Correction(frame, "face", TargetStart(points={"nose": (x, y)}))
+
+
+@pytest.fixture(scope="module")
+def leaving(tmp_path_factory):
+    """A folder of images in which a face leaves the picture to the left, and where it begins."""
+    folder = tmp_path_factory.mktemp("leaving")
+    pictures = folder / "shots"
+    pictures.mkdir()
+    with open_source(FOLDER / "expressions.mp4", stop=12) as source:
+        for frame in source:
+            left = 120 + 3 * frame.index
+            cv2.imwrite(str(pictures / f"{frame.index:02}.png"), frame.bgr[90:200, left : left + 120])
+    places = "nose: [40, 51], mouth_left: [19, 64], mouth_right: [61, 64], lip_upper: [40, 63], lip_lower: [40, 79]"
+    (folder / "shots.init.yaml").write_text(f"frame: 0\nface:\n  points: {{{places}}}\n")
+    return pictures
+
+
+def test_a_part_beyond_the_border_is_kept_there(leaving, tmp_path):
+    """The init file is read again, and the run put right a second time."""
+    run(leaving, "-o", tmp_path / "out")
+    put(tmp_path / "out", nose(11, 6, 50))
+    with fixing(tmp_path / "out") as fixer:
+        opened = fixer.run
+        assert opened.start.corrections[0].kept["mouth_left"][0] < -0.5
+    run(leaving, "-o", tmp_path / "again", "--init", tmp_path / "out" / CORRECTED)
+    ours, theirs = ((tmp_path / folder / "trajectory.csv").read_bytes() for folder in ("out", "again"))
+    assert ours == theirs
+    put(tmp_path / "out", nose(10, 9, 50))
+
+
+# --- init files that say more, or less -------------------------------------------------------------------------------
+
+INIT = (FOLDER / "expressions.init.yaml").read_text()
+LATE = INIT + "corrections:\n- {frame: 5, points: {nose: [158, 140]}}\n- {frame: 31, points: {nose: [150, 140]}}\n"
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """A run whose init file corrects frame 5, and frame 31, to which the run does not come."""
+    folder = tmp_path_factory.mktemp("short")
+    (folder / "late.yaml").write_text(LATE)
+    words = ["--init", folder / "late.yaml", "--stop", "12", "--format", "csv,json,jsonl"]
+    run(FOLDER / "expressions.mp4", "-o", folder / "out", *words)
+    return folder / "out"
+
+
+def copied(run, folder):
+    shutil.copytree(run, folder)
+    return folder
+
+
+def test_a_correction_past_the_end_is_kept_for_a_longer_run(short, tmp_path):
+    out = copied(short, tmp_path / "out")
+    said = put(out, nose(8, 159, 140))
+    assert said[-1] == f"{out / CORRECTED}: the correction of face at frame 31 is past the end, frame 11"
+    assert [one.frame for one in read_init(out / CORRECTED).corrections] == [5, 8, 31]
+    run(FOLDER / "expressions.mp4", "-o", tmp_path / "again", "--init", out / CORRECTED, "--stop", "12")
+    assert (out / "trajectory.csv").read_bytes() == (tmp_path / "again" / "trajectory.csv").read_bytes()
+    with fixing(out) as fixer:
+        assert [one["frame"] for one in overview(fixer.rows, 3, fixer.corrections)["corrections"]] == [5, 8]
+        fixer.remove(31, "face")
+        assert fixer.changed and [one.frame for one in fixer.corrections] == [5, 8]
+        with pytest.raises(InputError, match="frame 31 cannot be corrected; the run can be from 1 to 11"):
+            fixer.put([nose(31, 159, 140)])
+
+
+def test_the_init_file_of_the_run_itself_changes_nothing(short, tmp_path):
+    """Though it leaves open where the other points were: the rows say that."""
+    out = copied(short, tmp_path / "out")
+    with fixing(out) as fixer:
+        assert set(fixer.corrections[0].kept) == {"mouth_left", "mouth_right", "lip_upper", "lip_lower"}
+        fixer.apply(fixer.run.start.corrections)
+        assert not fixer.changed and "nothing was corrected" in save(fixer)[0]
+        fixer.apply(())
+        assert fixer.changed and fixer.corrections == ()
+
+
+def test_rows_before_a_correction_stay_though_its_frame_is_tracked_once_more(short, tmp_path):
+    """To see where the parts are that the new one leaves open."""
+    with fixing(copied(short, tmp_path / "out")) as fixer:
+        fixer.apply((nose(5, 159, 140),))
+        assert [fixer.rows.track_at("face", frame).store is None for frame in (0, 4, 5)] == [True, True, False]
+        kept = fixer.run.start.corrections[0]
+        assert kept.given != fixer.corrections[0].given and fixer.find(5, "face").kept["lip_lower"][1] > 160
+
+
+HANDS = [word for t in ("head", "left_hand", "right_hand") for word in ("--set", f"targets.{t}.filter.particles=40")]
+
+
+def signing(out, *words):
+    """A run of head and hands."""
+    given = ["run", FOLDER / "signing.mp4", "-o", out, "--config", "head_hands", "--no-video", "-q", *HANDS, *words]
+    assert main([str(word) for word in given]) == 0
+
+
+def test_only_the_target_whose_correction_is_another_changes(tmp_path):
+    """Though they keep off each other."""
+    init = (FOLDER / "signing.init.yaml").read_text()
+    gone = "- {frame: 9, head: {absent: true}}\n"
+    for name, left in (("a.yaml", 95), ("b.yaml", 97)):
+        hand = f"corrections:\n- {{frame: 6, left_hand: {{box: [{left}, 120, 40, 46]}}}}\n"
+        (tmp_path / name).write_text(init + hand + gone)
+    signing(tmp_path / "out", "--init", tmp_path / "a.yaml", "--stop", "12")
+    before = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
+    with fixing(tmp_path / "out") as fixer:
+        fixer.apply(corrections_of(tmp_path / "b.yaml", fixer.run))
+        save(fixer)
+    after = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
+    changed = [new.split(",")[0:3:2] for new, old in zip(after, before, strict=True) if new != old]
+    assert changed == [[str(frame), "left_hand"] for frame in range(6, 12)]
+
+
+@pytest.mark.parametrize("called", ["face", "head", "somebody"])
+def test_an_init_file_means_the_targets_that_a_run_takes_it_for(tmp_path, called):
+    """A face alone is the head, and hands that it does not speak of are where they were found."""
+    init = tmp_path / "i.yaml"
+    init.write_text(f"frame: 0\n{called}: {{box: [128, 40, 64, 76]}}\n")
+    signing(tmp_path / "out", "--init", init, "--stop", "4")
+    init.write_text(init.read_text() + f"corrections:\n- {{frame: 2, {called}: {{absent: true}}}}\n")
+    with fixing(tmp_path / "out") as fixer:
+        assert corrections_of(init, fixer.run) == (Correction(2, "head", absent=True),)
+        hands = "corrections:\n- {frame: 2, left_hand: {absent: true}}\n"
+        init.write_text(f"frame: 0\nleft_hand: {{box: [1, 40, 64, 76]}}\n{hands}")
+        with pytest.raises(InputError, match="left_hand does not begin where it does in the run"):
+            corrections_of(init, fixer.run)
+
+
+def test_steps_that_can_be_taken_back_hold_nothing_of_every_frame(short, tmp_path):
+    """The overview is asked for after each of them, and there may be a thousand."""
+    with fixing(copied(short, tmp_path / "out")) as fixer:
+        for frame in (8, 9, 10):
+            before = fixer.rows
+            overview(before, 5)
+            assert "status" in vars(before)
+            fixer.put([nose(frame, 159, 140)])
+        assert not any({"status", "confidence"} & vars(rows).keys() for _, rows in fixer._past)
+        assert before not in [rows for _, rows in fixer._past]
+        fixer.undo()
+        assert fixer.rows.status.tolist() == before.status.tolist()
+
+
+def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_is_no_step(short, tmp_path):
+    with fixing(copied(short, tmp_path / "out")) as fixer:
+        for x in (159, 157, 157):
+            fixer.put([nose(8, x, 140)])
+        assert [(one.frame, one.given.points) for one in fixer.corrections[:2]] == [
+            (5, {"nose": (158, 140)}),
+            (8, {"nose": (157, 140)}),
+        ]
+        assert len(fixer.corrections) == 3
+        fixer.undo()
+        fixer.undo()
+        assert not fixer.can_undo and not fixer.changed
+
+
+# --- folders that are not as a run left them --------------------------------------------------------------------------
+
+
+def header_changed(folder, change):
+    """JSON lines alone, with another header."""
+    (folder / "trajectory.json").unlink()
+    path = folder / "trajectory.jsonl"
+    first, rest = path.read_text().split("\n", 1)
+    header = json.loads(first)
+    change(header)
+    path.write_text(json.dumps(header) + "\n" + rest)
+
+
+CORRECTION = {"frame": 5, "target": "face", "absent": True}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda h: h["recipe"].update(type=["a"]), r"does not know its recipe \(type: "),
+        (lambda h: h["recipe"]["prior"].update(file="a" * 5000), "its recipe names the file "),
+        (lambda h: h["source"].update(path="b" * 5000), "is not there, and the run in"),
+        (lambda h: h.update(version=2), "is of version 2, and this facetrack reads 1; update facetrack"),
+        (lambda h: h["init"].update(corrections=[CORRECTION] * 2), "init.corrections is not as facetrack run writes"),
+        (lambda h: h["init"].update(corrections=[CORRECTION, {**CORRECTION, "frame": 4}]), "init.corrections is not"),
+        (lambda h: h["init"].update(corrections=[{"frame": 5, "target": "face"}]), "init.corrections is not as"),
+        (
+            lambda h: h["init"].update(corrections=[{**CORRECTION, "absent": ["chin"]}]),
+            "frame 5: has chin",
+        ),
+    ],
+)
+def test_headers_that_nobody_writes_are_refused_in_one_line(short, tmp_path, change, said):
+    out = copied(short, tmp_path / "out")
+    header_changed(out, change)
+    with pytest.raises(InputError, match=said) as refused:
+        open_run(out)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("csv", lambda b: b"\xef\xbb\xbf" + b),
+        ("csv", lambda b: b.replace(b"\n", b"\r\n")),
+        ("csv", lambda b: b[:-30]),
+        ("csv", lambda b: b + b"\n"),
+        ("jsonl", lambda b: b"\xef\xbb\xbf" + b),
+        ("jsonl", lambda b: b[:-30]),
+    ],
+)
+def test_of_a_file_that_the_json_replaces_it_is_said_that_it_may_go(short, tmp_path, name, change):
+    out = copied(short, tmp_path / "out")
+    path = out / f"trajectory.{name}"
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(InputError, match=r"[?;] remove it, trajectory.json tells the same, or make the run") as refused:
+        open_run(out)
+    assert str(refused.value).startswith(f"{path}:")
+    path.unlink()
+    put(out, nose(8, 159, 140))
+
+
+def test_a_file_is_no_run(tmp_path):
+    (tmp_path / "out").write_text("x")
+    with pytest.raises(InputError, match="out: is a file; name the folder of a run"):
+        open_run(tmp_path / "out")
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_page(short, tmp_path, monkeypatch, capfd):
+    """Tests may run as root, who may write anywhere."""
+    out = copied(short, tmp_path / "out")
+    monkeypatch.setattr(run_folder.os, "access", lambda path, mode: (path, mode) != (out, os.W_OK))
+    code = main(["fix", str(out)])
+    assert f"{out}: cannot be written, where what is corrected is to go" in refusal((code, *capfd.readouterr()), 2)
+
+
+def test_without_any_place_for_a_while_it_is_said_so(short, tmp_path, monkeypatch):
+    out = copied(short, tmp_path / "out")
+    nowhere = FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: (_ for _ in ()).throw(nowhere))
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: (_ for _ in ()).throw(nowhere))
+    with pytest.raises(OutputError, match="No usable temporary directory found; set TMPDIR to a folder"):
+        put(out)
+
+
+def test_a_report_that_is_there_is_said_to_be_of_before(short, tmp_path):
+    out = copied(short, tmp_path / "out")
+    (out / "report.html").write_text("x")
+    assert put(out, nose(8, 159, 140))[-1] == f"{out / 'report.html'}: left as it was, it shows the track of before"
+
+
+def test_a_video_that_cannot_be_written_is_called_by_its_name(short, tmp_path, monkeypatch):
+    out = copied(short, tmp_path / "out")
+    (out / "annotated.mp4").write_text("x")
+
+    def failed(run, rows, to, **_):
+        raise OutputError(f"{to}: the video cannot be written")
+
+    monkeypatch.setattr(saving, "repaint", failed)
+    with pytest.raises(OutputError) as refused:
+        put(out, nose(8, 159, 140))
+    assert str(refused.value) == f"{out / 'annotated.mp4'}: the video cannot be written"

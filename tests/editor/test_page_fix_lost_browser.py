@@ -1,0 +1,564 @@
+"""facetrack fix in a real browser, on runs that get lost: a cut in the middle of the clip moves everything away."""
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.editor.retrack import Tracking
+from facetrack_cli.tracking.start import PARTS, read_init
+from tests.support.browser import PHONE, go_to, idle, until
+from tests.support.browser_looks import wrong_looks
+from tests.support.media import write_pictures
+from tests.support.samples import FOLDER, read_pictures, read_rows
+
+CUT, FRAMES = 14, 40
+AWAY = {"turning": (-60, 40), "expressions": (40, -30)}
+X, Y, W, H, CONFIDENCE, STATUS, BY_HAND = 0, 1, 2, 3, 5, 6, 7  # of a cell in api/rows
+HEAD = ["--config", "contour_histogram_correlation", "--set", "filter.particles=100"]
+FACE = ["--config", "factorized", "--set", "filter.particles=40"]
+BOXES = ("head", "left_hand", "right_hand")
+FEW = [word for name in BOXES for word in ("--set", f"targets.{name}.filter.particles=60")]
+HANDS = ["--config", "head_hands", "--stop", "20", *FEW]
+TABLE = """() => {
+  const slider = document.getElementById("frame-slider");
+  const show = (frame) => {
+    slider.value = frame;
+    slider.dispatchEvent(new Event("input"));
+  };
+  const shown = window.facetrack.frame;
+  const found = [];
+  for (let frame = 0; frame <= Number(slider.max); frame++) {
+    show(frame);
+    found.push(window.facetrack.rows);
+  }
+  show(shown);
+  return found;
+}"""
+# [frame, whether it is full] of the diamonds above the curve
+MARKS = """() => {
+  const canvas = document.getElementById("timeline");
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", {willReadFrequently: true});
+  copy.drawImage(canvas, 0, 0);
+  const row = copy.getImageData(0, Math.round(5 * devicePixelRatio), canvas.width, 1).data;
+  const drawn = (x) => row[4 * x + 3] > 128;
+  const [first, last] = [0, Number(document.getElementById("frame-slider").max)];
+  const found = [];
+  for (let x = 0, from = null; x <= canvas.width; x++) {
+    if (drawn(x) && from === null) from = x;
+    if (drawn(x) || from === null) continue;
+    const inks = [Math.floor((from + x - 1) / 2), from + 1].map((at) => row.slice(4 * at, 4 * at + 3));
+    const full = inks[0].every((ink, c) => Math.abs(ink - inks[1][c]) < 16);
+    const share = ((from + x) / 2 / devicePixelRatio - 11) / (canvas.clientWidth - 22);
+    found.push([Math.round(first + share * (last - first)), full]);
+    from = null;
+  }
+  return found;
+}"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """`head` and `face`: runs of clips with a cut, `turning` and `expressions`; `hands`: one of a signer."""
+    folder = tmp_path_factory.mktemp("made")
+    for name, (dx, dy) in AWAY.items():
+        pictures = read_pictures(name)[:FRAMES]
+        pictures[CUT:] = np.roll(pictures[CUT:], (dy, dx), (1, 2))
+        write_pictures(folder / name, pictures)
+    runs = [("head", folder / "turning", HEAD), ("face", folder / "expressions", FACE)]
+    for out, clip, recipe in [*runs, ("hands", FOLDER / "signing.mp4", HANDS)]:
+        init = FOLDER / f"{clip.stem}.init.yaml"
+        arguments = ["run", clip, "--init", init, "-o", folder / out, *recipe, "--no-video", "-q"]
+        assert main([str(one) for one in arguments]) == 0
+    return folder
+
+
+@pytest.fixture
+def out(made, tmp_path):
+    """A copy of a run that may be changed: out(name)."""
+    return lambda name: shutil.copytree(made / name, tmp_path / name)
+
+
+def truth(name, frame):
+    """{part: (x, y)} in a clip with a cut."""
+    away = AWAY[name] if frame >= CUT else (0, 0)
+    rows = (row for row in read_rows(name) if row["frame"] == str(frame))
+    return {row["part"]: (float(row["x"]) + away[0], float(row["y"]) + away[1]) for row in rows}
+
+
+def lines(folder):
+    """Of the CSV, by (frame, target, part); the head by None."""
+    head, *rest = (folder / "trajectory.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    rows = csv.DictReader([head, *rest])
+    named = ((int(row["frame"]), row["target"], row["part"]) for row in rows)
+    return {None: head, **dict(zip(named, rest, strict=True))}
+
+
+def by_hand(folder):
+    """Where the JSON says so."""
+    told = json.loads((folder / "trajectory.json").read_text(encoding="utf-8"))
+    return [(frame["frame"], target["target"], part["part"]) for frame in told["frames"] for target in frame["targets"]
+            for part in target["parts"] if part.get("by_hand")]  # fmt: skip
+
+
+def files(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def table(window):
+    """The cells of all frames as the page has them; the frame that is shown stays."""
+    window.until("window.facetrack.rowsRevision !== null")
+    shown, found = window.tell("frame"), window.page.evaluate(TABLE)
+    assert None not in found and window.tell("frame") == shown
+    return found
+
+
+def move(window, part, by, target="face"):
+    """Drag a point from where it is, in the frame that is shown; where it should be now."""
+    drafted = window.tell("draft.targets").get(target, {"points": {}})["points"]
+    x, y = drafted.get(part) or window.tell("rows")[PARTS.index(part)][:2]
+    window.drag((x, y), (x + by[0], y + by[1]))
+    return x + by[0], y + by[1]
+
+
+def save(window):
+    window.here("save").click()
+    window.here("confirm-yes").click()
+    window.until("window.facetrack.ended || !document.getElementById('lack').hidden")
+    assert not window.seen("lack"), window.text("lack")
+    return window.text("saved-said")
+
+
+@pytest.fixture
+def held(monkeypatch):
+    """Tracking waits until this is set."""
+    go_on, whole = threading.Event(), Tracking.track
+
+    def track(self, *arguments, **options):
+        assert go_on.wait(60)
+        return whole(self, *arguments, **options)
+
+    monkeypatch.setattr(Tracking, "track", track)
+    yield go_on
+    go_on.set()
+
+
+# --- lost in the middle ----------------------------------------------------------------------------------------------
+
+
+def test_a_head_that_is_lost_is_put_right_by_the_mouse(command, windows, made, out, tmp_path):
+    folder = out("head")
+    before = lines(folder)
+    running = command("fix", folder)
+    window = windows(running.url)
+    [worst, *_] = window.tell("doubtful")
+    window.until_shown(worst)
+    assert worst > CUT and window.tell("looked") == {"target": "head", "part": "box"}, "it begins where it is worst"
+    window.press("Home")
+    window.here("tab-doubtful").click()
+    window.here(f"doubtful-{worst}").click()
+    window.until_shown(worst)
+    assert window.tell("rows")[0][CONFIDENCE] < 0.5
+    was = table(window)
+    assert {row[0][STATUS] for row in was[CUT + 4 :]} == {"lost"}
+
+    go_to(window, CUT)  # back to where it was lost
+    x, y, w, h = window.tell("rows")[0][:4]
+    there = truth("turning", CUT)["box"]
+    assert np.hypot(x - there[0], y - there[1]) > 40
+    window.drag((x, y), there)
+    left, top, width, height = window.face("head")["box"]
+    middle = left + (width - 1) / 2, top + (height - 1) / 2
+    assert np.abs(np.subtract(middle, there)).max() <= 1 and np.allclose((width, height), (w, h), atol=0.011)
+    window.here("track").click()
+    idle(window, 1)
+    assert window.text("message").startswith(f"Tracked anew from frame {CUT}") and not window.face("head")
+    now = table(window)
+    assert now[:CUT] == was[:CUT] and all(new != old for new, old in zip(now[CUT:], was[CUT:], strict=True))
+    assert [k for k, [cell] in enumerate(now) if cell[BY_HAND]] == [CUT]
+    assert now[CUT][0][STATUS] == "init" and {row[0][STATUS] for row in now[CUT + 1 :]} == {"tracked"}
+    away = [[np.hypot(*np.subtract(rows[k][0][:2], truth("turning", k)["box"])) for k in range(CUT, FRAMES)]
+            for rows in (was, now)]  # fmt: skip
+    assert max(away[1]) < 12 < 40 < min(away[0])
+    assert lines(folder) == before, "nothing is written before it is saved"
+
+    said = save(window)
+    for name in ("trajectory.csv", "trajectory.json", "corrected.init.yaml"):
+        assert f"{folder / name}: written" in said
+    code, err = running.ended()
+    assert code == 0 and f"{folder / 'corrected.init.yaml'}: written" in err
+    after = lines(folder)
+    assert list(after) == list(before) and after[None] == before[None]
+    assert [key[0] for key in after if after[key] != before[key]] == [*range(CUT, FRAMES)]
+    assert by_hand(folder) == [(CUT, "head", "box")]
+
+    init = folder / "corrected.init.yaml"
+    words = ["run", made / "turning", "--init", init, "-o", tmp_path / "again", *HEAD, "--no-video", "-q"]
+    subprocess.run([sys.executable, "-m", "facetrack_cli", *map(str, words)], check=True, timeout=120)
+    assert (tmp_path / "again/trajectory.csv").read_bytes() == (folder / "trajectory.csv").read_bytes()
+
+
+def test_a_head_that_is_lost_is_put_right_by_keys_alone(fix, windows, out):
+    folder = out("head")
+    before = lines(folder)
+    session, url = fix(folder)
+    window = windows(url)
+    doubtful = window.tell("doubtful")
+    window.until_shown(doubtful[0])
+    shown = [doubtful[0]]
+    for _ in doubtful[1:]:
+        window.press("w")
+        shown.append(window.tell("frame"))
+    window.press("w")
+    assert shown == doubtful and window.text("message") == "Every doubtful frame was looked at."
+    window.press("Home", "n")
+    assert window.tell("frame") == min(doubtful)
+    window.press("n", "Shift+N")
+    assert window.tell("frame") == min(doubtful)
+    go_to(window, CUT)
+    goal = truth("turning", CUT)["box"]
+    window.press("]")
+    assert window.tell("selected") == {"target": "head", "part": "box"}
+    for size, key in [(10, "Shift+Arrow"), (1, "Arrow")]:
+        for axis, (less, more) in enumerate([("Left", "Right"), ("Up", "Down")]):
+            left, top, width, height = window.tell("draft.targets").get("head", {}).get("box") or corner(window)
+            away = goal[axis] - (left + (width - 1) / 2, top + (height - 1) / 2)[axis]
+            window.press(*[key + (more if away > 0 else less)] * round(abs(away) / size))
+    assert window.tell("frame") == CUT, "no arrow went through the clip"
+    left, top, width, height = window.face("head")["box"]
+    assert np.abs(np.subtract((left + (width - 1) / 2, top + (height - 1) / 2), goal)).max() <= 0.6
+    window.press("Control+ArrowRight")
+    assert window.face("head")["box"] == [left, top, width + 1, height]
+    window.press("t")
+    idle(window, 1)
+    window.press("Control+s")
+    window.until("document.getElementById('confirm').open")
+    assert "corrected.init.yaml" in window.text("confirm-text") and window.text("confirm-title") == "Save 1 correction?"
+    assert window.page.evaluate("document.activeElement.id") == "confirm-yes"
+    window.press("Enter")
+    window.until("window.facetrack.ended")
+    [correction] = read_init(folder / "corrected.init.yaml").corrections
+    assert (correction.frame, correction.target) == (CUT, "head")
+    assert np.allclose(correction.given.box, [left, top, width + 1, height], atol=0.011)
+    after = lines(folder)
+    assert [key[0] for key in after if after[key] != before[key]] == [*range(CUT, FRAMES)]
+    assert session.first_fault is None
+
+
+def corner(window):
+    """Where the box of a target that has nothing else is: left, top, width, height."""
+    x, y, w, h = window.tell("rows")[0][:4]
+    return x - (w - 1) / 2, y - (h - 1) / 2, w, h
+
+
+# --- not there -------------------------------------------------------------------------------------------------------
+
+
+def test_what_is_not_there_and_there_again(fix, windows, out):
+    folder = out("face")
+    _, url = fix(folder)
+    window = windows(url)
+    go_to(window, 5)
+    was = table(window)
+    window.press("[")  # from nothing to the last part, which is the box of them all
+    window.press("]", "]")
+    assert window.tell("selected.part") == "mouth_left"
+    window.press("x")
+    assert window.face() == {"box": None, "points": {}, "absent": ["mouth_left"]}
+    assert "absent" in window.text("part-face-mouth_left") and "absent" not in window.text("part-face-nose")
+    window.press("x")
+    assert window.tell("draft.targets") == {} and "absent" not in window.text("part-face-mouth_left")
+    window.press("Shift+X")
+    assert window.face()["absent"] is True
+    window.here("absent-face").click()
+    assert window.tell("draft.targets") == {} and window.text("absent-face") == "Not there"
+    window.here("absent-face").click()
+    window.press("t")
+    idle(window, 1)
+    gone = table(window)
+    assert gone[:5] == was[:5]
+    absent = [None, None, None, None, None, None, "absent"]
+    assert [[cell[:7] for cell in row] for row in gone[5:]] == [[absent] * 5] * (FRAMES - 5)
+    assert [k for k, row in enumerate(gone) if all(cell[BY_HAND] for cell in row)] == [5]
+    window.here("tab-corrections").click()
+    assert "not there" in window.text("correction-5-face")
+
+    go_to(window, 9)
+    window.here("tab-parts").click()
+    places = truth("expressions", 9)
+    for part in PARTS[:2]:
+        assert "absent" in window.text(f"part-face-{part}")
+        window.here(f"part-face-{part}").click()
+        assert window.tell("current") == {"target": "face", "part": part}
+        window.click(*places[part])
+    assert set(window.face()["points"]) == set(PARTS[:2])
+    window.press("t")
+    idle(window, 2)
+    back = table(window)
+    assert back[:9] == gone[:9] and [[cell[STATUS] for cell in row[2:]] for row in back[9:]] == [["absent"] * 3] * 31
+    assert {cell[STATUS] for row in back[10:CUT] for cell in row[:2]} == {"tracked"}
+    for k in range(9, CUT):
+        for cell, part in zip(back[k], PARTS[:2], strict=False):
+            assert np.hypot(*np.subtract(cell[:2], truth("expressions", k)[part])) < 6
+    save(window)
+    corrections = read_init(folder / "corrected.init.yaml").corrections
+    assert [(one.frame, one.absent) for one in corrections] == [(5, True), (9, tuple(PARTS[2:]))]
+
+
+# --- taken back ------------------------------------------------------------------------------------------------------
+
+
+def test_drags_and_corrections_are_taken_back(fix, windows, out):
+    session, url = fix(out("face"))
+    window = windows(url)
+    go_to(window, 20)
+    was = table(window)
+    drafts = [window.tell("draft")]
+    for by in [(12, -9), (-5, 2)]:
+        at = move(window, "nose", by)
+        assert np.abs(np.subtract(window.face()["points"]["nose"], at)).max() <= 0.6
+        drafts.append(window.tell("draft"))
+    for one in (1, 0):
+        window.press("Control+z")
+        assert window.tell("draft") == drafts[one]
+    assert window.here("undo").is_disabled()
+    window.press("Control+Shift+z", "Control+y", "t")
+    idle(window, 1)
+    late = table(window)
+    assert late[:20] == was[:20] and all(new != old for new, old in zip(late[20:], was[20:], strict=True))
+
+    go_to(window, 10)  # a second one before it does not reach beyond
+    move(window, "lip_lower", (4, 3))
+    window.press("t")
+    idle(window, 2)
+    both = table(window)
+    assert [k for k in range(FRAMES) if both[k] != late[k]] == [*range(10, 20)]
+    assert [k for k, row in enumerate(both) if any(cell[BY_HAND] for cell in row)] == [10, 20]
+    window.press("Control+z")
+    idle(window, 3)
+    assert table(window) == late and "frame 10 is not corrected any more" in window.text("message")
+    window.here("undo").click()
+    idle(window, 4)
+    assert table(window) == was and window.tell("corrections") == [] and not window.tell("canUndo")
+    assert window.here("undo").is_disabled() and session.first_fault is None
+
+
+# --- more than one window, and none ----------------------------------------------------------------------------------
+
+
+def test_the_slower_of_two_windows_is_told(fix, windows, out):
+    session, url = fix(out("face"))
+    one, other = windows(url), windows(url)
+    for window in (one, other):
+        go_to(window, 20)
+    move(one, "nose", (10, 5))
+    other.until("window.facetrack.draft.targets.face")
+    assert other.text("message") == "Changed in another window." and other.tell("draft") == one.tell("draft")
+
+    stopped, free = [], threading.Event()  # until then, the other one does not hear of anything
+    other.page.route("**/api/state", lambda route: route.continue_() if free.is_set() else stopped.append(route))
+    until(lambda: stopped, "the next time that it asks", other.page.wait_for_timeout)
+    move(one, "nose", (3, 0))
+    one.until_sent()
+    other.expected = ["409"]
+    move(other, "lip_lower", (0, 12))
+    other.until("document.getElementById('message').textContent.startsWith('Another window was faster')")
+    assert other.tell("draft") == one.tell("draft") == session.draft.to_json()
+    assert set(other.face()["points"]) == {"nose"}
+
+    move(one, "nose", (0, 4))
+    one.until_sent()
+    other.press("t")  # of what it does not know
+    free.set()
+    for route in stopped:
+        route.continue_()
+    other.until("!document.getElementById('lack').hidden")
+    assert session.rows_revision == 0 and other.tell("corrections") == []
+    other.until("!window.facetrack.busy")
+    assert other.tell("draft") == one.tell("draft") == session.draft.to_json()
+    other.press("t")
+    for window in (one, other):
+        idle(window, 1)
+    assert one.tell("rows") == other.tell("rows") and one.tell("corrections") == other.tell("corrections")
+
+
+def test_a_tab_that_is_closed_while_tracking_changes_nothing(fix, windows, out, held):
+    session, url = fix(out("face"))
+    window, other = windows(url), windows(url)
+    go_to(window, 20)
+    move(window, "nose", (10, 5))
+    window.until_sent()
+    draft = window.tell("draft")
+    window.page.reload()
+    window.until("!!window.facetrack?.picture")
+    window.until_shown(20)
+    assert window.tell("draft") == draft, "it is there after a reload"
+    window.press("t")
+    for each in (window, other):
+        each.until("window.facetrack.job")
+        assert each.text("job-text").startswith("Tracking face")
+    window.page.close()
+    assert other.here("save").is_disabled()
+    held.set()
+    idle(other, 1)
+    rows = table(other)
+    # the same by a window that stays
+    other.press("Control+z")
+    idle(other, 2)
+    go_to(other, 20)
+    move(other, "nose", (10, 5))
+    assert other.tell("draft") == draft
+    other.press("t")
+    idle(other, 3)
+    assert table(other) == rows and session.first_fault is None and session.ended is None
+
+
+# --- through the clip ------------------------------------------------------------------------------------------------
+
+
+def test_the_timeline_leads_to_frames_and_shows_what_is_corrected(fix, windows, out):
+    _, url = fix(out("face"))
+    window = windows(url)
+    assert window.page.evaluate(MARKS) == []
+    for revision, frame in enumerate((30, 10), 1):
+        go_to(window, frame)
+        move(window, "nose", (6, 4))
+        until(lambda: window.page.evaluate(MARKS), "a mark", window.page.wait_for_timeout)
+        marks = dict(window.page.evaluate(MARKS))
+        assert marks[frame] is False and len(marks) == revision, "hollow while it is not tracked"
+        window.press("t")
+        idle(window, revision)
+    until(lambda: window.page.evaluate(MARKS) == [[10, True], [30, True]], "two marks", window.page.wait_for_timeout)
+
+    box = window.here("timeline").bounding_box()
+    place = lambda frame: (box["x"] + 11 + frame / (FRAMES - 1) * (box["width"] - 22), box["y"] + box["height"] / 2)  # noqa: E731
+    for frame in (0, 39, 17):
+        window.mouse.click(*place(frame))
+        window.until_shown(frame)
+    window.mouse.move(*place(5))
+    window.mouse.down()
+    for frame in (8, 12, 25):
+        window.mouse.move(*place(frame))
+        assert window.tell("frame") == frame
+    window.mouse.up()
+    window.until_shown(25)
+    window.press("c")
+    assert window.tell("frame") == 30
+    window.press("Shift+C")
+    assert window.tell("frame") == 10
+
+
+def test_it_plays_and_stops(fix, windows, out):
+    _, url = fix(out("face"))
+    window = windows(url)
+    go_to(window, 3)
+    window.here("play").click()
+    window.until("window.facetrack.frame > 6")
+    window.press("k")
+    frame = window.tell("frame")
+    window.page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    assert window.tell("frame") == frame < FRAMES - 1 and not window.tell("playing")
+    window.press("k")
+    window.until(f"window.facetrack.frame > {frame}")
+    window.press("Home")  # whoever goes elsewhere wants to look
+    assert not window.tell("playing") and window.tell("frame") == 0
+    go_to(window, FRAMES - 4)
+    window.press("k")
+    window.until("!window.facetrack.playing")
+    window.until_shown(FRAMES - 1)
+
+
+def test_what_was_moved_and_not_tracked_is_not_forgotten(fix, windows, out):
+    folder = out("face")
+    before = files(folder)
+    session, url = fix(folder)
+    window = windows(url)
+    window.here("save").click()
+    assert window.text("confirm-title") == "There is nothing to save"
+    window.here("confirm-no").click()
+    go_to(window, 20)
+    move(window, "nose", (10, 5))
+    draft = window.tell("draft")
+    window.press("Escape", ".")
+    window.until_shown(21)
+    window.until("window.facetrack.rowsRevision !== null")
+    assert window.seen("elsewhere") and window.text("track-elsewhere").endswith("20")
+    window.drag(window.tell("rows")[0][:2], (60, 60))
+    assert window.tell("draft") == draft and "frame 20 is not tracked yet" in window.text("message")
+    window.here("save").click()
+    window.until("!document.getElementById('lack').hidden")
+    assert "frame 20 is not tracked yet" in window.text("lack") and not window.seen("confirm")
+    window.here("go-back").click()
+    window.until_shown(20)
+    assert not window.seen("elsewhere")
+    window.press("Escape", ".")
+    window.until_shown(21)
+    window.here("throw-away").click()
+    assert window.tell("draft.targets") == {} and window.tell("frame") == 21 and not window.seen("elsewhere")
+    window.press("Control+z")
+    assert window.tell("draft") == draft
+    go_to(window, 21)
+    window.here("track-elsewhere").click()
+    idle(window, 1)
+    assert [one["frame"] for one in window.tell("corrections")] == [20]
+    window.press("Control+z")
+    idle(window, 2)
+    window.here("save").click()
+    window.here("confirm-yes").click()
+    window.until("window.facetrack.ended")
+    assert files(folder) == before and session.first_fault is None, "nothing was corrected in the end"
+
+
+# --- fingers, and several targets ------------------------------------------------------------------------------------
+
+
+def test_a_part_is_put_right_by_a_finger(fix, windows, out):
+    folder = out("face")
+    before = lines(folder)
+    _, url = fix(folder)
+    window = windows(url, **PHONE)
+    go_to(window, CUT)
+    x, y = window.tell("rows")[0][:2]
+    goal = truth("expressions", CUT)["nose"]
+    window.touch("start", (x, y))
+    for share in (0.3, 0.7, 1):
+        window.touch("move", (x + share * (goal[0] - x), y + share * (goal[1] - y)))
+    window.touch("end")
+    [moved] = window.face()["points"].values()
+    assert list(window.face()["points"]) == ["nose"] and np.abs(np.subtract(moved, goal)).max() <= 1
+    assert wrong_looks(window, fingers=True) == []
+    window.here("track").click()  # a tap that a busy machine drags out is none
+    idle(window, 1)
+    assert wrong_looks(window, fingers=True) == []
+    save(window)
+    after = lines(folder)
+    assert {key[0] for key in after if after[key] != before[key]} == {*range(CUT, FRAMES)}
+    assert by_hand(folder) == [(CUT, "face", "nose")]
+
+
+def test_of_head_and_hands_the_one_that_is_moved_changes_alone(fix, windows, out):
+    folder = out("hands")
+    before = lines(folder)
+    _, url = fix(folder)
+    window = windows(url)
+    go_to(window, 10)
+    was = table(window)
+    x, y = window.tell("rows")[BOXES.index("right_hand")][:2]
+    window.drag((x, y), (x + 5, y - 4))
+    assert list(window.tell("draft.targets")) == ["right_hand"]
+    window.press("t")
+    idle(window, 1)
+    now = table(window)
+    for column, name in enumerate(BOXES):
+        changed = [k for k in range(20) if now[k][column] != was[k][column]]
+        assert changed == ([*range(10, 20)] if name == "right_hand" else []), name
+    save(window)
+    after = lines(folder)
+    assert [key for key in after if after[key] != before[key]] == [(k, "right_hand", "box") for k in range(10, 20)]
+    assert by_hand(folder) == [(10, "right_hand", "box")]

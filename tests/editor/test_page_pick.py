@@ -1,0 +1,570 @@
+"""facetrack init --pick: what the page is told and sent, what is saved, and how the command ends."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.cli.commands import init as init_command
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Correction, Start, TargetStart
+from facetrack_cli.editor.web import serve as run_module
+from facetrack_cli.editor.web import server as server_module
+from facetrack_cli.editor.web import session as session_module
+from facetrack_cli.editor.web.draft import Draft, DraftTarget
+from facetrack_cli.editor.web.pick_session import PickSession
+from facetrack_cli.editor.web.pictures import Pictures
+from facetrack_cli.editor.web.requirements import LackingError, start_of, wants
+from facetrack_cli.editor.web.server import serving
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.start import PARTS, name_targets, read_init
+from facetrack_cli.tracking.start.haar import find_faces
+from facetrack_cli.video.seek import Frames
+from tests.support.media import write_pictures
+from tests.support.page_client import Client, wait_for
+from tests.support.samples import FOLDER, read_pictures
+from tests.support.terminal import refusal
+
+NOBODY = np.full((240, 320, 3), 90, np.uint8)
+POINTS = {"nose": [160, 138.37], "mouth_left": [137.65, 153.77], "mouth_right": [180.2, 156.18],
+          "lip_upper": [159, 153.63], "lip_lower": [158.24, 167.13]}  # fmt: skip
+FACE = {"box": [112, 79, 98, 98], "points": POINTS}
+HANDS = {"head": {"box": [135, 44, 50, 50]}, "left_hand": {"box": [82, 138, 48, 57]},
+         "right_hand": {"box": [188, 131, 50, 60]}}  # fmt: skip
+READY = "open this page: "
+LIGHT = ("errors", "options")
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """`face`: nobody, then two frames of a face; `sign`: somebody who signs, with two hands; `two`: two faces."""
+    folder = tmp_path_factory.mktemp("clips")
+    face, sign = read_pictures("expressions")[:2], read_pictures("signing")[:1]
+    write_pictures(folder / "face", [NOBODY, *face])
+    write_pictures(folder / "sign", [*sign, cv2.cvtColor(cv2.cvtColor(sign[0], 6), 8)])
+    write_pictures(folder / "two", [np.hstack([face[0], sign[0]])])
+    return folder
+
+
+@contextmanager
+def picking(clip, out=None, config=None, **more):
+    recipe = None if config is None else load_recipe(config)
+    with Frames(clip) as frames:
+        session = PickSession(clip, frames, Pictures(frames), out=out, recipe=recipe, **more)
+        with serving(session) as server:
+            client = Client(server.url)
+            try:
+                yield client, session
+            finally:
+                client.close()
+
+
+@pytest.fixture(autouse=True)
+def hurry(monkeypatch):
+    """Nobody looks on: what is over is over."""
+    monkeypatch.setattr(server_module, "POLL_S", 0.005)
+    monkeypatch.setattr(run_module, "POLL_S", 0.005)
+    monkeypatch.setattr(session_module, "LINGER_S", 0.0)
+
+
+# --- what is wanted --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("config", "expected"),
+    [
+        (None, [("face", "optional", list(PARTS))]),
+        ("factorized", [("face", "optional", list(PARTS))]),
+        ("contour_histogram", [("face", "needed", [])]),
+        ("adaptive_recognition", [("face", "needed", [])]),
+        ("mil", [("face", "needed", [])]),
+        ("head_hands", [(name, "needed", []) for name in ("head", "left_hand", "right_hand")]),
+    ],
+)
+def test_what_a_recipe_wants(clips, config, expected):
+    with picking(clips / "face", config=config) as (client, _):
+        told = client.get("api/session").json
+    assert [(want["target"], want["box"], want["points"]) for want in told["wants"]] == expected
+    assert told["free"] == (config != "head_hands")
+    assert (told["mode"], told["clip"], told["recipe"], told["size"]) == ("pick", "face", config, [320, 240])
+    assert told["frames"] == {"first": 0, "last": 2, "exact": True}
+    for want in told["wants"]:
+        assert set(want["about"]) == {*want["points"], "box"} and all(want["about"].values())
+    assert "brows to the chin" in told["wants"][0]["about"]["box"]
+
+
+def test_a_single_point_wants_a_box_to_measure_by(tmp_path):
+    text = (FOLDER.parent / "configs" / "factorized_transition.yaml").read_text()
+    path = tmp_path / "one.yaml"
+    path.write_text(re.sub(r"parts: .*", "parts: [nose]", text))
+    [want] = wants(load_recipe(str(path)))
+    assert (want["box"], want["points"]) == ("needed", ["nose"])
+
+
+# --- proposals -------------------------------------------------------------------------------------------------------
+
+
+def test_the_faces_of_a_frame_are_proposed_once(clips, monkeypatch):
+    looked = []
+    monkeypatch.setattr(
+        "facetrack_cli.editor.web.proposals.find_faces", lambda image: looked.append(1) or find_faces(image)
+    )  # fmt: skip
+    with picking(clips / "face") as (client, _):
+        assert client.get("api/proposals/0").json == {
+            "frame": 0, "proposals": [], "note": "no face is found in this frame; draw a box, or look at another frame"
+        }  # fmt: skip
+        for _ in range(3):
+            got = client.get("api/proposals/1").json
+        assert client.get("api/proposals/3").status == 404
+    assert len(looked) == 2
+    [one] = got["proposals"]
+    assert (got["frame"], got["note"], one["label"]) == (1, None, "face 1")
+    face = one["targets"]["face"]
+    assert face["box"] == list(find_faces(read_pictures("expressions")[0])[0])
+    assert set(face["points"]) == set(PARTS)
+    for part, at in POINTS.items():
+        assert np.hypot(*np.subtract(face["points"][part], at)) < 3
+
+
+def test_a_recipe_of_boxes_has_no_points_proposed(clips):
+    with picking(clips / "two", config="contour_histogram") as (client, _):
+        got = client.get("api/proposals/0").json
+    assert [one["label"] for one in got["proposals"]] == ["face 1", "face 2"]
+    assert [one["targets"]["face"]["points"] for one in got["proposals"]] == [{}, {}]
+
+
+def test_hands_are_proposed_with_the_head(clips):
+    with picking(clips / "sign", config="head_hands") as (client, session):
+        got = client.get("api/proposals/0").json
+        grey = client.get("api/proposals/1").json
+        frame = session.frames.read(0)
+    [one] = got["proposals"]
+    box = find_faces(frame.bgr)[0]
+    start = Start(0, {"face": TargetStart(box=box)}, "")
+    expected = name_targets(start, ("head", "left_hand", "right_hand"), frame)
+    assert {name: tuple(target["box"]) for name, target in one["targets"].items()} == {
+        name: target.box for name, target in expected.targets.items()
+    }
+    assert [list(one["targets"]) for one in grey["proposals"]] == [["head"]], "without colours there is no skin"
+    assert "colour" in grey["note"]
+
+
+def test_the_same_frame_is_never_looked_at_twice_at_once(clips, monkeypatch):
+    from threading import Event, Thread
+
+    began, go, looked = Event(), Event(), []
+
+    def slow(image):
+        looked.append(1)
+        began.set()
+        assert go.wait(60)
+        return []
+
+    monkeypatch.setattr("facetrack_cli.editor.web.proposals.find_faces", slow)
+    with picking(clips / "face") as (_, session):
+        got = []
+        threads = [Thread(target=lambda: got.append(session.proposals(1))) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        assert began.wait(60)
+        go.set()
+        for thread in threads:
+            thread.join()
+    assert len(got) == 4 and len(looked) == 1
+
+
+# --- what may be saved -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("config", "targets", "said"),
+    [
+        (None, {}, "nothing is chosen yet; choose nose, mouth_left, mouth_right, lip_upper and lip_lower"),
+        (None, {"face": {"box": [112, 79, 98, 98]}}, "still to choose: nose, mouth_left, mouth_right, lip_"),
+        (None, {"face": {"points": {**POINTS, "nose": [400, 20]}}}, "nose of face at [400, 20] is outside the"),
+        (None, {"face": FACE, "b": {"points": {"nose": [9, 9]}}}, "still to choose: mouth_left, mouth_right, lip"),
+        (None, {"face": FACE, "boxes": FACE}, "a target cannot be called boxes, too like a key of"),
+        (None, {"face": {**FACE, "box": [112, 79, 5, 98]}}, "the box of face is smaller than 6x6 pixels; give a"),
+        ("factorized", {"face": {"points": {part: [100, 100] for part in PARTS}}}, "in one place"),
+        ("contour_histogram", {"face": {"points": POINTS}}, "still to choose: the box of face"),
+        ("contour_histogram", {"face": {"box": [-900, 79, 98, 98]}}, "the centre of the box [-900, 79, 98, 98] of"),
+        ("contour_histogram", {"face": {"box": [-90, 0, 400, 200]}}, "400x200 pixels, is larger than the picture"),
+        ("head_hands", {}, "nothing is chosen yet; choose the box"),
+        ("head_hands", {"head": HANDS["head"]}, "still to choose: the box of left_hand; the box of right_hand"),
+        ("head_hands", {**HANDS, "foot": FACE}, "the recipe follows head, left_hand, right_hand, and no foot; "),
+    ],
+)  # fmt: skip
+def test_a_draft_that_is_no_start_yet_says_what_is_missing(clips, tmp_path, config, targets, said):
+    out = tmp_path / "a.init.yaml"
+    with picking(clips / "face", out, config) as (client, session):
+        assert client.put_draft(1, **targets).status == 200
+        got = client.save()
+        assert got.status == 422 and said in got.json["error"], got.json
+        assert "the page:" not in got.json["error"] and len(got.json["error"].splitlines()) == 1
+        state = client.get("api/state").json
+        assert state["job"] is None and state["ended"] is None
+    assert session.first_fault is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_frame_that_is_not_there_cannot_be_chosen(clips):
+    with picking(clips / "face") as (client, _):
+        got = client.put_draft(3, face=FACE)
+        assert got.status == 400 and "the clip ends with 2" in got.json["error"]
+
+
+@pytest.mark.parametrize(
+    ("config", "targets"),
+    [
+        (None, {"face": FACE}),
+        ("factorized", {"face": {"points": POINTS}, "lena": FACE}),
+        ("contour_histogram", {"face": {"box": [110.123456, 79, 98.004, 98]}, "other": {"box": [10, 10, 60, 60]}}),
+        ("adaptive_recognition", {"face": {"box": [112, 79, 98, 98]}}),
+        ("head_hands", HANDS),
+        ("csrt", {"face": {"box": [112, 79, 98, 98]}}),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("suffix", [".yaml", ".json"])
+def test_what_is_saved_is_what_was_chosen(clips, tmp_path, config, targets, suffix):
+    if config == "csrt" and not hasattr(cv2, "TrackerCSRT"):
+        config = "mil"
+    out = tmp_path / f"a.init{suffix}"
+    with picking(clips / "face", out, config, next_="facetrack run x") as (client, session):
+        assert client.put_draft(1, **targets).status == 200
+        assert client.save().status == 202
+        state = client.until(lambda state: state["ended"])
+        assert state["ended"] == {"said": [f"{out}: written"], "next": "facetrack run x"}
+        wait_for(session.over, "the end")
+    start = read_init(out)
+    assert start.frame == 1 and list(start.targets) == list(targets)
+    for name, chosen in targets.items():
+        found = start.targets[name]
+        assert found.box == (None if "box" not in chosen else tuple(round(value, 2) for value in chosen["box"]))
+        assert found.points == {part: tuple(at) for part, at in chosen.get("points", {}).items()}
+    if suffix == ".yaml":
+        assert out.read_text().startswith("# Where the track of face begins, picked on the page.\n")
+
+
+def test_a_file_that_appears_meanwhile_is_not_replaced(clips, tmp_path):
+    out = tmp_path / "a.init.yaml"
+    with picking(clips / "face", out) as (client, _):
+        client.put_draft(1, face=FACE)
+        out.write_text("mine")
+        assert client.save().status == 202
+        state = client.until(lambda state: state["message"])
+        assert "exists already" in state["message"] and state["ended"] is None
+        assert out.read_text() == "mine"
+        out.unlink()
+        assert client.save().status == 202
+        client.until(lambda state: state["ended"])
+    assert read_init(out).frame == 1
+
+
+def test_windows_and_corrections_of_the_file_before_are_kept(clips, tmp_path):
+    given = TargetStart(points={"nose": (5, 5)})
+    points = {part: tuple(at) for part, at in POINTS.items()}
+    begun = Start(
+        0, {"face": TargetStart(points=points, windows={"nose": (25, 25)})}, "old.yaml",
+        tuple(Correction(frame, name, given) for frame, name in ((1, "face"), (2, "face"))),
+    )  # fmt: skip
+    out = tmp_path / "a.init.yaml"
+    with picking(clips / "face", out, begun=begun) as (client, _):
+        state = client.get("api/state").json
+        assert state["draft"]["targets"]["face"]["points"]["nose"] == POINTS["nose"]
+        assert state["message"] == "begun with what old.yaml holds"
+        client.put_draft(1, face=FACE)
+        client.save()
+        said = client.until(lambda state: state["ended"])["ended"]["said"]
+    start = read_init(out)
+    assert start.targets["face"].windows == {"nose": (25, 25)}
+    assert [one.frame for one in start.corrections] == [2]
+    assert said[1] == "corrections that were left out, since they come before it or are of no target: 1"
+
+
+@pytest.mark.parametrize("names", [["face"], ["head", "foot"]])
+def test_a_file_of_another_recipe_is_fitted_to_this_one(clips, names):
+    begun = Start(0, {name: TargetStart(box=(10, 10, 40, 40)) for name in names}, "old.yaml")
+    with picking(clips / "face", config="head_hands", begun=begun) as (client, _):
+        assert list(client.get("api/state").json["draft"]["targets"]) == ["head"]
+
+
+def test_a_box_to_begin_with_has_its_points(clips):
+    with picking(clips / "face", frame=1, box=(112, 79, 98, 98)) as (client, session):
+        draft = client.get("api/state").json["draft"]
+        assert draft["frame"] == 1 and set(draft["targets"]["face"]["points"]) == set(PARTS)
+        assert session.unsaved() is not None
+    with picking(clips / "sign", config="head_hands", frame=0, box=(135, 44, 50, 50)) as (client, _):
+        assert set(client.get("api/state").json["draft"]["targets"]) == set(HANDS)
+    with pytest.raises(InputError, match="not in the picture"), picking(clips / "face", box=(900, 79, 98, 98)):
+        pass
+
+
+def test_what_the_page_cannot_check_is_checked_by_the_engine(clips):
+    recipe = load_recipe("contour_histogram")
+    draft = Draft(0, {"face": DraftTarget((1, 1, 40, 40))})
+    assert start_of(draft, wants(recipe), (320, 240), None, recipe, None).targets["face"].box == (1, 1, 40, 40)
+    with pytest.raises(LackingError, match="starts at frame 0, but the clip ends with frame -1"):
+        start_of(draft, wants(recipe), (320, 240), 0, recipe, None)
+
+
+NAMES = ["face", "frame", "box", "corrections", "windows_", "null", "yes", "On", "Infinity", "nan", "hand-2", "_"]
+ODD = st.sampled_from([-1e6, -0.0, 0.004, 5.995, 6, 60, 319.499, 320, 1e6])
+INSIDE, SIDES = st.floats(0, 150), st.floats(6, 90)
+
+
+def a_target(inside, sides):
+    box = st.tuples(inside, inside, sides, sides)
+    points = st.fixed_dictionaries({part: st.tuples(inside, inside) for part in (*PARTS, "null")})
+    return st.builds(DraftTarget, box, points)
+
+
+TARGETS = a_target(INSIDE, SIDES) | st.builds(DraftTarget) | a_target(INSIDE | ODD, SIDES | ODD.map(abs))
+
+
+@pytest.mark.parametrize("config", [None, "contour_histogram"])
+def test_any_draft_is_a_start_or_lacks_something(config):
+    recipe = None if config is None else load_recipe(config)
+    wanted = wants(recipe)
+
+    @settings(max_examples=40, deadline=None)
+    @given(st.builds(Draft, st.integers(0, 4), st.dictionaries(st.sampled_from(NAMES), TARGETS, max_size=3)))
+    def check(draft):
+        try:
+            start = start_of(draft, wanted, (320, 240), 5, recipe, None)
+        except LackingError as e:
+            assert len(str(e).splitlines()) == 1
+        else:
+            assert start.frame == draft.frame and start.targets
+
+    check()
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+class Started:
+    """`facetrack init ... --pick` as a process of its own."""
+
+    def __init__(self, *arguments, cwd):
+        environment = {**os.environ, "PYTHONPATH": str(FOLDER.parent), "PYTHONUNBUFFERED": "1"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "facetrack_cli", "init", *map(str, arguments), "--pick"],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd, env=environment,
+        )  # fmt: skip
+
+    def client(self):
+        self.first = self.process.stderr.readline()
+        assert self.first.startswith(READY), self.first + self.process.stderr.read()
+        self.hint = self.process.stderr.readline()
+        return Client(self.first.removeprefix(READY).strip())
+
+    def ended(self):
+        out, err = self.process.communicate(timeout=120)
+        self.last = err.splitlines()[-1]
+        return self.process.returncode, out, err
+
+
+@pytest.fixture
+def start(tmp_path):
+    started = []
+
+    def call(*arguments):
+        started.append(Started(*arguments, cwd=tmp_path))
+        return started[-1]
+
+    yield call
+    for one in started:
+        if one.process.poll() is None:
+            one.process.kill()
+        one.process.communicate()
+
+
+def free_port():
+    import socket
+
+    with socket.socket() as link:
+        link.bind(("127.0.0.1", 0))
+        return link.getsockname()[1]
+
+
+def test_picked_saved_and_run(clips, start, tmp_path, facetrack):
+    port = free_port()
+    saved = start(clips / "face", "--port", port, "-o", tmp_path / "a.init.yaml", "--preview", tmp_path / "look.png")
+    printed = start(clips / "face", "-o", "-", "--config", "factorized")
+    for one in (saved, printed):
+        client = one.client()
+        assert (client.port == port) == (one is saved)
+        assert client.put_draft(1, face=FACE).status == 200
+        assert client.save().status == 202
+        client.until(lambda state: state["ended"])
+        client.close()
+    code, out, err = saved.ended()
+    assert (code, out) == (0, "")
+    assert saved.hint.startswith(f"from another machine: ssh -L {port}:127.0.0.1:{port} HOST, then")
+    assert err.splitlines() == [
+        f"{tmp_path / 'look.png'}: the start drawn on frame 1", f"{tmp_path / 'a.init.yaml'}: written",
+        f"next: facetrack run {clips / 'face'} --init {tmp_path / 'a.init.yaml'}",
+    ]  # fmt: skip
+    assert cv2.imread(str(tmp_path / "look.png")) is not None
+    code, out, err = printed.ended()
+    assert code == 0 and out == (tmp_path / "a.init.yaml").read_text()
+    assert err.splitlines()[-1] == f"next: facetrack run {clips / 'face'} --init FILE --config factorized"
+
+    code, out, err = facetrack(
+        *("run", "IN/face", "--init", tmp_path / "a.init.yaml", "--set", "filter.particles=50", "--no-video", "-q"),
+        *("-o", "-", "--format", "json"),
+    )
+    assert (code, err) == (0, "")
+    header = json.loads(out)
+    assert header["init"]["frame"] == 1
+
+
+def test_stopped_before_it_is_saved(clips, start, tmp_path):
+    interrupted, terminated = (130, "interrupted"), (143, "terminated")
+    cases = [("SIGINT", *interrupted, True), ("SIGTERM", *terminated, True), ("SIGINT", *interrupted, False)]
+    folders = [tmp_path / str(number) for number in range(len(cases))]
+    for folder in folders:
+        folder.mkdir()
+    running = [start(clips / "face", "-o", folder / "a.init.yaml") for folder in folders]
+    for one, folder, (number, code, said, chosen) in zip(running, folders, cases, strict=True):
+        client = one.client()
+        if chosen:
+            client.put_draft(1, face={"points": {"nose": [3.14159, 4]}})
+        one.process.send_signal(getattr(signal, number))
+        assert one.ended()[:2] == (code, "")
+        client.close()
+        kept = folder / "a.init.unsaved.yaml"
+        if not chosen:
+            assert one.last == f"facetrack: {said}; nothing was written" and not list(folder.iterdir())
+            continue
+        assert one.last == f"facetrack: {said}; what was chosen is kept in {kept}; the same command goes on with it"
+        assert [path.name for path in folder.iterdir()] == [kept.name]
+        again = read_init(kept)
+        assert (again.frame, again.targets["face"].points) == (1, {"nose": (3.14, 4)})
+
+
+def test_without_overwrite_nothing_is_served(clips, tmp_path, monkeypatch, facetrack):
+    monkeypatch.setattr("facetrack_cli.editor.web.serve.serving", None)
+    (tmp_path / "a.yaml").write_text("mine")
+    said = refusal(facetrack("init", "IN/face", "--pick", "-o", tmp_path / "a.yaml"), 2)
+    assert "a.yaml: exists already; replace it with --overwrite" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--port", "80"], 2, "--port is for the page; add --pick"),
+        (["--open"], 2, "--open is for the page; add --pick"),
+        (["--pick", "--port", "99999"], 2, "--port"),
+        (["--pick", "--init-frame", "3"], 3, "frame 3"),
+        (["--pick", "--config", "nothing"], 2, "nothing"),
+        (["--pick", "--box", "900,5,10,10"], 3, "not in the picture"),
+        (["--pick", "-o", "a.txt"], 2, ".yaml"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_is_served(facetrack, arguments, code, said):
+    assert said in refusal(facetrack("init", "IN/face", *arguments), code)
+
+
+def test_a_port_that_is_taken_is_refused(clips, facetrack):
+    with picking(clips / "face") as (client, _):
+        assert "in use" in refusal(facetrack("init", "IN/face", "--pick", "--port", client.port), 2)
+
+
+def drive(monkeypatch, act):
+    """Have the page that the command serves visited by `act`, instead of a browser."""
+    from threading import Thread
+
+    def visit(url):
+        Thread(target=act, args=(Client(url),)).start()
+        return False
+
+    monkeypatch.setattr(run_module.webbrowser, "open", visit)
+
+
+def test_overwrite_begins_with_the_file(clips, tmp_path, monkeypatch, facetrack):
+    out = tmp_path / "a.yaml"
+    out.write_text("frame: 2\nface: {points: {nose: [1, 2]}, windows: {nose: [9, 9]}}\n")
+    seen = []
+
+    def act(client):
+        seen.append(client.get("api/state").json["draft"])
+        client.put_draft(1, face=FACE)
+        client.save()
+        client.until(lambda state: state["ended"])
+        client.close()
+
+    drive(monkeypatch, act)
+    code, printed, err = facetrack("init", "IN/face", "--pick", "--open", "--overwrite", "-o", out)
+    assert (code, printed) == (0, "")
+    assert "no browser can be opened from here" in err
+    assert seen[0]["frame"] == 2 and seen[0]["targets"]["face"]["points"] == {"nose": [1, 2]}
+    assert read_init(out).targets["face"].windows == {"nose": (9, 9)}
+    out.write_text("frame: x\n")
+    code, printed, err = facetrack("init", "IN/face", "--pick", "--open", "--overwrite", "--init-frame", 1, "-o", out)
+    assert code == 0 and "warning" in err and "is no frame" in err and "begins without it" in err
+    assert seen[1] == {"frame": 1, "targets": {}}
+
+
+def test_what_was_not_saved_is_gone_on_with(clips, tmp_path, monkeypatch, facetrack):
+    kept = tmp_path / "a.unsaved.yaml"
+    kept.write_text(json.dumps({"frame": 1, "face": FACE}))
+
+    def act(client):
+        state = client.get("api/state").json
+        assert state["message"] == f"begun with what {kept} holds"
+        client.save()
+        client.until(lambda state: state["ended"])
+        client.close()
+
+    drive(monkeypatch, act)
+    code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
+    assert code == 0, err
+    assert read_init(tmp_path / "a.yaml").targets["face"].points["nose"] == (160, 138.37)
+    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["a.yaml"], "what is saved is not kept twice"
+
+
+def test_an_error_of_ours_is_told_at_the_end(clips, tmp_path, monkeypatch, facetrack):
+    def act(client):
+        assert client.get("api/proposals/0").status == 500
+        client.put_draft(1, face=FACE)
+        client.save()
+        client.until(lambda state: state["ended"])
+        client.close()
+
+    def broken(image):
+        raise ZeroDivisionError("odd")
+
+    monkeypatch.setattr("facetrack_cli.editor.web.proposals.find_faces", broken)
+    drive(monkeypatch, act)
+    code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
+    assert code == 0 and "an error that is our fault, not yours: ZeroDivisionError: odd" in err
+    assert "Traceback" not in err
+
+
+def test_what_cannot_be_kept_is_said(clips, tmp_path):
+    start = Start(0, {"face": TargetStart(points={"nose": (1, 2)})}, "")
+    said = init_command._keep_unsaved(start, clips / "face", tmp_path / "none" / "a.unsaved.yaml")
+    assert said.startswith("what was chosen is lost: ") and "cannot be written" in said
+
+
+def test_help_needs_no_page(capsys):
+    assert main(["init", "--help"]) == 0
+    assert "--pick" in capsys.readouterr().out
+    code = (
+        "import sys, facetrack_cli.cli.commands.init; "
+        "print([m for m in sys.modules if m.startswith('facetrack_cli.editor')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(FOLDER).parent)
+    assert done.stdout.strip() == "[]", done.stderr

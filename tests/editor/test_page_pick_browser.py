@@ -1,0 +1,544 @@
+"""facetrack init --pick as its users meet it: a start is chosen in a real browser, by mouse and by keys."""
+
+import csv
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.types import Start, TargetStart
+from facetrack_cli.editor.web.pictures import Pictures
+from facetrack_cli.tracking.start import PARTS, read_init
+from tests.support.browser import until
+from tests.support.media import write_pictures, write_video
+from tests.support.samples import FOLDER, read_pictures
+
+CLIP = FOLDER / "expressions.mp4"
+BOX = [112, 79, 98, 98]
+POINTS = {"nose": (160.3, 138.4), "mouth_left": (137.6, 153.8), "mouth_right": (180.2, 156.2),
+          "lip_upper": (159, 153.6), "lip_lower": (158.2, 167.1)}  # fmt: skip
+HANDS = {"head": [135, 44, 50, 50], "left_hand": [82, 138, 48, 57], "right_hand": [188, 131, 50, 60]}
+NOBODY = np.full((240, 320, 3), 90, np.uint8)
+BEGUN = Start(0, {"face": TargetStart((112, 79, 98, 98), {"nose": (160.0, 138.0)})}, "a file")
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """`face`: nobody, then a face; `sign`: somebody who signs, with two hands; `numbered`: 200 frames that can be read;
+    `grain`: no two pixels beside each other are alike."""
+    folder = tmp_path_factory.mktemp("clips")
+    write_pictures(folder / "face", [NOBODY, *read_pictures("expressions")[:2]])
+    write_pictures(folder / "sign", read_pictures("signing")[:2])
+    write_video(folder / "numbered.mp4", frames=200, options=("-g", "25"))
+    grain = np.random.default_rng(1).integers(0, 256, (2, 240, 320, 3), np.uint8)
+    write_pictures(folder / "grain", grain)
+    return folder
+
+
+def corners(box):
+    """The pixels in two corners of a box."""
+    left, top, width, height = box
+    return (left, top), (left + width - 1, top + height - 1)
+
+
+def near(points, others, within):
+    assert set(points) == set(others)
+    for part, at in points.items():
+        assert np.abs(np.subtract(at, others[part])).max() <= within, part
+
+
+# --- by the mouse ----------------------------------------------------------------------------------------------------
+
+
+def test_a_box_and_five_points_are_picked_saved_and_tracked(command, windows, tmp_path):
+    saved, out = tmp_path / "a.init.yaml", tmp_path / "out"
+    running = command("init", CLIP, "--pick", "-o", saved)
+    window = windows(running.url)
+    assert (window.text("clip-name"), window.text("progress")) == (CLIP.name, "0 of 5")
+    window.drag(*corners(BOX))
+    for part, at in POINTS.items():
+        assert window.tell("current") == {"target": "face", "part": part}
+        window.click(*at)
+    assert window.tell("current") is None and window.text("progress") == "6 of 6"
+    near(window.face()["points"], POINTS, 0.6)
+    assert window.save() == f"{saved}: written"
+    assert window.text("next-command") == f"facetrack run {CLIP} --init {saved}"
+    start = read_init(saved)
+    face = start.targets["face"]
+    assert (start.frame, list(start.targets), list(face.box)) == (0, ["face"], BOX)
+    near(face.points, POINTS, 0.6)
+
+    arguments = ["run", CLIP, "--init", saved, "-o", out, "--stop", "3", "--no-video", "-q"]
+    subprocess.run([sys.executable, "-m", "facetrack_cli", *map(str, arguments)], check=True, timeout=120)
+    with (out / "trajectory.csv").open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["frame"] == "0"]
+    assert {row["status"] for row in rows} == {"init"}
+    near({row["part"]: (float(row["x"]), float(row["y"])) for row in rows}, face.points, 0.01)
+    code, said = running.ended()
+    assert code == 0 and f"{saved}: written" in said
+
+
+def test_a_point_is_dragged_under_the_magnifier(clips, pick, windows):
+    session, url = pick(clips / "grain", begun=BEGUN)
+    window = windows(url)
+    truth = session.frames.read(0).bgr.astype(int)
+    at = (160, 138)
+    for goal in [(170, 120), (0, 1), (319, 239), (319, 0), (0, 239), (163.5, 141.25)]:
+        window.drag(at, goal, drop=False)
+        assert window.seen("magnifier") and window.tell("draft.targets.face.points.nose") == list(goal)
+        box = window.here("magnifier").bounding_box()
+        assert box["x"] >= 0 and box["x"] + box["width"] <= 1280, goal
+        assert box["y"] >= 0 and box["y"] + box["height"] <= 800, goal
+        x, y = window.at(*goal)
+        assert not (box["x"] <= x <= box["x"] + box["width"] and box["y"] <= y <= box["y"] + box["height"]), goal
+        until(lambda goal=goal: magnified(window, truth, goal), f"the very pixels around {goal}")
+        window.mouse.up()
+        window.until("document.getElementById('magnifier').hidden")
+        at = goal
+    window.until_sent()
+    assert session.draft.targets["face"].points == {"nose": (163.5, 141.25)}
+    assert session.draft.targets["face"].box == BEGUN.targets["face"].box
+
+
+def magnified(window, truth, at):
+    """Whether the magnifier shows the picture's own pixels around a place, larger than the window does."""
+    side = window.page.evaluate("document.getElementById('magnifier').width")
+    row = side * (5 if at[1] < truth.shape[0] / 2 else 3) // 8  # one that is of the picture
+    line = window.pixels("magnifier", [(x + 0.5, row) for x in range(side)])
+    edges = np.flatnonzero((line[1:] != line[:-1]).any(axis=1))
+    steps = np.diff(edges)
+    times = int(np.bincount(steps).argmax()) if len(steps) else 0
+    if not times > window.scale():
+        return False
+    # the middles of pixels off the cross hair and the words below
+    reach = int(side / 2 / times - 1)
+    places = [(i, j) for i in range(-reach, reach + 1) for j in range(-reach, reach // 2) if abs(i) > 1 and abs(j) > 1]
+    centre = np.round(at)
+    shown, expected = [], []
+    for i, j in places:
+        x, y = int(centre[0] + i), int(centre[1] + j)
+        if 0 <= x < truth.shape[1] and 0 <= y < truth.shape[0]:
+            shown.append((side / 2 + (x - at[0]) * times, side / 2 + (y - at[1]) * times))
+            expected.append(truth[y, x])
+    assert len(shown) > 3
+    return np.array_equal(window.pixels("magnifier", shown), expected)
+
+
+def test_arrows_nudge_by_exact_steps(clips, pick, windows):
+    session, url = pick(clips / "face", frame=1, begun=BEGUN)
+    window = windows(url)
+    window.click(160, 138)
+    for key, step in [("ArrowRight", (1, 0)), ("Shift+ArrowDown", (0, 10)), ("Alt+ArrowLeft", (-0.25, 0)),
+                      ("Alt+ArrowUp", (0, -0.25)), ("Shift+ArrowLeft", (-10, 0)), ("ArrowUp", (0, -1))]:  # fmt: skip
+        before = window.face()
+        window.press(key)
+        assert window.face() == {**before, "points": {"nose": list(np.add(before["points"]["nose"], step))}}
+    window.here("part-face-box").click()
+    for key, step in [("Shift+ArrowRight", (10, 0, 0, 0)), ("Alt+ArrowUp", (0, -0.25, 0, 0)),
+                      ("Control+ArrowLeft", (0, 0, -1, 0)), ("Control+Shift+ArrowDown", (0, 0, 0, 10))]:  # fmt: skip
+        before = window.face()
+        window.press(key)
+        assert window.face() == {**before, "box": list(np.add(before["box"], step))}
+    assert window.tell("frame") == session.draft.frame, "no arrow went through the clip, or back in the history"
+
+
+def test_a_proposal_is_taken_corrected_and_saved(clips, pick, windows, tmp_path):
+    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1)
+    window = windows(url)
+    window.here("take-picture-0").click()
+    assert window.text("progress") == "6 of 6"
+    taken = window.face()
+    near(taken["points"], POINTS, 4)
+    nose = taken["points"]["nose"]
+    window.drag(nose, (nose[0] + 5, nose[1] - 3))
+    window.save()
+    face = read_init(tmp_path / "a.yaml").targets["face"]
+    assert np.allclose(face.points["nose"], np.add(nose, (5, -3)), atol=0.3)
+    taken["points"]["nose"] = face.points["nose"]
+    assert list(face.box) == taken["box"]
+    near(face.points, taken["points"], 0)
+
+
+def test_everything_is_undone_and_done_again(clips, pick, windows):
+    session, url = pick(clips / "face", frame=1)
+    window = windows(url)
+    right, bottom = 209, 176
+    deeds = [
+        lambda: window.drag((112, 79), (right, bottom)),
+        lambda: window.click(160, 138),
+        lambda: window.click(137, 154),
+        lambda: window.drag((160, 138), (150, 130)),
+        lambda: window.press("Shift+ArrowUp"),
+        lambda: window.here("part-face-box").click() or window.drag((right + 0.5, bottom + 0.5), (190, 150)),
+        lambda: window.here("clear-face-mouth_left").click(),
+        lambda: window.here("take-0").click(),
+        lambda: window.press(".") or window.until_shown(2) or window.press("b"),
+        lambda: add(window, "hand"),
+        lambda: window.here("remove-face").click(),
+    ]
+    drafts = [window.tell("draft")]
+    for deed in deeds:
+        deed()
+        drafts.append(window.tell("draft"))
+        assert drafts[-1] != drafts[-2]
+    assert drafts[-1] == {"frame": 2, "targets": {"hand": {"box": None, "points": {}, "absent": []}}}
+    for draft in reversed(drafts[:-1]):
+        assert window.here("undo").is_enabled()
+        window.press("Control+z")
+        assert window.tell("draft")["targets"] == draft["targets"]
+    assert window.here("undo").is_disabled() and window.text("progress") == "0 of 5"
+    window.until_sent()
+    assert session.draft.empty
+    for draft in drafts[1:]:
+        window.here("redo").click()
+        assert window.tell("draft") == draft
+    assert window.here("redo").is_disabled()
+    window.until_sent()
+    assert session.draft.to_json() == drafts[-1]
+
+
+def add(window, name):
+    window.here("add-target").click()
+    window.here("name-field").fill(name)
+    window.press("Enter")
+
+
+def test_what_is_lacking_is_said_and_shown(clips, pick, windows, tmp_path):
+    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1)
+    window = windows(url)
+    window.expected = ["422"]
+    window.click(160, 138)
+    window.here("part-face-nose").click()
+    window.here("save").click()
+    window.until("!document.getElementById('lack').hidden")
+    assert window.text("lack") == "still to choose: mouth_left, mouth_right, lip_upper and lip_lower of face"
+    assert window.tell("current.part") == "mouth_left" and not list(tmp_path.iterdir())
+    window.click(137, 154)
+    assert not window.seen("lack") and window.here("save").is_enabled()
+
+
+# --- by keys alone ---------------------------------------------------------------------------------------------------
+
+
+def test_by_keys_alone(clips, pick, windows, tmp_path):
+    _, url = pick(clips / "face", tmp_path / "a.yaml")
+    window = windows(url)
+    window.press("ArrowRight")
+    window.until_shown(1)
+    # by hand: the box in the list, and the parts that follow
+    window.press("l", "ArrowUp", "Enter", "ArrowLeft", "Shift+ArrowDown", "Control+ArrowRight")
+    left, top, width, height = window.face()["box"]
+    middle = [left + (width - 1) / 2, top + (height - 1) / 2]
+    expected = {}
+    for k, part in enumerate(PARTS):
+        window.press("Enter", *["ArrowDown"] * k, "Shift+ArrowRight")
+        expected[part] = tuple(np.add(middle, (10, k)))
+        assert window.tell("selected.part") == part
+    assert window.text("progress") == "6 of 6"
+    window.press("Enter", "Enter", "Space", "Escape", "Enter")
+    assert window.tell("ended") is False and not list(tmp_path.iterdir()), "Enter never saves"
+    near(window.face()["points"], expected, 0)
+    # one mark again, another one away and back
+    window.press("l", "ArrowDown", "Enter", "Alt+ArrowLeft", "]", "Delete")
+    first, second, *_ = PARTS
+    assert window.tell("current.part") == second and second not in window.face()["points"]
+    window.press("Control+z", "Control+s")
+    window.until("window.facetrack.ended")
+    start = read_init(tmp_path / "a.yaml")
+    expected[first] = tuple(np.add(expected[first], (-0.25, 0)))
+    assert start.frame == 1 and start.targets["face"].box == (left, top, width, height)
+    near(start.targets["face"].points, expected, 0.01)
+
+
+def test_a_proposal_by_keys_alone(clips, pick, windows, tmp_path):
+    _, url = pick(clips / "face", tmp_path / "a.yaml")
+    window = windows(url)
+    window.press("End", ",")
+    window.until_shown(1)
+    window.until("window.facetrack.proposals.length === 1")
+    window.press("1")
+    taken = window.face()["points"]
+    window.press("]", "]")
+    part = window.tell("selected.part")
+    window.press("Shift+ArrowLeft", "Control+s")
+    window.until("window.facetrack.ended")
+    found = read_init(tmp_path / "a.yaml").targets["face"].points
+    assert {one for one in PARTS if found[one] != tuple(taken[one])} == {part}
+    assert found[part] == tuple(np.subtract(taken[part], (10, 0)))
+
+
+def test_every_control_is_reached_by_tab_and_has_a_name(clips, pick, windows):
+    _, url = pick(clips / "face", frame=1)
+    window = windows(url)
+    window.until("window.facetrack.proposals.length")
+    reached = []
+    where = "(document.activeElement.dataset.slot ? 'a part' : document.activeElement.dataset.testid) ?? 'BODY'"
+    while (now := window.press("Tab") or window.page.evaluate(where)) not in reached and now != "BODY":
+        reached.append(now)
+    there = {"help-open", "stage", "zoom-out", "zoom-fit", "zoom-in", "following", "frame-slider", "frame-number",
+             "previous", "take-0", "rename-face", "remove-face", "a part", "add-target", "save"}  # fmt: skip
+    assert set(reached) >= there
+    nameless = """[...document.querySelectorAll('button, input, canvas')].filter((one) => one.checkVisibility()
+      && !(one.ariaLabel || one.innerText?.trim() || one.labels?.length)).map((one) => one.outerHTML)"""
+    assert window.page.evaluate(nameless) == []
+
+
+# --- through the clip ------------------------------------------------------------------------------------------------
+
+
+def test_slider_and_keys_show_the_frame_that_they_name(clips, pick, windows):
+    _, url = pick(clips / "numbered.mp4")
+    window = windows(url)
+    for key, frame in [("ArrowRight", 1), ("Shift+ArrowRight", 26), (".", 27), ("PageDown", 52), ("ArrowLeft", 51),
+                       (",", 50), ("End", 199), ("PageUp", 174), ("Home", 0), ("ArrowLeft", 0)]:  # fmt: skip
+        window.press(key)
+        window.until_shown(frame)
+        until(lambda frame=frame: window.number() == frame, f"frame {frame}")
+    window.press("f")
+    window.keyboard.type("137")
+    window.press("Enter")
+    window.until_shown(137)
+    until(lambda: window.number() == 137, "frame 137")
+    window.here("previous").click()
+    window.until_shown(136)
+    box = window.here("frame-slider").bounding_box()
+    for share in (0.1, 0.9, 0.5):
+        window.mouse.click(box["x"] + share * box["width"], box["y"] + box["height"] / 2)
+        shown = int(window.here("frame-slider").input_value())
+        assert abs(shown - share * 199) < 5
+        window.until_shown(shown)
+        until(lambda shown=shown: window.number() == shown, f"frame {shown}")
+        assert window.here("frame-number").input_value() == str(shown)
+    assert window.tell("draft.frame") == shown, "nothing is marked, so a start would be here"
+
+
+class Held(Pictures):
+    """Pictures that come only after `go`, but for the first one."""
+
+    def __init__(self, frames):
+        super().__init__(frames)
+        self.go = threading.Event()
+
+    def jpeg(self, index, reduce=1):
+        assert index == 0 or self.go.wait(60)
+        return super().jpeg(index, reduce)
+
+
+def test_fast_dragging_asks_for_few_frames_and_ends_with_the_right_one(clips, pick, windows):
+    session, url = pick(clips / "numbered.mp4", pictures=Held)
+    window = windows(url)
+    box = window.here("frame-slider").bounding_box()
+    middle = box["y"] + box["height"] / 2
+    window.mouse.move(box["x"] + 12, middle)
+    window.mouse.down()
+    passed = set()
+    for share in [*np.linspace(0.05, 0.95, 40), *np.linspace(0.95, 0.4, 20)]:
+        window.mouse.move(box["x"] + share * box["width"], middle)
+        passed.add(window.tell("frame"))
+    window.mouse.up()
+    frame = window.tell("frame")
+    assert len(passed) > 30 and 60 < frame < 100 and window.tell("picture.index") == 0
+    x, y = window.at(32, 24)
+    window.mouse.click(x, y)
+    assert window.tell("draft.targets") == {}, "nothing can be placed in a picture that is not there"
+    session.pictures.go.set()
+    window.until_shown(frame)
+    until(lambda: window.number() == frame, f"frame {frame}")
+    asked = [int(path.partition("/")[2].partition(".")[0]) for path in window.asked if path.startswith("frame/")]
+    on_the_way = [one for one in asked if one and abs(one - frame) > 2]
+    assert frame in asked and len(on_the_way) <= 4, "one at a time, and only the latest that was wanted"
+    window.mouse.click(x, y)
+    assert len(window.tell("draft.targets.face.points")) == 1
+
+
+def test_marks_stay_with_their_frame_until_one_begins_elsewhere(clips, pick, windows, tmp_path):
+    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1, begun=BEGUN)
+    window = windows(url)
+    window.until("document.getElementById('message').textContent.startsWith('begun with what a file')")
+    before = window.tell("draft")
+    window.here("following").click()
+    window.until_shown(2)
+    assert window.seen("elsewhere")
+    window.click(137, 154)
+    window.drag((160, 138), (150, 130))
+    window.here("part-face-lip_upper").click()
+    window.press("Enter", "Delete")
+    assert window.tell("draft") == before and "start is in frame 1" in window.text("message")
+    window.press("g")
+    window.until_shown(1)
+    assert not window.seen("elsewhere")
+    window.press("Escape", ".")
+    window.until_shown(2)
+    window.here("begin-here").click()
+    assert window.tell("draft") == {**before, "frame": 2} and not window.seen("elsewhere")
+    window.press("Control+z")
+    window.until_shown(1)
+    assert window.tell("draft") == before
+    window.press("Control+y")
+    window.until_shown(2)
+    for part, at in list(POINTS.items())[1:]:
+        window.here(f"part-face-{part}").click()
+        window.click(*at)
+    window.save()
+    start = read_init(tmp_path / "a.yaml")
+    assert start.frame == 2 and start.targets["face"].points["nose"] == (160, 138)
+
+
+# --- several targets, and none with points ---------------------------------------------------------------------------
+
+
+def test_head_and_hands_with_their_boxes(clips, pick, windows, tmp_path):
+    _, url = pick(clips / "sign", tmp_path / "a.yaml", "head_hands")
+    window = windows(url)
+    assert not window.seen("add-target") and not window.seen("rename-head")
+    window.here("take-0").click()
+    assert set(window.tell("draft.targets")) == set(HANDS) and window.text("progress") == "3 of 3"
+    window.press("Control+z")
+    for name, box in HANDS.items():
+        assert window.tell("current") == {"target": name, "part": "box"}
+        window.drag(*corners(box))
+    # the right hand a little larger, by its lower right handle
+    left, top, width, height = HANDS["right_hand"]
+    edge = left + width - 0.5, top + height - 0.5
+    window.drag(edge, (edge[0] + 6, edge[1] + 4))
+    window.save()
+    saved = {name: list(one.box) for name, one in read_init(tmp_path / "a.yaml").targets.items()}
+    assert saved == {**HANDS, "right_hand": [left, top, width + 6, height + 4]}
+
+
+def test_a_box_alone_is_enough_for_a_region(clips, pick, windows, tmp_path):
+    _, url = pick(clips / "face", tmp_path / "a.yaml", "contour_histogram", frame=1)
+    window = windows(url)
+    assert window.tell("current") == {"target": "face", "part": "box"}
+    window.click(160, 138)
+    assert window.tell("draft.targets") == {} and "Drag across it" in window.text("message")
+    window.drag(*corners([100, 60, 4, 4]))
+    assert window.tell("draft.targets") == {} and "at least 6 pixels" in window.text("message")
+    window.drag(*reversed(corners(BOX)))
+    window.drag((160, 128), (170, 120))
+    assert window.face() == {"box": [122, 71, 98, 98], "points": {}, "absent": []}
+    window.drag((121.5, 119.5), (111.5, 119.5))
+    assert window.face()["box"] == [112, 71, 108, 98], "by its left handle"
+    window.save()
+    assert read_init(tmp_path / "a.yaml").targets == {"face": TargetStart((112, 71, 108, 98), {})}
+
+
+def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
+    _, url = pick(clips / "face", tmp_path / "a.yaml", "contour_histogram", frame=1)
+    window = windows(url)
+    window.drag(*corners(BOX))
+    window.here("rename-face").click()
+    for name, why in [("points", "word of the file itself"), ("1st", "letters, digits"), ("a/b", "letters, digits")]:
+        window.here("name-field").fill(name)
+        window.press("Enter")
+        assert why in window.text("message") and list(window.tell("draft.targets")) == ["face"]
+    window.here("name-field").fill("somebody")
+    window.press("Enter")
+    assert window.face("somebody")["box"] == BOX and list(window.tell("draft.targets")) == ["somebody"]
+    for name in ("hand", "ball"):
+        add(window, name)
+        window.drag(*corners([20, 20, 40, 50]) if name == "hand" else corners([250, 180, 30, 30]))
+    add(window, "hand")
+    assert "hand already" in window.text("message")
+    window.press("Escape")
+    window.here("remove-ball").click()
+    assert list(window.tell("draft.targets")) == ["somebody", "hand"] and not window.seen("target-ball")
+    window.save()
+    saved = {name: list(one.box) for name, one in read_init(tmp_path / "a.yaml").targets.items()}
+    assert saved == {"somebody": BOX, "hand": [20, 20, 40, 50]}
+
+
+# --- more than one window, and none ----------------------------------------------------------------------------------
+
+
+def test_two_browsers_show_the_same_and_the_slower_one_is_told(clips, pick, windows, tmp_path):
+    session, url = pick(clips / "face", tmp_path / "a.yaml", frame=1, begun=BEGUN)
+    one, other = windows(url), windows(url)
+    one.drag((160, 138), (150, 130))
+    other.until("window.facetrack.draft.targets.face.points.nose[0] === 150")
+    assert other.text("message") == "Changed in another window."
+
+    held, free = [], threading.Event()  # until then, the other one does not hear of anything
+    other.page.route("**/api/state", lambda route: route.continue_() if free.is_set() else held.append(route))
+    until(lambda: held, "the next time that it asks", other.page.wait_for_timeout)
+    one.click(137, 154)
+    one.until_sent()
+    theirs = one.tell("draft")
+    other.expected = ["409"]
+    other.here("part-face-nose").click()
+    other.press("Shift+ArrowRight")
+    mine = other.tell("draft")
+    assert mine["targets"]["face"]["points"] == {"nose": [160, 130]}
+    other.until("document.getElementById('message').textContent.startsWith('Another window was faster')")
+    assert other.tell("draft") == theirs == session.draft.to_json()
+    other.press("Control+z")
+    other.until_sent()
+    assert other.tell("draft") == mine == session.draft.to_json()
+    free.set()
+    for route in held:
+        route.continue_()
+    one.until("Object.keys(window.facetrack.draft.targets.face.points).length === 1")
+
+    for part, at in list(POINTS.items())[1:]:
+        one.here(f"part-face-{part}").click()
+        one.click(*at)
+    assert one.save() == f"{tmp_path / 'a.yaml'}: written"
+    other.until("window.facetrack.ended")
+    assert other.text("saved-said") == one.text("saved-said") and other.text("save") == "Saved"
+    assert other.tell("draft") == one.tell("draft") == session.draft.to_json()
+    other.press("Escape")
+    other.click(200, 60)
+    other.press("Delete", "Control+z", "Control+s")
+    assert other.tell("draft") == one.tell("draft"), "what is saved stands"
+
+
+def test_a_tab_that_is_closed_leaves_its_marks_to_the_next(clips, pick, windows):
+    session, url = pick(clips / "face", frame=1)
+    window = windows(url)
+    window.click(160, 138)
+    window.until_sent()
+    draft = window.tell("draft")
+    window.press(".", ".", ",")
+    window.drag((137, 154), (140, 150), drop=False)  # in the middle of things
+    window.page.close()
+    again = windows(url)
+    assert again.tell("draft") == draft == session.draft.to_json() and again.tell("frame") == 1
+    again.click(137, 154)
+    again.until_sent()
+    draft = again.tell("draft")
+    again.page.reload()
+    again.until("!!window.facetrack?.picture")
+    assert again.tell("draft") == draft and len(draft["targets"]["face"]["points"]) == 2
+    assert session.first_fault is None and session.ended is None
+
+
+def test_a_command_that_was_stopped_is_missed(command, windows, tmp_path):
+    running = command("init", CLIP, "--pick", "-o", tmp_path / "a.init.yaml")
+    window = windows(running.url)
+    window.expected = ["ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE"]
+    window.click(160, 138)
+    window.until_sent()
+    running.process.terminate()
+    code, said = running.ended()
+    assert code == 143 and "a.init.unsaved.yaml" in said
+    window.until("window.facetrack.gone")
+    assert window.seen("gone") and "No answer" in window.text("gone")
+    window.click(137, 154)
+    window.here("save").click()
+    window.until("document.getElementById('message').textContent.startsWith('Not saved')")
+    assert len(window.face()["points"]) == 2, "the marks stay in the window"
+
+
+def test_a_wrong_token_shows_nothing(clips, pick, windows):
+    _, url = pick(clips / "face")
+    base, token = url.rstrip("/").rsplit("/", 1)
+    window = windows()
+    window.expected = ["403"]
+    for path in ("", token[:-1] + "/", token.swapcase() + "/", token[:-1] + "/app.js", "api/session"):
+        answer = window.page.goto(f"{base}/{path}")
+        said = window.page.content()
+        assert answer.status == 403 and "lacks its token" in said
+        assert token not in said and "face" not in said.replace("facetrack", "") and "<script" not in said
+    assert window.go(f"{base}/{token}").tell("picture.index") == 0, "the slash at the end may be forgotten"

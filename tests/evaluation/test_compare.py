@@ -1,0 +1,297 @@
+"""facetrack compare: the order of recipes, what a failure is, and the command as its users meet it."""
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.evaluation.experiments.compare import (
+    CUMULATIVE_AT,
+    Entry,
+    Options,
+    Score,
+    aligned,
+    check_measure,
+    default_truth,
+    labels,
+    less_is_better,
+    rank,
+    score_run,
+    shifted,
+    tail_overlap,
+    variant,
+)
+from facetrack_cli.evaluation.experiments.compare_text import Comparison, as_csv, as_json, sheet
+from facetrack_cli.evaluation.experiments.sheet import markdown
+from facetrack_cli.trajectory.table import Table, series
+
+MEASURE = "points.mean_px"
+
+
+def score(label, seed, value, *, measure=MEASURE, rate=100.0, frames=5, failed=False):
+    figures = {} if value is None else {measure: value}
+    frame = np.arange(frames)
+    return Score(label, seed, figures, failed, rate, frame, frame + float(seed), np.array([2]))
+
+
+def entry(label, values, *, deterministic=False, **more):
+    scores = tuple(score(label, seed, value, **more) for seed, value in enumerate(values))
+    return Entry(label, scores, deterministic=deterministic)
+
+
+def places(*entries, measure=MEASURE):
+    return {place.entry.label: place.text.replace("–", "-") for place in rank(entries, measure)}
+
+
+# --- order -------------------------------------------------------------------------------------------------------
+
+
+def test_clear_differences_are_ranked():
+    good, fair, bad = entry("good", [1.0, 1.1, 0.9]), entry("fair", [2.0, 2.1, 1.9]), entry("bad", [9.0, 8.0, 10.0])
+    assert places(bad, good, fair) == {"good": "1", "fair": "2", "bad": "3"}
+    assert list(places(bad, good, fair)) == ["good", "fair", "bad"]
+
+
+def test_more_is_better_for_shares():
+    low = entry("low", [0.2, 0.21], measure="boxes.success_auc")
+    high = entry("high", [0.8, 0.81], measure="boxes.success_auc")
+    assert list(places(low, high, measure="boxes.success_auc")) == ["high", "low"]
+    assert less_is_better("points.mean_normalised") and not less_is_better("boxes.success_auc")
+
+
+def test_what_overlaps_shares_its_rank():
+    """Intervals: a 1 +- 0.2, b 1.3 +- 0.2, c 1.6 +- 0.2: a and b overlap, b and c too, a and c do not."""
+    around = np.array([-1.0, 1.0]) * 0.1  # two runs: the standard error is half their distance
+    a, b, c = (entry(name, middle + around) for name, middle in (("a", 1.0), ("b", 1.3), ("c", 1.6)))
+    assert a.interval(MEASURE) == pytest.approx((0.8, 1.2))
+    assert places(a, b, c) == {"a": "1-2", "b": "1-3", "c": "2-3"}
+
+
+def test_one_seed_tells_nothing_but_one_run_of_a_deterministic_tracker_does():
+    single = entry("single", [1.0])
+    fixed, other = entry("fixed", [2.0], deterministic=True), entry("other", [3.0], deterministic=True)
+    assert places(single, fixed, other) == {"single": "1-3", "fixed": "1-2", "other": "2-3"}
+    assert places(fixed, other) == {"fixed": "1", "other": "2"}
+    same = entry("same", [2.0], deterministic=True)
+    assert places(fixed, same) == {"fixed": "1-2", "same": "1-2"}
+
+
+def test_without_a_value_there_is_no_rank():
+    assert places(Entry("broken", why="no box"), entry("good", [1.0, 1.0]), entry("blind", [None])) == {
+        "good": "1", "broken": "-", "blind": "-",
+    }  # fmt: skip
+
+
+@given(st.lists(st.lists(st.floats(0, 100), min_size=2, max_size=4), min_size=1, max_size=6))
+def test_ranks_are_ranges_around_the_order(values):
+    entries = [entry(str(i), those) for i, those in enumerate(values)]
+    found = rank(entries, MEASURE)
+    means = [place.entry.mean(MEASURE) for place in found]
+    assert means == sorted(means)
+    for number, place in enumerate(found, 1):
+        assert 1 <= place.first <= number <= place.last <= len(found)
+
+
+def test_spread_and_rate():
+    one = Entry("one", (score("one", 0, 1.0, rate=100), score("one", 1, 3.0, rate=300)))
+    assert one.mean(MEASURE) == 2 and one.spread(MEASURE) == pytest.approx(math.sqrt(2))
+    assert one.frames_per_s == pytest.approx(150), "two clips of n frames take n / 100 + n / 300 seconds"
+    assert entry("single", [1.0]).spread(MEASURE) is None
+
+
+def test_ranking_by_what_cannot_rank_is_refused():
+    assert check_measure("points.median_px") == "points.median_px"
+    with pytest.raises(UsageError, match=r"points\.median_px"):
+        check_measure("median_px")
+    with pytest.raises(UsageError, match="nothing to rank by"):
+        check_measure("points.rows")
+
+
+def test_errors_are_aligned_by_frame():
+    short = Entry("short", (score("short", 0, 1.0, frames=3),))
+    long = Entry("long", (score("long", 0, 1.0), score("long", 1, 1.0)))
+    frame, found = aligned([short, long, Entry("broken", why="no")])
+    assert frame.tolist() == [0, 1, 2, 3, 4] and list(found) == ["short", "long"]
+    np.testing.assert_array_equal(found["short"], [[0, 1, 2, np.nan, np.nan]])
+    np.testing.assert_array_equal(found["long"], [[0, 1, 2, 3, 4], [1, 2, 3, 4, 5]])
+
+
+# --- one run -----------------------------------------------------------------------------------------------------
+
+
+def points(offset, frames=60, status="tracked"):
+    """A face of two points 40 px apart that walks to the right; ours is `offset` (T,) pixels below the truth."""
+    frame = np.arange(frames)
+    x = 50 + 3 * np.abs(np.sin(frame / 5))
+    return tuple(
+        series("face", part, frame, x=x + dx, y=20 + np.broadcast_to(offset, frames), status=[status] * frames)
+        for part, dx in (("nose", 0), ("chin", 40))
+    )
+
+
+def run_of(made, seed=0):
+    return SimpleNamespace(label="r", seed=seed, table=Table(Path("run"), made), frames_per_s=50.0)
+
+
+def truth_of(made):
+    return Table(Path("clip.truth.csv"), made)
+
+
+def test_a_run_of_points_is_scored():
+    truth = truth_of(points(0.0, status="visible"))
+    found = score_run(run_of(points(2.0)), truth, Options())
+    assert found.figures["points.mean_px"] == pytest.approx(2)
+    assert found.figures["points.mean_normalised"] == pytest.approx(2 / 40)
+    assert np.allclose(found.error, 2) and found.frame.tolist() == list(range(60)) and not found.hidden.size
+    assert found.success is None and not found.failed
+    assert found.cumulative[CUMULATIVE_AT < 0.049].max() == 0 and found.cumulative[CUMULATIVE_AT > 0.051].min() == 1
+    lost = np.where(np.arange(60) < 40, 0.0, 15.0)  # more than a quarter of 40 px for most of the last 25 rows
+    assert score_run(run_of(points(lost)), truth, Options()).failed
+    back = np.where(np.arange(60) < 30, 15.0, 0.0)
+    assert not score_run(run_of(points(back)), truth, Options()).failed
+
+
+def test_the_truth_of_the_frames_asked_for_counts():
+    truth = truth_of(points(np.where(np.arange(60) < 30, 0.0, 30.0), status="visible"))
+    run = run_of(tuple(one.take(one.frame < 30) for one in points(0.0)))
+    assert score_run(run, truth, Options(stop=30)).figures["points.mean_px"] == 0
+    with pytest.raises(InputError):  # the clip ended before the truth did
+        score_run(run, truth, Options())
+    late = run_of(tuple(one.take(one.frame > 40) for one in points(0.0)))
+    with pytest.raises(InputError, match="no row from frame 41 to 39"):
+        score_run(late, truth, Options(stop=40))
+
+
+def test_hidden_frames_are_known():
+    made = points(0.0, status="visible")
+    status = np.where((np.arange(60) >= 20) & (np.arange(60) < 30), "hidden", "visible")
+    truth = truth_of((series("face", "nose", made[0].frame, x=made[0].x, y=made[0].y, status=status), made[1]))
+    assert score_run(run_of(points(0.0)), truth, Options()).hidden.tolist() == list(range(20, 30))
+
+
+def boxes(left, frames=40, size=20.0, status="tracked"):
+    frame = np.arange(frames)
+    x = np.broadcast_to(left, frames) + (size - 1) / 2
+    both = np.full(frames, size)
+    return (series("face", "box", frame, x=x, y=np.full(frames, 30.0), w=both, h=both, status=[status] * frames),)
+
+
+def test_a_run_of_boxes_is_scored():
+    truth = truth_of(boxes(50.0, status="visible"))
+    off = np.where(np.arange(40) < 36, 0.0, 19.5)  # the last tenth is off
+    good, lost = (score_run(run_of(boxes(50 + x)), truth, Options(size=(320, 240))) for x in (np.zeros(40), off))
+    assert good.figures["boxes.success_auc"] == pytest.approx(20 / 21)
+    assert good.success.shape == (21,) and good.precision.shape == (51,) and good.cumulative is None
+    assert not good.failed and lost.failed
+    assert lost.error[-1] == pytest.approx(19.5)
+
+
+def test_the_last_tenth_decides():
+    overlap = np.full(30, 0.8)
+    assert tail_overlap(overlap) == 0.8
+    overlap[-2:] = 0.0  # most of the last three
+    assert tail_overlap(overlap) == 0.0
+    overlap[5:] = np.nan
+    assert tail_overlap(overlap) == 0.8 and tail_overlap(np.full(3, np.nan)) is None
+
+
+def test_a_truth_of_other_frames_is_noticed():
+    frame = np.arange(80)
+    path = 40 * np.sin(frame / 6)
+
+    def face(ahead, status):
+        x = 100 + 40 * np.sin((frame + ahead) / 6)
+        return (series("face", "nose", frame, x=x, y=path * 0 + 50, status=[status] * 80),)
+
+    truth = truth_of(face(0, "visible"))
+    assert shifted(run_of(face(0, "tracked")), truth, Options()) is None
+    assert shifted(run_of(face(5, "tracked")), truth, Options()) is not None
+
+
+# --- what is asked -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "overrides"),
+    [
+        ("sir", "sir", ()),
+        ("sir:filter.particles=50", "sir", ("filter.particles=50",)),
+        ("a.yaml:seed=1,target.windows=[25,25],x=2", "a.yaml", ("seed=1", "target.windows=[25,25]", "x=2")),
+        ("odd:name", "odd:name", ()),
+    ],
+)
+def test_variants(text, name, overrides):
+    assert variant(text) == (name, overrides)
+
+
+def test_labels_differ():
+    assert labels(["sir", "configs/mine.yaml", "sir:seed=1,x=2"]) == ["sir", "mine", "sir:seed=1,x=2"]
+    assert labels(["a/mine.yaml", "b/mine.yaml", "sir"]) == ["a/mine.yaml", "b/mine.yaml", "sir"]
+    with pytest.raises(UsageError, match="sir is given twice"):
+        labels(["sir", "mil", "sir"])
+
+
+def test_the_truth_is_found_beside_the_clip(tmp_path):
+    clip, folder = tmp_path / "clip.mp4", tmp_path / "img"
+    clip.touch()
+    folder.mkdir()
+    with pytest.raises(InputError, match=r"clip\.truth\.csv"):
+        default_truth(clip)
+    (tmp_path / "groundtruth.csv").touch()
+    assert default_truth(clip) == default_truth(folder) == tmp_path / "groundtruth.csv"
+    (folder / "groundtruth.csv").touch()
+    assert default_truth(folder) == folder / "groundtruth.csv"
+    (tmp_path / "clip.truth.csv").touch()
+    assert default_truth(clip) == tmp_path / "clip.truth.csv"
+
+
+# --- texts -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def comparison():
+    ranked = "points.mean_normalised"
+    entries = (
+        entry("slow", [0.05, 0.07], measure=ranked, rate=10.0, failed=True),
+        entry("quick", [0.01, 0.012], measure=ranked, rate=1000.0),
+        Entry("box|only", why="the truth has no box"),
+    )
+    return Comparison(Path("a/clip.mp4"), Path("a/clip.truth.csv"), 2, entries, ranked, 2)
+
+
+def test_the_table(comparison):
+    found = sheet(comparison)
+    quick, slow, broken = found.rows
+    assert quick == ("1", "quick", "1.10 ± 0.14", "–", "–", "0 of 2", "1,000", "×1.00")
+    assert slow == ("2", "slow", "6.00 ± 1.41", "–", "–", "2 of 2", "10", "×100")
+    assert broken[:2] == ("–", "box|only") and "not run" in broken
+    notes = " ".join(found.notes)
+    assert "standard deviation over 2 seeds" in notes and "only ratios between rows" in notes
+    assert "2 processes" in notes and "box|only: not run: the truth has no box" in notes
+    text = markdown(found, comparison.title)
+    table = [line for line in text.splitlines() if line.startswith("|")]
+    assert len(table) == 5 and len({len(line) for line in table}) == 1 and "box\\|only" in table[-1]
+
+
+def test_the_data(comparison):
+    rows = list(csv.DictReader(io.StringIO(as_csv(comparison))))
+    assert [(row["recipe"], row["seed"], row["failed"], row["error"]) for row in rows] == [
+        ("slow", "0", "1", ""), ("slow", "1", "1", ""), ("quick", "0", "0", ""), ("quick", "1", "0", ""),
+        ("box|only", "", "", "the truth has no box"),
+    ]  # fmt: skip
+    assert rows[1]["points.mean_normalised"] == "0.07"
+    found = json.loads(as_json(comparison))
+    assert [one["label"] for one in found["recipes"]] == ["quick", "slow", "box|only"]
+    assert [one["rank"] for one in found["recipes"]] == [[1, 1], [2, 2], None]
+    assert found["recipes"][0]["mean"] == {"points.mean_normalised": 0.011}
+    assert found["recipes"][1]["runs"][1] == {
+        "seed": 1, "failed": True, "frames_per_s": 10.0, "points.mean_normalised": 0.07,
+    }  # fmt: skip

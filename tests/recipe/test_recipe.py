@@ -1,0 +1,536 @@
+import itertools
+import json
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from facetrack_cli.core.errors import ExitCode, RecipeError
+from facetrack_cli.core.yaml_tree import MAX_BYTES, Source, YamlProblems, parse
+from facetrack_cli.recipe.files import read_recipe, resolve_file, shipped_recipes
+from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, json_schema, to_dict
+from facetrack_cli.recipe.points import ColourRatio, Factorized, Independent, Points, Sir
+from facetrack_cli.recipe.units import Length
+
+NAMES = ["auxiliary_prior", "factorized", "factorized_robust", "factorized_transition", "independent", "sir"]
+REGIONS = [
+    "contour",
+    "contour_correlation",
+    "contour_histogram",
+    "contour_histogram_correlation",
+    "contour_histogram_correlation_robust",
+    "histogram",
+    "histogram_correlation",
+]
+SKIN = ["ncc", "skin", "skin_ncc", "skin_ncc_robust"]
+SEVERAL = ["head_hands", "head_hands_cloud"]
+# from the tracker that Zhou et al. improve on to the whole of theirs, in this order, and what goes beyond it
+STEPS = [
+    "fixed_template",
+    "adaptive_appearance",
+    "adaptive_velocity",
+    "adaptive_noise",
+    "adaptive",
+    "adaptive_recognition",
+]
+AFFINE = [*STEPS, "adaptive_robust"]
+OPENCV = ["csrt", "kcf", "mil", "mosse"]
+
+GOOD = """\
+description: A recipe for tests
+target:
+  type: points
+  parts: [nose, chin]
+  windows: {nose: 0.5, default: 12px}
+motion:
+  type: random_walk
+  sigma: 0.05
+likelihood:
+  type: colour_ratio
+filter:
+  type: sir
+  particles: 10
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text, name="mine.yaml"):
+        path = tmp_path / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return str(path)
+
+    return write
+
+
+def refused(path, *overrides):
+    """The error of a recipe: (line, column, message, excerpt), or (None, None, ...) where the place is the option's."""
+    with pytest.raises(RecipeError) as caught:
+        load_recipe(path, overrides)
+    assert caught.value.exit_code == ExitCode.USAGE
+    said = str(caught.value)
+    assert "\n" not in said
+    if found := re.match(re.escape(path) + r":(\d+):(\d+): (.*)", said):
+        return int(found[1]), int(found[2]), found[3], caught.value.excerpt
+    return None, None, said, caught.value.excerpt
+
+
+def under_caret(excerpt):
+    """What of the text the carets of an excerpt stand under."""
+    line, carets = excerpt.splitlines()
+    return line[carets.index("^") : carets.rindex("^") + 1]
+
+
+# the shipped recipes
+
+
+def test_the_shipped_recipes_are_all_there():
+    assert [path.stem for path in shipped_recipes()] == sorted(NAMES + OPENCV + REGIONS + SKIN + SEVERAL + AFFINE)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_recipe_reads_like_a_method_section(name):
+    assert check_recipe(name) == []
+    path = next(path for path in shipped_recipes() if path.stem == name)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 120
+    comment = " ".join(line.removeprefix("#").strip() for line in lines if line.startswith("#"))
+    assert lines[0].startswith("# Patras & Pantic") and "FG 2004" in lines[0]
+    assert "eq." in comment and "section" in comment.lower()
+    recipe = load_recipe(name)
+    assert recipe.name == name and recipe.path == path
+    assert len(recipe.description) <= 100
+
+
+def test_shipped_recipes_differ_in_filter_and_prior_only_where_they_should():
+    recipes = {name: load_recipe(name) for name in NAMES}
+    assert len({recipe.target.model_dump_json() for recipe in recipes.values()}) == 1
+    assert len({recipe.motion.model_dump_json() for recipe in recipes.values()}) == 1
+    kinds = {name: (r.filter.type, r.filter.particles, r.prior is not None) for name, r in recipes.items()}
+    assert kinds == {
+        "auxiliary_prior": ("auxiliary", 1000, True),
+        "factorized": ("factorized", 100, True),
+        "factorized_robust": ("factorized", 100, True),
+        "factorized_transition": ("factorized", 100, False),
+        "independent": ("independent", 1000, False),
+        "sir": ("sir", 1000, False),
+    }
+    reweight = {name: r.filter.reweight for name, r in recipes.items() if isinstance(r.filter, Factorized)}
+    assert reweight == {"factorized": "prior", "factorized_robust": "prior", "factorized_transition": "transition"}
+    assert recipes["factorized"].likelihood.floor is None
+    assert recipes["factorized_robust"].likelihood.floor is not None
+
+
+@pytest.mark.parametrize("name", AFFINE)
+def test_a_recipe_that_adapts_reads_like_a_method_section(name):
+    assert check_recipe(name) == []
+    path = next(path for path in shipped_recipes() if path.stem == name)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 40 and max(map(len, lines)) <= 120
+    assert lines[0].startswith("# Zhou, Chellappa & Moghaddam") and "ICME 2003" in lines[0]
+    recipe = load_recipe(name)
+    assert len(recipe.description) <= 100 and recipe.particles == 100
+    beyond = [
+        recipe.motion.velocity is not None and recipe.motion.velocity.towards != "last",
+        recipe.motion.velocity is not None and recipe.motion.velocity.search > 0,
+        getattr(recipe.filter, "centre", False),
+        recipe.likelihood.outlier is not None,
+        recipe.recognition is not None and (recipe.recognition.none or recipe.recognition.sharpness != 1),
+    ]
+    assert any(beyond) == (name == "adaptive_robust"), "what goes beyond the paper is in no recipe that is published"
+
+
+def test_each_step_from_the_fixed_template_adapts_one_thing_more():
+    recipes = [to_dict(load_recipe(name)) for name in STEPS]
+    changed = [
+        {key for key in ("target", "motion", "likelihood", "filter", "recognition") if one[key] != other[key]}
+        for one, other in itertools.pairwise(recipes)
+    ]
+    assert changed == [{"likelihood"}, {"motion", "filter"}, {"motion"}, {"filter"}, {"recognition"}]
+    template, *adaptive = (one["likelihood"] for one in recipes)
+    assert template["mixing"] == {"w": 0, "s": 0, "f": 1} and template["alpha"] == 0
+    assert all(one == adaptive[0] and one["density"] == "gaussian" for one in adaptive)
+    velocity = [one["motion"]["velocity"] is not None for one in recipes]
+    noise = [one["motion"]["noise"] is not None for one in recipes]
+    number = [one["filter"].get("adapt", False) for one in recipes]
+    assert [sum(what) for what in zip(velocity, noise, number, strict=True)] == [0, 0, 1, 2, 3, 3]
+
+
+def test_a_gallery_is_sought_like_any_file_of_a_recipe(write, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = read_recipe(next(path for path in shipped_recipes() if path.stem == "adaptive_recognition"))
+    path = write(text.replace("recognition: {}", "recognition: {gallery: people.npz}"), "mine.yaml")
+    (problem,) = check_recipe(path)
+    assert 'there is no file "people.npz"' in str(problem)
+    (tmp_path / "people.npz").touch()
+    assert check_recipe(path) == []
+    assert "recognition does not go with target type" in refused("histogram", "recognition={}")[2]
+
+
+@pytest.mark.parametrize("name", OPENCV)
+def test_recipes_of_opencv_name_their_tracker(name):
+    assert check_recipe(name) == []
+    recipe = load_recipe(name, ["seed=4"])
+    assert isinstance(recipe, OpenCvRecipe)
+    assert (recipe.tracker, recipe.seed, recipe.points, recipe.particles) == (name, 4, (), None)
+    assert recipe.random == (name == "mil") and load_recipe("sir").random
+
+
+def test_the_type_of_a_recipe_says_which_keys_it_has(write):
+    whole = load_recipe(write("type: particle_filter\n" + GOOD))
+    assert to_dict(whole) == to_dict(load_recipe(write(GOOD))) and whole.points == ("nose", "chin")
+    with pytest.raises(RecipeError, match=r':1:7: unknown type of recipe "open_cv"; did you mean "opencv"\?'):
+        load_recipe(write("type: open_cv\ntracker: mil\ndescription: d\n"))
+    with pytest.raises(RecipeError, match=r":1:7: unknown type of recipe"):
+        load_recipe(write("type: [opencv]\ntracker: mil\ndescription: d\n"))
+    with pytest.raises(RecipeError, match=r':4:1: unknown key "filter"'):
+        load_recipe(write("type: opencv\ntracker: mil\ndescription: d\nfilter: {type: sir}\n"))
+    with pytest.raises(RecipeError, match=r":2:10: tracker cannot be the text .goturn.; it is one of: mil"):
+        load_recipe(write("type: opencv\ntracker: goturn\ndescription: d\n"))
+
+
+# finding
+
+
+def test_a_recipe_is_found_by_name_and_by_path(write, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert load_recipe("sir") == load_recipe("sir.yaml")
+    write(GOOD, "sir")
+    write(GOOD, "sir.yaml")
+    assert load_recipe("sir").description == "A recipe for tests"  # a path that exists wins
+    assert load_recipe("./sir.yaml").description == "A recipe for tests"
+    (tmp_path / "factorized").mkdir()
+    assert isinstance(load_recipe("factorized").filter, Factorized)  # a folder is no recipe
+
+
+def test_a_miss_names_the_nearest_and_all(tmp_path):
+    with pytest.raises(RecipeError, match=r'did you mean "factorized"\?.*adaptive, .*contour, .*skin_ncc_robust$'):
+        load_recipe("factorised.yaml")
+    with pytest.raises(RecipeError, match="neither a file nor a shipped recipe; give a file or a name; shipped are "):
+        load_recipe("zzzz")
+    with pytest.raises(RecipeError, match="is a folder, not a recipe"):
+        load_recipe(str(tmp_path))
+    with pytest.raises(RecipeError, match="neither a file"):
+        load_recipe("x" * 300)
+
+
+def test_files_are_sought_beside_the_recipe_then_among_the_shipped(write, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "recipes").mkdir()
+    text = read_recipe(next(path for path in shipped_recipes() if path.stem == "factorized"))
+    path = write(text, "recipes/mine.yaml")
+    recipe = load_recipe(path)
+    assert resolve_file(recipe, "mouth_prior.npz").parent == shipped_recipes()[0].parent
+    (tmp_path / "recipes" / "mouth_prior.npz").touch()
+    assert resolve_file(recipe, "mouth_prior.npz") == tmp_path / "recipes" / "mouth_prior.npz"
+    # a name given on the command line is meant from where the user stands
+    (tmp_path / "own.npz").touch()
+    with pytest.raises(RecipeError):
+        resolve_file(recipe, "own.npz")
+    assert resolve_file(load_recipe(path, ["prior.file=own.npz"]), "own.npz").resolve() == tmp_path / "own.npz"
+    bad = load_recipe(write(text.replace("mouth_prior.npz", "mouse_prior.npz"), "recipes/mine.yaml"))
+    with pytest.raises(RecipeError, match=r'mine.yaml:\d+:9: there is no file "mouse_prior.npz"') as caught:
+        resolve_file(bad, "mouse_prior.npz")
+    assert under_caret(caught.value.excerpt) == "mouse_prior.npz"
+    assert len(check_recipe(str(bad.path))) == 1
+
+
+def test_an_error_of_building_points_into_the_recipe(write):
+    path = write(GOOD)
+    error = load_recipe(path).error("filter.particles", "too few; add some")
+    assert str(error) == f"{path}:13:14: too few; add some"
+    assert under_caret(error.excerpt) == "10"
+    error = load_recipe(path, ["filter.particles=11"]).error("filter.particles", "too few")
+    assert str(error) == "--set filter.particles=11: too few"
+
+
+# values
+
+
+def test_values_and_lengths(write):
+    recipe = load_recipe(write(GOOD))
+    assert isinstance(recipe.target, Points) and isinstance(recipe.filter, Sir)
+    assert recipe.target.parts == ("nose", "chin")
+    assert recipe.target.window("nose") == (Length(0.5), Length(0.5))
+    assert recipe.target.window("chin") == (Length(12, px=True), Length(12, px=True))
+    assert recipe.motion.sigma.of("chin").pixels(200) == 10
+    assert Length(12, px=True).pixels(200) == 12
+    assert recipe.prior is None and recipe.seed == 0 and recipe.confidence.lost_below == 0.3
+    assert isinstance(recipe.likelihood, ColourRatio) and recipe.likelihood.sigma == 1.5
+    with pytest.raises(ValidationError):
+        recipe.seed = 3
+
+
+def test_a_window_may_be_a_pair(write):
+    recipe = load_recipe(write(GOOD), ["target.windows={nose: [0.5, 8 px], chin: [1, .25]}"])
+    assert recipe.target.window("nose") == (Length(0.5), Length(8, px=True))
+    assert recipe.target.window("chin") == (Length(1), Length(0.25))
+
+
+def test_yaml_1_2(write):
+    def value(text):
+        return load_recipe(write(GOOD + f"seed: {text}\n")).seed
+
+    assert value("010") == 10
+    assert value("0x10") == 16
+    assert value("0o10") == 8
+    assert load_recipe(write(GOOD.replace("0.05", "1e-3"))).motion.sigma.of("nose") == Length(1e-3)
+    assert load_recipe(write(GOOD.replace("A recipe for tests", "no"))).description == "no"
+    assert load_recipe(write(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())).filter.particles == 10
+    assert load_recipe(write(json.dumps(to_dict(load_recipe(write(GOOD)))), "r.json")).filter.particles == 10
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_dump_is_the_same_recipe(name, write):
+    recipe = load_recipe(name, ["motion.sigma={nose: 2.5px, default: 0.1}", "target.windows=[12px, 0.3]"])
+    assert to_dict(recipe)["motion"]["sigma"] == {"nose": "2.5px", "default": 0.1}
+    assert to_dict(recipe)["target"]["windows"] == ["12px", 0.3]
+    again = load_recipe(write(json.dumps(to_dict(recipe))))
+    assert again == recipe or to_dict(again) == to_dict(recipe)
+    assert again.motion.sigma == recipe.motion.sigma
+
+
+# overrides
+
+
+def test_overrides_in_order_and_of_every_kind():
+    recipe = load_recipe("factorized", ["filter.particles=200", "filter.particles=300", "seed = 7", "prior.sigma=1e-1"])
+    assert (recipe.filter.particles, recipe.seed) == (300, 7)
+    recipe = load_recipe("factorized", ["filter={type: independent, particles: 5}", "prior=null"])
+    assert recipe.filter == Independent(type="independent", particles=5) and recipe.prior is None
+    recipe = load_recipe("sir", ["filter.type=auxiliary", "confidence.patience=9"])
+    assert recipe.filter.type == "auxiliary" and recipe.filter.particles == 1000
+    assert recipe.confidence.patience == 9 and recipe.confidence.lost_below == 0.3
+    recipe = load_recipe("sir", ["prior.type=parzen", "prior.file=mouth_prior.npz", "prior.sigma=0.1"])
+    assert recipe.prior is not None and recipe.prior.sigma == 0.1
+
+
+@pytest.mark.parametrize(
+    ("override", "message", "under"),
+    [
+        ("filter.particels=200", 'unknown key "particels" in "filter"; did you mean "particles"?', "particels"),
+        ("filtre.particles=200", 'unknown key "filtre"; did you mean "filter"?', "filtre"),
+        ("filter.particles='200'", "must be a whole number, not the text \"200\"; remove the quotes", "'200'"),
+        ("filter.particles=0", "filter.particles must be at least 1, not 0", "0"),
+        ("filter.type=sri", 'unknown filter type "sri"; did you mean "sir"?', "sri"),
+        ("target.type=sphere", "it is one of: points, region, cloud, affine", "sphere"),
+        ("seed.x=1", '"seed" holds no keys', "x"),
+        ("seed", "write --set KEY=VALUE", "seed"),
+        ("=1", "a name is missing", "="),
+        ("a..b=1", "a name is missing", "."),
+        ("filter=[a", "not valid YAML", " "),
+        ("seed=!!python/object:x 1", 'the tag "', "!!python/object:x 1"),
+        ("seed={a: 1, a: 2}", 'the key "a" is repeated', "a"),
+        ("seed=é{", "must be a whole number", "é{"),
+    ],
+)  # fmt: skip
+def test_a_wrong_override_is_shown_with_a_caret(override, message, under):
+    line, _, said, excerpt = refused("sir", override)
+    assert line is None and said.startswith(f"--set {override}: ")
+    assert message in said
+    text, carets = excerpt.splitlines()
+    assert text == f"    {override}"
+    assert text.ljust(len(carets))[carets.index("^") : carets.rindex("^") + 1] == under
+
+
+def test_a_new_type_disowns_the_fields_of_the_old(write):
+    path = write(GOOD.replace("type: sir", "type: factorized\n  reweight: transition"))
+    line, column, said, excerpt = refused(path, "filter.type=auxiliary")
+    assert (line, column) == (13, 3)
+    assert said.startswith('"reweight" does not belong to filter type "auxiliary" but to factorized; give all of it')
+    assert "--set 'filter={type: auxiliary, ...}'" in said
+    assert under_caret(excerpt) == "reweight"
+
+
+# what is refused, and where
+
+WRONG = {
+    "unknown key": (GOOD + "sed: 3\n", 14, 1, 'unknown key "sed"; did you mean "seed"?', "sed"),
+    "unlike key": (GOOD + "xyzzy: 3\n", 14, 1, "the keys there are: type, description, seed, target", "xyzzy"),
+    "foreign key": (GOOD + "  reweight: prior\n", 14, 3, 'to factorized; remove it', "reweight"),
+    "missing key": (GOOD.replace("  particles: 10\n", ""), 11, 1, '"filter" lacks the key "particles"', "filter"),
+    "missing section": (GOOD.replace("motion:\n  type: random_walk\n  sigma: 0.05\n", ""), 1, 1,
+                        'the recipe lacks the key "motion"', "d"),
+    "missing type": (GOOD.replace("  type: sir\n", ""), 11, 1, 'lacks the key "type"; it is one of: sir,', "filter"),
+    "unknown type": (GOOD.replace("sir", "siri"), 12, 9, 'unknown filter type "siri"; did you mean "sir"?', "siri"),
+    "text for number": (GOOD.replace("10", '"10"'), 13, 14, 'not the text "10"; remove the quotes', '"10"'),
+    "bool for int": (GOOD.replace("10", "true"), 13, 14, "must be a whole number, not true", "true"),
+    "float for int": (GOOD.replace("10", "10.5"), 13, 14, "must be a whole number, not 10.5", "10.5"),
+    "bool for float": (GOOD + "confidence: {lost_below: yes}\n", 14, 26, "must be a number, not the text", "yes"),
+    "bool for length": (GOOD.replace("0.05", "true"), 8, 10, "must be a length above 0", "true"),
+    "number for text": (GOOD.replace("A recipe for tests", "5"), 1, 14, "must be a text, not 5", "5"),
+    "zero particles": (GOOD.replace("10", "0"), 13, 14, "must be at least 1, not 0", "0"),
+    "many particles": (GOOD.replace("10", "10000000"), 13, 14, "at most 1000000,", "10000000"),
+    "zero length": (GOOD.replace("0.05", "0"), 8, 10, "must be a length above 0", "0"),
+    "negative pixels": (GOOD.replace("0.05", "-3px"), 8, 10, "must be a length above 0", "-3px"),
+    "huge pixels": (GOOD.replace("0.05", "9e999px"), 8, 10, "must be a length above 0", "9e999px"),
+    "NaN": (GOOD.replace("0.05", ".nan"), 8, 10, ".nan is not a finite number", ".nan"),
+    "inf": (GOOD.replace("0.05", "-.inf"), 8, 10, "-.inf is not a finite number", "-.inf"),
+    "overflow": (GOOD.replace("0.05", "1e999"), 8, 10, "1e999 is not a finite number", "1e999"),
+    "digits": (GOOD.replace("10", "1" * 40), 13, 14, "a number of 40 digits", "1" * 40),
+    "null section": (GOOD + "confidence:\n", 14, 1, "must be a mapping of keys, not empty", "confidence"),
+    "scalar section": (GOOD + "confidence: 3\n", 14, 13, "must be a mapping of keys, not 3", "3"),
+    "part of no target": (GOOD.replace("0.05", "{nos: 1, default: 1}"), 8, 11,
+                          '"nos" in motion.sigma is no part of the target; did you mean "nose"?', "nos"),
+    "part without value": (GOOD.replace("0.05", "{nose: 1}"), 8, 3, "motion.sigma has no value for chin", "sigma"),
+    "part twice": (GOOD.replace("[nose, chin]", "[nose, nose]"), 4, 10, 'part "nose" is named twice', "[nose, nose]"),
+    "part's name": (GOOD.replace("chin", "Chin"), 4, 17, 'cannot be the text "Chin"; a name has small', "Chin"),
+    "no parts": (GOOD.replace("[nose, chin]", "[]"), 4, 10, "must have at least 1 items, not 0", "[]"),
+    "three sides": (GOOD.replace("12px", "[1, 2, 3]"), 5, 33, "must have at most 2 items, not 3", "[1, 2, 3]"),
+    "window's side": (GOOD.replace("12px", "[1, x]"), 5, 37, "must be a length above 0", "x"),
+    "scale for l1": (GOOD.replace("colour_ratio", "colour_ratio\n  scale: 1"), 11, 10, "no meaning for robust", "1"),
+    "no scale": (GOOD.replace("colour_ratio", "colour_ratio\n  robust: tukey"), 11, 11, "needs likelihood.scale",
+                 "tukey"),
+    "floor": (GOOD.replace("colour_ratio", "colour_ratio\n  floor: 1"), 11, 10, "must be less than 0, not 1", "1"),
+    "enum": (GOOD + "  resampling: systemtic\n", 14, 15, 'did you mean "systematic"?', "systemtic"),
+    "repeated key": (GOOD + "motion: 3\n", 14, 1, 'the key "motion" is repeated (first on line 6)', "motion"),
+    "repeated below": (GOOD + "  type: sir\n", 14, 3, '"type" is repeated (first on line 12)', "type"),
+    "anchor": (GOOD.replace("10", "&n 10"), 13, 14, '"&n" is an anchor', "&n 10"),
+    "alias": (GOOD.replace("10", "*n"), 13, 14, '"*n" repeats another part', "*n"),
+    "tag": (GOOD.replace("10", "!!python/object:os.system x"), 13, 14, "is not allowed; remove it", None),
+    "core tag": (GOOD.replace("10", "!!int 10"), 13, 14, 'tag "tag:yaml.org,2002:int" is not allowed', None),
+    "merge key": (GOOD + "<<: {seed: 3}\n", 14, 1, 'unknown key "<<"', "<<"),
+    "complex key": (GOOD + "? [a]\n: b\n", 14, 3, "a key must be a name", "["),
+    "tab": (GOOD.replace("  sigma", "\tsigma"), 8, 1, "a tab; YAML is indented by spaces", " "),
+    "second colon": (GOOD.replace("for tests", "for: tests"), 1, 26, "put the text in quotes", ":"),
+    "open bracket": (GOOD.replace("chin]", "chin"), 5, 10, "not valid YAML: while parsing a flow sequence", ":"),
+    "two documents": (GOOD + "---\n" + GOOD, 14, 1, "a second document begins here", "---"),
+    "old version": ("%YAML 1.1\n---\n" + GOOD, 2, 1, "only YAML 1.2 is read", "---"),
+    "list": ("- a\n- b\n", 1, 1, "a recipe is a mapping of keys", "-"),
+    "text": ("hello\n", 1, 1, "a recipe is a mapping of keys", "hello"),
+    "empty": ("", 1, 1, "the recipe is empty; start from a shipped", None),
+    "comments only": ("# nothing\n", 1, 1, "the recipe is empty", None),
+    "null": ("---\n~\n", 1, 1, "the recipe is empty", None),
+    "deep": (GOOD + "seed: " + "[" * 5000, 14, 27, "nested more than 20 deep", "["),
+    "control character": (GOOD + "seed: \x1b[31m", 14, 7, "a control character", "?"),
+    "not UTF-8": (GOOD.encode() + b"seed: \xff\xfe", 14, 7, "byte 0xff is not UTF-8", None),
+    "UTF-16": (GOOD.encode("utf-16"), 1, 1, "is not UTF-8; is it a text file? Save it as UTF-8", None),
+    "surrogate": (GOOD + 'seed: "\\uD800"', 14, 7, "half of a surrogate pair", '"\\uD800"'),
+    "escape": (GOOD + 'seed: "\\UFFFFFFFF"', 1, 1, "not valid YAML", None),
+    "too large": ("#" * (MAX_BYTES + 1), 1, 1, "larger than 100 kB", None),
+    "wide characters": (GOOD + "confidence: {脸脸: 1}\n", 14, 14, 'unknown key "脸脸" in "confidence"', None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_recipe(case, write):
+    text, line, column, message, under = WRONG[case]
+    path = write(text)
+    assert load_recipe(write(GOOD, "good.yaml"))  # what is refused is the change
+    found_line, found_column, said, excerpt = refused(path)
+    assert (found_line, found_column) == (line, column)
+    assert message in said
+    assert all(char.isprintable() or char == "\n" for char in excerpt)
+    if under is not None:
+        assert under_caret(excerpt) == under
+
+
+def test_caret_stands_under_wide_characters(write):
+    *_, excerpt = refused(write(GOOD + "confidence: {脸脸: 1}\n"))
+    text, carets = excerpt.splitlines()
+    # two characters of two columns each
+    assert carets == "      | ".ljust(carets.index("^")) + "^^^^"
+    assert carets.index("^") == text.index("脸")
+
+
+def test_excerpt_of_a_long_line_shows_the_place(write):
+    *_, excerpt = refused(write(GOOD.replace("[nose, chin]", "[nose, " + "a, " * 60 + "Chin]")))
+    assert under_caret(excerpt) == "Chin" and max(map(len, excerpt.splitlines())) < 120
+
+
+def test_a_billion_laughs(write):
+    bomb = "a: &a [lol, lol]\n" + "".join(
+        f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]\n" for old, new in zip("abcdefgh", "bcdefghi", strict=True)
+    )
+    line, _, said, _ = refused(write(bomb))
+    assert line == 1 and '"&a" is an anchor' in said and "more" not in said
+
+
+def test_rules_between_sections():
+    assert "prior needs a prior; add a prior section" in refused("factorized", "prior=null")[2]
+    message = refused("factorized", "prior=null", "filter.reweight=transition", "filter.from_prior=0.1")[2]
+    assert "filter.from_prior above 0 needs a prior" in message
+    message = refused("factorized", "filter.reweight=transition", "filter.from_prior=0.1")[2]
+    assert "filter.from_prior above 0 goes with reweight: prior" in message
+    assert "makes no use of a prior" in refused("auxiliary_prior", "filter.type=independent")[2]
+    assert load_recipe("auxiliary_prior", ["filter.type=sir"]).prior is not None
+
+
+def test_all_errors_are_listed_in_the_order_of_the_text(write):
+    text = GOOD.replace("0.05", "0").replace("10", "0").replace("  type: colour_ratio", "  type: colour_ratio\n  a: 1")
+    path = write(text + "seed: x\n")
+    found = check_recipe(path)
+    assert [problem.span.line + 1 for problem in found] == [8, 11, 14, 15]
+    assert refused(path)[2].endswith("(and 3 more: facetrack recipes check lists all)")
+    assert len(check_recipe(write(GOOD + "seed: 1\nseed: 2\nmotion: !x 3\nseed: 3\n"))) == 4
+
+
+def test_an_unreadable_file(tmp_path):
+    path = tmp_path / "r.yaml"
+    path.symlink_to("/proc/self/mem")
+    if path.exists():
+        with pytest.raises(RecipeError, match="cannot be read: "):
+            load_recipe(str(path))
+
+
+# whatever is written, it is a recipe or a RecipeError
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.text(st.sampled_from("ab:{}[]-?&*!|>'\"%@`#,~ \n\t\\01.e") | st.characters(codec="utf-8"), max_size=40))
+def test_any_text_is_a_tree_or_is_refused(text):
+    try:
+        tree = parse(Source("any", text, Path()))
+    except YamlProblems as refused:
+        for problem in refused.problems:
+            assert str(problem).startswith("any:") and "^" in problem.span.excerpt()
+    else:
+        json.dumps(None if tree is None else tree.plain(), allow_nan=False)
+
+
+@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_recipe_is_read_or_refused(data, write):
+    lines = GOOD.splitlines(keepends=True)
+    at = data.draw(st.integers(0, len(lines) - 1))
+    values = st.sampled_from(["1", "x", "[1]", "{a: 1}", "{type: sir}", "null", "", "{default: {}}", "[[]]", "1px"])
+    lines[at] = data.draw(
+        st.just("")
+        | st.builds(lambda key, value: f"{key}: {value}\n", st.just(lines[at].partition(":")[0]), values)
+        | st.builds(lambda line, value: f"{line}\n  sir: {value}\n", st.just(lines[at].rstrip()), values)
+    )
+    path = write("".join(lines))
+    try:
+        assert isinstance(load_recipe(path), ParticleRecipe)
+    except RecipeError as error:
+        assert str(error).startswith(f"{path}:")
+        assert "^" in error.excerpt
+
+
+# the schema
+
+
+def test_schema_describes_every_field():
+    schema = json_schema()
+    json.dumps(schema, allow_nan=False)
+    assert schema["$schema"].endswith("2020-12/schema")
+    models = schema["$defs"]
+    for name, model in models.items():
+        assert model.get("title") and (model.get("description") or name == "Length"), name
+        for field, what in model.get("properties", {}).items():
+            assert what.get("description"), f"{name}.{field} has no description"
+        if "properties" in model:
+            assert model["additionalProperties"] is False
+    for reference in re.findall(r'"\$ref": "([^"]*)"', json.dumps(schema)):
+        assert reference.removeprefix("#/$defs/") in schema["$defs"]
+    of_filter = schema["$defs"]["ParticleRecipe"]["properties"]["filter"]["oneOf"]
+    kinds = [ref["$ref"].rpartition("/")[2] for ref in of_filter]
+    assert kinds == ["Sir", "Auxiliary", "Factorized", "Independent", "Adaptive"]
+    length = json.dumps(schema["$defs"]["LengthPerPart"])
+    assert '"maximum": 1000000.0' in length and "px" in length
+    assert schema["$defs"]["ColourRatio"]["properties"]["robust"]["enum"][0] == "l1"

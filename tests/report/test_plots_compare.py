@@ -1,0 +1,98 @@
+"""Figures that set recipes and seeds side by side."""
+
+import numpy as np
+import pytest
+
+from facetrack_cli.evaluation.trust import ConfidenceMeasures, Trust, calibration
+from facetrack_cli.report import figures as plots
+from tests.report.test_plots import drawn
+
+pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
+
+
+def panel_note(axes):
+    return axes.artists[0].get_child().get_children()[1].get_text()
+
+
+def legend(figure):
+    return [text.get_text() for text in figure.legends[0].texts]
+
+
+def test_success_ranks_by_area_and_keeps_a_recipe_its_colour():
+    at = np.linspace(0, 1, 21)
+    curves = {"poor": (at, np.tile(1 - at, (3, 1))), "good": (at, np.stack([np.ones(21), np.full(21, 0.9)]))}
+    figure = plots.success_figure(curves)
+    assert legend(figure) == ["0.950  good", "0.500  poor"]
+    axes = figure.axes[0]
+    assert np.allclose(drawn(axes)[1][:, 1], 0.95)
+    assert [line.get_color() for line in axes.lines] == [
+        handle.get_color() for handle in figure.legends[0].legend_handles
+    ][::-1]
+    assert len(axes.collections) == 2, "bands over seeds"
+    assert not plots.success_figure({"one": (at, at)}).axes[0].collections
+    assert plots.render(figure).startswith(b"\x89PNG")
+
+
+def test_precision_is_read_off_at_20_px():
+    at = np.arange(51.0)
+    figure = plots.precision_figure({"a": (at, np.tile(at / 50, (2, 1)))})
+    assert legend(figure) == ["0.400  a"]
+    assert figure.legends[0].get_title().get_text() == "at 20 px"
+    assert any(np.allclose(line.get_xdata(), 20) for line in figure.axes[0].lines)
+
+
+def test_cumulative_error_at_its_threshold():
+    at = np.linspace(0, 0.25, 101)
+    curves = {"_a": (at, np.clip(at / 0.2, 0, 1)[None])}
+    figure = plots.cumulative_error_figure(curves, threshold=0.1, unit="of the mouth's width")
+    assert legend(figure) == ["0.500   _a"]
+    assert figure.axes[0].get_xlabel() == "error (of the mouth's width)"
+    assert plots.cumulative_error_figure(curves).legends[0].get_title().get_text() == "AUC"
+
+
+@pytest.mark.parametrize("hidden", [[(105, 109)], np.isin(np.arange(100, 120), range(105, 110))])
+def test_error_over_time_has_the_median_and_what_is_hidden(hidden):
+    errors = np.array([[1.0], [2], [9]]) * np.ones(20)
+    errors[:, 3] = np.nan
+    figure = plots.error_over_time_figure(np.arange(100, 120), {"a": errors}, hidden)
+    axes = figure.subfigs[1].axes[0]
+    line = drawn(axes)[0]
+    assert np.nanmax(line[:, 1]) == np.nanmin(line[:, 1]) == 2
+    assert np.isnan(line[:, 1]).sum() == 1
+    (shade,) = axes.patches
+    assert (shade.get_x(), shade.get_x() + shade.get_width()) == (104.5, 109.5)
+    assert plots.render(figure, "svg").startswith(b"<?xml")
+
+
+def test_spread_marks_where_runs_part_ways():
+    frames = np.arange(50)
+    figure = plots.spread_figure(frames, {"nose": frames / 5.0, "chin": frames * 0.0}, 30, 6.0)
+    axes = figure.subfigs[1].axes[0]
+    assert [text.get_text() for text in axes.texts] == ["runs part ways at frame 30"]
+    assert any(np.allclose(line.get_ydata(), 6) for line in axes.lines)
+    calm = plots.spread_figure(frames, {"nose": np.zeros(50)}, None, {"nose": 6.0})
+    assert not calm.subfigs[1].axes[0].texts
+    assert plots.render(calm).startswith(b"\x89PNG")
+
+
+def test_calibration_shows_share_and_count():
+    confidence = np.r_[np.full(30, 0.95), np.full(10, 0.15)]
+    near = np.r_[np.ones(24, bool), np.zeros(16, bool)]
+    bins = calibration(confidence, near, confidence > 0.5)
+    measures = ConfidenceMeasures(40, 0.6, None, None, 0.15, None, bins)
+    upper, lower = plots.calibration_figure(Trust(None, measures, None)).axes
+    points = {line.get_label(): line.get_xydata() for line in upper.lines}
+    assert np.allclose(points["near the truth"], [(0.15, 0), (0.95, 0.8)])
+    assert np.allclose(points["visible in truth"], [(0.15, 0), (0.95, 1)])
+    assert [bar.get_height() for bar in lower.patches] == [10, 30]
+    assert "0.150" in panel_note(upper)
+    empty = plots.calibration_figure(Trust(None, None, None))
+    assert "no row" in empty.axes[0].texts[0].get_text() and plots.render(empty)
+
+
+def test_many_recipes_and_frames():
+    frames = np.arange(20_000)
+    errors = {f"recipe_with_a_long_name_{i}": np.abs(np.sin(frames / (50 + i)))[None] for i in range(12)}
+    figure = plots.error_over_time_figure(frames, errors)
+    assert len(figure.subfigs[0].legends[0].texts) == 12
+    assert max(len(line) for line in drawn(figure.subfigs[1].axes[0])) <= 2000

@@ -1,0 +1,343 @@
+"""The report page: the right frames in its pictures, sound HTML whatever names hold, and one line for what is wrong."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+import sys
+from collections import Counter
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import ExitCode
+from facetrack_cli.evaluation.summary import names
+from facetrack_cli.report import frames as report_frames
+from facetrack_cli.report import make as report
+from facetrack_cli.report import measures as report_measures
+from facetrack_cli.report.figures import style as plot_style
+from facetrack_cli.report.frames import MOST_BYTES, Clip, _jpeg, pictures
+from facetrack_cli.report.html import Html, Image, tag
+from facetrack_cli.report.make import make_report
+from facetrack_cli.report.page import Plot
+from facetrack_cli.trajectory.row import Footer
+from facetrack_cli.trajectory.table import read_trajectory
+from tests.support.media import number, numbered, write_pictures, write_video
+from tests.support.report_run import KEYS, LOST, write_run
+
+PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII=")
+
+
+@pytest.fixture
+def no_plot(monkeypatch):
+    """The plots have their own tests, and take most of the time."""
+    dot = Image(PIXEL, "image/png", (1, 1))
+    monkeypatch.setattr(report, "_plot", lambda *_: Plot(dot, dot))
+
+
+def shown(html: bytes) -> dict[int, np.ndarray]:
+    """The pictures of a page by the frame that its caption names."""
+    found = {}
+    for data, frame in re.findall(r'<img src="data:image/jpeg;base64,([^"]*)".*?<strong>Frame (\d+)<', html.decode()):
+        found[int(frame)] = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
+    return found
+
+
+def seen(html: bytes) -> dict[int, int]:
+    """The number that each picture shows, by the frame that its caption names."""
+    return {frame: number(picture) for frame, picture in shown(html).items()}
+
+
+class Reader(HTMLParser):
+    """Fails where tags do not balance; collects what a page must have."""
+
+    VOID = frozenset(("meta", "img", "source", "br", "link"))
+
+    def __init__(self, html: bytes) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.all: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(html.decode())
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        assert len(dict(attributes)) == len(attributes), f"an attribute twice in {tag}"
+        self.all.append((tag, dict(attributes)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.text += data
+
+
+# --- pictures: the right ones ------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("no_plot")
+def test_key_frames_are_drawn_from_the_clip(tmp_path):
+    clip = write_video(tmp_path / "clip.mp4", frames=30)
+    page = make_report(write_run(tmp_path / "run", clip))
+    assert seen(page.html) == {frame: frame for frame in KEYS}
+    assert not page.notes
+    assert make_report(tmp_path / "run").html == page.html
+    assert {picture.shape for picture in shown(page.html).values()} == {(480, 640, 3)}  # enlarged, to be read
+    text = Reader(page.html).text
+    assert "Lost a (confidence 0.05)" in text
+    assert "Tracked again a after 0.16 s (confidence 0.75)" in text
+    assert "End lost: b" in text
+
+
+@pytest.mark.usefixtures("no_plot")
+def test_the_annotated_video_stands_in_for_the_clip_at_any_rate(tmp_path):
+    steps = np.random.default_rng(1).integers(10, 90, 25) / 1000
+    times = [round(float(t), 3) for t in np.cumsum(steps)]
+    run = write_run(tmp_path / "run", tmp_path / "gone.mp4", times=times)
+    part = [t - times[5] for t in times[5:]]
+    write_video(run / "annotated.mp4", frames=[numbered(i) for i in range(5, 25)], times=part)
+    page = make_report(run)
+    assert seen(page.html) == {frame: frame for frame in KEYS}
+    assert len(page.notes) == 1
+    assert "gone.mp4: no such file" in page.notes[0]
+    assert "Frames of annotated.mp4" in Reader(page.html).text
+
+
+@pytest.mark.usefixtures("no_plot")
+def test_folders_of_images_give_their_frames_and_are_not_read_whole(tmp_path, monkeypatch):
+    from facetrack_cli.video import images
+
+    clip = write_pictures(tmp_path / "clip", 30)
+    read, opened = images.read, []
+    monkeypatch.setattr(images, "read", lambda path: opened.append(path.name) or read(path))
+    page = make_report(write_run(tmp_path / "run", clip))
+    assert seen(page.html) == {frame: frame for frame in KEYS}
+    assert set(opened) == {f"{frame}.png" for frame in KEYS}
+
+
+@pytest.mark.usefixtures("no_plot")
+def test_odd_sizes_lose_the_line_that_the_video_was_padded_by(tmp_path):
+    run = write_run(tmp_path / "run", tmp_path / "gone", size=(63, 47))
+    write_video(run / "annotated.mp4", frames=[numbered(i) for i in range(5, 25)])
+    found = shown(make_report(run).html)
+    assert list(found) == KEYS
+    assert found[5].shape == (477, 640, 3)  # 63x47 enlarged, not 64x48
+
+
+def test_large_clips_are_cut_out_around_the_target_and_windows_stay_in_place(tmp_path):
+    size = (1600, 1200)
+    still = np.full((size[1], size[0], 3), 90, np.uint8)
+    clip = write_pictures(tmp_path / "clip", [still] * 7)
+    run = write_run(tmp_path / "run", clip, size=size, frames=2)
+    data = json.loads((run / "trajectory.json").read_text())
+    for frame in data["frames"]:
+        for part, x in zip(frame["targets"][0]["parts"], (900, 1000), strict=True):
+            part.update(x=x, y=500, w=40, h=40)
+    (run / "trajectory.json").write_text(json.dumps(data))
+    table = read_trajectory(run)
+    found = pictures(table, Clip(clip, size, 25.0), [6], unit=100.0).found[6]
+    left, top, width, height = found.view
+    assert (width, height) == (350, 263)
+    assert left < 900 < 1000 < left + width
+    assert top < 500 < top + height
+    # what was drawn is where the windows are: their edges, 20 px from the centres
+    picture = cv2.imdecode(np.frombuffer(found.jpeg, np.uint8), cv2.IMREAD_COLOR).astype(int)
+    drawn = np.abs(picture - 90).sum(axis=2) > 120
+    zoom = found.size[0] / width
+    x0, y0 = round((880 - left + 0.5) * zoom), round((480 - top + 0.5) * zoom)
+    along, down = drawn[y0 - 2 : y0 + 3].any(axis=0), drawn[:, x0 - 2 : x0 + 3].any(axis=1)
+    below = np.flatnonzero(down[40:]) / zoom + 40 / zoom + top  # the status bar
+    beside = np.flatnonzero(along) / zoom + left
+    assert (below.min(), below.max()) == pytest.approx((480, 520), abs=2)
+    assert (beside.min(), beside.max()) == pytest.approx((880, 1020), abs=2)
+
+
+def test_pictures_stay_small_whatever_they_show():
+    noise = np.random.default_rng(0).integers(0, 256, (720, 960, 3), dtype=np.uint8)
+    assert len(_jpeg(noise)) <= MOST_BYTES
+
+
+# --- the page ----------------------------------------------------------------------------------------------------
+
+
+def hostile_run(tmp_path: Path) -> Path:
+    name = "a<b>&\"'$style\n\ud800ü.mp4"
+    recipe = {"name": "</style><script>alert(1)</script>", "description": "<!-- & ${body}", "x": [1, {"y": None}]}
+    footer = Footer(complete=False, stopped="<disk> & full", warnings=("<b>one</b>", "two\x00\x1b"))
+    targets = ("<anna>", 'b"en')
+    return write_run(tmp_path / "run", Path(name), recipe=recipe, targets=targets, footer=footer)
+
+
+@pytest.mark.usefixtures("no_plot")
+def test_whatever_names_hold_is_text(tmp_path):
+    page = make_report(hostile_run(tmp_path), title="<i>T</i> & $title")
+    read = Reader(page.html)
+    assert not {tag for tag, _ in read.all} & {"script", "i", "b", "anna"}
+    for text in ("a<b>&\"'$style", "</style><script>", "<disk> & full", "<b>one</b>", "<anna>/a", "<i>T</i> & $title"):
+        assert text in read.text
+    assert "There are no pictures" in read.text
+    assert not re.search("[\x00-\x08\x0b-\x1f]", page.html.decode())
+
+
+def test_the_page_is_whole_accessible_and_alone(tmp_path):
+    clip = write_video(tmp_path / "clip.mp4", frames=30)
+    page = make_report(write_run(tmp_path / "run", clip, targets=("anna", "ben")))
+    read = Reader(page.html)
+    tags = Counter(tag for tag, _ in read.all)
+    assert (tags["html"], tags["title"], tags["h1"], tags["main"]) == (1, 1, 1, 1)
+    assert read.all[0] == ("html", {"lang": "en"})
+    by_tag = {name: [attributes for tag, attributes in read.all if tag == name] for name in tags}
+    assert len(by_tag["img"]) == len(KEYS) + 1
+    assert all(image["alt"] and image["src"].startswith("data:image/") for image in by_tag["img"])
+    assert all(int(image["width"]) > 0 and int(image["height"]) > 0 for image in by_tag["img"])
+    assert all(source["srcset"].startswith("data:image/png") for source in by_tag["source"])
+    assert all(cell["scope"] in ("row", "col") for cell in by_tag["th"])
+    ids = [attributes["id"] for _, attributes in read.all if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert {link["href"][1:] for link in by_tag["a"]} == set(ids)
+    # nothing is fetched, no script runs, and the style is the one that the policy allows
+    fetching = re.findall(r'(?:src|href|srcset)="(?!data:|#)', page.html.decode())
+    assert not fetching
+    assert not re.search(r"url\(|@import", page.html.decode())
+    policy = next(meta["content"] for meta in by_tag["meta"] if meta.get("http-equiv") == "Content-Security-Policy")
+    style = re.search(r"<style>(.*?)</style>", page.html.decode(), re.S)[1]
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
+    assert policy == f"default-src 'none'; img-src data:; style-src 'sha256-{digest}'"
+    assert not any("style" in attributes or "onclick" in attributes for _, attributes in read.all)
+
+
+def test_html_escapes_all_but_html():
+    assert tag("a", "<&>", Html("<b>x</b>"), href='"', data_x=None) == '<a href="&quot;">&lt;&amp;&gt;<b>x</b></a>'
+
+
+@pytest.mark.usefixtures("no_plot")
+def test_many_spans_are_cut_with_a_note(tmp_path, monkeypatch):
+    for name in "ab":
+        monkeypatch.setitem(LOST, name, range(1, 1000, 2))
+    page = make_report(write_run(tmp_path / "run", tmp_path / "gone.mp4", start=0, frames=1000))
+    assert "The 100 longest of 1,000 lost spans" in Reader(page.html).text
+    assert len(page.html) < 200_000
+
+
+def test_all_figures_of_the_tables_exist():
+    known = set(names())
+    groups = {"points": report_measures._POINTS, "boxes": report_measures._BOXES}
+    used = [f"{group}.{name}" for group, columns in groups.items() for _, name, _ in columns]
+    used += [name for _, name, _ in report_measures._TRUST]
+    assert set(used) <= known
+
+
+def test_the_truth_brings_its_measures(tmp_path, no_plot):
+    run = write_run(tmp_path / "run", tmp_path / "gone.mp4")
+    lines = ["frame,target,part,x,y,status"]
+    for frame in range(5, 25):
+        lines += [f"{frame},face,a,{12 + 3 * (frame % 2)},44,visible"]
+        lines += [f"{frame},face,b,42,48,{'hidden' if frame >= 14 else 'visible'}"]
+    truth = tmp_path / "truth<&>.csv"
+    truth.write_text("\n".join(lines) + "\n")
+    assert main(["report", str(run), "--truth", str(truth), "--overwrite"]) == 0
+    read = Reader((run / "report.html").read_bytes())
+    assert "truth<&>.csv" in read.text
+    assert "29 visible, 11 hidden" in read.text
+    rows = re.findall(r"\n?(all|a|b)((?:\d[\d.]*| %|\u00a0%)+)", read.text)
+    assert ("a", "1.50") in [(part, figures[:4]) for part, figures in rows]  # every other frame is off by 3 px
+    assert ("b", "4.00") in [(part, figures[:4]) for part, figures in rows]
+    assert "called lost (recall)100" in read.text
+    truth.write_text("\n".join(lines[:-8]) + "\n")
+    assert main(["report", str(run), "--truth", str(truth), "--overwrite"]) == ExitCode.INPUT
+    assert main(["report", str(run), "--truth", str(truth), "--overwrite", "--partial"]) == 0
+
+
+# --- the command line, and what is wrong -------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("no_plot")
+def test_report_writes_beside_the_trajectory_and_never_over_a_file(tmp_path, capsys):
+    clip = write_video(tmp_path / "clip.mp4", frames=30)
+    run = write_run(tmp_path / "run", clip)
+    assert main(["report", str(run)]) == 0
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert f"{run} -> {run / 'report.html'}" in said.err
+    page = (run / "report.html").read_bytes()
+    assert main(["report", str(run)]) == ExitCode.USAGE
+    assert "--overwrite" in capsys.readouterr().err
+    assert main(["report", str(run), "--overwrite", "--title", "Mine"]) == 0
+    assert b"<title>Mine</title>" in (run / "report.html").read_bytes() != page
+    assert sorted(path.name for path in run.iterdir()) == ["report.html", "trajectory.json"]
+
+
+def refused(capsys, *words, code=ExitCode.INPUT) -> str:
+    assert main(["report", *map(str, words)]) == code
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "Traceback" not in said
+    return said
+
+
+def test_bad_input_gets_one_line(tmp_path, capsys):
+    clip = write_video(tmp_path / "clip.mp4", frames=30)
+    run = write_run(tmp_path / "run", clip)
+    trajectory = run / "trajectory.json"
+    whole = trajectory.read_text()
+    assert "no such folder" in refused(capsys, tmp_path / "none")
+    assert "name the folder" in refused(capsys, trajectory)
+    assert "no trajectory.json" in refused(capsys, tmp_path)
+    assert "no folder" in refused(capsys, run, "-o", tmp_path / "no" / "x.html", code=ExitCode.USAGE)
+    assert "is a folder" in refused(capsys, run, "-o", tmp_path, code=ExitCode.USAGE)
+    assert "is not one of" in refused(capsys, run, "--truth-format", "xml", code=ExitCode.USAGE)
+    assert "give one with --truth" in refused(capsys, run, "--truth-format", "otb", code=ExitCode.USAGE)
+    assert "no such file" in refused(capsys, run, "--clip", tmp_path / "none.mp4")
+    small = write_video(tmp_path / "small.mp4", frames=30, size=(32, 24))
+    assert "is 32x24, not 64x48" in refused(capsys, run, "--clip", small)
+    short = write_video(tmp_path / "short.mp4", frames=12)
+    assert "has no frame 12" in refused(capsys, run, "--clip", short)
+    trajectory.write_text(whole[:-300])
+    assert "is not JSON" in refused(capsys, run)
+    trajectory.write_text(whole.replace('"size":[64,48]', '"size":[64,0]'))
+    assert "source.size.1" in refused(capsys, run)
+    trajectory.rename(run / "trajectory.csv")
+    assert "--format csv,json" in refused(capsys, run)
+    assert [path.name for path in run.iterdir()] == ["trajectory.csv"]
+
+
+def test_a_clip_that_changed_is_passed_over_with_a_warning(tmp_path, capsys, no_plot):
+    clip = write_video(tmp_path / "clip.mp4", frames=30, size=(32, 24))
+    run = write_run(tmp_path / "run", clip)
+    write_video(run / "annotated.mp4", frames=[numbered(i) for i in range(5, 25)])
+    assert main(["report", str(run)]) == 0
+    assert "warning: " + str(clip) + ": is 32x24" in capsys.readouterr().err
+    page = (run / "report.html").read_bytes()
+    assert seen(page) == {frame: frame for frame in KEYS}
+    assert "is 32x24" in Reader(page).text
+
+
+def test_without_matplotlib_one_line_says_what_to_install(tmp_path, capsys, monkeypatch):
+    run = write_run(tmp_path / "run", tmp_path / "gone.mp4")
+    plot_style.need_matplotlib.cache_clear()
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.font_manager", None)
+    assert "pip install 'facetrack[plot]'" in refused(capsys, run, code=ExitCode.USAGE)
+
+
+def test_an_interrupt_leaves_nothing(tmp_path, capsys, monkeypatch, no_plot):
+    clip = write_video(tmp_path / "clip.mp4", frames=30)
+    run = write_run(tmp_path / "run", clip)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(report_frames._Maker, "draw", interrupted)
+    assert main(["report", str(run)]) == ExitCode.INTERRUPTED
+    assert capsys.readouterr().err.split() == ["facetrack:", "interrupted"]
+    assert [path.name for path in run.iterdir()] == ["trajectory.json"]

@@ -1,0 +1,203 @@
+"""Recipes over many seeds: the same numbers however they are shared out, and a start where one can be had."""
+
+import os
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import ExitCode, InputError, RecipeError
+from facetrack_cli.core.types import Start, TargetStart
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs import seeds as runs
+from facetrack_cli.runs.clip import run
+from facetrack_cli.runs.job import Job
+from facetrack_cli.runs.plan import find_plan_start, truth_start
+from facetrack_cli.runs.seeds import Failure, Plan, SeedRun, run_plans
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.trajectory.table import Table, read_trajectory, series
+
+SAMPLES = Path(__file__).parents[2] / "sample_videos"
+CLIP = SAMPLES / "expressions.mp4"
+
+
+def plan(config="factorized", seeds=(0, 1), stop=10, overrides=(), clip=CLIP):
+    recipe = load_recipe(config, overrides)
+    return Plan(config, clip, recipe, find_plan_start(CLIP, recipe), tuple(seeds), stop=stop)
+
+
+def assert_same(a, b):
+    assert (a.label, a.seed) == (b.label, b.seed)
+    for one, other in zip(a.table.series, b.table.series, strict=True):
+        assert one.name == other.name
+        for column in ("frame", "x", "y", "w", "confidence", "std_x", "ess", "status"):
+            np.testing.assert_array_equal(getattr(one, column), getattr(other, column))
+
+
+def test_a_run_is_the_one_that_facetrack_run_writes(tmp_path):
+    [ours] = run_plans([plan(seeds=(3,))])
+    outcome = run(Job(CLIP, load_recipe("factorized", ["seed=3"]), tmp_path / "out", video=False, stop=10), Stop())
+    written = read_trajectory(tmp_path / "out" / "trajectory.csv")
+    assert outcome.frames == 10 and ours.frames_per_s > 0
+    for one, other in zip(ours.table.series, written.series, strict=True):
+        np.testing.assert_array_equal(one.frame, other.frame)
+        np.testing.assert_allclose(one.x, other.x, atol=5.1e-4)
+        np.testing.assert_allclose(one.ess, other.ess, atol=5.1e-2)
+        np.testing.assert_array_equal(one.status, other.status)
+
+
+def test_seeds_differ_and_do_not_disturb_each_other():
+    together = list(run_plans([plan(seeds=(0, 1, 2))]))
+    assert [one.seed for one in together] == [0, 1, 2]
+    assert not np.array_equal(together[0].table.series[0].x, together[1].table.series[0].x)
+    for one in together:
+        [alone] = run_plans([plan(seeds=(one.seed,))])
+        assert_same(one, alone)
+
+
+def test_processes_change_nothing_but_the_time():
+    plans = [plan(), plan("independent", (5,), overrides=["filter.particles=50"])]
+    told = []
+    shared = list(run_plans(plans, 2, None, lambda done, total: told.append((done, total))))
+    for one, other in zip(run_plans(plans), shared, strict=True):
+        assert_same(one, other)
+    assert told and {total for _, total in told} == {30} and max(done for done, _ in told) <= 30
+
+
+def test_progress_counts_frames_of_all_seeds():
+    told = []
+    list(run_plans([plan()], 1, None, lambda done, total: told.append((done, total))))
+    assert told == [(2 * n, 20) for n in range(1, 11)]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_plan_that_cannot_run_says_why_and_the_others_go_on(tmp_path, workers):
+    start = Start(0, {"face": TargetStart(points={"nose": (3.0, 4.0)})}, "clip.init.yaml")
+    bad = Plan("bad", CLIP, load_recipe("factorized"), start, (0, 1))
+    gone = Plan("gone", tmp_path / "none.mp4", load_recipe("factorized"), plan().start, (0,))
+    ended = list(run_plans([bad, plan(seeds=(0,)), gone], workers))
+    assert [type(one) for one in ended] == [Failure, SeedRun, Failure]
+    assert ended[0].label == "bad" and "clip.init.yaml: no point for mouth_left" in str(ended[0].error)
+    assert "none.mp4" in str(ended[2].error)
+
+
+def test_a_recipe_error_survives_the_way_between_processes():
+    wrong = plan(overrides=["prior.file=none.npz"])
+    [ended] = run_plans([wrong, wrong][:1], 2)
+    assert isinstance(ended.error, RecipeError) and "none.npz" in str(ended.error)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_wish_to_stop_ends_it(workers):
+    stop = Stop()
+
+    def report(done, total):
+        if done >= 4:
+            stop.code = ExitCode.INTERRUPTED
+
+    assert list(run_plans([plan(stop=200), plan(stop=200)], workers, stop, report)) == []
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_is_there_so_far_can_be_had(workers):
+    stop = Stop()
+
+    def report(done, total):
+        if done >= 12:
+            stop.code = ExitCode.INTERRUPTED
+
+    found = list(run_plans([plan(stop=None), plan(stop=None)], workers, stop, report, partial=True))
+    assert {run.seed for run in found} <= {0, 1} and len(found) >= 2
+    [whole] = run_plans([plan(seeds=(0,), stop=60)])
+    x = found[0].table.series[0].x
+    assert 1 < len(x) < 275
+    np.testing.assert_array_equal(x[:60], whole.table.series[0].x[: len(x)])
+
+
+def test_a_start_beyond_the_clip_is_told():
+    late = Start(9999, plan().start.targets, "late.yaml")
+    [ended] = run_plans([Plan("late", CLIP, load_recipe("factorized"), late, (0,))])
+    assert isinstance(ended, Failure) and isinstance(ended.error, InputError)
+
+
+WORK = runs._work
+
+
+def _ends_itself(plan, seeds, partial):
+    if plan.label == "late":  # once the others are done
+        while runs._Common.done.value < 30:
+            time.sleep(0.05)
+        time.sleep(1)
+    if plan.label in ("late", "dead"):
+        os._exit(9)
+    return WORK(plan, seeds, partial)
+
+
+def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch):
+    monkeypatch.setattr(runs, "_work", _ends_itself)
+    one, dead = plan(seeds=(0,)), replace(plan(), label="dead")
+    ended = list(run_plans([one, one, one, replace(dead, label="late")], 2))
+    assert [type(run) for run in ended] == [SeedRun, SeedRun, SeedRun, Failure]
+    assert "ended by itself" in str(ended[-1].error)
+
+    stop = Stop()
+    monkeypatch.setattr(runs, "_LOOK_S", 0.5)
+    signalled = threading.Timer(0.2, lambda: setattr(stop, "code", ExitCode.TERMINATED))
+
+    def report(done, total):
+        if not signalled.is_alive() and not signalled.finished.is_set():
+            signalled.start()
+
+    assert all(isinstance(run, SeedRun) for run in run_plans([dead, dead], 2, stop, report))
+
+
+# where it begins
+
+
+def truth(*parts, status=("visible", "visible"), target="face"):
+    made = [series(target, part, [4, 5], x=[10.0, 11.0], y=[20.0, 21.0], status=status, **more) for part, more in parts]
+    return Table(Path("t.csv"), tuple(made))
+
+
+def test_the_truth_starts_at_its_first_frame_with_all_points_visible():
+    points = ("nose", "chin")
+    table = Table(Path("t.csv"), truth(("nose", {})).series + truth(("chin", {}), status=("hidden", "visible")).series)
+    start = truth_start(table, points)
+    assert (start.frame, start.origin) == (5, "t.csv")
+    assert start.targets["face"].points == {"nose": (11.0, 21.0), "chin": (11.0, 21.0)}
+    with pytest.raises(InputError, match=r"t.csv: no frame shows nose, ear of every target"):
+        truth_start(table, ("nose", "ear"))
+
+
+def test_a_box_of_the_truth_is_given_by_its_corner():
+    start = truth_start(truth(("box", {"w": [5.0, 5.0], "h": [3.0, 3.0]}), target=""), ())
+    assert start.frame == 4 and start.targets["face"].box == (8.0, 19.0, 5.0, 3.0)
+    with pytest.raises(InputError, match="no frame shows a box"):
+        truth_start(truth(("box", {})), ())
+
+
+def test_the_init_file_beside_the_clip_goes_before_the_truth(tmp_path):
+    known = read_trajectory(SAMPLES / "expressions.truth.csv")
+    recipe = load_recipe("factorized")
+    assert find_plan_start(CLIP, recipe, truth=known).origin.endswith("expressions.init.yaml")
+    alone = tmp_path / "clip.mp4"
+    alone.write_bytes(CLIP.read_bytes())
+    assert find_plan_start(alone, recipe, truth=known).origin.endswith("expressions.truth.csv")
+    assert find_plan_start(alone, recipe).origin == "haar"
+    boxed = find_plan_start(alone, recipe, box=(106.0, 74.0, 106.0, 106.0), truth=known)
+    assert boxed.origin == "--box" and set(boxed.targets["face"].points) == set(recipe.points)
+
+
+def test_a_start_outside_of_the_frames_asked_for_is_told_in_words_of_these_commands():
+    recipe = load_recipe("factorized")
+    with pytest.raises(InputError, match=r"begins at frame 0, before --start 3; leave --start out"):
+        find_plan_start(CLIP, recipe, first=3)
+    for stop in (1, 200):
+        assert find_plan_start(CLIP, recipe, stop=stop).frame == 0
+    boxed = (106.0, 74.0, 106.0, 106.0)
+    with pytest.raises(InputError, match=r"--box begins at frame 3, of which --stop 3 leaves nothing"):
+        find_plan_start(CLIP, recipe, box=boxed, first=3, stop=3)
+    assert find_plan_start(CLIP, recipe, box=boxed, first=3, stop=9).frame == 3

@@ -1,0 +1,255 @@
+"""The adaptive filter: its number of particles (eq. 17), and its posterior against the exact one."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.core.types import Particles
+from facetrack_cli.tracking.filters import Adaptive, Ahead
+from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
+from facetrack_cli.tracking.models.motion import AffineWalk
+from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.models.spaces import AffineSpace, estimate
+from facetrack_cli.tracking.models.velocity import Guide, Noise, Velocity
+from facetrack_cli.tracking.resampling import uniform
+from facetrack_cli.tracking.target import ParticleTarget
+from tests.tracking.test_patches import frame, smooth, state
+
+STATE, SHIFT = np.array([[10.0, 20.0, 1.0, 0.1, -0.1, 0.9]]), np.array([[3.0, -2.0, 0.05, 0.0, 0.0, 0.05]])
+SPREAD = np.array([2.0, 2.0, 0.05, 0.05, 0.05, 0.05])
+
+
+def ahead(noise=1.0, fell=None):
+    return Ahead(STATE, SHIFT, noise, None, fell)
+
+
+# --- eq. 17 --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("noise", "fell", "number"),
+    [
+        (1.0, None, 100), (0.5, None, 50), (2.0, None, 200),  # nobody is recognised: J_0 eta
+        (1.0, True, 80), (1.0, False, 120),  # d = 0.2: less while the entropy falls, more when it rose
+        (0.5, True, 30), (2.0, False, 220), (0.774, True, 57), (0.776, False, 98),
+    ],
+)  # fmt: skip
+def test_the_number_of_particles(noise, fell, number):
+    assert Adaptive(100, entropy=0.2).number(ahead(noise, fell)) == number
+    assert Adaptive(300, entropy=0.2).number(ahead(noise, fell)) == pytest.approx(3 * number, abs=2)
+    assert Adaptive(100).number(ahead(noise, fell)) == round(100 * noise), "d is 0 unless it is given"
+    assert Adaptive(100, adapt=False, entropy=0.2).number(ahead(noise, fell)) == 100
+
+
+@given(st.floats(0, 3), st.sampled_from([None, True, False]), st.integers(1, 500), st.floats(0, 2), st.integers(1, 60))
+def test_it_is_never_below_the_least(noise, fell, particles, entropy, least):
+    number = Adaptive(particles, entropy=entropy, least=least).number(ahead(noise, fell))
+    change = {None: 0, True: -entropy, False: entropy}[fell]
+    assert number >= least
+    assert number == least or abs(number - particles * (noise + change)) <= 0.5 + 1e-6
+
+
+def test_the_mean_error_of_a_good_track_takes_fewer_than_j_0():
+    """Figure 2b: 77 of 100 with eta(eps; 0.5, 2, 1), at eps about 0.2."""
+    assert Adaptive(100).number(ahead(Noise().eta(0.18))) == 77
+
+
+# --- the step ------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Gaussian:
+    """The state is seen at y with the standard deviations `sigma`; moves by SPREAD around the place ahead."""
+
+    y: np.ndarray
+    sigma: np.ndarray
+    ahead: Ahead
+    blind: bool = False
+
+    def propagate(self, rng, x):
+        assert (x == self.ahead.state).all(), "only the point estimate is propagated"
+        return x + self.ahead.shift + self.ahead.noise * SPREAD * rng.standard_normal(x.shape)
+
+    def log_likelihood(self, x, parents):
+        assert x.shape == parents.shape and (parents == self.ahead.state).all()
+        if self.blind:
+            return np.full(x.shape[:2], -np.inf)
+        return -0.5 * np.sum(((x - self.y) / self.sigma) ** 2, axis=2)
+
+    def log_prior(self, x):
+        return np.zeros(len(x))
+
+
+def stepped(model, number, seed=0, **settings):
+    before = Particles(np.full((3, 1, 6), np.nan), uniform(3))  # what they were does not matter
+    return Adaptive(number, **settings)(np.random.default_rng(seed), before, model)
+
+
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0])
+def test_it_converges_to_the_exact_posterior(noise):
+    """Proposal N(theta + nu, (eta u)^2) times likelihood N(y): Kalman's gain, for each coordinate."""
+    sigma = np.array([1.5, 3.0, 0.03, 0.1, 0.05, 0.02])
+    y = STATE + SHIFT + np.array([[1.0, -2.0, 0.02, -0.05, 0.0, 0.02]])
+    model = Gaussian(y, sigma, ahead(noise))
+    variance = (noise * SPREAD) ** 2
+    k = variance / (variance + sigma**2)
+    mean, spread = STATE + SHIFT + k * (y - STATE - SHIFT), np.sqrt((1 - k) * variance)
+    off = []
+    for number in (500, 8000, 128_000):
+        runs = [stepped(model, number, seed, adapt=False) for seed in range(6)]
+        found = np.array([estimate(particles).state for particles, _ in runs])
+        off.append(float(np.sqrt(np.mean(((found - mean) / spread) ** 2))))
+    assert off[2] < 0.02, off
+    # a sixteenth of the variance each time, so a quarter of the error
+    assert off[0] > 2.5 * off[1] > 6 * off[2], off
+    x, log_w = runs[0][0]
+    cov = estimate(runs[0][0]).cov[0]
+    np.testing.assert_allclose(np.sqrt(np.diag(cov)), spread[:2], rtol=0.03)
+    assert np.exp(log_w).sum() == pytest.approx(1)
+    assert runs[0][1].ess == pytest.approx(1 / np.sum(np.exp(log_w) ** 2)) and len(x) == 128_000
+
+
+def test_the_best_particle_is_the_one_at_the_peak():
+    y = STATE + SHIFT
+    particles, _ = stepped(Gaussian(y, 0.2 * SPREAD, ahead()), 20_000, adapt=False)
+    best = estimate(particles, best=True).state
+    nearest = np.argmin((((particles.x - y) / SPREAD) ** 2).sum(axis=(1, 2)))
+    np.testing.assert_array_equal(best, particles.x[nearest])
+
+
+def test_the_centre_is_a_particle_where_that_is_asked_for():
+    model = Gaussian(STATE, SPREAD, ahead())
+    with_it, without = (stepped(model, 50, centre=centre)[0].x for centre in (True, False))
+    np.testing.assert_array_equal(with_it[0], STATE + SHIFT)
+    np.testing.assert_array_equal(with_it[1:], without[1:])
+    assert not (without == STATE + SHIFT).any()
+
+
+def test_as_many_as_eq_17_says_and_equal_weights_where_nothing_is_likely():
+    (x, log_w), info = stepped(Gaussian(STATE, SPREAD, ahead(0.7, False), blind=True), 100, entropy=0.1)
+    assert len(x) == 80 and info.ess == pytest.approx(80)
+    np.testing.assert_allclose(log_w, -math.log(80))
+
+
+def test_the_noise_of_the_walk_is_as_large_as_eq_13_says():
+    walk, parents = AffineWalk(2.0, 0.02, 0.01, 0.2, 5.0), np.repeat(STATE[None], 40_000, axis=0)
+    one = walk.propagate(np.random.default_rng(0), parents) - STATE
+    three = walk.propagate(np.random.default_rng(0), parents, SHIFT, 3.0) - STATE - SHIFT
+    np.testing.assert_allclose(three, 3.0 * one, atol=1e-12)
+
+
+# --- in the loop over frames ---------------------------------------------------------------------------------------
+
+ENTROPIES = (1.0, 1.2, 0.7, 0.7, 0.9, 0.1)  # after each frame
+POSTERIORS = ((0.5, 0.5), (0.5, 0.5), (0.2, 0.8), (0.9, 0.1), (0.5, 0.5), (1.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Watching:
+    """The appearance, which says that somebody is recognised with these entropies."""
+
+    appearance: Appearance
+
+    def init(self, frame, x0):
+        return self.appearance.init(frame, x0), 0
+
+    def score(self, learned, frame, x, parents):
+        return self.appearance.score(learned[0], frame, x, parents)
+
+    def learn(self, learned, frame, state, particles):
+        return self.appearance.learn(learned[0], frame, state, particles), learned[1] + 1
+
+    def error(self, learned, patches):
+        return self.appearance.error(learned[0], patches)
+
+    def expected(self, learned):
+        return self.appearance.expected(learned[0])
+
+    def distances(self, learned, frame, x):
+        return self.appearance.distances(learned[0], frame, x)
+
+    def tell(self, learned):
+        told = self.appearance.tell(learned[0])
+        posterior = dict(zip("ab", POSTERIORS[learned[1]], strict=True))
+        return replace(told, posterior=posterior, entropy=ENTROPIES[learned[1]])
+
+
+BOX = (50.0, 56.0)
+PICTURE, JUMP = smooth(5, 180, 240, 6.0), (3, -2)
+
+
+def target(**settings):
+    patches = Patches(BOX)
+    model = Appearance(patches, 0.03, (0.3, 0.4, 0.3), (0.3, 0.5, 0.5), 0.1, 0.01)
+    made = ParticleTarget(
+        name="face", parts=("box",), space=AffineSpace(BOX), x0=state(110, 95), particles=100,
+        motion=AffineWalk(2.0, 0.02, 0.02, 0.2, 5.0), likelihood=Watching(model), prior=None,
+        step=Adaptive(100, entropy=0.2), confidence=None, guide=Guide(patches, Velocity(), None, 100),
+    )  # fmt: skip
+    return replace(made, **settings)
+
+
+def followed(made, frames=6):
+    """The states after each frame, and the results, of a picture that moves by JUMP a frame."""
+    rng, shown = np.random.default_rng(0), [
+        frame(np.roll(PICTURE, (t * JUMP[1], t * JUMP[0]), axis=(0, 1))) for t in range(frames)
+    ]  # fmt: skip
+    states = [made.begin(rng, shown[0])]
+    for one in shown[1:]:
+        states.append(made.advance(rng, states[-1][0], one))
+    return list(zip(*states, strict=True))
+
+
+def test_the_number_follows_the_entropy_of_the_last_frame_and_the_one_before():
+    states, results = followed(target())
+    assert [one.ahead.entropy_fell for one in states[1:]] == [True, False, True, True, False]
+    # at the start and where it stays the same it did not rise
+    assert [one.particles for one in results] == [100, 80, 120, 80, 80, 120]
+    unknown = followed(target(likelihood=target().likelihood.appearance))[0]
+    assert {one.ahead.entropy_fell for one in unknown[1:]} == {None}
+
+
+def test_who_it_is_is_said_where_one_is_likelier_than_all_others():
+    results = followed(target())[1]
+    assert [one.identity for one in results] == [None, None, "b", "a", None, "a"]
+    assert [one.identity_prob for one in results] == [None, None, 0.8, 0.9, None, 1.0]
+    assert [one.told.entropy for one in results] == list(ENTROPIES)
+    assert [tuple(one.told.posterior.values()) for one in results] == list(POSTERIORS)
+    assert all([name for name, _ in one.told.insets] == ["S", "W"] for one in results)
+
+
+@pytest.mark.parametrize("best", [False, True])
+def test_what_is_predicted_is_where_the_picture_went(best):
+    noise = Noise(0.5, 2.0, 4.0)
+    states, results = followed(target(best=best, guide=Guide(Patches(BOX), Velocity(), noise, 100)))
+    for before, after, result in zip(states, states[1:], results[1:], strict=False):
+        np.testing.assert_array_equal(after.ahead.state, before.estimated.state)
+        np.testing.assert_array_equal(after.flow.state, after.estimated.state)
+        x, log_w = after.particles
+        expected = x[np.argmax(log_w)] if best else np.einsum("n,nkd->kd", np.exp(log_w), x)
+        np.testing.assert_allclose(after.estimated.state, expected)
+        np.testing.assert_allclose(after.ahead.shift[0, :2], JUMP, atol=0.5)
+        # particles lie around the predicted place, with as much noise as is said
+        off = after.particles.x[:, 0] - (after.ahead.state + after.ahead.shift)
+        assert np.abs(off[:, :2].mean(axis=0)).max() < 4 * 2.0 * after.ahead.noise / math.sqrt(len(off))
+        assert off[:, :2].std() == pytest.approx(2.0 * after.ahead.noise, rel=0.35)
+        told = result.told
+        assert (told.error, told.noise) == (after.ahead.error, noise.eta(after.ahead.error))
+        cx, cy, *a = after.estimated.state[0]
+        assert told.affine == (*a, cx, cy) and told.scale == pytest.approx(math.sqrt(np.square(a).sum() / 2))
+    middle = states[-1].estimated.state[0, :2]
+    assert np.hypot(*(middle - (110, 95) - 5 * np.array(JUMP))) < 1.5
+    assert results[0].told.error is None and results[0].told.noise is None
+
+
+def test_without_a_guide_nothing_is_predicted():
+    still = target(guide=None, step=Adaptive(100))
+    (first, second), results = followed(still, 2)
+    ahead = still.predict(first, frame(PICTURE))
+    np.testing.assert_array_equal(ahead.state, first.estimated.state)
+    assert not ahead.shift.any() and ahead.noise == 1.0 and second.flow is None
+    assert results[1].particles == 100 and results[1].told.error is None

@@ -1,0 +1,388 @@
+"""The adaptive appearance model W, S, F: its densities, what it learns, and where its peak lies."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.kernels import mixture as kernel
+from facetrack_cli.tracking.models.likelihoods.appearance import OUTLIER_RANGE, Appearance, Mixture
+from facetrack_cli.tracking.models.patches import Patches
+from tests.support.samples import read_boxes
+from tests.tracking.test_patches import frame, smooth, state, states
+from tests.twins import appearance as naive
+
+PATCHES = Patches((40.0, 50.0))
+MODEL = Appearance(PATCHES, 0.1, (0.3, 0.3, 0.4), (0.4, 0.5, 0.6), 0.05, 0.01)
+FIXED = replace(MODEL, mixing=(0, 0, 1))
+LAPLACE = replace(FIXED, density="laplace")
+TRUTH = state(80, 60)
+W, S, F = 0, 1, 2
+
+
+def mixture(rng, d, off=(), laplace=False, outlier=0.0):
+    """Any mixture of d pixels, without the components `off`."""
+    m = rng.uniform(0.05, 1, (3, d))
+    m[list(off)] = 0
+    m /= m.sum(axis=0)
+    sigma, mu = rng.uniform(0.1, 1.5, (3, d)), rng.normal(size=(3, d))
+    moments = m[1] * np.stack([mu[1], sigma[1] ** 2 + mu[1] ** 2])
+    m, mu, sigma = (v.astype(np.float32) for v in (m, mu, sigma))
+    return Mixture(m, mu, sigma, moments, TRUTH, laplace, outlier)
+
+
+def log_densities(learned, y):
+    return kernel.log_densities(
+        y, learned.mu, *learned.terms, learned.outlier / OUTLIER_RANGE, learned.laplace
+    )  # fmt: skip
+
+
+def taught(learned, y, alpha=0.1, least_sigma=0.05, least_mixing=0.01):
+    """The mixture after a patch that is given as it is."""
+    m, mu, sigma, moments = kernel.update(
+        np.asarray(y, np.float32), learned.m, learned.mu, learned.sigma, learned.moments, *learned.terms,
+        learned.outlier / OUTLIER_RANGE, learned.laplace, alpha, least_sigma, least_mixing,
+    )  # fmt: skip
+    return replace(learned, m=m, mu=mu, sigma=sigma, moments=moments)
+
+
+KINDS = pytest.mark.parametrize(
+    ("off", "laplace", "outlier"),
+    [((), False, 0.0), ((), True, 0.0), ((), False, 0.2), ((), True, 0.1), ((W, S), True, 0.0), ((S,), False, 0.3)],
+)
+
+
+def test_powers_of_two_are_as_exact_as_float32():
+    x = np.concatenate([np.linspace(-125.9, 0, 200_001), [0.0, -0.5, -1.0, -1.5]]).astype(np.float32)
+    np.testing.assert_allclose(kernel.powers(x), np.exp2(x.astype(np.float64)), rtol=4e-7)
+    assert kernel.powers(np.array([-1e30, -np.inf], np.float32)) == pytest.approx(0, abs=1e-37)
+
+
+@KINDS
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([1, 7, 33, 480, 500]), st.floats(0.5, 3))
+def test_densities_equal_the_plain_twin(off, laplace, outlier, seed, d, spread):
+    rng = np.random.default_rng(seed)
+    learned = mixture(rng, d, off, laplace, outlier)
+    # around one of the components: far from all of them the twin's densities would be 0
+    y = (learned.mu[F] + spread * rng.normal(size=(3, d)) * learned.sigma[F]).astype(np.float32)
+    expected = [naive.log_density(v, learned.m, learned.mu, learned.sigma, laplace, outlier, OUTLIER_RANGE)
+                for v in y.astype(np.float64)]  # fmt: skip
+    assert log_densities(learned, y) == pytest.approx(expected, rel=1e-5, abs=2e-3)
+    assert MODEL.error(learned, y) == pytest.approx(
+        [naive.error(v, learned.m, learned.mu, learned.sigma) for v in y.astype(np.float64)], rel=1e-4
+    )
+    centred = y - y.mean(axis=1, keepdims=True)
+    matches = [max(naive.match(v, learned.mu[i].tolist()) for i in (S, F)) for v in centred.astype(np.float64)]
+    assert kernel.best_matches(centred, learned.mu[1:]) == pytest.approx(matches, abs=1e-4)
+
+
+@pytest.mark.parametrize("laplace", [False, True])
+def test_far_from_all_components_the_nearest_one_counts(laplace):
+    learned = replace(
+        mixture(np.random.default_rng(1), 780, laplace=laplace), sigma=np.full((3, 780), 0.05, np.float32)
+    )
+    y = np.full((1, 780), 27, np.float32)
+    off = (27 - learned.mu.astype(float)) / 0.05
+    logs = np.log(learned.m.astype(float)) - (off * np.sqrt(2) if laplace else off**2 / 2)
+    logs -= np.log(0.05 * np.sqrt(2 if laplace else 2 * np.pi))
+    assert log_densities(learned, y)[0] == pytest.approx(np.logaddexp.reduce(logs, axis=0).sum(), rel=1e-5)
+
+
+@KINDS
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.01, 0.9), st.sampled_from([0.0, 0.01, 0.2]))
+def test_learning_equals_the_plain_twin(off, laplace, outlier, seed, alpha, least_mixing):
+    rng, d = np.random.default_rng(seed), 9
+    learned = mixture(rng, d, off, laplace, outlier)
+    twin = [(learned.m[:, k].astype(float), learned.mu[:, k].astype(float), learned.sigma[:, k].astype(float),
+             learned.moments[:, k]) for k in range(d)]  # fmt: skip
+    for _ in range(4):
+        y = rng.normal(size=d).astype(np.float32)
+        y[rng.random(d) < 0.2] = 0
+        learned = taught(learned, y, alpha, 0.3, least_mixing)
+        twin = [
+            naive.update(float(v), *was, laplace, outlier, OUTLIER_RANGE, alpha, 0.3, least_mixing)
+            for v, was in zip(y, twin, strict=True)
+        ]
+    found = learned.m, learned.mu, learned.sigma, learned.moments
+    for mine, theirs in zip(found, zip(*twin, strict=True), strict=True):
+        np.testing.assert_allclose(mine, np.array(theirs).T, rtol=1e-4, atol=1e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 10**6), st.sampled_from([1e-3, 0.05, 0.5, 1.0]), st.sampled_from([0.0, 1e-3, 0.05, 0.5]),
+    st.sampled_from([1e-3, 0.05, 1.0]), st.sampled_from(["gaussian", "laplace"]), st.sampled_from([None, 0.1]),
+    st.sampled_from([(0.3, 0.3, 0.4), (0, 0, 1), (0, 1, 0), (1, 0, 0), (0.5, 0.5, 0)]),
+)  # fmt: skip
+def test_nothing_drifts_away_in_thousands_of_frames(seed, alpha, floor, least_sigma, density, outlier, mixing):
+    rng = np.random.default_rng(seed)
+    f, model = frame(smooth(1)), replace(MODEL, density=density, outlier=outlier, mixing=mixing)
+    learned = model.init(f, TRUTH)
+    face, pictures = learned.mu[F].copy(), rng.normal(size=(7, PATCHES.points)).astype(np.float32)
+    for k in range(2000):
+        # long rests, so that variances go to their floor, and then something else, of which some is unseen
+        y = face if k % 500 < 400 else pictures[k % 7] * np.float32(10.0 ** (k % 3 - 1))
+        learned = taught(learned, np.where(face * (k % 5) > 4, 0, y), alpha, least_sigma, floor)
+    for values in (learned.m, learned.mu, learned.sigma, learned.moments, *learned.terms):
+        assert np.isfinite(values).all()
+    assert learned.m.sum(axis=0) == pytest.approx(1, abs=1e-5)
+    assert learned.sigma.min() >= np.float32(min(least_sigma, *model.sigma))
+    for i in (W, S, F):
+        assert (learned.m[i] > 0).all() if mixing[i] > 0 and floor > 0 else True
+        assert mixing[i] > 0 or not learned.m[i].any(), "what is out stays out"
+    # S is within what was shown
+    assert abs(learned.mu[S]).max() <= 10 * abs(pictures).max()
+    assert np.isfinite(log_densities(learned, pictures)).all()
+
+
+def test_the_moments_at_the_start_give_back_what_they_were_made_of():
+    learned = MODEL.init(frame(smooth(1)), TRUTH)
+    m, first, second = learned.m[S].astype(float), *learned.moments
+    np.testing.assert_allclose(first / m, learned.mu[F], rtol=1e-6)
+    np.testing.assert_allclose(second / m - (first / m) ** 2, 0.5**2, rtol=1e-5)
+    # as printed, m_s sigma_s^2 + F^2, the variance would be off by F^2 (1 / m_s - 1)
+    printed = (m * 0.5**2 + learned.mu[F] ** 2) / m - learned.mu[F] ** 2
+    assert np.median(printed / 0.5**2) > 2
+    # and after one look at the same face it has hardly moved
+    after = MODEL.learn(learned, frame(smooth(1)), TRUTH)
+    np.testing.assert_allclose(after.mu[S], learned.mu[F], atol=1e-5)
+    assert (after.sigma[S] < 0.5).all()
+    assert (after.sigma[S] > 0.4).all()
+
+
+def test_floors_of_the_weights_leave_s_where_it_is():
+    rng = np.random.default_rng(3)
+    learned = mixture(rng, 50)
+    # far from S and at W, so that S owns nothing: its weight falls to the floor, and its moments with it
+    y = learned.mu[S] + 30 * learned.sigma[S]
+    learned = replace(learned, mu=np.stack([y, learned.mu[S], learned.mu[F]]))
+    before = learned
+    for _ in range(300):
+        learned = taught(learned, y, least_mixing=0.02)
+    assert learned.m[S] == pytest.approx(0.02, rel=0.05)
+    np.testing.assert_allclose(learned.mu[S], before.mu[S], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(learned.sigma[S], before.sigma[S], rtol=1e-3)
+
+
+def test_w_follows_f_stays_and_s_comes_slowly():
+    first, second = frame(smooth(1)), frame(0.75 * smooth(1) + 0.25 * smooth(2))
+    learned = MODEL.init(first, TRUTH)
+    old, new = (PATCHES.read(f, TRUTH, 1)[0] for f in (first, second))
+    along = []
+    for _ in range(60):
+        learned = MODEL.learn(learned, second, TRUTH)
+        np.testing.assert_array_equal(learned.mu[W], new)
+        np.testing.assert_array_equal(learned.mu[F], old)
+        np.testing.assert_array_equal(learned.sigma[[W, F]], MODEL.init(first, TRUTH).sigma[[W, F]])
+        along.append(float((learned.mu[S] - old) @ (new - old) / np.sum((new - old) ** 2)))
+    assert 0 < along[0] < 0.2
+    assert np.all(np.diff(along) > 0)
+    assert along[-1] > 0.9
+
+
+def test_learning_is_blind_to_what_is_not_seen():
+    f = frame(smooth(1))
+    learned = MODEL.init(f, state(25, 60))
+    # a third of the box leaves the picture
+    after = MODEL.learn(learned, f, state(8, 60))
+    seen = PATCHES.read(f, state(8, 60), 1)[0] != 0
+    assert 0.5 < seen.mean() < 0.9
+    for now, before in ((after.m, learned.m), (after.mu, learned.mu), (after.sigma, learned.sigma)):
+        np.testing.assert_array_equal(now[:, ~seen], before[:, ~seen])
+    assert (after.mu[W, seen] != learned.mu[W, seen]).mean() > 0.99
+    assert MODEL.learn(learned, f, state(-300, 60)) is learned
+    assert MODEL.learn(learned, frame(np.full((120, 160), 40)), state(60, 60)) is learned
+
+
+def test_the_error_is_1_where_the_model_is_right():
+    rng = np.random.default_rng(5)
+    learned = mixture(rng, 5000)
+    learned = replace(learned, mu=np.repeat(learned.mu[:1], 3, axis=0))
+    which = (rng.random(5000) > np.cumsum(learned.m, axis=0)).sum(axis=0).clip(0, 2)
+    y = learned.mu[0] + rng.normal(size=5000) * learned.sigma[which, np.arange(5000)]
+    assert MODEL.error(replace(learned, m=np.eye(3, dtype=np.float32)[which].T), y[None].astype(np.float32)) == (
+        pytest.approx(1, abs=0.08)
+    )
+    assert MODEL.error(learned, learned.mu[:1]) == pytest.approx(0, abs=1e-6)
+
+
+def moved(rows):
+    """What is wrong with a hypothesis, in each of the ways that it can be."""
+    dx, dy, scale, angle, shear = rows
+    turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return (TRUTH[0, 0] + dx, TRUTH[0, 1] + dy, *(turn @ np.array([[1, shear], [0, 1]])).ravel())
+
+
+@pytest.mark.parametrize("model", [MODEL, FIXED, LAPLACE, replace(MODEL, outlier=0.1)])
+@pytest.mark.parametrize(("axis", "reach"), [(0, 6), (1, 6), (2, 0.2), (3, 0.3), (4, 0.3)])
+def test_the_peak_is_at_the_truth_whatever_is_wrong(model, axis, reach):
+    offs = np.linspace(-reach, reach, 25)
+    wrong = np.repeat([[0, 0, 1, 0, 0]], 25, axis=0).astype(float)
+    wrong[:, axis] += offs
+    learned = model.init(frame(smooth(11)), TRUTH)
+    # another picture than the one it was learned in: other light and noise
+    seen = 0.7 * smooth(11) + 20 + np.random.default_rng(0).normal(scale=4, size=(120, 160))
+    x = states(*map(moved, wrong))
+    score = model.score(learned, frame(seen), x)[:, 0]
+    assert abs(score.argmax() - 12) <= 1
+    assert score[[0, -1]].max() < score.max() - 50
+    # and it falls off on both sides
+    assert np.all(np.diff(score[:10]) > 0)
+    assert np.all(np.diff(score[15:]) < 0)
+
+
+@pytest.mark.parametrize(("clip", "model"), [("map", MODEL), ("turning", FIXED), ("textured", LAPLACE)])
+def test_the_true_box_of_a_sample_clip_beats_those_that_are_off(clip, model):
+    clip = read_boxes(clip)
+    cx, cy, w, h = clip.boxes[0]
+    model = replace(model, patches=Patches((w, h)))
+    f = [Frame(k, k / 25, picture) for k, picture in enumerate(clip.pictures[:2])]
+    learned = model.init(f[0], state(cx, cy))
+    x, y, w1, _ = clip.boxes[1]
+    s = w1 / w
+    rows = [(x, y, s, 0, 0, s)]
+    for off in (0.06, 0.1):
+        rows += [(x + off * w, y, s, 0, 0, s), (x - off * w, y, s, 0, 0, s), (x, y + off * h, s, 0, 0, s),
+                 (x, y - off * h, s, 0, 0, s), (x, y, s * (1 + off), 0, 0, s * (1 + off)),
+                 (x, y, s * (1 - off), 0, 0, s * (1 - off)), (x, y, s, -off, off, s),
+                 (x, y, s, 2 * off, 0, s)]  # fmt: skip
+    score = model.score(learned, f[1], states(*rows))[:, 0]
+    assert score.argmax() == 0
+    assert model.distances(learned, f[1], states(*rows))[:, 0].argmin() == 0
+
+
+def test_outliers_cost_little_and_teach_nothing_to_s():
+    rng = np.random.default_rng(7)
+    whole = smooth(12)
+    covered = whole.copy()
+    covered[70:90] = rng.integers(0, 256, (20, 160))
+    robust = replace(MODEL, outlier=0.1)
+    lost, kept = {}, {}
+    for name, model in (("plain", MODEL), ("robust", robust)):
+        learned = model.init(frame(whole), TRUTH)
+        truth, ground = model.score(learned, frame(covered), states((80, 60), (25, 60)))[:, 0]
+        lost[name] = model.score(learned, frame(whole), TRUTH[None])[0, 0] - truth
+        assert truth > ground
+        for _ in range(10):
+            learned = model.learn(learned, frame(covered), TRUTH)
+        kept[name] = np.mean(np.square(learned.mu[S] - learned.mu[F]))
+    assert lost["robust"] < 0.6 * lost["plain"]
+    assert kept["robust"] < kept["plain"]
+
+
+def test_what_cannot_be_seen_scores_as_badly_as_nothing():
+    f = frame(smooth(13))
+    for model in (MODEL, FIXED, LAPLACE):
+        learned = model.init(f, TRUTH)
+        x = states((80, 60), (-200, 60), (80, 9e9), (80, 60, 0, 0, 0, 0), (80, 60, 1e-9, 0, 0, 1e-9), (np.nan, 1))
+        score = model.score(learned, f, x)[:, 0]
+        assert np.isfinite(score).all()
+        assert score[1:] == pytest.approx(score[1], rel=1e-6)
+        assert score[0] > score[1]
+        assert model.distances(learned, f, x)[:, 0] == pytest.approx([0, 1, 1, 1, 1, 1], abs=1e-5)
+        flat = model.score(learned, frame(np.full((120, 160), 77)), x)[:, 0]
+        assert flat == pytest.approx(score[1], rel=1e-6)
+
+
+def test_the_score_falls_as_the_face_leaves_the_picture():
+    f = frame(smooth(14))
+    learned = MODEL.init(f, state(21, 60))
+    score = MODEL.score(learned, f, states(*[(v, 60) for v in (21, 15, 9, 3, -3, -9)]))[:, 0]
+    assert np.isfinite(score).all()
+    assert score.argmax() == 0
+
+
+@pytest.mark.parametrize(
+    ("place", "picture", "words"),
+    [
+        ((-15, 60), smooth(1), "frame 0: more than half of the box lies outside the picture"),
+        ((900, 60), smooth(1), "frame 0: more than half of the box lies outside the picture"),
+        ((80, 60), np.full((120, 160), 99), "frame 0: the face's box is of one grey level throughout"),
+    ],
+)
+def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture, words):
+    with pytest.raises(InputError) as refused:
+        MODEL.init(frame(picture), state(*place))
+    assert str(refused.value).startswith(words)
+    assert str(refused.value).endswith("or begin elsewhere with --init-frame")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_fixed_template_stays_as_it_was():
+    f = frame(smooth(15))
+    learned = FIXED.init(f, TRUTH)
+    for k in range(20):
+        learned = FIXED.learn(learned, frame(smooth(k)), TRUTH)
+    start = FIXED.init(f, TRUTH)
+    np.testing.assert_array_equal(learned.m, start.m)
+    x = states((80, 60), (82, 61), (70, 50))
+    np.testing.assert_array_equal(FIXED.score(learned, f, x), FIXED.score(start, f, x))
+
+
+def test_a_component_that_is_left_out_needs_no_sigma():
+    f, x = frame(smooth(15)), states((80, 60), (82, 61))
+    for mixing in ((0, 0, 2), (0, 1, 0), (1, 0, 1)):
+        with_, without = replace(MODEL, mixing=mixing), replace(MODEL, mixing=mixing)
+        without = replace(without, sigma=tuple(s if m else 0.0 for s, m in zip(MODEL.sigma, mixing, strict=True)))
+        a, b = (model.learn(model.init(f, TRUTH), f, TRUTH) for model in (with_, without))
+        np.testing.assert_array_equal(with_.score(a, f, x), without.score(b, f, x))
+        y = PATCHES.read(f, x, 1)
+        assert with_.error(a, y) == pytest.approx(without.error(b, y), rel=1e-6)
+        assert np.isfinite(with_.score(a, f, x)).all()
+
+
+def test_patches_are_read_at_the_scale_that_was_learned():
+    # the same face, four times as large: the model's state says how far the picture is reduced
+    grey = smooth(16, 120, 160, 4)
+    large = cv2.resize(grey, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+    learned = MODEL.init(frame(grey), TRUTH)
+    there = state(80.5 * 4 - 0.5, 60.5 * 4 - 0.5, 4, 0, 0, 4)
+    assert MODEL.distances(replace(learned, state=there), frame(large), there[None])[0, 0] < 0.01
+    assert MODEL.learn(learned, frame(large), there).state is not there
+    np.testing.assert_array_equal(MODEL.learn(learned, frame(large), there).state, there)
+
+
+def test_the_pictures_of_s_and_w_are_grey_levels_around_the_middle():
+    learned = MODEL.init(frame(smooth(1)), TRUTH)
+    mu = learned.mu.copy()
+    mu[S, :6], mu[W, :6] = (0, 1, -1, 2.49, 2.6, -40), (-2.5, -2.6, 40, 0.5, -0.5, 0)
+    told = dict(MODEL.tell(replace(learned, mu=mu)).insets)
+    assert told["S"].shape == told["W"].shape == PATCHES.shape and told["S"].dtype == np.uint8
+    assert told["S"].ravel()[:6].tolist() == [128, 179, 77, 254, 255, 0]
+    assert told["W"].ravel()[:6].tolist() == [0, 0, 255, 153, 102, 128]
+    assert [name for name, _ in FIXED.tell(learned).insets] == ["F"]
+    assert [name for name, _ in replace(MODEL, mixing=(0.5, 0, 0.5)).tell(learned).insets] == ["W"]
+
+
+def test_so_many_pixels_count_as_independent():
+    f, x = frame(smooth(1)), states((80, 60), (83, 60), (80, 64, 1.1, 0, 0, 1.1))
+    learned = MODEL.init(f, TRUTH)
+    all_ = MODEL.score(learned, f, x)
+    np.testing.assert_allclose(replace(MODEL, pixels=PATCHES.points).score(learned, f, x), all_)
+    np.testing.assert_allclose(replace(MODEL, pixels=5).score(learned, f, x), all_ * 5 / PATCHES.points)
+
+
+def test_what_is_expected_is_the_mean_of_the_mixture():
+    learned = mixture(np.random.default_rng(2), 780)
+    mean = sum(learned.m[i].astype(float) * learned.mu[i] for i in (W, S, F))
+    np.testing.assert_allclose(MODEL.expected(learned), mean, atol=1e-5)
+
+
+@pytest.mark.parametrize(("density", "outlier"), [("gaussian", None), ("gaussian", 0.3), ("laplace", 0.3)])
+def test_the_score_is_eq_6_of_the_patches_that_are_read(density, outlier):
+    f, x = frame(smooth(1)), states((81, 60), (85, 57, 1.1, 0, 0.1, 0.9))
+    model = replace(MODEL, density=density, outlier=outlier)
+    learned = model.init(f, TRUTH)
+    y = PATCHES.read(f, x, PATCHES.factor(TRUTH)).astype(np.float64)
+    expected = [
+        naive.log_density(v, learned.m, learned.mu, learned.sigma, density == "laplace", outlier or 0.0, OUTLIER_RANGE)
+        for v in y
+    ]
+    assert model.score(learned, f, x)[:, 0] == pytest.approx(expected, rel=1e-4)

@@ -1,0 +1,133 @@
+"""The colour template: its peak is at the truth, the light does not move it, and its options do what they say."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.models.likelihoods.colour_ratio import ColourRatio
+from tests.twins import windows as naive
+
+
+def texture(height=120, width=160, seed=0, blur=2.0, scale=1):
+    import cv2
+
+    noise = np.random.default_rng(seed).uniform(0, 255, (height, width, 3))
+    smooth = cv2.GaussianBlur(noise, (0, 0), blur)
+    smooth = 128 + (smooth - smooth.mean()) * 30 / smooth.std()
+    picture = np.clip(smooth, 20, 180)
+    if scale > 1:
+        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    return np.clip(picture, 0, 255).round().astype(np.uint8)
+
+
+def frame(bgr):
+    return Frame(0, 0.0, bgr)
+
+
+X0 = np.array([[60.3, 50.8], [100.0, 70.0]])
+WINDOWS = np.array([[13.0, 13.0], [25.0, 21.0]])
+
+
+def grid(reach=6, step=0.5):
+    offsets = np.arange(-reach, reach + step / 2, step)
+    dx, dy = np.meshgrid(offsets, offsets)
+    return np.stack([dx.ravel(), dy.ravel()], axis=1)
+
+
+def peak(likelihood, learned, picture):
+    offsets = grid()
+    score = likelihood.score(learned, frame(picture), X0 + offsets[:, None])
+    return offsets[np.argmax(score, axis=0)]
+
+
+@pytest.mark.parametrize("robust", ["l1", "huber", "tukey", "geman_mcclure"])
+@pytest.mark.parametrize("gain", [0.6, 1.0, 1.4])
+def test_peak_is_at_the_truth_whatever_the_light(robust, gain):
+    picture = texture()
+    likelihood = ColourRatio(WINDOWS, robust=robust)
+    learned = likelihood.init(frame(picture), X0)
+    relit = np.clip(picture * gain, 0, 255).round().astype(np.uint8)
+    np.testing.assert_array_equal(peak(likelihood, learned, relit), 0.0)
+
+
+def test_perfect_match_has_distance_zero_and_light_changes_next_to_nothing():
+    picture = texture()
+    likelihood = ColourRatio(WINDOWS)
+    learned = likelihood.init(frame(picture), X0)
+    at_truth = likelihood.distances(learned, frame(picture), X0[None])[0]
+    np.testing.assert_allclose(at_truth, 0.0, atol=1e-5)
+    darker = (picture * 0.6).round().astype(np.uint8)
+    assert likelihood.distances(learned, frame(darker), X0[None]).max() < 0.006
+
+
+def test_agrees_with_the_formula():
+    picture = texture()
+    likelihood = ColourRatio(WINDOWS)
+    learned = likelihood.init(frame(picture), np.round(X0))
+    x = X0 + 2.7
+    for i, (w, h) in enumerate(WINDOWS.astype(int)):
+        template = naive.window(picture, *np.round(X0[i]), w, h)
+        d = naive.colour_ratio_distance(picture, template, *x[i])
+        sigma = 1.5 / template.mean()
+        assert likelihood.score(learned, frame(picture), x[None])[0, i] == pytest.approx(-d / sigma, rel=1e-4)
+
+
+def test_the_floor_bounds_from_below_and_leaves_good_matches_alone():
+    picture = texture()
+    plain, floored = ColourRatio(WINDOWS), ColourRatio(WINDOWS, floor=-10.0)
+    learned = plain.init(frame(picture), X0)
+    x = X0 + grid(reach=40, step=8)[:, None]
+    a, b = plain.score(learned, frame(picture), x), floored.score(learned, frame(picture), x)
+    assert a.min() < -12
+    assert b.min() >= -10
+    np.testing.assert_allclose(b, np.log(np.exp(a) + np.exp(-10.0)))
+
+
+@pytest.mark.parametrize("scale", [2, 4])
+def test_a_large_picture_read_reduced_peaks_at_the_truth(scale):
+    picture = texture(scale=scale)
+    likelihood = ColourRatio(WINDOWS * scale, max_samples=13)
+    x0 = X0 * scale + (scale - 1) / 2
+    learned = likelihood.init(frame(picture), x0)
+    assert max(group.sides.max() for group in learned.groups) <= 13
+    offsets = grid() * scale
+    score = likelihood.score(learned, frame(picture), x0 + offsets[:, None])
+    assert np.abs(offsets[np.argmax(score, axis=0)]).max() <= 0.5 * scale
+
+
+def test_reduced_reading_does_not_depend_on_the_other_particles():
+    picture = texture(scale=3)
+    likelihood = ColourRatio(WINDOWS * 3, max_samples=9)
+    x0 = X0 * 3
+    learned = likelihood.init(frame(picture), x0)
+    some = x0 + grid(reach=9, step=3)[:, None]
+    far = np.concatenate([some, x0[None] + 200, x0[None] - 170])
+    np.testing.assert_array_equal(
+        likelihood.score(learned, frame(picture), some), likelihood.score(learned, frame(picture), far)[: len(some)]
+    )
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    x=st.floats(-1e12, 1e12),
+    y=st.floats(-300, 300),
+    max_samples=st.sampled_from([None, 5, 9]),
+    level=st.sampled_from([0, 1, 255]),
+)
+def test_any_place_in_any_flat_picture_has_a_finite_likelihood(x, y, max_samples, level):
+    likelihood = ColourRatio(WINDOWS, max_samples=max_samples)
+    learned = likelihood.init(frame(texture()), X0)
+    flat = np.full((37, 51, 3), level, np.uint8)
+    score = likelihood.score(learned, frame(flat), np.array([[[x, y], [y, x]]]))
+    assert np.all(np.isfinite(score))
+
+
+def test_a_black_template_is_flat_but_finite():
+    black = np.zeros((60, 60, 3), np.uint8)
+    likelihood = ColourRatio(WINDOWS)
+    learned = likelihood.init(frame(black), X0 / 2)
+    score = likelihood.score(learned, frame(texture()), X0[None])
+    assert np.all(np.isfinite(score))
+    assert np.all(score > -2)

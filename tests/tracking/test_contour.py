@@ -1,0 +1,272 @@
+"""The contour: it peaks at the truth, no normal costs more than K, and neither borders nor light look like edges."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.kernels import contour
+from facetrack_cli.tracking.models.likelihoods.contour import Contour, ellipse
+from tests.twins import contour as naive_contour
+
+SIZE = (40.0, 52.0)
+TRUTH = (80.0, 60.0, 1.0)
+WIDTH, HEIGHT = 160, 120
+LEAST = math.log(0.1)
+
+
+def model(size=SIZE, **changes):
+    unit = sum(size) / 2
+    settings = {"normals": 32, "sigma": 0.1 * unit, "search": 0.25 * unit, "threshold": 15.0, "outlier": 0.1}
+    return Contour(size, **{**settings, **changes})
+
+
+def head(inside=150.0, outside=90.0, zoom=1, clutter=0.0, seed=0, blur=1.0):
+    """A grey ellipse in the box of TRUTH, drawn four times as large and averaged; clutter is a random ground."""
+    fine = 4 * zoom
+    y, x = np.mgrid[: HEIGHT * fine, : WIDTH * fine]
+    x, y = (x + 0.5) / fine - 0.5, (y + 0.5) / fine - 0.5
+    within = np.hypot((x - TRUTH[0]) / (SIZE[0] / 2), (y - TRUTH[1]) / (SIZE[1] / 2)) < 1
+    share = cv2.resize(within.astype(np.float32), (WIDTH * zoom, HEIGHT * zoom), interpolation=cv2.INTER_AREA)
+    noise = np.random.default_rng(seed).normal(0, 1, share.shape).astype(np.float32)
+    noise = cv2.GaussianBlur(noise, (0, 0), 2.0 * zoom)
+    picture = inside * share + (outside + clutter * noise / noise.std()) * (1 - share)
+    return cv2.GaussianBlur(picture, (0, 0), blur * zoom)
+
+
+def frame(grey):
+    return Frame(0, 0.0, cv2.cvtColor(np.clip(grey, 0, 255).round().astype(np.uint8), cv2.COLOR_GRAY2BGR))
+
+
+def states(boxes):
+    """(N, 1, 6) from rows of (cx, cy, s); the speeds do not matter, so they are wild."""
+    boxes = np.atleast_2d(np.asarray(boxes, float))
+    return np.concatenate([boxes, np.full((len(boxes), 3), 1e6)], axis=1)[:, None]
+
+
+def scored(likelihood, picture, boxes):
+    x = states(boxes)
+    return likelihood.score(likelihood.init(picture, x[0]), picture, x, x)[:, 0]
+
+
+def compared(likelihood, picture, boxes):
+    x = states(boxes)
+    return likelihood.distances(likelihood.init(picture, x[0]), picture, x)[:, 0]
+
+
+def shifts(axis, reach):
+    """(shifts, boxes): the truth moved along one axis of the state, in pixels or in scale."""
+    steps = np.linspace(-reach, reach, 41)
+    boxes = np.repeat([TRUTH], len(steps), axis=0)
+    boxes[:, axis] += steps
+    return steps, boxes
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    cx=st.floats(-20, 80),
+    cy=st.floats(-20, 60),
+    s=st.one_of(st.floats(0.05, 3.0), st.sampled_from([-1.0, 0.0, 1e-7, 1e7])),
+    factor=st.sampled_from([1, 2, 4]),
+    reach=st.floats(0.5, 14.0),
+    threshold=st.floats(9.0, 540.0),
+)
+def test_the_kernel_is_what_its_plain_twin_says(seed, cx, cy, s, factor, reach, threshold):
+    noise = np.random.default_rng(seed).normal(0, 1, (37, 61)).astype(np.float32)
+    image = np.clip(1150 + 1080 * cv2.GaussianBlur(noise, (0, 0), 1.0), 0, 2295).astype(np.uint16)
+    points, normals = ellipse((23.0, 31.0), 10)
+    x = np.array([[cx, cy, s]])
+    ours = contour.nearest_edges(image, x, 5.0, -3.0, factor, points, normals, reach, threshold)
+    theirs = naive_contour.nearest_edges(image, x, (5.0, -3.0), factor, points, normals, reach, threshold)
+    np.testing.assert_allclose(ours, theirs, atol=2e-3)  # float32, and a parabola may be nearly flat
+
+
+@pytest.mark.parametrize(
+    ("row", "at", "nearest"),
+    [
+        # the step from 0 to 100 has contrasts of 50, 100 and 50, which end on the centre of the last pixel
+        ([0, 0, 0, 0, 0, 0, 0, 100, 100, 100], 4, 2.5),
+        ([9, 9, 9, 0, 0, 0, 0, 0, 0, 0], 5, 2.5),
+        # one nearer to the border may be half of a larger one
+        ([0, 0, 0, 0, 0, 0, 0, 0, 100, 100], 4, math.inf),
+        # two equal contrasts are one edge between them, on the outline too
+        ([0, 0, 0, 0, 50, 100, 100, 100, 100, 100], 4, 0.0),
+        ([0, 0, 0, 0, 50, 100, 100, 100, 100, 100], 6, 2.0),
+        # contrasts of 60, 70 at 4.5, and 40: the parabola is highest 0.5 (60 - 40) / (60 - 140 + 40) from there
+        ([0, 0, 0, 0, 40, 80, 100, 100, 100, 100], 7, 2.75),
+        # of two edges the nearer, whichever way
+        ([0, 0, 90, 90, 90, 90, 90, 0, 0, 0], 4, 2.5),
+        ([0, 0, 90, 90, 90, 90, 90, 0, 0, 0], 5, 1.5),
+    ],
+)
+@pytest.mark.parametrize("turned", [False, True])
+def test_edges_by_hand(row, at, nearest, turned):
+    image = np.repeat(np.array([row], np.uint16), 10, axis=0)
+    image = np.ascontiguousarray(image.T) if turned else image
+    normals = np.array([[0.0, 1.0], [0.0, -1.0]] if turned else [[1.0, 0.0], [-1.0, 0.0]])
+    x = np.array([[3.0, at, 1.0] if turned else [at, 3.0, 1.0]])
+    found = contour.nearest_edges(image, x, 0.0, 0.0, 1, np.zeros((2, 2)), normals, 4.0, 5.0)
+    np.testing.assert_allclose(found, [[nearest, nearest]], atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(40.0, 52.0), (90.0, 31.0), (25.0, 25.0)])
+@pytest.mark.parametrize("count", [9, 32])
+def test_the_normals_stand_at_equal_steps_of_arc(size, count):
+    points, normals = ellipse(size, count)
+    other_points, other_normals = naive_contour.ellipse(*size, count)
+    np.testing.assert_allclose(points, other_points, atol=0.03)
+    np.testing.assert_allclose(normals, other_normals, atol=0.01)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+
+
+@pytest.mark.parametrize(("max_size", "factor"), [(None, 1), (30, 2)])
+@pytest.mark.parametrize("search", [4.0, 30.0])
+def test_likelihood_and_distance_are_the_formulas(max_size, factor, search):
+    """Eq. 11, on the means of 3x3 pixels: an edge that lies beyond `search` is none, wherever K takes over."""
+    picture = frame(head(clutter=25.0))
+    likelihood = model(sigma=5.0, search=search, threshold=8.0, outlier=0.1, max_size=max_size)
+    boxes = [TRUTH, (86.3, 57.2, 1.1), (70.1, 66.4, 0.8)]
+    assert likelihood.init(picture, states(TRUTH)[0]).factor == factor
+    grey = picture.grey(factor, (0, 0, WIDTH, HEIGHT))[0].astype(float)
+    means = np.lib.stride_tricks.sliding_window_view(np.pad(grey, 1, mode="reflect"), (3, 3)).mean(axis=(2, 3))
+    points, normals = ellipse(SIZE, 32)
+    nearest = naive_contour.nearest_edges(means, boxes, (0, 0), factor, points, normals, search, 8.0)
+    likely = [[math.exp(-(d**2) / (2 * 5.0**2)) for d in row] for row in nearest]
+    assert any(0.1 > p > 0 for row in likely for p in row) == (search > 5)
+    logs = [sum(math.log(max(0.1, p)) for p in row) for row in likely]
+    np.testing.assert_allclose(scored(likelihood, picture, boxes), logs, atol=5e-3)
+    np.testing.assert_allclose(compared(likelihood, picture, boxes), 1 - np.mean(likely, axis=1), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("size", "max_size", "factor"),
+    [((20, 64), 64, 1), ((65, 20), 64, 2), ((20, 128), 64, 2), ((20, 129), 64, 4), ((500, 500), None, 1)],
+)
+def test_a_box_is_read_no_larger_than_max_size(size, max_size, factor):
+    assert model(size, max_size=max_size).init(frame(head()), states(TRUTH)[0]).factor == factor
+
+
+@pytest.mark.parametrize("clutter", [0.0, 25.0])
+@pytest.mark.parametrize(("axis", "reach", "near"), [(0, 15, 1.0), (1, 15, 1.0), (2, 0.5, 0.05)])
+def test_the_peak_is_at_the_truth_in_place_and_scale(axis, reach, near, clutter):
+    steps, boxes = shifts(axis, reach)
+    score = scored(model(), frame(head(clutter=clutter)), boxes)
+    assert abs(steps[score.argmax()]) <= (2 * near if clutter else near)  # edges of the clutter come nearer
+    assert score[20] > score[[0, -1]].max() + 5
+
+
+def test_clutter_and_low_contrast_cost_but_leave_a_peak():
+    clear, hard = frame(head()), frame(head(inside=120.0, clutter=25.0))
+    assert scored(model(), hard, TRUTH) < scored(model(), clear, TRUTH)
+    gap = [
+        scored(model(), picture, TRUTH) - scored(model(), picture, [(68, 60, 1), (92, 60, 1)]).max()
+        for picture in (clear, hard)
+    ]
+    assert gap[0] > gap[1] > 2
+
+
+def test_an_ellipse_that_fits_its_box_is_found_to_a_fraction_of_a_pixel():
+    likelihood = model()
+    learned = likelihood.init(frame(head()), states(TRUTH)[0])
+    d = likelihood._nearest(learned, frame(head()), states(TRUTH), likelihood.search)
+    assert d.max() < 0.35
+
+
+def test_the_loss_of_a_normal_is_bounded():
+    whole = head()
+    half = whole.copy()
+    half[:, : int(TRUTH[0])] = 150.0  # what covers it has the grey of the head: no edge is left there
+    before, after = scored(model(), frame(whole), TRUTH)[0], scored(model(), frame(half), TRUTH)[0]
+    assert before > -1
+    # the cover's own border crosses the head where the outline is nearly at right angles to it
+    assert before + 17 * LEAST <= after <= before + 14 * LEAST
+    assert scored(model(outlier=0.5), frame(half), TRUTH)[0] >= before + 17 * math.log(0.5)
+    assert scored(model(outlier=1.0), frame(half), TRUTH)[0] == 0.0
+
+
+def test_edges_beyond_the_search_do_not_count():
+    # concentric: every edge lies 4 to 5.2 pixels off
+    larger = (*TRUTH[:2], 1.2)
+    near, far = model(search=3.0), model(search=12.0)
+    assert scored(near, frame(head()), larger)[0] == pytest.approx(32 * LEAST)
+    assert scored(far, frame(head()), larger)[0] > 32 * LEAST / 2
+    assert compared(near, frame(head()), larger)[0] == 1.0
+
+
+def test_distances_tell_the_truth_from_elsewhere():
+    d = compared(model(), frame(head(clutter=10.0)), [TRUTH, (95, 60, 1), (30, 60, 1)])
+    assert 0 <= d[0] < 0.1 < 0.5 < d[1:].min() <= d[1:].max() <= 1
+
+
+@pytest.mark.parametrize("offset", [-60, 40])
+def test_adding_light_changes_nothing(offset):
+    grey = np.clip(head(clutter=15.0), 61, 214).round()
+    _, boxes = shifts(0, 15)
+    np.testing.assert_allclose(
+        scored(model(), frame(grey), boxes), scored(model(), frame(grey + offset), boxes), atol=1e-3
+    )
+
+
+def test_light_and_dark_heads_are_alike():
+    grey = head().round()
+    _, boxes = shifts(1, 15)
+    np.testing.assert_allclose(scored(model(), frame(grey), boxes), scored(model(), frame(240 - grey), boxes), atol=0.2)
+
+
+@pytest.mark.parametrize("level", [0, 1, 255])
+def test_flat_pictures_have_no_edges_and_neither_have_their_borders(level):
+    flat = frame(np.full((HEIGHT, WIDTH), level))
+    boxes = [TRUTH, (0, 0, 1), (WIDTH - 1, 60, 1), (WIDTH + 18, 60, 1), (80, 60, 3), (300, -200, 1)]
+    np.testing.assert_allclose(scored(model(), flat, boxes), 32 * LEAST)
+    np.testing.assert_array_equal(compared(model(), flat, boxes), 1.0)
+
+
+def test_what_lies_beyond_the_border_is_not_known():
+    """An outline half outside is judged by its inner half; the other half costs K."""
+    cut = head()[:, int(TRUTH[0]) :]
+    score = scored(model(), frame(cut), (TRUTH[0] - int(TRUTH[0]), *TRUTH[1:]))[0]
+    assert 17 * LEAST - 1 < score < 15 * LEAST
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    x=st.one_of(st.floats(-1e12, 1e12), st.sampled_from([math.inf, -math.inf, math.nan])),
+    y=st.floats(-300, 300),
+    s=st.one_of(st.floats(-3, 5), st.sampled_from([1e-300, 1e-9, 1e5, 1e300, math.inf, math.nan])),
+    max_size=st.sampled_from([None, 16, 30]),
+    sides=st.sampled_from([(37, 51), (1, 1), (2, 90), (HEIGHT, WIDTH)]),
+)
+def test_any_hypothesis_has_a_finite_likelihood(x, y, s, max_size, sides):
+    picture = frame(head(clutter=20.0)[: sides[0], : sides[1]])
+    boxes = [(x, y, s), (y, x, s), TRUTH]
+    likelihood = model(max_size=max_size)
+    score, distance = scored(likelihood, picture, boxes), compared(likelihood, picture, boxes)
+    assert np.all((score >= 32 * LEAST - 1e-9) & (score <= 0))
+    assert np.all((distance >= 0) & (distance <= 1))
+
+
+@pytest.mark.parametrize("max_size", [None, 26])
+def test_a_hypothesis_does_not_depend_on_the_others(max_size):
+    picture, likelihood = head(clutter=20.0), model(max_size=max_size)
+    _, boxes = shifts(0, 15)
+    alone = np.concatenate([scored(likelihood, frame(picture), box) for box in boxes])
+    with_far = scored(likelihood, frame(picture), [*boxes, (-400, 900, 2), (10, 10, 4)])[: len(boxes)]
+    np.testing.assert_allclose(alone, with_far, rtol=1e-5)  # places are rounded from another corner
+
+
+@pytest.mark.parametrize("zoom", [2, 4])
+def test_a_large_picture_read_reduced_has_about_the_same_profile(zoom):
+    """As if the clip were smaller: the steps, and with them the contrasts, are those of the reduced picture."""
+    small, large = model(), model((SIZE[0] * zoom, SIZE[1] * zoom), max_size=52)
+    for axis, reach in [(0, 15), (1, 15), (2, 0.4)]:
+        _, boxes = shifts(axis, reach)
+        enlarged = boxes * (zoom, zoom, 1) + (0.5 * (zoom - 1), 0.5 * (zoom - 1), 0)
+        a = scored(small, frame(head(clutter=10.0)), boxes)
+        b = scored(large, frame(cv2.resize(head(clutter=10.0), None, fx=zoom, fy=zoom)), enlarged)
+        assert np.corrcoef(a, b)[0, 1] > 0.95
+        assert abs(int(a.argmax()) - int(b.argmax())) <= 3

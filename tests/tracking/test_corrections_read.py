@@ -1,0 +1,398 @@
+"""What reads a trajectory in which somebody put right what was tracked: tables, measures, exports, plots, reports."""
+
+import json
+import math
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.files import FileSink
+from facetrack_cli.core.types import Correction, Frame, PartResult, Result, Start, TargetResult, TargetStart
+from facetrack_cli.evaluation.experiments.repeat import spread_of
+from facetrack_cli.evaluation.goldens.goldens import read_golden, record, write_golden
+from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.points import measure_points, measure_recovery, occlusions
+from facetrack_cli.evaluation.summary import evaluate
+from facetrack_cli.evaluation.trust import measure_trust
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import to_dict
+from facetrack_cli.report import figures as plots
+from facetrack_cli.report import make
+from facetrack_cli.report.command_line import command, init_yaml
+from facetrack_cli.report.events import Clock, key_frames, tell
+from facetrack_cli.report.html import Image
+from facetrack_cli.report.page import Plot
+from facetrack_cli.runs.seeds import _Log
+from facetrack_cli.tracking.start import read_init
+from facetrack_cli.trajectory import table as module
+from facetrack_cli.trajectory.formats.boxes import write_otb
+from facetrack_cli.trajectory.formats.coco import write_coco
+from facetrack_cli.trajectory.formats.dlc import write_dlc
+from facetrack_cli.trajectory.formats.eaf import spans_of
+from facetrack_cli.trajectory.formats.mot import write_mot
+from facetrack_cli.trajectory.formats.vot import write_vot
+from facetrack_cli.trajectory.header import read_header
+from facetrack_cli.trajectory.row import Footer
+from facetrack_cli.trajectory.select import enclose
+from facetrack_cli.trajectory.table import Table, read_trajectory, series
+from facetrack_cli.trajectory.writers import WRITERS
+from tests.evaluation.test_bands import RECORDED
+from tests.evaluation.test_points import rows
+from tests.evaluation.test_trust import statuses
+
+SAMPLE = Path(__file__).parents[2] / "sample_videos" / "occlusion.mp4"
+NAN = math.nan
+# frame 3: lip is lost; 5: it is absent, said by hand; 8: it is given again, and nose is kept; 10: both are absent
+CORRECTIONS = [
+    {"frame": 5, "target": "face", "absent": ["lip"]},
+    {"frame": 8, "target": "face", "points": {"lip": [30, 20]}, "kept": {"nose": [10, 20]}, "learn": True},
+    {"frame": 10, "target": "face", "absent": True},
+]
+HEADER = {
+    "source": {"path": "clip.mp4", "size": [64, 48], "fps": 25.0},
+    "recipe": {"name": "mine", "description": "x"},
+    "seed": 0,
+    "init": {
+        "from": "haar",
+        "frame": 0,
+        "targets": {"face": {"points": {"nose": [10, 20], "lip": [30, 20]}}},
+        "corrections": CORRECTIONS,
+    },
+}
+
+
+def result(index):
+    lip = "absent" if index in (5, 6, 7) or index >= 10 else "lost" if index in (3, 4) else "tracked"
+    said = {"nose": "absent" if index >= 10 else "tracked", "lip": lip}
+    by_hand = {"nose": index == 10, "lip": index in (5, 8, 10)}
+    if index in (0, 8):
+        said = {"nose": "init" if index == 0 else "tracked", "lip": "init"}
+    parts = []
+    for name, x in (("nose", 10.0), ("lip", 30.0)):
+        place = (NAN,) * 4 if said[name] == "absent" else (x + 0.5 * index, 20.0, 8.0, 6.0)
+        known = {} if said[name] == "absent" else {"confidence": 0.8, "cov": (1.0, 0.0, 1.0), "ess": 9.0}
+        parts.append(PartResult(name, *place, said[name], **known, by_hand=by_hand[name]))
+    gone = all(status == "absent" for status in said.values())
+    cloud = np.zeros((0, 2, 2))
+    frame = Frame(index, index / 25, np.zeros((1, 1, 3), np.uint8))
+    return Result(frame, (TargetResult("face", tuple(parts), None if gone else 10, cloud),))
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A folder with the run in all formats."""
+    for form in ("csv", "json", "jsonl"):
+        writer = WRITERS[form](FileSink(tmp_path / f"trajectory.{form}"), HEADER)
+        for index in range(13):
+            writer.write(result(index))
+        writer.close(Footer())
+    return tmp_path
+
+
+@pytest.fixture
+def table(run):
+    return read_trajectory(run / "trajectory.json")
+
+
+# --- tables ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("quick", [True, False])
+@pytest.mark.parametrize("form", ["csv", "json", "jsonl"])
+def test_absent_rows_and_what_was_given_by_hand_are_read_back(run, monkeypatch, form, quick):
+    if not quick:
+        monkeypatch.setattr(module, "_csv_columns", lambda _: None)
+        monkeypatch.setattr(module, "_json_columns", lambda _: None)
+    nose, lip = read_trajectory(run / f"trajectory.{form}").series
+    absent = [5, 6, 7, 10, 11, 12]
+    assert np.flatnonzero(lip.status == "absent").tolist() == absent
+    for name in ("x", "y", "w", "h", "confidence", "std_x", "ess"):
+        assert np.flatnonzero(np.isnan(getattr(lip, name))).tolist() == absent, name
+    assert np.isnan(nose.particles[10:]).all() and (nose.particles[:10] == 10).all()
+    by_hand = [] if form == "csv" else [5, 8, 10]
+    assert np.flatnonzero(lip.by_hand).tolist() == by_hand and lip.by_hand.dtype == np.bool_
+    assert np.flatnonzero(lip.corrected).tolist() == [5, 8, 10], "what a CSV shows is as good here"
+    assert np.flatnonzero(nose.corrected).tolist() == [10]
+    assert lip.take(lip.corrected).frame.tolist() == [5, 8, 10]
+
+
+@pytest.mark.parametrize("value", ["1", '"yes"', "null"])
+def test_by_hand_is_true_or_false(run, value):
+    path = run / "trajectory.json"
+    path.write_text(path.read_text().replace('"by_hand":true', f'"by_hand":{value}'))
+    with pytest.raises(InputError, match=r"by_hand .* is neither true nor false"):
+        read_trajectory(path)
+
+
+def test_a_correction_in_the_first_row_is_told_by_json_alone():
+    one = series("face", "nose", [4, 5], status=["init", "tracked"], by_hand=[True, False])
+    assert one.corrected.tolist() == [True, False]
+    assert not replace(one, by_hand=np.zeros(2, bool)).corrected.any(), "it is the start"
+
+
+def test_runs_side_by_side_keep_what_was_given_by_hand():
+    log = _Log()
+    for index in range(13):
+        log.add(result(index))
+    lip = log.table(type("Source", (), {"path": Path("x"), "size": (64, 48)})()).series[1]
+    assert np.flatnonzero(lip.by_hand).tolist() == [5, 8, 10] and np.isnan(lip.x[5])
+
+
+def test_a_box_around_parts_leaves_out_what_is_absent(table):
+    box = enclose(table.series)
+    assert box.w[2] == 28.0 and box.w[5] == 8.0 and np.isnan(box.w[10])
+    assert box.status[5] == "tracked" and box.status[10] == "absent"
+    nose, lip = table.series
+    assert enclose([replace(nose, status=np.full(13, "lost")), lip]).status[5] == "lost"
+    assert np.flatnonzero(box.by_hand).tolist() == [5, 8, 10]
+
+
+# --- measures ----------------------------------------------------------------------------------------------------
+
+
+def corrected(letters):
+    """Statuses of ours: i init, t tracked, l lost, a absent."""
+    return ["absent" if one == "a" else statuses(one)[0] for one in letters]
+
+
+def test_an_absent_row_is_a_miss_where_the_truth_is_visible_and_no_error_elsewhere():
+    part = rows([0, NAN, NAN, NAN, 1], "vvhav", ours=corrected("iaaat"))
+    found = measure_points([part])
+    assert (found.rows, found.missing, found.hidden_rows) == (2, 1, 0)
+    assert found.failure_rate == pytest.approx(1 / 3)
+
+
+def test_a_place_given_by_hand_is_no_merit_but_in_the_first_frame():
+    part = rows([0, 6, 0, 6], "vvvv", ours=corrected("itit"))
+    assert part.later.tolist() == [False, False, True, False]
+    found = measure_points([part])
+    assert found.rows == 3 and found.mean_px == 4
+    trust = measure_trust([replace(part, confidence=np.array([1.0, 0.2, 1.0, 0.2]), std=np.ones((4, 2)))])
+    assert trust.lost.rows == trust.confidence.rows == trust.coverage.rows == 2
+
+
+def test_what_is_said_to_be_absent_is_not_what_the_tracker_says():
+    part = rows([0, 0, NAN, NAN, 0, 0], "vvhhvv", ours=corrected("ittaat"))
+    found = measure_trust([part]).lost
+    assert (found.rows, found.covered, found.called) == (3, 1, 0), "neither called lost nor missed"
+
+
+@pytest.mark.parametrize("ours, delay", [("itttlltttt", 1), ("itttallttt", None), ("ittttllitt", 2)])
+def test_a_delay_is_measured_where_no_correction_came_before(ours, delay):
+    part = rows(np.zeros(10), "vvvhhhvvvv", ours=corrected(ours))
+    assert measure_trust([part]).lost.delay_lost == delay
+    assert measure_trust([part]).lost.delay_back == (0 if delay == 1 else None)
+
+
+@pytest.mark.parametrize("ours", ["tttttltttttt", "tttttlitttttt"[:12], "tttaattttttt"])
+def test_what_comes_back_by_a_correction_is_not_decided(ours):
+    part = rows([0, 0, 0, 9, 9, 9, 0, 0, 0, 0, 0, 0], "vvvhhhvvvvvv", ours=corrected(ours))
+    found = occlusions([part])
+    helped = "i" in ours or "a" in ours
+    assert [one.decided for one in found] == [not helped]
+    assert found[0].frames_to_return == 0
+    assert measure_recovery(found).recovered == (None if helped else 1.0)
+
+
+def boxes(status, x, frames=6, **more):
+    """A target of 20 by 20 pixels."""
+    full = np.full(frames, 20.0)
+    return series("hand", "box", range(frames), x=x, y=np.full(frames, 50.0), w=full, h=full, status=status, **more)
+
+
+def test_boxes_given_later_are_left_out_and_absent_ones_miss_where_there_is_something_to_see():
+    x = np.full(6, 50.0)
+    seen = ["visible", "visible", "hidden", "hidden", "visible", "visible"]
+    theirs = Table(Path("truth.csv"), (boxes(seen, x),))
+    gone = [NAN if letter == "a" else 50.0 for letter in "iaatit"]
+    ours = boxes(corrected("iaatit"), gone)
+    ours = replace(ours, w=np.where(np.isnan(ours.x), NAN, 20.0), h=np.where(np.isnan(ours.x), NAN, 20.0))
+    found = evaluate(match(Table(Path("t.json"), (ours,)), theirs, partial=False, select=None, check_shift=True))
+    measured = found.parts[0]
+    assert (measured.boxes.frames, measured.boxes.missing) == (3, 1), "frame 4 was given by hand"
+    assert measured.boxes.ao == pytest.approx(0.5), "one of two after the first"
+    assert (measured.hidden_boxes.rows, measured.hidden_boxes.overlap) == (1, 1.0), "to call it absent is no miss"
+
+
+def test_a_trajectory_with_absent_rows_may_be_measured_and_be_truth(table):
+    other = Table(Path("checked.csv"), tuple(replace(one, x=one.x + 1) for one in table.series))
+    found = evaluate(match(table, other, partial=False, select=None, check_shift=True))
+    assert found.absent == 9 and found.all.points.mean_px == pytest.approx(1.0)
+    truth = Table(Path("truth.csv"), tuple(replace(one, status=np.full(13, "visible")) for one in table.series))
+    with pytest.raises(InputError, match="name them the other way round"):
+        match(truth, table, partial=False, select=None, check_shift=True)
+
+
+def test_runs_of_a_part_that_is_absent_do_not_part_ways():
+    positions = np.full((5, 40, 2), 30.0) + np.random.default_rng(1).normal(0, 0.3, (5, 40, 2))
+    positions[:, 10:30] = NAN
+    found = spread_of("face", "lip", range(5), np.arange(40), positions, 5.0)
+    assert found.leaves == () and not found.away.any() and np.isnan(found.mean[15]).all()
+    positions[:, 30:] = NAN
+    assert spread_of("face", "lip", range(5), np.arange(40), positions, 5.0).leaves == ()
+    positions[0, 10:] = 30.0
+    apart = spread_of("face", "lip", range(5), np.arange(40), positions, 5.0)
+    assert apart.away[1:, 15].all(), "but where one has a place, those without are away"
+
+
+def test_a_golden_remembers_the_corrections(tmp_path):
+    clip = tmp_path / "clip.mp4"
+    clip.write_bytes(b"a clip")
+    start = Start(0, {"face": TargetStart(None, {"nose": (1.0, 2.0), "lip": (3.0, 4.0)})}, "x", (
+        Correction(5, "face", absent=("lip",)),
+        Correction(8, "face", TargetStart(None, {"lip": (30.5, 20.0)}), {"nose": (10.0, 20.0)}, learn=True),
+        Correction(10, "face", absent=True),
+    ))  # fmt: skip
+    golden = record(RECORDED, clip=clip, recipe="sir", settings=to_dict(load_recipe("sir")), start=start)
+    path = tmp_path / "a.json"
+    write_golden(path, golden)
+    assert read_golden(path).start.corrections == start.corrections
+    write_golden(path, replace(golden, start=replace(start, corrections=())))
+    assert '"corrections"' not in path.read_text()
+
+
+# --- exports -----------------------------------------------------------------------------------------------------
+
+
+def test_what_is_absent_has_no_row_or_no_place_in_other_formats(table):
+    lip = table.series[1]
+    assert [int(line.split(",")[0]) - 1 for line in write_mot([lip]).splitlines()] == [0, 1, 2, 3, 4, 8, 9]
+    assert write_vot(lip).splitlines()[5] == "2"
+    assert write_otb(lip).splitlines()[5] == "nan,nan,nan,nan"
+    assert write_dlc(table).splitlines()[3 + 5] == "5,12.500,20.000,0.8000,,,"
+    annotations = json.loads(write_coco(table, (64, 48), lambda frame: f"{frame}.png"))["annotations"]
+    frames = {one["image_id"] - 1: one for one in annotations}
+    assert sorted(frames) == list(range(10)), "nothing where all is absent"
+    assert frames[5]["keypoints"][3:6] == [0, 0, 0] and frames[5]["num_keypoints"] == 1
+
+
+def test_elan_gets_a_tier_of_what_is_absent(table):
+    assert spans_of(table.series, "absent") == [(5, 7, "lip"), (10, 12, "nose, lip")]
+    assert spans_of(table.series) == [(3, 4, "lip")]
+
+
+# --- plots and reports -------------------------------------------------------------------------------------------
+
+
+def test_the_plots_shade_what_is_absent_and_mark_what_was_put_right(table):
+    pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
+    figure = plots.page_figure(table)
+    head = figure.subfigs[0]
+    assert "put right by hand in 3 of them" in "".join(text.get_text() for text in head.texts)
+    labels = [text.get_text() for text in head.legends[0].texts]
+    assert {"absent", "put right by hand"} <= set(labels)
+    marks = [line for axes in figure.axes for line in axes.lines if line.get_marker() == "^"]
+    assert [line.get_xdata().tolist() for line in marks] == [[5, 8, 10]]
+    plain = replace(table, series=tuple(one.take(one.frame < 5) for one in table.series))
+    assert not {"absent", "put right by hand"} & {
+        t.get_text() for t in plots.page_figure(plain).subfigs[0].legends[0].texts
+    }
+    assert plots.render(figure).startswith(b"\x89PNG")
+
+
+def test_a_report_tells_what_was_put_right(table):
+    story = tell(table, Clock(table, 25.0))
+    assert [(one.frame, one.given, one.absent) for one in story.corrections] == [
+        (5, (), ("lip",)),
+        (8, ("lip",), ()),
+        (10, (), ("nose", "lip")),
+    ]
+    nose, lip = story.parts
+    assert (lip.absences, lip.frames_absent, nose.frames_absent) == (((5, 7), (10, 12)), 6, 3)
+    assert [(span.first, span.last, span.back, span.by_hand) for span in lip.spans] == [(3, 4, None, True)]
+    assert (story.lost_at_end, story.absent_at_end) == ((), ("nose", "lip"))
+    kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(story, 0, 12)}
+    assert kinds == {
+        0: ["start"], 1: ["worst"], 3: ["lost"], 5: ["corrected"], 8: ["corrected"], 10: ["corrected"], 12: ["end"]
+    }  # fmt: skip
+
+
+def test_a_lost_part_that_is_given_is_not_tracked_again_by_itself(table):
+    nose, lip = table.series
+    status = lip.status.copy()
+    status[5:8] = "lost"
+    story = tell(replace(table, series=(nose, replace(lip, status=status))), Clock(table, 25.0))
+    assert [(span.back, span.by_hand) for span in story.parts[1].spans] == [(8, True)]
+    assert "back" not in {kind for _, kind in story.events}
+
+
+def test_the_command_takes_the_init_file_that_has_the_corrections(table, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    header = read_header(table)
+
+    def given():
+        words = shlex.split(command(header, 12, Path("run")))
+        return words[words.index("--init") + 1]
+
+    assert header.init.start.corrections[1] == Correction(
+        8, "face", TargetStart(None, {"lip": (30, 20)}), {"nose": (10, 20)}, learn=True
+    )
+    assert given() == "corrected.init.yaml", "it is to be made of what the page shows"
+    Path("run").mkdir()
+    Path("run/corrected.init.yaml").write_text(init_yaml(header))
+    assert read_init(Path("run/corrected.init.yaml")).corrections == header.init.start.corrections
+    assert given() == "run/corrected.init.yaml"
+    Path("clip.init.yaml").write_text(init_yaml(header).replace("face:", "head:"))
+    header.init.origin = "clip.init.yaml"
+    assert given() == "clip.init.yaml", "whatever the recipe calls the target"
+    Path("clip.init.yaml").write_text("frame: 0\nbox: [1, 2, 3, 4]\n")
+    assert given() == "run/corrected.init.yaml"
+
+
+START = """frame: 0
+face:
+  points:
+    {nose: [171.32, 128.93], mouth_left: [149.43, 153.19], mouth_right: [194.57, 152.28],
+     lip_upper: [170.86, 149.45], lip_lower: [171.32, 160.40]}
+corrections:
+- {frame: 3, face: {absent: [mouth_left]}}
+- {frame: 6, face: {points: {mouth_left: [149.4, 153.2]}}}
+- {frame: 8, face: {absent: true}}
+"""
+
+
+def test_a_run_with_corrections_is_reported_and_repeated(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    dot = Image(b"", "image/png", (1, 1))
+    monkeypatch.setattr(make, "_plot", lambda *_: Plot(dot, dot))  # plots have their own tests, and take long
+    Path("start.yaml").write_text(START)
+    options = ["--config", "factorized", "--set", "filter.particles=15", "--no-video", "-q"]
+    assert main(["run", str(SAMPLE), "--init", "start.yaml", *options, "--stop", "10", "-o", "run"]) == 0
+    assert main(["report", "run"]) == 0
+    page = Path("run/report.html").read_text()
+    for said in (
+        "It was put right by hand in 3 frames.", "Said to be absent: nose, mouth_left", "by hand in frames 3, 6 and 8",
+        "<strong>Put right by hand</strong> mouth_left is absent", "absent: [mouth_left]", 'class="absent"',
+    ):  # fmt: skip
+        assert said in page, said
+    table = read_trajectory(Path("run"))
+    words = shlex.split(command(read_header(table), int(table.frames[-1]), Path("run")))
+    assert words[words.index("--init") + 1] == "start.yaml"
+    assert main([*words[1:], "--no-video", "-q"]) == 0
+    assert Path("again/trajectory.csv").read_bytes() == Path("run/trajectory.csv").read_bytes()
+    for form in ("mot", "coco", "dlc", "eaf"):
+        assert main(["export", "run", "--to", form, "-o", f"x.{form}"]) == 0
+    assert 'TIER_ID="absent@face"' in Path("x.eaf").read_text()
+    assert main(["eval", "run", "--truth", str(SAMPLE.with_suffix(".truth.csv")), "--partial"]) == 0
+
+
+def test_the_table_of_occlusions_says_what_came_back_by_hand(tmp_path, capsys):
+    head, ours, truth = "frame,target,part,x,y,status", [], []
+    for t in range(20):
+        hidden = 5 <= t < 8
+        for part, x in (("nose", 10.0 + t), ("lip", 30.0 + t)):
+            gone = part == "lip" and hidden
+            ours.append(f"{t},face,{part},{'' if gone else x},{'' if gone else 20},{'absent' if gone else 'tracked'}")
+            truth.append(f"{t},face,{part},{x},20,{'hidden' if gone else 'visible'}")
+    paths = [tmp_path / name for name in ("ours.csv", "truth.csv")]
+    for path, rows_ in zip(paths, (ours, truth), strict=True):
+        path.write_text("\n".join([head, *rows_]) + "\n")
+    assert main(["eval", str(paths[0]), "--truth", str(paths[1])]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"^5-7 +lip +by hand$", said, re.MULTILINE) and "none can be decided" in said

@@ -1,0 +1,295 @@
+"""The correlation of frames: it peaks at the true motion, follows whatever moves, and is not fooled by the border."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.types import Frame, Particles
+from facetrack_cli.tracking.kernels import patches
+from facetrack_cli.tracking.models.likelihoods.correlation import OUTSIDE, Correlation
+from tests.twins import patches as naive_patches
+
+DISTANCES = ["l2", "saturated_l1", "hausdorff"]
+SIZE = (40.0, 48.0)
+WIDTH, HEIGHT = 160, 120
+
+
+def texture(seed=0, width=WIDTH, height=HEIGHT, blur=2.5):
+    noise = np.random.default_rng(seed).normal(0, 1, (height, width)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), blur)
+    return 128 + smooth * (40 / smooth.std())
+
+
+def frame(grey):
+    return Frame(0, 0.0, cv2.cvtColor(np.clip(grey, 0, 255).round().astype(np.uint8), cv2.COLOR_GRAY2BGR))
+
+
+def moved(grey, dx, dy, scale=1.0, centre=(80.0, 60.0)):
+    """The picture scaled about `centre`, then moved."""
+    matrix = np.array([[scale, 0, centre[0] * (1 - scale) + dx], [0, scale, centre[1] * (1 - scale) + dy]])
+    size = grey.shape[1], grey.shape[0]
+    return cv2.warpAffine(grey, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+
+
+def states(boxes):
+    """(N, 1, 6) from rows of (cx, cy, s); the speeds do not matter, so they are wild."""
+    boxes = np.atleast_2d(np.asarray(boxes, float))
+    return np.concatenate([boxes, np.full((len(boxes), 3), 1e6)], axis=1)[:, None]
+
+
+def scored(likelihood, before, now, x, parents):
+    parents = np.repeat(states(parents), len(np.atleast_2d(x)), axis=0)
+    return likelihood.score(likelihood.init(before, states([0, 0, 1.0])[0]), now, states(x), parents)[:, 0]
+
+
+def offsets(reach, step):
+    steps = np.arange(-reach, reach + step / 2, step)
+    return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+
+
+def around(centre, reach=6.0, step=0.5, s=1.0):
+    near = offsets(reach, step) + centre
+    return np.column_stack([near, np.full(len(near), s)])
+
+
+place = st.floats(-60, 220, width=32)
+scale = st.one_of(st.floats(0.0, 3.0, width=32), st.sampled_from([1e-6, 1e3, -0.7]))
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    kind=st.sampled_from(DISTANCES),
+    boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=4),
+    parent=st.tuples(place, place, scale),
+    other=st.tuples(st.integers(0, 2), scale),
+    split=st.integers(0, 4),
+    size=st.tuples(st.floats(2, 200), st.floats(2, 200)),
+    grid=st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    factor=st.sampled_from([1, 2, 8]),
+    picture=st.sampled_from([(1, 1), (1, 9), (7, 2), (37, 50), (96, 120)]),
+)
+def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size, grid, factor, picture):
+    rng = np.random.default_rng(picture[0] + factor)
+    whole = picture[1] * factor + 5 % factor, picture[0] * factor + 3 % factor
+    # in another place of the whole picture than the one before, as a crop is
+    now, before = (rng.integers(0, 256, picture, dtype=np.uint8) for _ in range(2))
+    now_view, before_view = (0, 0, *whole), (2 * factor, 3 * factor, whole[0] + 2 * factor, whole[1] + 3 * factor)
+    x = np.array(boxes)
+    # rounding decides whether a point on the border lies within
+    for axis in (0, 1):
+        cells = size[axis] * ((np.arange(grid[axis]) + 0.5) / grid[axis] - 0.5)
+        rows = np.vstack([x, parent, np.add(parent, other[1] * (np.arange(3) == other[0]))])
+        borders = [-0.5, now_view[2 + axis] - 0.5, before_view[2 + axis] - 0.5]
+        points = rows[:, axis, None] + np.outer(rows[:, 2], cells)
+        assume(np.abs(points[..., None] - borders).min() > 1e-6)
+    # two parents that differ in one coordinate, with several children each
+    of = np.tile(parent, (len(x), 1))
+    of[split:, other[0]] += other[1]
+    out = np.full(len(x), np.nan)
+    patches.patch_distances(
+        now, now_view, before, before_view, factor, x, of, size, *grid, patches.DISTANCES[kind], 25.0, 1000.0, out
+    )  # fmt: skip
+    for n in range(len(x)):
+        a = naive_patches.patch(now, now_view, factor, x[n], size, *grid)
+        b = naive_patches.patch(before, before_view, factor, of[n], size, *grid)
+        # float32 places a point to within 1e-5 pixels, over which grey levels differ by up to 255
+        assert out[n] == pytest.approx(naive_patches.distance(a, b, kind, 25.0, 1000.0), rel=1e-3, abs=0.05)
+
+
+@settings(deadline=None)
+@given(boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=5))
+def test_extent_is_that_of_its_twin(boxes):
+    found = patches.boxes_extent(np.array(boxes), SIZE, WIDTH, HEIGHT)
+    np.testing.assert_allclose(found, naive_patches.extent(boxes, SIZE, WIDTH, HEIGHT), atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", DISTANCES)
+def test_likelihood_is_the_formula_of_the_paper(kind):
+    before, now = frame(texture(0)), frame(texture(0) * 0.9 + 20)
+    likelihood = Correlation(SIZE, (5, 4), kind, sigma=60.0, saturation=15.0)
+    x, parent = [[70.3, 50.2, 1.1], [20.0, 30.0, 0.5], [150.0, 60.0, 1.0]], [71.0, 49.0, 1.05]
+    factor = 8
+    assert likelihood.init(before, states(parent)[0]).factor == factor, "40 / 5 pixels a step"
+    greys = [f.grey(factor, (0, 0, WIDTH, HEIGHT)) for f in (now, before)]
+    (a, b), view = [grey[0] for grey in greys], (0, 0, WIDTH, HEIGHT)
+    assert all(grey[1:] == (0, 0) for grey in greys)
+    for row, log_p in zip(x, scored(likelihood, before, now, x, parent), strict=True):
+        here = naive_patches.patch(a, view, factor, row, SIZE, 5, 4)
+        there = naive_patches.patch(b, view, factor, parent, SIZE, 5, 4)
+        outside = {"l2": OUTSIDE**2, "saturated_l1": 15.0, "hausdorff": OUTSIDE}[kind]
+        d = naive_patches.distance(here, there, kind, 15.0, outside)
+        assert log_p == pytest.approx(-d / (2 * 60.0**2 if kind == "l2" else 60.0), rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", DISTANCES)
+@pytest.mark.parametrize("size", [(20.0, 16.0), SIZE, (70.0, 80.0)])
+def test_peak_is_at_the_true_motion(kind, size):
+    still = texture()
+    x = around((80.0, 60.0), reach=6.0, step=1.0)
+    # the matrix moves the picture by (3, -2); the box is larger than its parent by as much as the picture grew
+    for grown in (1.0, 1.06):
+        x[:, 2] = 0.95 * grown
+        now = frame(moved(still, 3, -2, grown))
+        log_p = scored(Correlation(size, distance=kind), frame(still), now, x, [80, 60, 0.95])
+        np.testing.assert_array_equal(x[np.argmax(log_p), :2], [83.0, 58.0])
+
+
+@pytest.mark.parametrize("kind", DISTANCES)
+def test_peak_is_at_the_true_scale(kind):
+    still = texture()
+    scales = np.arange(0.8, 1.21, 0.02)
+    x = np.column_stack([np.full(len(scales), 80.0), np.full(len(scales), 60.0), scales])
+    log_p = scored(Correlation(SIZE, distance=kind), frame(still), frame(moved(still, 0, 0, 1.1)), x, [80, 60, 1])
+    assert scales[np.argmax(log_p)] == pytest.approx(1.1, abs=0.021)
+
+
+@pytest.mark.parametrize("kind", DISTANCES)
+def test_a_particle_on_the_ground_follows_the_ground(kind):
+    ground, thing = texture(1), texture(2)
+    mask = np.zeros_like(ground)
+    mask[30:90, 20:70] = 1
+    before = np.where(mask > 0, thing, ground)
+    now = np.where(moved(mask, 4, 0) > 0.5, moved(thing, 4, 0), moved(ground, -2, 1))
+    likelihood = Correlation((30.0, 30.0), distance=kind)
+    for parent, motion in (((45.0, 60.0), (4, 0)), ((120.0, 60.0), (-2, 1))):
+        near = around(parent, reach=7.0, step=1.0)
+        log_p = scored(likelihood, frame(before), frame(now), near, [*parent, 1.0])
+        np.testing.assert_array_equal(near[np.argmax(log_p), :2], np.add(parent, motion))
+        # equally well, whatever it is: no object is known
+        assert log_p.max() > -0.5
+
+
+@pytest.mark.parametrize("kind", DISTANCES)
+@pytest.mark.parametrize(("gain", "more"), [(1.0, 8.0), (0.93, 0.0)])
+def test_flicker_hardly_moves_the_peak(kind, gain, more):
+    still = texture()
+    x = around((80.0, 60.0))
+    now = moved(still, 3, -2) * gain + more
+    log_p = scored(Correlation(SIZE, distance=kind), frame(still), frame(now), x, [80, 60, 1])
+    # hausdorff forgives a step of the grid, 2.5 pixels here
+    most = 1.25 if kind == "hausdorff" else 0.5
+    assert np.abs(x[np.argmax(log_p), :2] - (83.0, 58.0)).max() <= most
+
+
+@pytest.mark.parametrize("kind", DISTANCES)
+def test_flat_pictures_know_no_motion(kind):
+    flat = frame(np.full((HEIGHT, WIDTH), 90.0))
+    log_p = scored(Correlation(SIZE, distance=kind), flat, flat, around((80.0, 60.0), 10.0, 2.0), [80, 60, 1])
+    np.testing.assert_array_equal(log_p, 0.0)
+
+
+@pytest.mark.parametrize("kind", DISTANCES)
+def test_leaving_the_picture_never_pays(kind):
+    # a flat border is what a box outside would see if the border were repeated
+    still = texture()
+    still[:, -20:] = 128
+    now = moved(still, 3, -2)
+    likelihood = Correlation(SIZE, distance=kind)
+    for parent in ([80, 60, 1], [300, 60, 1], [80, -200, 1]):
+        x = [*parent[:2], 1.0] if parent != [80, 60, 1] else [500.0, 60.0, 1.0]
+        outside = scored(likelihood, frame(still), frame(now), x, parent)
+        # true motion, and missing it by 2 pixels, which is 5 % of the box
+        inside = scored(likelihood, frame(still), frame(now), [[83, 58, 1], [85, 58, 1], [83, 56, 1]], [80, 60, 1])
+        assert outside < inside.min() - 2
+    # on flat ground too, and the further out the worse
+    flat = frame(np.full((HEIGHT, WIDTH), 90.0))
+    out = np.column_stack([np.arange(80.0, 220.0, 4.0), np.full(35, 60.0), np.ones(35)])
+    log_p = scored(likelihood, flat, flat, out, [80, 60, 1])
+    assert (np.diff(log_p) <= 0).all()
+    assert log_p[0] == 0
+    assert log_p[-1] < -5
+
+
+@pytest.mark.parametrize("kind", DISTANCES)
+def test_a_box_that_leaves_keeps_its_peak(kind):
+    still = texture(3)
+    parent = (WIDTH - 10.0, 60.0)
+    near = around(parent, reach=6.0, step=1.0)
+    now = frame(np.roll(still, 3, axis=1))
+    log_p = scored(Correlation(SIZE, distance=kind), frame(still), now, near, [*parent, 1.0])
+    assert np.abs(near[np.argmax(log_p), :2] - (parent[0] + 3, parent[1])).max() <= 1
+
+
+wild = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(-300, 300))
+
+
+@settings(max_examples=100, deadline=None)
+@example(kind="l2", rows=[(np.nan, np.nan, np.nan)], parent=(1e300, -1e300, np.inf), size=SIZE)
+@example(kind="hausdorff", rows=[(np.inf, 0.0, 0.0)], parent=(-1e300, 0.0, -1e300), size=SIZE)
+@given(
+    kind=st.sampled_from(DISTANCES),
+    rows=st.lists(st.tuples(wild, wild, wild), min_size=1, max_size=3),
+    parent=st.tuples(wild, wild, wild),
+    size=st.sampled_from([SIZE, (1.0, 1.0), (1000.0, 3.0), (9000.0, 9000.0)]),
+)
+def test_wild_particles_are_survived(kind, rows, parent, size):
+    before, now = frame(texture(0)), frame(texture(1))
+    log_p = scored(Correlation(size, distance=kind), before, now, rows, parent)
+    assert np.isfinite(log_p).all()
+    assert (log_p <= 0).all()
+
+
+@pytest.mark.parametrize("kind", DISTANCES)
+def test_no_motion_is_a_perfect_match_and_each_frame_takes_the_place_of_the_one_before(kind):
+    frames = [frame(texture(0)), frame(texture(1)), frame(moved(texture(1), 2, 0))]
+    likelihood = Correlation(SIZE, distance=kind)
+    x = states([[80.3, 60.1, 1.0], [75.2, 61.7, 0.83]])
+    learned = likelihood.init(frames[0], x[0])
+    np.testing.assert_array_equal(likelihood.score(learned, Frame(1, 0.0, frames[0].bgr), x, x), 0.0)
+    particles = Particles(x, np.log([0.5, 0.5]))
+    after = likelihood.learn(learned, frames[1], x[0], particles)
+    assert after.frame is frames[1]
+    assert learned.frame is frames[0], "what was learned is a value"
+    x2 = states([[82.3, 60.1, 1.0], [77.2, 61.7, 0.83]])
+    assert likelihood.score(after, frames[2], x2, x).min() > likelihood.score(learned, frames[2], x2, x).max()
+    np.testing.assert_array_equal(likelihood.score(after, frames[1], x, x), 0.0)
+
+
+def test_the_picture_is_reduced_as_far_as_the_grid_allows():
+    f = frame(texture())
+    for size, grid, factor in [
+        ((16, 16), (16, 16), 1), ((31, 90), (16, 16), 1), ((32, 90), (16, 16), 2), ((64, 64), (16, 16), 4),
+        ((5, 5), (16, 16), 1), ((64, 64), (8, 32), 2), ((2000, 2000), (16, 16), 64),
+    ]:  # fmt: skip
+        assert Correlation(size, grid).init(f, states([0, 0, 1.0])[0]).factor == factor
+
+
+def test_where_the_frame_is_cut_does_not_matter():
+    """One stray particle makes the cut larger; the scores of the others stay as they were."""
+    still = texture(0, 400, 300)
+    before, now = frame(still), frame(moved(still, 2, 1))
+    likelihood = Correlation((64.0, 64.0))
+    x = [[200.0, 150.0, 1.0], [203.0, 152.0, 1.1]]
+    alone = scored(likelihood, before, now, x, [201, 149, 1])
+    fresh = Frame(0, 0.0, before.bgr), Frame(1, 0.0, now.bgr)
+    with_stray = scored(likelihood, *fresh, [*x, [10.0, 10.0, 4.0]], [201, 149, 1])
+    np.testing.assert_array_equal(alone, with_stray[:2])
+
+
+@pytest.mark.parametrize("grid", [(16, 16), (60, 60)])
+def test_a_parent_is_looked_up_wherever_it_was(grid):
+    """Each frame is cut around the boxes that lie in it."""
+    still = texture(0, 500, 400)
+    before, now = frame(still), frame(moved(still, 2, 1))
+    likelihood = Correlation((64.0, 64.0), grid)
+    x, parent = [[420.0, 330.0, 1.0]], [60.0, 50.0, 1.4]
+    cut = scored(likelihood, before, now, x, parent)
+    whole = Frame(0, 0.0, before.bgr), Frame(1, 0.0, now.bgr)
+    for f in whole:
+        f.grey(likelihood.init(f, states([0, 0, 1.0])[0]).factor, (0, 0, 500, 400))
+    np.testing.assert_array_equal(cut, scored(likelihood, *whole, x, parent))
+
+
+def test_children_of_parents_that_differ_in_one_coordinate_are_told_apart():
+    """Each parent is read once for all its children, which follow each other."""
+    before, now = frame(texture(0)), frame(texture(1))
+    likelihood = Correlation(SIZE)
+    parents = states([[80, 60, 1], [80, 60, 1], [84, 60, 1], [84, 64, 1], [84, 64, 1.2], [80, 60, 1]])
+    x = np.repeat(states([81, 61, 1.1]), len(parents), axis=0)
+    learned = likelihood.init(before, x[0])
+    together = likelihood.score(learned, now, x, parents)
+    alone = [likelihood.score(learned, now, x[:1], parent[None])[0] for parent in parents]
+    np.testing.assert_array_equal(together, alone)
+    assert len(np.unique(together)) == 4

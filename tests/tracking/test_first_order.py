@@ -1,0 +1,211 @@
+"""First-order dynamics: draws against A and B, the density against the draws, the filter against a Kalman filter."""
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.types import Particles
+from facetrack_cli.tracking.filters import Auxiliary, Factorized, Sir
+from facetrack_cli.tracking.models.likelihoods.product import Product
+from facetrack_cli.tracking.models.motion import FirstOrder
+from facetrack_cli.tracking.models.spaces import BoxSpace, estimate, evenly, state_of_box
+from facetrack_cli.tracking.resampling import uniform
+
+A = np.array([[1.0, 0.9], [0.0, 0.8]])
+B = np.array([[2.0, 0.5], [0.3, 1.0]])
+SCALE_A = np.array([[0.95, 0.5], [0.0, 0.7]])
+SCALE_B = np.array([[0.02, 0.0], [0.0, 0.01]])
+MOTION = FirstOrder((A, B), (SCALE_A, SCALE_B), 0.01, 100.0)
+
+
+def whole(block, scale):
+    """(6, 6) of x, y, s and their speeds, from the blocks of place and of scale."""
+    out = np.zeros((6, 6))
+    for i, one in enumerate((block, block, scale)):
+        out[np.ix_([i, i + 3], [i, i + 3])] = one
+    return out
+
+
+def test_draws_have_the_mean_and_covariance_of_the_dynamics():
+    rng = np.random.default_rng(0)
+    state = np.array([50.0, 40.0, 1.2, 3.0, -2.0, 0.05])
+    drawn = MOTION.propagate(rng, np.tile(state, (60_000, 1, 1)))[:, 0]
+    spread = whole(B @ B.T, SCALE_B @ SCALE_B.T)
+    error = (drawn.mean(axis=0) - whole(A, SCALE_A) @ state) / np.sqrt(np.diag(spread) / len(drawn))
+    assert np.abs(error).max() < 4.5
+    scatter = np.cov(drawn.T)
+    units = np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
+    assert np.abs((scatter - spread) / units).max() < 0.03
+
+
+def test_one_source_of_noise_moves_place_and_speed_together():
+    constant_velocity = FirstOrder((A, np.array([[0.7], [0.7]])), (SCALE_A, np.zeros((2, 1))), 0.1, 10.0)
+    x = np.tile(state_of_box(10, 20, 31, 41), (50, 1, 1))
+    moved = constant_velocity.propagate(np.random.default_rng(1), x)[:, 0]
+    np.testing.assert_allclose(moved[:, :2] - x[:, 0, :2], moved[:, 3:5])
+    assert moved[:, 0].std() > 0.3 and np.all(moved[:, 5] == 0)
+    np.testing.assert_allclose(moved[:, 2], 0.95)
+
+
+def test_without_noise_the_dynamics_are_the_matrix():
+    still = FirstOrder((A, np.zeros((2, 1))), (SCALE_A, np.zeros((2, 1))), 0.01, 100.0)
+    x = np.random.default_rng(2).normal(1.0, 0.1, (5, 1, 6))
+    np.testing.assert_allclose(still.propagate(np.random.default_rng(0), x), x @ whole(A, SCALE_A).T)
+
+
+def test_what_is_expected_is_the_mean_of_the_draws():
+    model = FirstOrder((np.array([[1, 1], [0, 0.5]]), np.array([[2.0], [1.0]])),
+                       (np.array([[1, 0], [0, 0]]), np.array([[0.1], [0]])), 0.01, 100.0)  # fmt: skip
+    x = np.array([[[10.0, 20.0, 1.0, 3.0, -4.0, 0.0]]])
+    np.testing.assert_array_equal(model.expect(x), [[[13, 16, 1, 1.5, -2, 0]]])
+    drawn = model.propagate(np.random.default_rng(0), x.repeat(40_000, axis=0)).mean(axis=0)
+    np.testing.assert_allclose(drawn, model.expect(x)[0], atol=0.05)
+
+
+def test_scale_stops_at_its_bounds():
+    wild = FirstOrder((A, B), (np.eye(2), np.array([[2.0], [1.0]])), 0.5, 2.0)
+    x = np.tile(state_of_box(0, 0, 10, 10), (500, 1, 1))
+    moved = wild.propagate(np.random.default_rng(3), x)
+    s, speed = moved[..., 2], moved[..., 5]
+    assert s.min() == 0.5 and s.max() == 2.0
+    assert np.all(speed[(s == 0.5) | (s == 2.0)] == 0) and np.any(speed != 0)
+
+
+def test_density_is_that_of_a_normal_distribution():
+    rng = np.random.default_rng(4)
+    parents = rng.normal(size=(3, 2, 6))
+    x = rng.normal(size=(4, 2, 6))
+    cov, a = whole(B @ B.T, SCALE_B @ SCALE_B.T), whole(A, SCALE_A)
+    seen = MOTION.log_transition(x, parents)
+    assert seen.shape == (4, 3, 2)
+    for n, m, k in np.ndindex(4, 3, 2):
+        off = x[n, k] - a @ parents[m, k]
+        log_p = -0.5 * off @ np.linalg.solve(cov, off) - 0.5 * np.linalg.slogdet(2 * np.pi * cov)[1]
+        assert seen[n, m, k] == pytest.approx(log_p)
+
+
+def test_density_of_fewer_sources_than_numbers_is_that_on_their_line():
+    motion = FirstOrder((A, np.array([[3.0], [4.0]])), (SCALE_A, SCALE_B), 0.01, 100.0)
+    parent = np.array([[[5.0, 5.0, 1.0, 1.0, 1.0, 0.0]]])
+    drawn = motion.propagate(np.random.default_rng(5), np.tile(parent, (6, 1, 1)))
+    assert np.isfinite(motion.log_transition(drawn, parent)).all()
+    beside = drawn.copy()
+    beside[..., 3] += 0.5
+    assert np.all(motion.log_transition(beside, parent) == -np.inf)
+    mean = parent @ whole(A, SCALE_A).T
+    two, three = mean.copy(), mean.copy()
+    two[..., [0, 3]] += [0.6, 0.8]  # 0.2 standard deviations along (3, 4), whose length is 5
+    three[..., [0, 3]] += [6.0, 8.0]
+    ratio = motion.log_transition(two, parent) - motion.log_transition(three, parent)
+    assert ratio[0, 0, 0] == pytest.approx((2.0**2 - 0.2**2) / 2)
+
+
+class Seen:
+    """The dynamics with places observed under Gaussian noise of variance r."""
+
+    def __init__(self, at, r):
+        self.at, self.r = at, r
+
+    def propagate(self, rng, x):
+        return MOTION.propagate(rng, x)
+
+    def log_likelihood(self, x, parents):
+        return -0.5 * np.sum((x[..., :2] - self.at) ** 2, axis=2) / self.r
+
+    def log_prior(self, x):
+        return np.zeros(len(x))
+
+
+def test_the_bootstrap_filter_agrees_with_a_kalman_filter():
+    rng = np.random.default_rng(6)
+    a, q, r = whole(A, SCALE_A), whole(B @ B.T, SCALE_B @ SCALE_B.T), 4.0
+    h = np.eye(2, 6)
+    truth = state_of_box(20, 20, 21, 21)[0]
+    mean, cov = truth.copy(), np.zeros((6, 6))
+    particles = Particles(np.tile(truth, (20_000, 1, 1)), uniform(20_000))
+    off, spread = [], []
+    for _ in range(25):
+        truth = a @ truth + rng.multivariate_normal(np.zeros(6), q, method="eigh")
+        seen = h @ truth + rng.normal(0, np.sqrt(r), 2)
+        mean, cov = a @ mean, a @ cov @ a.T + q
+        gain = cov @ h.T @ np.linalg.inv(h @ cov @ h.T + r * np.eye(2))
+        mean, cov = mean + gain @ (seen - h @ mean), cov - gain @ h @ cov
+        particles, _ = Sir()(rng, particles, Seen(seen, r))
+        found = estimate(particles)
+        # in standard deviations of the posterior, speeds included
+        off.append((found.state[0, [0, 1, 3, 4]] - mean[[0, 1, 3, 4]]) / np.sqrt(np.diag(cov)[[0, 1, 3, 4]]))
+        spread.append(found.cov[0] / cov[:2, :2].diagonal().mean())
+    assert np.sqrt(np.mean(np.square(off))) < 0.05
+    assert np.abs(np.mean(spread, axis=0) - np.eye(2)).max() < 0.05
+
+
+class Family:
+    """Every state is (its own number, that of the state it was moved from); only true parents are taken."""
+
+    def __init__(self):
+        self.born, self.asked = 0, 0
+
+    def propagate(self, rng, x):
+        own = self.born + np.arange(1, x[..., 0].size + 1, dtype=float).reshape(x.shape[:2])
+        self.born += own.size
+        return np.stack([own, x[..., 0]], axis=2)
+
+    def log_likelihood(self, x, parents):
+        np.testing.assert_array_equal(x[..., 1], parents[..., 0])
+        self.asked += 1
+        return -0.1 * (x[..., 0] % 7)
+
+    def log_prior(self, x):
+        return np.zeros(len(x))
+
+
+@pytest.mark.parametrize(("step", "looks"), [(Sir(), 1), (Auxiliary(), 2), (Factorized("none"), 2)])
+def test_filters_score_each_state_beside_the_one_it_was_moved_from(step, looks):
+    """Its likelihood may depend on both (Odobez et al. 2003, eq. 9), in the first stage of a filter too."""
+    family, rng = Family(), np.random.default_rng(7)
+    for parts in (1, 2):
+        particles = Particles(family.propagate(rng, np.zeros((40, parts, 2))), uniform(40))
+        for _ in range(3):
+            family.asked = 0
+            particles, _ = step(rng, particles, family)
+            assert family.asked == looks
+
+
+class Says:
+    """A likelihood that is given its answer, and says what it was asked."""
+
+    def __init__(self, score, distance):
+        self.answer, self.distance = score, distance
+
+    def init(self, frame, x0):
+        return frame, self
+
+    def score(self, learned, frame, x, parents):
+        assert learned[1] is self
+        return self.answer * (parents[..., 0] - x[..., 0])
+
+    def learn(self, learned, frame, state, particles):
+        return frame, self
+
+    def distances(self, learned, frame, x):
+        assert learned[1] is self
+        return np.full(x.shape[:2], self.distance)
+
+
+def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
+    product = Product((Says(2.0, 0.1), Says(3.0, 0.7)), (Says(5.0, 9.0),))
+    x, parents = np.zeros((4, 1, 6)), np.ones((4, 1, 6))
+    learned = product.init("first", x[0])
+    np.testing.assert_allclose(product.score(learned, "now", x, parents), np.full((4, 1), 10.0))
+    np.testing.assert_allclose(product.distances(learned, "now", x), np.full((4, 1), 0.4))
+    after = product.learn(learned, "now", x[0], None)
+    assert [frame for frame, _ in learned] == ["first"] * 3
+    assert [frame for frame, _ in after] == ["now"] * 3
+    product.score(after, "next", x, parents)
+    with pytest.raises(ValueError, match="what the object looks like"):
+        Product((), (Says(5.0, 9.0),)).distances(learned[2:], "now", x)
+
+
+def test_a_box_is_its_state():
+    state = state_of_box(10, 20, 31, 42)
+    np.testing.assert_array_equal(state, [[25.0, 40.5, 1.0, 0.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(BoxSpace((31, 42)).windows(evenly(2 * state, np.zeros((1, 2)))), [[62, 84]])

@@ -1,0 +1,369 @@
+"""The prediction of eq. 12 and 13: in pixels, against its twin, and where there is nothing to predict from."""
+
+import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from functools import partial
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.kernels.least_squares import differences, gain, mapped
+from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
+from facetrack_cli.tracking.models.motion import AffineWalk
+from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.models.velocity import RANK, Flow, Guide, Noise, Velocity
+from tests.support.samples import read_boxes, read_rows
+from tests.tracking.test_patches import frame, smooth, state
+from tests.twins import guide as naive
+
+SIZE = (50.0, 56.0)
+PATCHES = Patches(SIZE)
+MODEL = Appearance(PATCHES, 0.03, (0.3, 0.4, 0.3), (0.3, 0.5, 0.5), 0.1, 0.01)
+WALK = AffineWalk(2.0, 0.025, 0.025, 0.2, 5.0)
+GUIDE = Guide(PATCHES, Velocity(), Noise(), 100)
+HERE = state(120, 90)
+PICTURE = smooth(5, 180, 240, 6.0)
+
+
+def apart(one, other, size=SIZE):
+    """Mean distance in pixels of the corners of two states (1, 6)."""
+    return float(np.linalg.norm(np.subtract(naive.corners(one[0], size), naive.corners(other[0], size)), axis=1).mean())
+
+
+def moved(x=0.0, y=0.0, scale=1.0, turn=0.0, stretch=0.0):
+    """The picture after the target HERE moved, and where that is."""
+    c, s = scale * math.cos(math.radians(turn)), scale * math.sin(math.radians(turn))
+    a = np.array([[c * (1 + stretch), -s], [s, c * (1 - stretch)]])
+    middle, to = HERE[0, :2], HERE[0, :2] + (x, y)
+    picture = cv2.warpAffine(
+        PICTURE, np.column_stack([a, to - a @ middle]), PICTURE.shape[::-1], borderMode=cv2.BORDER_REFLECT
+    )
+    return frame(picture), np.concatenate([to, a.ravel()])[None]
+
+
+def flow_of(guide=GUIDE, picture=None, here=HERE, seed=0):
+    return guide.begin(np.random.default_rng(seed), frame(PICTURE) if picture is None else picture, here, WALK)
+
+
+def ahead_of(guide, flow, now, learned=None):
+    learned = MODEL.init(frame(PICTURE), HERE) if learned is None else learned
+    return guide.predict(flow, now, partial(MODEL.error, learned), partial(MODEL.expected, learned))
+
+
+MOTIONS = [
+    *({"x": 4 * math.cos(a), "y": 4 * math.sin(a)} for a in np.arange(8) * math.pi / 4),
+    {"scale": 1.07}, {"scale": 0.93}, {"turn": 5}, {"turn": -5}, {"stretch": 0.05},
+    {"x": -3, "y": 2, "scale": 1.04, "turn": -3}, {"x": 9},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("towards", ["last", "appearance"])
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("samples", [None, 32])
+def test_the_shift_points_to_the_truth(motion, samples, towards):
+    now, there = moved(**motion)
+    guide = replace(GUIDE, velocity=Velocity(samples=samples, towards=towards))
+    ahead = ahead_of(guide, flow_of(guide), now)
+    assert ahead.state is HERE or (ahead.state == HERE).all()
+    before, after = apart(HERE, there), apart(ahead.state + ahead.shift, there)
+    assert before > 1.2 and after < 0.06, (before, after)  # at most 0.023
+
+
+@pytest.mark.parametrize("motion", MOTIONS[:-1])
+def test_one_step_goes_most_of_the_way_and_the_printed_sign_goes_the_other_way(motion):
+    now, there = moved(**motion)
+    flow = flow_of()
+    difference = PATCHES.read(now, HERE[None], PATCHES.factor(HERE))[0] - flow.patch
+    step = (flow.gain @ (flow.rows @ difference))[None]
+    before = apart(HERE, there)
+    assert apart(HERE - step, there) < 0.6 * before
+    assert apart(HERE + step, there) > 1.4 * before
+    alone = ahead_of(replace(GUIDE, velocity=Velocity(iterations=1)), flow, now)
+    np.testing.assert_allclose(alone.shift, -step, atol=1e-4)
+
+
+@pytest.mark.parametrize("clip", ["zoom", "lamp"])
+def test_on_the_sample_clips_the_place_is_predicted_to_a_fifth_of_a_pixel(clip):
+    shown = read_boxes(clip)
+    roll = np.radians([float(row["angle"]) for row in read_rows(clip)])
+    first = shown.boxes[0]
+    patches = Patches((first[2], first[3]))
+    model, unit = replace(MODEL, patches=patches), math.sqrt(first[2] * first[3])
+    guide, walk = Guide(patches, Velocity(samples=32), None, 100), AffineWalk(0.04 * unit, 0.025, 0.003, 0.2, 5.0)
+
+    def truth(t):
+        (x, y, w, h), c, s = shown.boxes[t], math.cos(roll[t]), math.sin(roll[t])
+        return np.array([[x, y, c * w / first[2], -s * h / first[3], s * w / first[2], c * h / first[3]]])
+
+    rng, found = np.random.default_rng(0), []
+    for t in range(0, len(shown.pictures) - 1, 3):
+        last, now = (Frame(i, 0.0, shown.pictures[i]) for i in (t, t + 1))
+        here, there = truth(t), truth(t + 1)
+        ahead = ahead_of(guide, guide.begin(rng, last, here, walk), now, model.init(last, here))
+        wrong = 2 * here - (here + ahead.shift)
+        found.append([np.hypot(*(one - there)[0, :2]) for one in (here, here + ahead.shift, wrong)])
+        found[-1] += [abs(np.hypot(*one[0, 2:4]) - np.hypot(*there[0, 2:4])) for one in (here, here + ahead.shift)]
+    before, after, wrong, scale_before, scale_after = np.mean(found, axis=0)
+    assert before > 1.9 and after < 0.25 and wrong > 1.9 * before, found  # 0.20 and 0.15
+    assert scale_after < 0.75 * scale_before
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    st.integers(0, 10**6), st.integers(0, 40), st.sampled_from([1, 3, 30, 90]), st.integers(1, 45),
+    st.sampled_from([0.0, 0.5, 3.0]),
+)  # fmt: skip
+def test_b_equals_the_plain_twin(seed, count, d, components, decay):
+    rng = np.random.default_rng(seed)
+    y = (rng.normal(size=(count + 3, d)) * 10 ** (-decay * np.arange(d) / d)).astype(np.float32)
+    x, patch, wanted = rng.normal(size=(count, 6)), *rng.normal(size=(2, d)).astype(np.float32)
+    chosen = rng.permutation(count + 3)[:count]
+    rows, squares = differences(y, chosen, patch)
+    np.testing.assert_array_equal(rows, y[chosen] - patch)
+    np.testing.assert_allclose(squares, np.reshape(naive.products(rows), (count, count)), rtol=1e-4, atol=1e-4)
+    np.testing.assert_array_equal(squares, squares.T)
+    # where a singular value is cut off, or is not, by a hair, both are right
+    values = np.linalg.svd(rows, compute_uv=False) if count else np.ones(1)
+    near = np.append(values, 0)[min(components, len(values)) - 1 : components + 1]
+    exact = rows.astype(np.float64) @ rows.astype(np.float64).T
+    if (values < 3e-3 * values[0]).any() or (len(near) == 2 and near[0] - near[1] < 1e-3 * values[0]):
+        assert np.isfinite(gain(x, exact, components, RANK)).all()
+        return
+    found = gain(x, exact, components, RANK) @ rows
+    expected = naive.shift_matrix(x, rows, components) if count else np.zeros((6, d))
+    np.testing.assert_allclose(found, expected, atol=1e-6 * max(np.abs(expected).max(), 1e-9))
+    step = mapped(gain(x, exact, components, RANK), rows, patch, wanted)
+    np.testing.assert_allclose(step, expected @ (patch - wanted), atol=1e-3 * (1 + np.abs(expected).max() * d))
+
+
+def test_with_all_components_b_is_the_least_squares_solution():
+    rng = np.random.default_rng(0)
+    for count, d in ((60, 20), (20, 60)):  # more particles than pixels, and the least solution of many
+        x, rows = rng.normal(size=(count, 6)), rng.normal(size=(count, d)).astype(np.float32)
+        b = gain(x, rows.astype(float) @ rows.T.astype(float), 999, RANK) @ rows
+        np.testing.assert_allclose(b.T, np.linalg.lstsq(rows.astype(float), x, rcond=None)[0], atol=1e-5)
+
+
+def test_q_is_how_many_directions_count():
+    flow = flow_of()
+    for q in (1, 5, 20):
+        b = gain(np.eye(100, 6), (flow.rows @ flow.rows.T).astype(float), q, RANK)
+        one = flow_of(replace(GUIDE, velocity=Velocity(components=q)))
+        assert np.linalg.matrix_rank(one.gain @ one.rows, tol=1e-9) == min(q, 6) == np.linalg.matrix_rank(b, tol=1e-9)
+    # the larger of two directions alone
+    x, rows = np.zeros((2, 6)), np.array([[3, 0], [0, 2]], np.float32)
+    x[0, 0] = x[1, 1] = 1
+    np.testing.assert_allclose((gain(x, (rows @ rows.T).astype(float), 1, RANK) @ rows)[:2], [[1 / 3, 0], [0, 0]])
+    np.testing.assert_allclose((gain(x, (rows @ rows.T).astype(float), 2, RANK) @ rows)[:2], [[1 / 3, 0], [0, 1 / 2]])
+
+
+def test_directions_that_hardly_differ_are_rounding():
+    x = np.ones((2, 6))
+    for small, kept in ((RANK * 0.5, False), (RANK * 2, True)):
+        b = gain(x, np.diag([1.0, small**2]), 20, RANK)
+        assert (b[0, 1] > 0) == kept
+
+
+@pytest.mark.parametrize(
+    "products",
+    [
+        np.zeros((0, 0)), np.zeros((5, 5)), np.ones((6, 6)), np.eye(6), np.diag([1.0, 1, 2, 2, 0]),
+        np.full((3, 3), np.nan), np.full((3, 3), np.inf), np.full((4, 4), 1e-200), np.full((4, 4), 1e150),
+        np.diag([np.inf, 1.0]),
+    ],
+)  # fmt: skip
+def test_any_products_end_and_give_numbers(products):
+    assert np.isfinite(gain(np.ones((len(products), 6)), products, 3, RANK)).all()
+
+
+@pytest.mark.parametrize(("count", "most"), [(100, 32), (33, 32), (32, 32), (5, 32), (1, 2), (7, None)])
+def test_b_comes_from_so_many_particles_evenly(count, most):
+    x = WALK.propagate(np.random.default_rng(0), np.repeat(HERE[None], count, axis=0))
+    flow = replace(GUIDE, velocity=Velocity(samples=most)).learn(frame(PICTURE), HERE, x)
+    used = count if most is None else min(count, most)
+    rows = PATCHES.read(frame(PICTURE), x, 1) - flow.patch
+    place = [int(np.abs(rows - row).sum(axis=1).argmin()) for row in flow.rows]
+    assert flow.gain.shape == (6, used) and len(set(place)) == used and place == sorted(place)
+    assert place[0] == 0 and np.diff([*place, count]).max() - np.diff([*place, count]).min() <= 1
+
+
+def test_it_is_about_the_estimate_not_about_the_mean():
+    x = WALK.propagate(np.random.default_rng(0), np.repeat(HERE[None], 60, axis=0))
+    here = HERE + np.array([[3.0, -2, 0.02, 0, 0, 0.02]])
+    flow = GUIDE.learn(frame(PICTURE), here, x)
+    seen, all_ = (PATCHES.read(frame(PICTURE), one, 1) for one in (here[None], x))
+    np.testing.assert_array_equal(flow.patch, seen[0])
+    expected = naive.shift_matrix(x[:, 0] - here, all_ - seen, 20)
+    np.testing.assert_allclose(flow.gain @ flow.rows, expected, atol=1e-3 * np.abs(expected).max())
+
+
+FLAT = np.full_like(PICTURE, 90)
+
+
+@pytest.mark.parametrize("last", [PICTURE, FLAT, PICTURE[:12, :16]])
+@pytest.mark.parametrize("now", [PICTURE, FLAT, np.zeros_like(PICTURE)])
+@pytest.mark.parametrize(
+    "x",
+    [
+        np.repeat(HERE[None], 40, axis=0),
+        HERE[None],
+        np.repeat(state(-900, 4000)[None], 9, axis=0),
+        np.concatenate([HERE[None], state(1e7, -1e7)[None], state(120, 90, 0, 0, 0, 0)[None], state(0, 0, 1e9)[None]]),
+    ],
+    ids=["all equal", "one", "outside", "wild"],
+)
+@pytest.mark.parametrize("velocity", [Velocity(), Velocity(towards="appearance", search=1.0), None])
+def test_where_nothing_can_be_learned_nothing_is_wild(last, now, x, velocity):
+    guide = replace(GUIDE, velocity=velocity)
+    for here in (HERE, x[-1]):
+        flow = guide.learn(frame(last), here, x)
+        assert np.isfinite(flow.gain).all()
+        ahead = ahead_of(guide, flow, frame(now))
+        assert np.isfinite(ahead.shift).all() and np.isfinite(ahead.noise)
+        assert ahead.error is not None and np.isfinite(ahead.error)
+        if velocity is None or (velocity.search == 0 and len(np.unique(x, axis=0)) == 1 and (here == x[0]).all()):
+            assert not ahead.shift.any()
+
+
+def test_without_velocity_it_is_where_it_was():
+    guide, (now, _) = replace(GUIDE, velocity=None), moved(x=4)
+    ahead = ahead_of(guide, flow_of(guide), now)
+    assert not ahead.shift.any() and ahead.noise == Noise().eta(ahead.error) and ahead.error > 0.5
+    assert ahead_of(replace(guide, noise=None), flow_of(guide), now).noise == 1
+
+
+def test_the_noise_is_tight_after_a_good_prediction_and_wide_after_a_bad_one():
+    # figure 2a, eta(x; 0.5, 2, 1)
+    eta = Noise().eta
+    assert eta(0.0) == 0.5 and eta(50.0) == 2.0
+    for x, y in ((0.5, 1.193), (1.0, 1.642), (1.5, 1.858), (2.0, 1.946)):
+        assert eta(x) == pytest.approx(y, abs=5e-4)
+    now, _ = moved(x=4)
+    learned = MODEL.init(frame(PICTURE), HERE)
+    good, bad = (ahead_of(GUIDE, flow_of(), one, learned) for one in (now, frame(smooth(77, 180, 240))))
+    assert good.noise < 0.9 < 1.5 < bad.noise
+    for one in (good, bad):
+        there = PATCHES.read(now if one is good else frame(smooth(77, 180, 240)), (HERE + one.shift)[None], 1)
+        assert one.error == pytest.approx(MODEL.error(learned, there)[0])
+
+
+@given(st.floats(0, 300), st.floats(0.1, 2), st.floats(0, 5), st.floats(0.5, 20))
+def test_eta_equals_the_plain_twin_and_keeps_its_bounds(error, least, more, rate):
+    found = Noise(least, least + more, rate).eta(error)
+    assert least <= found <= least + more + 1e-12
+    assert found == pytest.approx(naive.eta(min(error, 300 * rate), least, least + more, rate))
+
+
+def told_by(errors):
+    """phi that says so in turn, and counts."""
+    said = iter(errors)
+    return lambda patches: np.array([next(said)])
+
+
+@pytest.mark.parametrize(
+    ("errors", "kept", "asked"),
+    [
+        ([5.0, 6.0], 0, 2),  # worse at once: none at all
+        ([5.0, 4.0, 4.5], 1, 3),
+        ([5.0, 4.0, 3.999], 2, 3),  # a hair better: it has settled, and it is the best
+        ([5.0, 4.89, 4.78, 4.67, 4.56], 4, 5),  # falls by just above 2 % each
+        ([0.0, 0.0], 0, 2),
+    ],
+)
+def test_it_ends_when_the_error_settles_and_keeps_the_best(errors, kept, asked):
+    now, _ = moved(x=4)
+    flow, said = flow_of(), list(errors)
+    guide = replace(GUIDE, velocity=Velocity(iterations=asked - 1 if kept == 4 else 10))
+    shifts, shift = [np.zeros((1, 6))], np.zeros((1, 6))
+    for _ in range(asked - 1):
+        difference = PATCHES.read(now, (HERE + shift)[None], 1)[0] - flow.patch
+        shift = shift - (flow.gain @ (flow.rows @ difference))[None]
+        shifts.append(shift)
+    ahead = guide.predict(flow, now, lambda patches: np.array([said.pop(0)]), lambda: flow.patch)
+    assert not said, "asked for as often as it should be"
+    assert ahead.error == errors[kept]
+    np.testing.assert_allclose(ahead.shift, shifts[kept], atol=1e-4)
+
+
+def test_a_search_finds_what_jumped_and_no_worse_place():
+    now, there = moved(x=30, y=-25)
+    guide, searching = (replace(GUIDE, velocity=Velocity(search=s)) for s in (0.0, 1.0))
+    near, far = (ahead_of(one, flow_of(), now) for one in (guide, searching))
+    assert apart(near.state + near.shift, there) > 20
+    assert apart(far.state + far.shift, there) < 0.25
+    still = ahead_of(replace(GUIDE, velocity=Velocity(search=1.0, iterations=1)), flow_of(), frame(PICTURE))
+    assert apart(still.state + still.shift, HERE) < 0.1
+    # nor does it believe a match that the appearance does not
+    flow, said = flow_of(), [1.0, 3.0, 4.0]
+    ahead = searching.predict(flow, now, told_by(said), lambda: flow.patch)
+    assert ahead.error == 1.0 and not ahead.shift.any()
+
+
+@pytest.mark.parametrize("deform", [(1.2, 0, 0, 1.2), (0.94, -0.34, 0.34, 0.94)])
+def test_a_search_looks_in_the_target_s_own_axes(deform):
+    # the picture turned and enlarged with the target: so is the jump
+    a = np.reshape(deform, (2, 2))
+    middle = HERE[0, :2]
+    turned = cv2.warpAffine(PICTURE, np.column_stack([a, middle - a @ middle]), PICTURE.shape[::-1])
+    jump = np.array([14.0, -9.0])
+    now = frame(cv2.warpAffine(turned, np.column_stack([np.eye(2), jump]), PICTURE.shape[::-1]))
+    here = np.concatenate([middle, np.ravel(a)])[None]
+    guide = replace(GUIDE, velocity=Velocity(search=0.5, iterations=1))
+    learned = MODEL.init(frame(turned), here)
+    found = guide._search(here, now, guide.patches.factor(here), MODEL.expected(learned))
+    assert np.abs(found[0, :2] - jump).max() < 1.6 and not found[0, 2:].any()
+
+
+def test_towards_the_appearance_corrects_what_the_last_frame_was_wrong_by():
+    # the estimate of the last frame was 3 pixels off, and nothing moved
+    wrong, picture = state(123, 90), frame(PICTURE)
+    learned = MODEL.init(picture, HERE)
+    for towards, off in (("last", 3.0), ("appearance", 0.0)):
+        guide = replace(GUIDE, velocity=Velocity(towards=towards))
+        ahead = ahead_of(guide, flow_of(guide, here=wrong), picture, learned)
+        assert apart(ahead.state + ahead.shift, HERE) == pytest.approx(off, abs=0.2)
+
+
+def test_the_start_learns_from_as_many_particles_as_it_is_told():
+    assert flow_of(replace(GUIDE, particles=17)).gain.shape == (6, 17)
+    still = flow_of(replace(GUIDE, velocity=None))
+    assert isinstance(still, Flow) and still.gain.shape == (6, 0)
+
+
+THREADS = """
+import hashlib, sys
+import cv2, numpy as np
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.core.types import Frame, Start, TargetStart
+cv2.setNumThreads(int(sys.argv[1]))
+noise = cv2.GaussianBlur(np.random.default_rng(0).normal(size=(240, 320, 3)), (0, 0), 4)
+picture = np.clip(128 + 45 * noise / noise.std(), 0, 255).astype(np.uint8)
+recipe = load_recipe("adaptive", ["filter.particles=200", "motion.velocity.samples=null"])
+tracker = build_tracker(recipe, Start(0, {"face": TargetStart(box=(100, 80, 90, 100))}, "test"))
+frames = (Frame(t, 0.0, np.roll(picture, (2 * t, -3 * t), axis=(0, 1))) for t in range(5))
+told = [(one.targets[0].told.affine, one.targets[0].told.error) for one in track(tracker, frames, 0)]
+print(hashlib.sha256(repr(told).encode()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_how_many_threads_libraries_have():
+    names = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", THREADS, count],
+            env={**os.environ, **dict.fromkeys(names, count)}, stdout=subprocess.PIPE, text=True,
+        )
+        for count in ("1", "2")
+    ]  # fmt: skip
+    one, two = (process.communicate(timeout=200)[0] for process in running)
+    assert len(one) > 60 and one == two

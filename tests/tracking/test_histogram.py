@@ -1,0 +1,339 @@
+"""The colour histogram: its peak is at the truth, it knows left from right, and it says when there are no colours."""
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.kernels import histogram as kernel
+from facetrack_cli.tracking.models.likelihoods.histogram import Histogram
+from tests.twins import histogram as naive
+
+SIZE = (48.0, 60.0)
+TRUTH = (101.3, 83.6)
+
+
+def frame(bgr, index=0):
+    return Frame(index, 0.0, bgr)
+
+
+def boxes(places):
+    """(N, 1, 6) of rows (cx, cy) or (cx, cy, s)."""
+    x = np.zeros((len(places), 1, 6))
+    x[..., 2] = 1.0
+    for row, place in zip(x, places, strict=True):
+        row[0, : len(place)] = place
+    return x
+
+
+def colours(hues, saturation=180, value=180):
+    hsv = np.zeros((*np.shape(hues), 3), np.uint8)
+    hsv[..., 0], hsv[..., 1], hsv[..., 2] = hues, saturation, value
+    return cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)
+
+
+def scene(centre=TRUTH, scale=1.0, mirrored=False, height=200, width=260):
+    """A box whose nine sub-regions have hues of their own, on a ground of another hue."""
+    rng = np.random.default_rng(0)
+    hues = np.full((height, width), 128) + rng.integers(-3, 4, (height, width))
+    w, h = SIZE[0] * scale, SIZE[1] * scale
+    left, top = centre[0] - w / 2, centre[1] - h / 2
+    patch = np.array([[11, 56, 78], [101, 11, 33], [56, 146, 168]])
+    for i in range(height):
+        for j in range(width):
+            r, c = naive.cell(i, top, h, 3), naive.cell(j, left, w, 3)
+            if r is not None and c is not None:
+                hues[i, j] = patch[r, 2 - c if mirrored else c] + rng.integers(-5, 6)
+    return colours(hues)
+
+
+def learned_at_truth(picture, **options):
+    likelihood = Histogram(SIZE, **options)
+    return likelihood, likelihood.init(frame(picture), boxes([TRUTH])[0])
+
+
+def noisy(seed, height=30, width=37):
+    """Any colours, greys and darkness in patches of a few pixels."""
+    small = np.random.default_rng(seed).integers(0, 256, (9, 9, 3), dtype=np.uint8)
+    small[:2] = small[:2, :, :1]
+    return cv2.resize(small, (width, height), interpolation=cv2.INTER_NEAREST)
+
+
+places = st.lists(st.tuples(st.floats(-15, 50), st.floats(-15, 45), st.floats(0.02, 3)), min_size=1, max_size=4)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 30),
+    x=places,
+    regions=st.sampled_from([(1, 1), (3, 3), (2, 4)]),
+    bins=st.sampled_from([(8, 4, 1), (5, 3, 4), (7, 1, 0)]),
+    factor=st.sampled_from([1, 2]),
+)
+def test_distance_agrees_with_the_formula(seed, x, regions, bins, factor):
+    picture, size, x0 = noisy(seed), (11.0, 14.5), (17.2, 14.9, 1.0)
+    likelihood = Histogram(size, bins[0], bins[1], regions, value_bins=bins[2], max_size=16 // factor)
+    learned = likelihood.init(frame(picture), boxes([x0])[0])
+    assert learned.factor == factor
+
+    small = frame(picture).reduced(factor, (0, 0, 99, 99))[0]
+    codes = [
+        [naive.bin_of(*map(int, pixel), *bins, 0.1, 0.2) for pixel in row]
+        for row in cv2.cvtColor(small, cv2.COLOR_BGR2HSV)
+    ]
+
+    def there(box):
+        box = ((box[0] - (factor - 1) / 2) / factor, (box[1] - (factor - 1) / 2) / factor, box[2] / factor)
+        return naive.counts(codes, box, size, *regions)
+
+    first, _ = there(x0)
+    reference = {key: n / sum(first.values()) for key, n in first.items()}
+    expected = [naive.squared_distance(*there(box), reference) for box in x]
+    seen = likelihood.score(learned, frame(picture), boxes(x), boxes(x))
+    np.testing.assert_allclose(seen[:, 0], -20 * np.array(expected), atol=2e-5)
+    d = likelihood.distances(learned, frame(picture), boxes(x))[:, 0]
+    np.testing.assert_allclose(d**2, expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("bins", [(8, 4, 1), (5, 3, 4), (7, 1, 0)])
+def test_every_colour_goes_to_its_bin(bins):
+    """Two colours share a bin if they do by the formula, at every threshold and every border of two bins."""
+    likelihood = Histogram((64.0, 64.0), bins[0], bins[1], (1, 1), value_bins=bins[2], least_saturation=0.3)
+    learned = likelihood.init(frame(np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)),
+                              boxes([(31.5, 31.5)])[0])  # fmt: skip
+    hues, rest = np.arange(0, 180, 3), np.array([0, 1, 50, 51, 52, 76, 77, 84, 85, 86, 127, 128, 200, 254, 255])
+    hsv = np.stack(np.meshgrid(hues, rest, rest, indexing="ij"), axis=-1).astype(np.uint8)
+    ours = kernel.code(hsv.reshape(len(hues), -1, 3), learned.coloured, learned.colourless, *likelihood._least())
+    theirs = [naive.bin_of(*map(int, pixel), *bins, 0.3, 0.2) for pixel in hsv.reshape(-1, 3)]
+    pairs = set(zip(ours.ravel().tolist(), theirs, strict=True))
+    assert len(pairs) == len(set(theirs)) == len(set(ours.ravel().tolist()))
+
+
+def test_hue_saturation_and_value_are_those_of_the_formula():
+    bgr = np.random.default_rng(3).integers(0, 256, (1, 3000, 3), dtype=np.uint8)
+    seen = cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV)[0].astype(float)
+    exact = np.array([naive.hsv(*map(int, pixel)) for pixel in bgr[0]])
+    off = np.abs(seen - exact)
+    off[:, 0] = np.minimum(off[:, 0], 180 - off[:, 0])
+    assert off.max() < 1
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    n=st.integers(1, 6),
+    bins=st.integers(1, 50),
+    regions=st.sampled_from([(1, 1), (3, 3), (2, 4)]),
+)
+def test_both_ways_to_count_agree_to_the_last_bit_and_with_the_twin(seed, n, bins, regions):
+    rng = np.random.default_rng(seed)
+    codes = rng.integers(0, bins, (25, 31)).astype(np.uint16)
+    x = np.column_stack([rng.uniform(-10, 40, n), rng.uniform(-10, 35, n), rng.uniform(0.05, 2.5, n)])
+    root = np.zeros((regions[0] * regions[1], kernel.LANES * (bins // kernel.LANES + 1)), np.float32)
+    root[:, :bins] = np.sqrt(rng.dirichlet(np.ones(bins * len(root)))).reshape(-1, bins)
+
+    ex, ey, area = kernel.edges(x, 12.0, 9.5, *regions, 1, 31, 25)
+    left, top, right, bottom, pixels = kernel.crop(ex, ey)
+    part = codes[top:bottom, left:right]
+    direct = kernel.match_direct(part, ex, ey, area, root)
+    np.testing.assert_array_equal(direct, kernel.match_integral(part, ex, ey, area, root))
+
+    inside = 0
+    for p in range(n):
+        found, whole = naive.counts(codes, x[p], (12.0, 9.5), *regions)
+        inside += sum(found.values())
+        share = {key: root[key[0] * regions[0] + key[1], key[2]] ** 2 for key in found}
+        assert area[p] == whole
+        assert 1 - direct[p] == pytest.approx(naive.squared_distance(found, whole, share), abs=2e-6)
+    assert pixels == inside
+
+
+@pytest.mark.parametrize(("n", "chosen"), [(1, "match_direct"), (200, "match_integral")])
+def test_it_takes_the_cheaper_way(n, chosen, monkeypatch):
+    picture = scene()
+    likelihood, learned = learned_at_truth(picture)
+    x = boxes(np.array(TRUTH) + np.random.default_rng(0).normal(0, 5, (n, 2)))
+    expected = likelihood.score(learned, frame(picture), x)
+    used = []
+    for name in ("match_direct", "match_integral"):
+        work = getattr(kernel, name)
+        monkeypatch.setattr(kernel, name, lambda *a, name=name, work=work: used.append(name) or work(*a))
+    np.testing.assert_array_equal(likelihood.score(learned, frame(picture), x), expected)
+    assert used == [chosen]
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.0, 1.3])
+@pytest.mark.parametrize("max_size", [None, 30])
+def test_peak_is_at_the_truth(scale, max_size):
+    likelihood, learned = learned_at_truth(scene(), max_size=max_size)
+    moved = (130.4, 97.7)
+    now = frame(scene(moved, scale))
+    offsets = [(dx, dy, f) for dx in range(-24, 25, 3) for dy in range(-24, 25, 3) for f in (0.8, 0.9, 1, 1.12, 1.25)]
+    x = boxes([(moved[0] + dx, moved[1] + dy, scale * f) for dx, dy, f in offsets])
+    score = likelihood.score(learned, now, x)[:, 0]
+    assert offsets[int(np.argmax(score))] == (0, 0, 1)
+    d = likelihood.distances(learned, now, x)[:, 0]
+    # a reduced picture mixes the colours along the edges
+    assert d.min() < (0.12 if max_size is None else 0.3)
+    assert likelihood.distances(learned, now, boxes([(40.0, 150.0)]))[0, 0] > 0.95
+
+
+def test_the_first_frame_matches_itself():
+    picture = scene()
+    likelihood, learned = learned_at_truth(picture)
+    assert likelihood.distances(learned, frame(picture), boxes([TRUTH]))[0, 0] < 1e-3
+
+
+def test_sub_regions_tell_a_target_from_its_mirror_image():
+    picture, mirrored = scene(), scene(mirrored=True)
+    d = {}
+    for regions in ((1, 1), (3, 3)):
+        likelihood, learned = learned_at_truth(picture, regions=regions)
+        d[regions] = likelihood.distances(learned, frame(mirrored), boxes([TRUTH]))[0, 0]
+    assert d[1, 1] < 0.1
+    assert d[3, 3] > 0.6
+
+
+@pytest.mark.parametrize("gain", [0.7, 1.3])
+def test_the_light_changes_next_to_nothing(gain):
+    picture = scene()
+    likelihood, learned = learned_at_truth(picture)
+    relit = frame(np.clip(picture * gain, 0, 255).round().astype(np.uint8))
+    assert likelihood.distances(learned, relit, boxes([TRUTH]))[0, 0] < 0.2
+    # a histogram that holds brightness would not know it again
+    grey = frame(cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR))
+    by_value = Histogram(SIZE, value_bins=16)
+    as_grey = by_value.init(grey, boxes([TRUTH])[0])
+    darker = frame(np.clip(grey.bgr * gain, 0, 255).round().astype(np.uint8))
+    assert by_value.distances(as_grey, darker, boxes([TRUTH]))[0, 0] > 0.5
+
+
+def test_what_lies_outside_matches_nothing_and_the_reference_is_of_what_lies_inside():
+    picture = colours(np.full((100, 100), 40))
+    likelihood = Histogram((20.0, 20.0), regions=(1, 1))
+    inside = np.array([[[50, 50, 1.0, 0, 0, 0]]])
+    half = np.array([[[-0.5, 50, 1.0, 0, 0, 0]]])
+    whole = likelihood.init(frame(picture), inside[0])
+    assert likelihood.distances(whole, frame(picture), inside)[0, 0] == pytest.approx(0, abs=1e-3)
+    assert likelihood.distances(whole, frame(picture), half)[0, 0] ** 2 == pytest.approx(1 - np.sqrt(0.5), abs=1e-5)
+    cut = likelihood.init(frame(picture), half[0])
+    assert likelihood.distances(cut, frame(picture), inside)[0, 0] == pytest.approx(0, abs=1e-3)
+
+
+def test_pale_and_dark_pixels_have_no_hue_unless_as_printed():
+    picture = scene()
+    picture[:70] = colours(np.full((70, picture.shape[1]), 10), 8, 200)
+    other = picture.copy()
+    other[:70] = colours(np.full((70, picture.shape[1]), 100), 8, 200)
+    d = {}
+    for value_bins in (0, 1, 8):
+        likelihood, learned = learned_at_truth(picture, value_bins=value_bins)
+        d[value_bins] = likelihood.distances(learned, frame(other), boxes([TRUTH]))[0, 0]
+    assert d[0] > 0.4
+    assert d[1] == d[8] == pytest.approx(0, abs=1e-3)
+
+
+def grey_scene(noise=0):
+    value = cv2.cvtColor(scene(), cv2.COLOR_BGR2GRAY)
+    value = np.clip((value.astype(float) - 90) * 3, 60, 250)[..., None].repeat(3, axis=2)
+    value += np.random.default_rng(1).integers(-noise, noise + 1, value.shape)
+    return value.round().astype(np.uint8)
+
+
+@pytest.mark.parametrize("value_bins", [0, 1])
+@pytest.mark.parametrize("noise", [0, 2])
+def test_a_grey_clip_is_refused(value_bins, noise):
+    with pytest.raises(InputError) as raised:
+        Histogram(SIZE, value_bins=value_bins).init(frame(grey_scene(noise), 7), boxes([TRUTH])[0])
+    message = str(raised.value)
+    assert message.startswith("frame 7: this clip is grey, or too dark, so a colour histogram cannot know it: 0.")
+    assert message.endswith("recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8")
+    assert "\n" not in message
+
+
+def test_a_grey_box_in_a_clip_with_colours_and_a_dark_box_are_told_apart():
+    picture = scene()
+    picture[40:130, 60:140] = 128
+    with pytest.raises(InputError, match=r"frame 0: the box shows no colours.* 0.0% of the box's .* 0% are too dark"):
+        learned_at_truth(picture)
+    with pytest.raises(InputError, match=r"100% are too dark.*, or a lower likelihood.histogram.least_value$"):
+        learned_at_truth(scene() // 5)
+    likelihood, learned = learned_at_truth(scene() // 5, least_value=0.05)
+    assert likelihood.distances(learned, frame(scene() // 5), boxes([TRUTH]))[0, 0] < 1e-3
+
+
+def test_some_colour_in_a_grey_box_will_do():
+    picture = grey_scene()
+    picture[80:90] = scene()[80:90]
+    likelihood, learned = learned_at_truth(picture)
+    assert likelihood.distances(learned, frame(picture), boxes([TRUTH]))[0, 0] < 1e-3
+
+
+def test_value_bins_follow_a_grey_target():
+    picture = grey_scene(2)
+    likelihood, learned = learned_at_truth(picture, value_bins=8)
+    offsets = [(dx, dy) for dx in range(-24, 25, 3) for dy in range(-24, 25, 3)]
+    moved = frame(np.roll(picture, (9, 14), axis=(0, 1)))
+    score = likelihood.score(learned, moved, boxes([(TRUTH[0] + 14 + dx, TRUTH[1] + 9 + dy) for dx, dy in offsets]))
+    assert offsets[int(np.argmax(score))] == (0, 0)
+
+
+def test_a_box_outside_the_picture_cannot_be_learned():
+    with pytest.raises(InputError, match="frame 0: the box lies outside the picture"):
+        Histogram(SIZE).init(frame(scene()), boxes([(-100.0, 20.0)])[0])
+
+
+@cache
+def known(max_size):
+    picture = scene()
+    return picture, *learned_at_truth(picture, max_size=max_size)
+
+
+wild = st.one_of(st.floats(-1e3, 1e3), st.floats(allow_nan=True, allow_infinity=True))
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    x=st.lists(st.tuples(wild, wild, wild), min_size=1, max_size=30),
+    max_size=st.sampled_from([None, 20]),
+    level=st.sampled_from([None, 0, 128, 255]),
+)
+def test_any_box_in_any_picture_has_a_finite_likelihood(x, max_size, level):
+    picture, likelihood, learned = known(max_size)
+    bgr = picture if level is None else np.full((37, 51, 3), level, np.uint8)
+    score = likelihood.score(learned, frame(bgr), boxes(x))
+    assert score.shape == (len(x), 1)
+    assert np.all((score >= -20) & (score <= 0))
+    for row, value in zip(x, score[:, 0], strict=True):
+        alone = likelihood.score(learned, frame(bgr), boxes([row]))
+        assert alone[0, 0] == value
+        if not np.isfinite(row).all() or row[2] <= 0:
+            assert value == -20
+
+
+def test_large_boxes_are_read_from_a_reduced_picture_to_the_same_effect():
+    picture = scene()
+    large = cv2.resize(picture, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
+    size = (4 * SIZE[0], 4 * SIZE[1])
+    at = np.array([[4 * TRUTH[0] + 1.5, 4 * TRUTH[1] + 1.5, 1, 0, 0, 0]])
+    reduced, whole = Histogram(size, max_size=64), Histogram(SIZE)
+    seen, expected = reduced.init(frame(large), at), whole.init(frame(picture), boxes([TRUTH])[0])
+    assert (seen.factor, expected.factor) == (4, 1)
+    np.testing.assert_array_equal(seen.root, expected.root)
+    steps = np.array([(0, 0), (5.2, -3.1), (-9.4, 12.7), (60, 40)])
+    there = np.zeros((4, 1, 6))
+    there[:, 0] = at
+    there[:, 0, :2] += 4 * steps
+    a = reduced.score(seen, frame(large), there)
+    b = whole.score(expected, frame(picture), boxes(np.array(TRUTH) + steps))
+    np.testing.assert_allclose(a, b, atol=1e-5)
+
+
+def test_learning_changes_nothing():
+    picture, likelihood, learned = known(None)
+    assert likelihood.learn(learned, frame(picture), boxes([TRUTH])[0], None) is learned

@@ -1,0 +1,121 @@
+"""Each kernel against its slow plain twin."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.tracking.kernels import resampling, windows
+from tests.twins import windows as naive
+
+
+def picture(seed, height=24, width=31):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    x=st.floats(-12, 43),
+    y=st.floats(-12, 36),
+    w=st.sampled_from([3, 5, 9]),
+    h=st.sampled_from([3, 7]),
+    as_float=st.booleans(),
+)
+def test_window_is_bilinear_and_replicates_the_border(x, y, w, h, as_float):
+    image = picture(1)
+    seen = windows.read_window(windows.flat(image.astype(np.float32) if as_float else image), x, y, w, h)
+    np.testing.assert_allclose(seen[:, :w], naive.window(image, x, y, w, h), atol=2e-3)
+    np.testing.assert_array_equal(seen[:, w], 0.0)
+
+
+def test_window_at_whole_pixels_is_the_crop():
+    image = picture(2)
+    seen = windows.read_window(windows.flat(image), 10.0, 11.0, 5, 7)[:, :5]
+    np.testing.assert_array_equal(seen, image[8:15, 8:13])
+
+
+def test_window_that_touches_the_last_pixel_is_the_crop():
+    image = picture(3)
+    seen = windows.read_window(windows.flat(image), 28.0, 21.0, 5, 5)[:, :5]
+    np.testing.assert_array_equal(seen, image[19:24, 26:31])
+
+
+def distances(image, templates, x, robust="l1", scale=0.2, origin=(0, 0), factor=1):
+    """The kernel on a list of templates (h, w, 3) for parts 1, 2, ... of x (N, K, 2)."""
+    rows, sides = [], []
+    for template in templates:
+        h, w = template.shape[:2]
+        row = np.zeros((h, w + 1, 3), np.float32)
+        row[:, :w] = template / max(template.mean(), 1.0)
+        rows.append(row.ravel())
+        sides.append((w, h))
+    out = np.full(x.shape[:2], np.nan)
+    offsets = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
+    parts = np.arange(1, len(templates) + 1)
+    windows.colour_ratio_distances(
+        windows.flat(image), np.concatenate(rows), offsets, np.array(sides), parts, x, *origin, factor,
+        1.0, windows.ROBUST[robust], scale, out,
+    )  # fmt: skip
+    assert np.all(np.isnan(out[:, 0]))
+    return out[:, 1:]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    robust=st.sampled_from(sorted(windows.ROBUST)),
+    scale=st.floats(0.02, 2.0),
+    x=st.floats(-6, 36),
+    y=st.floats(-6, 30),
+    seed=st.integers(0, 20),
+)
+def test_distances_agree_with_the_formula(robust, scale, x, y, seed):
+    image = picture(seed)
+    templates = [picture(seed + 100, 7, 5).astype(float), picture(seed + 200, 3, 9).astype(float)]
+    centres = np.array([[[0, 0], [x, y], [12.25, 9.5]], [[0, 0], [3.0, y], [x, 2.5]]])
+    expected = [
+        [naive.colour_ratio_distance(image, template, *place, robust, scale)
+         for template, place in zip(templates, line[1:], strict=True)]
+        for line in centres
+    ]  # fmt: skip
+    np.testing.assert_allclose(distances(image, templates, centres, robust, scale), expected, rtol=2e-4, atol=2e-6)
+
+
+def test_a_reduced_picture_with_an_origin_is_read_at_the_right_place():
+    whole, template = picture(7, 60, 66), picture(8, 5, 5).astype(float)
+    blocks = whole.reshape(20, 3, 22, 3, 3).mean(axis=(1, 3)).astype(np.float32)
+    x = np.array([[[0.0, 0.0], [40.5, 31.0]]])
+    seen = distances(np.ascontiguousarray(blocks[4:16, 5:19]), [template], x, origin=(15, 12), factor=3)
+    # the mean of block i stands for pixel 3 i + 1
+    assert seen[0, 0] == pytest.approx(naive.colour_ratio_distance(blocks, template, 39.5 / 3, 10.0), rel=1e-4)
+
+
+def test_a_black_window_has_a_finite_distance():
+    image = np.zeros((20, 20, 3), np.uint8)
+    seen = distances(image, [np.full((5, 5, 3), 90.0)], np.array([[[0.0, 0.0], [9.0, 9.0]]]))
+    assert seen[0, 0] == pytest.approx(1.0)
+
+
+def naive_inverse(weights, points):
+    """The first index whose cumulated share exceeds the point, by exact fractions."""
+    from fractions import Fraction
+
+    w = [Fraction(float(v)) for v in weights]
+    out = []
+    for point in points:
+        total, i = Fraction(0), -1
+        while total <= Fraction(float(point)) * sum(w):
+            i += 1
+            total += w[i]
+        out.append(i)
+    return out
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    weights=st.lists(st.sampled_from([0.0, 0.1, 0.25, 1.0, 3.0]), min_size=1, max_size=12).filter(any),
+    points=st.lists(st.sampled_from([0.0, 0.13, 0.37, 0.61, 0.93]), min_size=1, max_size=8),
+)
+def test_inverse_agrees_with_exact_fractions(weights, points):
+    points = np.sort(points)
+    seen = resampling.invert_cdf(np.array(weights)[:, None].repeat(2, axis=1), points[:, None].repeat(2, axis=1))
+    assert seen[:, 0].tolist() == seen[:, 1].tolist() == naive_inverse(weights, points)

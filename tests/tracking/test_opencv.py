@@ -1,0 +1,142 @@
+"""OpenCV's trackers beside ours. CSRT, KCF and MOSSE are tested where the contrib wheel is installed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking import opencv
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.loop import track
+
+NAMES = ["mil", "csrt", "kcf", "mosse"]
+THERE = [name for name in NAMES if opencv.find(name) is not None]
+SIZE = (160, 120)
+
+
+def frames(count, step=(1.5, 0.5), gone_from=None):
+    """A textured square of 32 pixels that moves by `step` a frame over a dim ground; gone later on, if asked."""
+    random = np.random.default_rng(1)
+    square = random.integers(80, 255, (32, 32, 3), dtype=np.uint8)
+    ground = random.integers(0, 60, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
+    for i in range(count):
+        picture = ground.copy()
+        left, top = round(30 + step[0] * i), round(40 + step[1] * i)
+        if gone_from is None or i < gone_from:
+            picture[top : top + 32, left : left + 32] = square
+        yield Frame(i, i / 25, picture)
+
+
+def run(name, pictures, box=(30.0, 40.0, 32.0, 32.0), seed=0, target="face"):
+    start = Start(0, {target: TargetStart(box=box)}, "clip.init.yaml")
+    return [result.targets[0] for result in track(build_tracker(load_recipe(name), start), iter(pictures), seed)]
+
+
+@pytest.mark.parametrize("name", THERE)
+def test_a_box_is_followed(name):
+    results = run(name, frames(20, step=(1.0, 0.5)))
+    first, last = results[0].parts[0], results[-1].parts[0]
+    assert (first.status, last.status) == ("init", "tracked")
+    assert (first.x, first.y, first.w, first.h) == (45.5, 55.5, 32, 32)
+    assert abs(last.x - (45.5 + 19)) < 7 and abs(last.y - (55.5 + 9.5)) < 7
+
+
+def test_what_it_cannot_tell_is_left_out():
+    target = run("mil", frames(3), target="head")[-1]
+    [part] = target.parts
+    assert (target.name, part.name, target.particles) == ("head", "box", None)
+    assert (part.confidence, part.cov, part.ess) == (None, None, None)
+    assert target.cloud.shape == (0, 1, 2)
+
+
+def test_mil_gives_the_same_track_for_the_same_seed_also_beside_another():
+    def places(results):
+        return [(t.parts[0].x, t.parts[0].y) for t in results]
+
+    pictures = list(frames(12, step=(4.0, 2.0)))
+    alone = [places(run("mil", pictures, seed=seed)) for seed in (1, 2, 3, 1)]
+    assert alone[0] == alone[3]
+    assert len({tuple(one) for one in alone}) > 1
+    start = Start(0, {"face": TargetStart(box=(30.0, 40.0, 32.0, 32.0))}, "x")
+    tracker = build_tracker(load_recipe("mil"), start)
+    beside = [track(tracker, iter(pictures), seed) for seed in (1, 2)]
+    both = list(zip(*beside, strict=True))
+    assert [[(r[i].targets[0].parts[0].x, r[i].targets[0].parts[0].y) for r in both] for i in (0, 1)] == alone[:2]
+
+
+class _Stub:
+    """A tracker that follows for a frame, loses its target, and fails."""
+
+    def __init__(self):
+        self.answers = [(True, (31, 41, 32, 32)), (False, (0, 0, 0, 0)), (True, (5, 5, 0, 10)), None]
+
+    def init(self, image, box):
+        pass
+
+    def update(self, image):
+        answer = self.answers.pop(0)
+        if answer is None:
+            raise opencv.cv2.error("no samples")
+        return answer
+
+
+def test_a_lost_box_stays_where_it_was(monkeypatch):
+    monkeypatch.setattr(opencv, "find", lambda tracker: _Stub)
+    parts = [target.parts[0] for target in run("kcf", frames(5))]
+    assert [part.status for part in parts] == ["init", "tracked", "lost", "lost", "lost"]
+    assert {(part.x, part.y, part.w, part.h) for part in parts[1:]} == {(46.5, 56.5, 32, 32)}
+
+
+@pytest.mark.parametrize("name", THERE)
+@pytest.mark.parametrize(
+    "box", [(-20.0, -20.0, 60.0, 60.0), (120.0, 90.0, 60.0, 60.0), (0.0, 0.0, 160.0, 120.0), (70.4, 50.6, 6.2, 6.2)]
+)
+def test_boxes_at_the_edge_run_or_are_refused(name, box):
+    try:
+        results = run(name, frames(6), box)
+    except InputError as e:
+        assert "\n" not in str(e) and str(e).startswith("clip.init.yaml: ")
+        return
+    assert len(results) == 6 and all(np.isfinite([t.parts[0].x, t.parts[0].w]).all() for t in results)
+
+
+def test_a_square_between_pixels_stays_a_square():
+    [first] = run("mil", frames(1), (30.5, 41.5, 31.0, 31.0))[0].parts
+    assert (first.w, first.h) == (31, 31)
+
+
+def test_a_box_that_is_too_small_or_outside_is_refused():
+    for box in [(10.0, 10.0, 5.0, 40.0), (155.0, 10.0, 30.0, 30.0), (-40.0, 10.0, 41.0, 30.0)]:
+        with pytest.raises(InputError, match=r"clip.init.yaml: the box of face covers less than 6x6 pixels"):
+            run("mil", frames(2), box)
+
+
+def test_a_start_without_a_box_is_refused():
+    start = Start(0, {"face": TargetStart(points={"nose": (3.0, 4.0)})}, "clip.init.yaml")
+    with pytest.raises(InputError, match=r"clip.init.yaml: face has no box, which the recipe follows"):
+        build_tracker(load_recipe("mil"), start)
+
+
+def test_a_tracker_that_this_opencv_lacks_is_named_with_the_remedy(monkeypatch):
+    monkeypatch.delattr(opencv.cv2, "TrackerKCF_create", raising=False)
+    start = Start(0, {"face": TargetStart(box=(1.0, 1.0, 9.0, 9.0))}, "x")
+    with pytest.raises(RecipeError, match=r"kcf.yaml:\d+:\d+: .*no KCF tracker; .*opencv-contrib-python-headless"):
+        build_tracker(load_recipe("kcf"), start)
+
+
+def test_run_writes_boxes_and_draws_them(tmp_path):
+    from click.testing import CliRunner
+
+    from facetrack_cli.cli.app import cli
+    from facetrack_cli.trajectory.csv_reader import read_csv
+
+    clip = Path(__file__).parents[2] / "sample_videos" / "expressions.mp4"
+    done = CliRunner().invoke(cli, ["run", str(clip), "--config", "mil", "--stop", "8", "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    rows = read_csv(tmp_path / "out" / "trajectory.csv")
+    assert [row.frame for row in rows] == list(range(8)) and {row.part for row in rows} == {"box"}
+    assert all(row.w and row.h and row.confidence is None and row.std_x is None for row in rows)
+    assert (tmp_path / "out" / "annotated.mp4").stat().st_size > 1000

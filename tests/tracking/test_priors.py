@@ -1,0 +1,533 @@
+"""The shape prior: kernels against their twins, conditionals against the density, files, fitting, the shipped prior."""
+
+import importlib.util
+import io
+import zipfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError, OutputError, RecipeError, UsageError
+from facetrack_cli.report.figures.shape_prior import draw_prior
+from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
+from facetrack_cli.tracking.models.shape_prior import ShapePrior, bind, default_prior_path, load_prior
+from facetrack_cli.tracking.models.shape_prior_fit import fit_prior
+from facetrack_cli.trajectory.row import COLUMNS, Row
+from facetrack_cli.trajectory.writers import csv_lines
+from tests.twins import shape as naive_shape
+
+ROOT = Path(__file__).resolve().parents[2]
+PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+FACE = np.array([[141.0, 112.5], [120.0, 140.0], [160.0, 141.0], [140.0, 133.0], [139.0, 147.0]])
+SCALE = ("mouth_left", "mouth_right")
+NOSE = 0
+
+
+def some_prior(shapes=6, seed=0, spread=0.15):
+    moved = np.random.default_rng(seed).normal(0.0, spread, (shapes, 5, 2))
+    moved[:, NOSE] = 0.0
+    return ShapePrior(PARTS, moved, "nose", SCALE)
+
+
+def some_particles(n, seed=1, spread=6.0):
+    return FACE + np.random.default_rng(seed).normal(0.0, spread, (n, 5, 2))
+
+
+# --- kernels -----------------------------------------------------------------------------------------------------
+
+
+def kernel_arguments(rng, parts, stable, shapes):
+    h = rng.normal(0.0, 2.0, (shapes, len(parts), 2))
+    if stable < 0:
+        h -= h.mean(1, keepdims=True)
+    padding = -shapes % LANES
+    flat = np.ascontiguousarray(np.pad(h.reshape(shapes, -1).T, ((0, 0), (0, padding))), np.float32)
+    bias = np.concatenate([-0.5 * (h**2).sum((1, 2)), np.full(padding, PADDING)]).astype(np.float32)
+    return h, flat, bias
+
+
+@pytest.mark.parametrize("shapes", [1, 7, 8, 30])
+@pytest.mark.parametrize(("parts", "stable"), [([1, 2, 3, 4], 0), ([0, 3], 2), ([1, 2, 3, 4], -1), ([3], -1)])
+def test_kernels_agree_with_their_plain_twins(parts, stable, shapes):
+    rng = np.random.default_rng(shapes)
+    h, flat, bias = kernel_arguments(rng, parts, stable, shapes)
+    x, u = some_particles(25), rng.random(25)
+    given = (np.array(parts), FACE, stable, 5.5)
+    plain = (parts, FACE, stable, 5.5, h)
+    np.testing.assert_allclose(
+        log_parzen(x, *given, flat, bias), naive_shape.log_parzen(x, *plain), rtol=1e-6, atol=1e-5
+    )
+    assert (pick_shape(x, *given, flat, bias, u) == naive_shape.pick_shape(x, *plain, u)).all()
+
+
+def test_exponents_of_any_depth_add_up():
+    # two shapes, the second less likely by exp(-difference); log(1 + w) = log1p(w)
+    for difference in (1e-9, 0.01, 0.3, 1.0, 5.0, 14.0, 60.0, 79.0, 90.0, 800.0, 1e6):
+        h = np.zeros((2, LANES), np.float32)
+        bias = np.full(LANES, PADDING)
+        bias[:2] = 0.0, -difference
+        got = log_parzen(np.zeros((1, 2, 2)), np.array([1]), np.zeros((2, 2)), 0, 1.0, h, bias)
+        assert got[0] == pytest.approx(np.log1p(np.exp(-difference)), abs=1.5e-7)
+
+
+@pytest.mark.parametrize("u", [0.0, np.nextafter(1.0, 0.0)])
+def test_the_ends_of_the_uniform_pick_a_shape_that_exists(u):
+    for shapes in (1, 7, 9, 401):
+        _, flat, bias = kernel_arguments(np.random.default_rng(3), [1, 2, 3, 4], 0, shapes)
+        for scale in (1.0, 1e3, 1e6):  # far away all weights but one are nothing
+            x = FACE + scale * np.random.default_rng(4).normal(size=(50, 5, 2))
+            chosen = pick_shape(x, np.array([1, 2, 3, 4]), FACE, 0, 5.5, flat, bias, np.full(50, u))
+            assert (chosen >= 0).all() and (chosen < shapes).all()
+
+
+# --- density -----------------------------------------------------------------------------------------------------
+
+
+def test_density_of_one_shape_is_a_gaussian_of_the_distance():
+    moved = np.zeros((1, 5, 2))
+    moved[0, 4] = 0.0, 0.5  # the lower lip half a mouth down
+    bound = bind(ShapePrior(PARTS, moved, "nose", SCALE), PARTS, FACE, 0.1)
+    length = np.hypot(40.0, 1.0)
+    at = FACE.copy()
+    at[4, 1] += 0.5 * length
+    off = at.copy()
+    off[3, 0] += 0.2 * length  # two standard deviations
+    assert bound.log_density(np.stack([at, off])) == pytest.approx([0.0, -2.0], abs=1e-5)
+
+
+@pytest.mark.parametrize("sigma", [0.005, 0.02, 0.1, 1.0])
+def test_density_is_right_near_a_shape_for_every_kernel_width(sigma):
+    prior = load_prior(default_prior_path())
+    bound = bind(prior, PARTS, FACE, sigma)
+    x = (
+        FACE
+        + bound.length * prior.shapes[::10]
+        + np.random.default_rng(8).normal(0.0, sigma, (41, 5, 2)) * bound.length
+    )
+    q = ((x - FACE) - (x - FACE)[:, [NOSE]]) / bound.length
+    e = -((q[:, None] - prior.shapes) ** 2).sum((2, 3)) / (2 * sigma**2)
+    expected = np.log(np.exp(e - e.max(1, keepdims=True)).mean(1)) + e.max(1)
+    np.testing.assert_allclose(bound.log_density(x), expected, atol=2e-3 if sigma < 0.01 else 1e-4)
+
+
+def test_density_is_the_mean_over_the_shapes():
+    prior = some_prior(30)
+    x = some_particles(20)
+    q = (x - FACE) - (x - FACE)[:, [NOSE]]
+    d2 = ((q[:, None] / np.hypot(40.0, 1.0) - prior.shapes) ** 2).sum((2, 3))
+    expected = np.log(np.exp(-d2 / (2 * 0.2**2)).mean(1))
+    np.testing.assert_allclose(bind(prior, PARTS, FACE, 0.2).log_density(x), expected, rtol=1e-5)
+
+
+def test_density_follows_the_face_and_its_size_and_not_the_order_of_parts():
+    prior, x = some_prior(), some_particles(50)
+    expected = bind(prior, PARTS, FACE, 0.1).log_density(x)
+    np.testing.assert_allclose(
+        bind(prior, PARTS, FACE, 0.1).log_density(x + np.array([37.0, -12.5])), expected, rtol=1e-6
+    )
+    np.testing.assert_allclose(bind(prior, PARTS, 3 * FACE, 0.1).log_density(3 * x), expected, rtol=1e-6)
+    order = [3, 0, 4, 2, 1]
+    shuffled = bind(prior, [PARTS[i] for i in order], FACE[order], 0.1)
+    np.testing.assert_allclose(shuffled.log_density(x[:, order]), expected, rtol=1e-6)
+
+
+def test_density_far_away_is_finite_and_falls():
+    bound = bind(some_prior(400), PARTS, FACE, 0.05)
+    way = np.random.default_rng(5).normal(size=(5, 2))
+    values = bound.log_density(np.stack([FACE + r * way for r in (0.0, 1e2, 1e4, 1e8, 1e50)]))
+    assert np.isfinite(values).all()
+    assert (np.diff(values) < 0).all()
+    length = np.hypot(40.0, 1.0)
+    away = ((way - way[NOSE]) * 1e8 / (0.05 * length))[1:]
+    assert values[3] == pytest.approx(-0.5 * (away**2).sum(), rel=1e-6)
+    assert bound.log_density(np.empty((0, 5, 2))).shape == (0,)
+
+
+# --- conditionals ------------------------------------------------------------------------------------------------
+
+
+def grid_around(points, margin, step):
+    low, high = points.min(0) - margin, points.max(0) + margin
+    xs, ys = np.arange(low[0], high[0], step), np.arange(low[1], high[1], step)
+    return np.stack(np.meshgrid(xs, ys), -1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("part", range(5))
+def test_conditional_is_the_density_normalised_over_the_part(part):
+    bound = bind(some_prior(), PARTS, FACE, 0.08)
+    x = some_particles(1, seed=part)
+    sample = bound.propose(np.random.default_rng(0), np.repeat(x, 500, 0), part)
+    places = grid_around(sample, 15.0, 0.5)
+    many = np.repeat(x, len(places), 0)
+    conditional = bound.log_conditional(places, many, part)
+    assert np.exp(conditional).sum() * 0.25 == pytest.approx(1.0, abs=1e-6)
+    many[:, part] = places
+    difference = conditional - bound.log_density(many)
+    np.testing.assert_allclose(difference, difference[0], atol=1e-4)
+
+
+@pytest.mark.parametrize("part", range(5))
+def test_proposals_are_drawn_from_the_conditional(part):
+    bound = bind(some_prior(), PARTS, FACE, 0.08)
+    x = np.repeat(some_particles(1, seed=part, spread=3.0), 100_000, 0)
+    drawn = bound.propose(np.random.default_rng(7), x, part)
+    # cells of 3 pixels, their probabilities by the density on a grid of 0.5
+    places = grid_around(drawn[:500], 15.0, 0.5)
+    mass = np.exp(bound.log_conditional(places, x[: len(places)], part)) * 0.25
+    low = places.min(0) - 0.25
+    size = np.ceil((places.max(0) + 0.25 - low) / 3.0).astype(int)
+    cells = [(np.arange(n + 1) * 3.0 + start) for n, start in zip(size, low, strict=True)]
+    expected = np.histogram2d(*places.T, bins=cells, weights=mass)[0].ravel() * len(drawn)
+    found = np.histogram2d(*drawn.T, bins=cells)[0].ravel()
+    assert found.sum() > 0.999 * len(drawn)
+    common = expected > 20
+    chi2 = ((found - expected)[common] ** 2 / expected[common]).sum() / common.sum()
+    assert chi2 < 1.6, chi2  # 1 in expectation
+    np.testing.assert_allclose(drawn.mean(0), (places * mass[:, None]).sum(0) / mass.sum(), atol=0.05)
+
+
+def test_a_proposal_does_not_read_the_part_that_it_places_and_repeats_by_seed():
+    bound, x = bind(some_prior(), PARTS, FACE, 0.1), some_particles(40)
+    for part in range(5):
+        hidden = x.copy()
+        hidden[:, part] = np.nan
+        expected = bound.propose(np.random.default_rng(2), x, part)
+        assert np.isfinite(expected).all()
+        assert (bound.propose(np.random.default_rng(2), hidden, part) == expected).all()
+        assert bound.propose(np.random.default_rng(2), x[:0], part).shape == (0, 2)
+
+
+def test_each_particle_is_proposed_for_by_its_own_other_parts():
+    # two particles, one at each of two shapes: the hidden lip goes where the particle's own shape says
+    moved = np.zeros((2, 5, 2))
+    moved[1, 1:3, 1] = -0.3
+    moved[1, 4] = 0.2, 0.6
+    bound = bind(ShapePrior(PARTS, moved, "nose", SCALE), PARTS, FACE, 0.02)
+    x = FACE + bound.length * moved
+    drawn = bound.propose(np.random.default_rng(0), np.repeat(x, 2000, 0), 4).reshape(2, 2000, 2)
+    np.testing.assert_allclose(drawn.mean(1), x[:, 4], atol=0.1)
+    np.testing.assert_allclose(drawn.std(1), 0.02 * bound.length, rtol=0.1)
+    nose = bound.propose(np.random.default_rng(0), np.repeat(x, 2000, 0), NOSE).reshape(2, 2000, 2)
+    np.testing.assert_allclose(nose.mean(1), x[:, NOSE], atol=0.1)
+    np.testing.assert_allclose(nose.std(1), 0.02 * bound.length / 2, rtol=0.1)  # four parts vote
+
+
+def test_two_parts_are_enough():
+    prior = ShapePrior(("a", "b"), np.array([[[0.0, 0.0], [0.3, 0.0]]]), "a", ("a", "b"))
+    first = np.array([[10.0, 10.0], [20.0, 10.0]])
+    bound = bind(prior, ("a", "b"), first, 0.01)
+    x = np.repeat(first[None], 500, 0)
+    assert bound.propose(np.random.default_rng(0), x, 1).mean(0) == pytest.approx([23.0, 10.0], abs=0.05)
+    assert bound.propose(np.random.default_rng(0), x, 0).mean(0) == pytest.approx([7.0, 10.0], abs=0.05)
+    assert np.exp(bound.log_conditional(np.array([[23.0, 10.0]]), x[:1], 1)) == pytest.approx(1 / (2 * np.pi * 0.01))
+
+
+# --- binding, files ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("parts", "first", "sigma", "error", "said"),
+    [
+        ((*PARTS, "brow"), np.vstack([FACE, FACE[:1]]), 0.1, RecipeError, "not brow"),
+        (PARTS[:4], FACE[:4], 0.1, RecipeError, "does not track lip_lower"),
+        ((*PARTS[:4], "nose"), FACE, 0.1, RecipeError, "lip_lower"),
+        ((*PARTS, "nose"), np.vstack([FACE, FACE[:1]]), 0.1, RecipeError, "twice"),
+        (PARTS, FACE, 0.0, RecipeError, "sigma"),
+        (PARTS, FACE, 0.001, RecipeError, "sigma is 0.001"),
+        (PARTS, FACE, float("nan"), RecipeError, "sigma"),
+        (PARTS, FACE * np.nan, 0.1, InputError, "finite"),
+        (PARTS, FACE * 0.0, 0.1, InputError, "same place"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(parts, first, sigma, error, said):
+    with pytest.raises(error, match=said) as caught:
+        bind(some_prior(), parts, first, sigma)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_saved_prior_comes_back_and_has_the_same_bytes(tmp_path):
+    prior = some_prior()
+    for name in ("a.npz", "b.npz"):
+        prior.save(tmp_path / name)
+    back = load_prior(tmp_path / "a.npz")
+    assert (back.parts, back.stable, back.scale) == (prior.parts, prior.stable, prior.scale)
+    assert (back.shapes == prior.shapes).all()
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+def test_a_prior_that_cannot_be_written_is_an_output_error(tmp_path):
+    with pytest.raises(OutputError, match="cannot be written"):
+        some_prior().save(tmp_path / "no" / "prior.npz")
+    (tmp_path / "folder.npz").mkdir()
+    with pytest.raises(OutputError, match="cannot be written"):
+        some_prior().save(tmp_path / "folder.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.npz"]
+
+
+GOOD = {
+    "format": np.array("facetrack-shape-prior"),
+    "version": np.array(1),
+    "parts": np.array(PARTS),
+    "stable": np.array("nose"),
+    "scale": np.array(SCALE),
+    "shapes": np.zeros((3, 5, 2)),
+}
+
+
+def a_nan():
+    shapes = np.zeros((3, 5, 2))
+    shapes[1, 2, 0] = np.nan
+    return shapes
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"format": np.array("other")}, "not a shape prior"),
+        ({"format": None}, "not a shape prior"),
+        ({"version": np.array(2)}, "version 2"),
+        ({"version": np.array([])}, "not a usable"),
+        ({"version": None}, "version"),
+        ({"shapes": None}, "lacks|not a file"),
+        ({"shapes": a_nan()}, "not finite"),
+        ({"shapes": np.zeros((3, 4, 2))}, r"\(3, 4, 2\)"),
+        ({"shapes": np.zeros((0, 5, 2))}, r"\(0, 5, 2\)"),
+        ({"shapes": np.full((3, 5, 2), 300.0)}, "pixels"),
+        ({"shapes": np.full((3, 5, 2), 0.1)}, "moves"),
+        ({"shapes": np.array(["x"])}, "not a usable"),
+        ({"shapes": np.array([{}, []], dtype=object)}, "plain arrays"),
+        ({"stable": np.array("ear")}, "ear"),
+        ({"scale": np.array(["nose", "nose"])}, "two different"),
+        ({"scale": np.array(["nose"])}, "scale"),
+        ({"parts": np.array(["nose", "nose", "mouth_left", "mouth_right", "lip"])}, "once"),
+    ],
+)
+def test_a_file_that_is_no_prior_is_refused_in_one_line(tmp_path, change, said):
+    path = tmp_path / "bad.npz"
+    np.savez(path, **{name: value for name, value in (GOOD | change).items() if value is not None})
+    with pytest.raises(InputError, match=said) as caught:
+        load_prior(path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_damaged_files_are_refused(tmp_path):
+    path = tmp_path / "prior.npz"
+    some_prior().save(path)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    damaged = [b"", b"text, not a prior\n", whole[: len(whole) // 2], whole[:100]]
+    array = io.BytesIO()
+    np.save(array, np.zeros(3))
+    damaged.append(array.getvalue())
+    other = io.BytesIO()
+    with zipfile.ZipFile(other, "w") as archive:
+        archive.writestr("format.npy", "no array")
+    damaged.append(other.getvalue())
+    for data in damaged:
+        path.write_bytes(data)
+        with pytest.raises(InputError) as caught:
+            load_prior(path)
+        assert "\n" not in str(caught.value)
+    for _ in range(200):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), 3):
+            data[at] = rng.integers(256)
+        path.write_bytes(bytes(data))
+        try:
+            load_prior(path)  # a flipped bit outside the checked content does no harm
+        except InputError as error:
+            assert "\n" not in str(error)
+    with pytest.raises(InputError, match="no such shape prior"):
+        load_prior(tmp_path / "absent.npz")
+    with pytest.raises(InputError, match="cannot be read"):
+        load_prior(tmp_path)
+
+
+# --- fitting -----------------------------------------------------------------------------------------------------
+
+
+def write_truth(path, frames, status=None, parts=PARTS, target="face", first_frame=0):
+    """frames (T, K, 2); status {(frame, part): word}."""
+    rows = []
+    for t, points in enumerate(frames):
+        for name, (x, y) in zip(parts, points, strict=True):
+            word = (status or {}).get((t, name), "visible")
+            rows.append(Row(t + first_frame, t / 25, target, name, float(x), float(y), status=word))
+    text = "" if path.exists() else ",".join(COLUMNS) + "\n"
+    with path.open("a") as file:
+        file.write(text + csv_lines(rows))
+    return path
+
+
+def talking(frames=40, drift=3.0):
+    """The mouth opens and shuts while the head wanders; in the first frame it is shut."""
+    t = np.arange(frames)[:, None]
+    moved = np.repeat(FACE[None], frames, 0) + drift * np.stack([t, np.sin(t)], -1)
+    moved[:, 4, 1] += 20.0 * np.sin(np.pi * t[:, 0] / frames) ** 2
+    return moved
+
+
+def test_fit_registers_as_published(tmp_path):
+    frames = talking()
+    fit = fit_prior([write_truth(tmp_path / "a.csv", frames)])
+    assert fit.prior.parts == PARTS
+    assert (fit.files[0].frames, fit.files[0].used, fit.files[0].skipped) == (40, 40, 0)
+    length = np.hypot(40.0, 1.0)
+    opening = 20.0 * np.sin(np.pi * np.arange(40) / 40) ** 2 / length
+    assert fit.prior.shapes[:, 4, 1].max() == pytest.approx(opening.max(), abs=1e-3)
+    assert np.abs(fit.prior.shapes[:, :4]).max() < 1e-4  # the head's way is gone; the file rounds to 0.001 px
+    bound = bind(fit.prior, PARTS, frames[0], 0.05)
+    closed_further = frames[:1].copy()
+    closed_further[0, 4, 1] -= 20.0
+    assert bound.log_density(frames).min() > bound.log_density(closed_further)[0] + 10.0
+
+
+def test_fit_skips_frames_in_which_a_part_is_not_seen(tmp_path):
+    frames = talking()
+    frames[:3] += np.random.default_rng(0).normal(0.0, 30.0, (3, 5, 2))  # nonsense, but marked
+    frames[20, 4] = 500.0, 0.0
+    hidden = {(0, "nose"): "hidden", (1, "lip_lower"): "absent", (2, "mouth_left"): "lost"}
+    hidden[20, "lip_lower"] = "hidden"
+    fit = fit_prior([write_truth(tmp_path / "a.csv", frames, hidden)])
+    assert (fit.files[0].used, fit.files[0].skipped) == (36, 4)
+    assert np.abs(fit.prior.shapes[0]).max() == 0.0  # frame 3 is the neutral one
+    assert np.abs(fit.prior.shapes[:, :4]).max() < 1e-4
+
+
+def test_each_file_and_target_has_its_own_neutral_frame(tmp_path):
+    path = write_truth(tmp_path / "a.csv", talking(10))
+    write_truth(path, 2.0 * talking(10) + 100.0, target="other")
+    twice = write_truth(tmp_path / "b.csv", talking(10) + 50.0, first_frame=7)
+    one = fit_prior([write_truth(tmp_path / "c.csv", talking(10))])
+    fit = fit_prior([path, twice])
+    assert [file.used for file in fit.files] == [20, 10]
+    # the same movements in another size and place add (next to) nothing
+    np.testing.assert_allclose(fit.prior.shapes, one.prior.shapes, atol=1e-3)
+
+
+def test_thinning_keeps_the_rare_and_is_repeatable(tmp_path):
+    frames = np.concatenate([np.repeat(FACE[None], 300, 0), talking(30)])
+    frames[:300] += np.random.default_rng(1).normal(0.0, 0.3, (300, 5, 2))
+    frames[0] = FACE
+    path = write_truth(tmp_path / "a.csv", frames)
+    fit = fit_prior([path], max_shapes=12)
+    assert len(fit.prior.shapes) == 12
+    assert fit.prior.shapes[:, 4, 1].max() == pytest.approx(0.5, abs=0.02)
+    assert (fit_prior([path], max_shapes=12).prior.shapes == fit.prior.shapes).all()
+    still = write_truth(tmp_path / "still.csv", np.repeat(FACE[None], 50, 0))
+    assert len(fit_prior([still]).prior.shapes) == 1
+
+
+def test_fit_of_some_parts(tmp_path):
+    parts = ("nose", "lip_lower", "mouth_right", "mouth_left")
+    fit = fit_prior([write_truth(tmp_path / "a.csv", talking())], parts=parts)
+    assert fit.prior.parts == parts
+    assert fit.prior.shapes[:, 1, 1].max() == pytest.approx(0.5, abs=0.01)
+
+
+def test_fit_says_what_is_wrong(tmp_path):
+    good = write_truth(tmp_path / "good.csv", talking())
+    four = write_truth(tmp_path / "four.csv", talking()[:, :4], parts=PARTS[:4])
+    hidden = write_truth(tmp_path / "hidden.csv", talking(5), {(t, "nose"): "hidden" for t in range(5)})
+    flat = write_truth(tmp_path / "flat.csv", np.ones((4, 5, 2)))
+    wild = np.repeat(FACE[None], 3, 0)
+    wild[1, 3] = 1e5
+    wild = write_truth(tmp_path / "wild.csv", wild)
+    double = write_truth(write_truth(tmp_path / "double.csv", talking(2)), talking(2))
+    empty = tmp_path / "empty.csv"
+    empty.write_text(",".join(COLUMNS) + "\n")
+    for paths, given, error, said in [
+        ([], {}, UsageError, "no truth file"),
+        ([good, four], {}, InputError, "four.csv: there is no part lip_lower"),
+        ([hidden], {}, InputError, "none of its 5 frames"),
+        ([flat], {}, InputError, "frame 0.*no scale"),
+        ([wild], {}, InputError, "wild.csv: a part moves"),
+        ([double], {}, InputError, "twice"),
+        ([empty], {}, InputError, "no row"),
+        ([tmp_path / "absent.csv"], {}, InputError, "absent.csv"),
+        ([good], {"parts": ["nose", "lip_upper"]}, UsageError, "no part mouth_left"),
+        ([good], {"stable": "ear"}, UsageError, "no part ear"),
+        ([good], {"scale": ("nose", "nose")}, UsageError, "both are nose"),
+        ([good], {"parts": [*PARTS, "nose"]}, UsageError, "twice"),
+        ([good], {"max_shapes": 0}, UsageError, "1 or more"),
+    ]:
+        with pytest.raises(error, match=said) as caught:
+            fit_prior(paths, **given)
+        assert "\n" not in str(caught.value)
+
+
+# --- the shipped prior, commands ---------------------------------------------------------------------------------
+
+
+def test_the_shipped_prior_is_what_the_script_makes(tmp_path):
+    spec = importlib.util.spec_from_file_location("mouth_prior", ROOT / "tools" / "mouth_prior.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    script.make().save(tmp_path / "again.npz")
+    script.make().save(tmp_path / "twice.npz")
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "twice.npz").read_bytes()
+    made, shipped = load_prior(tmp_path / "again.npz"), load_prior(default_prior_path())
+    assert (made.parts, made.stable, made.scale) == (shipped.parts, shipped.stable, shipped.scale)
+    # not by its bytes: another NumPy lays the file out differently
+    np.testing.assert_allclose(made.shapes, shipped.shapes, rtol=0, atol=1e-12)
+
+
+def test_the_shipped_prior_knows_the_mouth():
+    prior = load_prior(default_prior_path())
+    assert prior.parts == PARTS
+    assert 300 <= len(prior.shapes) <= 500
+    assert np.abs(prior.shapes[0]).max() == 0.0
+    mirrored = prior.shapes[:, [0, 2, 1, 3, 4]] * [-1, 1]
+    assert {s.tobytes() for s in np.round(mirrored, 4) + 0.0} == {s.tobytes() for s in np.round(prior.shapes, 4) + 0.0}
+    bound = bind(prior, PARTS, FACE, 0.1)
+
+    def moved(**by):
+        x = FACE.copy()
+        for name, way in by.items():
+            x[PARTS.index(name)] += 40.0 * np.array(way)
+        return bound.log_density(x[None])[0]
+
+    open_ = moved(lip_lower=(0, 0.45), lip_upper=(0, -0.12), mouth_left=(0.03, 0.05), mouth_right=(-0.03, 0.05))
+    smile = moved(mouth_left=(-0.11, -0.1), mouth_right=(0.11, -0.1), lip_upper=(0, -0.05), lip_lower=(0, -0.03))
+    pucker = moved(mouth_left=(0.13, 0), mouth_right=(-0.13, 0), lip_upper=(0, -0.04), lip_lower=(0, 0.04))
+    corner_gone = moved(mouth_left=(0.1, 0.8))
+    lip_gone = moved(lip_upper=(0.5, 0.1))
+    crossed = moved(mouth_left=(1, 0), mouth_right=(-1, 0))
+    assert min(moved(), open_, smile, pucker) > max(corner_gone, lip_gone, crossed) + 5.0
+
+
+def test_picture_shows_every_part_in_its_colour():
+    prior = load_prior(default_prior_path())
+    picture = draw_prior(prior, "title", 0.1)
+    assert picture.shape == (760, 1280, 3) and picture.dtype == np.uint8
+    for colour in ((90, 90, 90), (178, 114, 0), (0, 94, 213), (115, 158, 0), (167, 121, 204)):
+        assert (np.abs(picture.astype(int) - colour).max(-1) <= 2).sum() > 60, colour
+    one = ShapePrior(("a", "b"), np.zeros((1, 2, 2)), "a", ("a", "b"))
+    assert draw_prior(one, "été", 0.0).shape == (760, 1280, 3)
+
+
+def test_commands(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_truth(tmp_path / "clip.truth.csv", talking(), {(5, "nose"): "hidden"})
+    assert main(["prior", "fit", "clip.truth.csv", "-o", "own.npz"]) == 0
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "clip.truth.csv: 39 of 40 frames used, 1 skipped" in err and "suggested sigma: 0.0" in err
+    assert main(["prior", "fit", "clip.truth.csv", "-o", "own.npz"]) == 2  # it is there already
+    assert "--overwrite" in capsys.readouterr().err
+    assert main(["prior", "fit", "clip.truth.csv", "-o", "own.npz", "--overwrite", "-q"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["prior", "show", "own.npz"]) == 0
+    assert "lip_lower" in capsys.readouterr().out
+    assert cv2.imread(str(tmp_path / "own.png")) is not None
+    assert main(["prior", "show"]) == 0
+    assert (tmp_path / "mouth_prior.png").exists()
+    assert main(["prior", "show"]) == 2
+    assert main(["prior", "show", "clip.truth.csv", "-o", "x.png"]) == 3
+    assert main(["prior", "fit", "clip.truth.csv", "-o", "x.csv"]) == 2
+    assert main(["prior", "fit", "clip.truth.csv", "-o", "y.npz", "--scale", "nose"]) == 2
+    assert not (tmp_path / "x.png").exists() and not (tmp_path / "y.npz").exists()

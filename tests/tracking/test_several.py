@@ -1,0 +1,164 @@
+"""Several targets in one run: whose turn it is, what each is told of the others, and what a recipe says of them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.types import Frame, Info, Particles, Start, TargetResult, TargetStart
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.exclusion import Cover, Exclusion
+from facetrack_cli.tracking.filters import Sir
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
+from facetrack_cli.tracking.models.motion import FirstOrder
+from facetrack_cli.tracking.models.spaces import BoxSpace, CloudSpace, evenly
+from facetrack_cli.tracking.target import ParticleTarget, State
+
+PICTURE = np.zeros((20, 30, 3), np.uint8)
+
+
+def frames(count):
+    return (Frame(i, i / 25, PICTURE) for i in range(count))
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A target whose state is the number of its frame; it keeps what it is told and what it draws."""
+
+    name: str
+    told: list
+
+    def begin(self, rng, frame):
+        return 0, self._result()
+
+    def advance(self, rng, state, frame, covers):
+        assert state == frame.index - 1
+        self.told.append((self.name, [tuple(cover) for cover in covers], rng.random()))
+        return frame.index, self._result()
+
+    def cover(self, state, *, ahead):
+        return Cover(self.name, state + 0.5 * ahead)
+
+    def _result(self):
+        return TargetResult(self.name, (), None, np.zeros((0, 0, 2)))
+
+
+def turns(*names, seed=0):
+    told = []
+    list(track(tuple(Turn(name, told) for name in names), frames(3), seed))
+    return told
+
+
+def test_who_came_before_is_known_and_the_others_are_expected():
+    covers = [(name, seen) for name, seen, _ in turns("a", "b", "c")]
+    assert covers == [
+        ("a", [("b", 0.5), ("c", 0.5)]), ("b", [("a", 1), ("c", 0.5)]), ("c", [("a", 1), ("b", 1)]),
+        ("a", [("b", 1.5), ("c", 1.5)]), ("b", [("a", 2), ("c", 1.5)]), ("c", [("a", 2), ("b", 2)]),
+    ]  # fmt: skip
+
+
+def test_each_target_draws_numbers_of_its_own_and_the_first_one_the_seeds():
+    one, two = turns("a", seed=7), turns("a", "b", seed=7)
+    drawn = {name: [value for who, _, value in two if who == name] for name in "ab"}
+    assert drawn["a"] == [value for _, _, value in one] == np.random.default_rng(7).random(2).tolist()
+    assert len({*drawn["a"], *drawn["b"]}) == 4
+
+
+class Still:
+    """A likelihood of which only `learn` and `distances` say anything: where they were asked."""
+
+    def learn(self, learned, frame, state, particles):
+        return (*learned, state[0, 0])
+
+    def score(self, learned, frame, x, parents):
+        return np.zeros(x.shape[:2])
+
+    def distances(self, learned, frame, x):
+        return np.zeros(x.shape[:2])
+
+
+def moving(space):
+    stay, none = np.eye(2), np.zeros((2, 1))
+    motion = FirstOrder((np.array([[1.0, 1.0], [0.0, 1.0]]), none), (stay, none), 0.1, 10.0)
+    x0 = np.array([[10.0, 20.0, 1.5, 3.0, -2.0, 0.0]])
+    return ParticleTarget("a", ("box",), space, x0, 4, motion, Still(), None, Sir(), None)
+
+
+def state_of(target):
+    particles = Particles(np.repeat(target.x0[None], 4, axis=0), np.full(4, -np.log(4)))
+    return State(particles, evenly(target.x0, np.array([[8.0, 4.0]])), (), None)
+
+
+@pytest.mark.parametrize(("space", "half"), [(BoxSpace((12.0, 8.0)), (9.0, 6.0)), (CloudSpace(), (4.0, 2.0))])
+def test_what_a_target_covers_is_its_box_where_it_is_or_will_be(space, half):
+    target = moving(space)
+    now, next_ = (target.cover(state_of(target), ahead=ahead) for ahead in (False, True))
+    np.testing.assert_allclose([now.centre, next_.centre], [(10, 20), (13, 18)])
+    np.testing.assert_allclose([now.half, next_.half], [half, half])
+
+
+def test_notes_of_the_start_are_said_in_the_first_frame_alone():
+    class Noted(Still):
+        notes = ("one", "two")
+
+        def init(self, frame, x0):
+            return self
+
+        def learn(self, learned, frame, state, particles):
+            return learned
+
+    tracker = (replace(moving(CloudSpace()), likelihood=Noted()),)
+    assert [result.notes for result in track(tracker, frames(3), 0)] == [("one", "two"), (), ()]
+
+
+def test_what_is_learned_is_learned_at_the_new_estimate():
+    target = moving(BoxSpace((12.0, 8.0)))
+    state, result = target.advance(np.random.default_rng(0), state_of(target), Frame(1, 0.0, PICTURE))
+    assert state.learned == pytest.approx((13.0,))
+    assert (result.parts[0].x, result.parts[0].y) == pytest.approx((13.0, 18.0))
+    assert target._result(state, Info(np.ones(1)), "tracked").particles == 4
+
+
+# --- from a recipe to its targets
+
+ALL = ("head", "left_hand", "right_hand")
+BOXES = {"head": (100.0, 40.0, 40.0, 50.0), "left_hand": (30.0, 120.0, 24.0, 28.0), "right_hand": (180, 120, 20, 30)}
+
+
+def built(config, *overrides, names=ALL):
+    start = Start(0, {name: TargetStart(box=BOXES[name]) for name in names}, "x")
+    return build_tracker(load_recipe(config, overrides), start)
+
+
+def test_targets_are_built_in_the_recipes_order_and_the_first_keep_off_none():
+    tracker = built("head_hands", "exclusion.strength=0.3", "exclusion.reach=2", names=ALL[::-1])
+    assert tuple(target.name for target in tracker) == ALL
+    assert [target.exclusion for target in tracker] == [None, Exclusion(0.3, 2.0), Exclusion(0.3, 2.0)]
+    everyone = built("head_hands", "exclusion.first=[]")
+    assert all(target.exclusion == Exclusion(0.9, 1.0) for target in everyone)
+    assert all(target.exclusion is None for target in built("head_hands", "exclusion=null"))
+
+
+def test_a_cloud_begins_over_its_own_box_and_learns_from_whom_the_recipe_names():
+    hand = "targets.left_hand.likelihood"
+    _, left, right = built(
+        "head_hands", f"{hand}.least_share=0.2", f"{hand}.floor=0.05", f"{hand}.max_size=null",
+        "targets.right_hand.likelihood.learn_from=null",
+    )  # fmt: skip
+    assert left.likelihood == SkinCloud((24.0, 28.0), BOXES["head"], least_share=0.2, floor=0.05, max_size=None)
+    assert right.likelihood.teacher == BOXES["right_hand"]
+    np.testing.assert_array_equal(left.scatter, [[24.0, 28.0]])
+    assert left.windows == {"box": pytest.approx((24.0, 28.0))}
+
+
+def test_a_recipes_numbers_of_a_face_arrive():
+    config = ("skin_ncc", "likelihood.k=0.7", "likelihood.skin.least_share=0.2", "likelihood.ncc.exponent=3")
+    (head,) = built(*config, "motion.scale=0.2", names=("head",))
+    assert (head.likelihood.k, head.likelihood.skin.least_share, head.likelihood.ncc.exponent) == (0.7, 0.2, 3.0)
+    x = np.repeat(head.x0[None], 4000, axis=0)
+    moved = head.motion.propagate(np.random.default_rng(0), x)[:, 0]
+    side = np.sqrt(40 * 50)
+    np.testing.assert_allclose(moved[:, :3].std(axis=0), [0.1 * side, 0.1 * side, 0.2], rtol=0.05)
+    assert (moved[:, 3:] == 0).all()

@@ -1,0 +1,323 @@
+"""Skin colour: Kovac's rules and the Gaussian as printed, maps and their sums, and what is done where rules fail."""
+
+import warnings
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.kernels import skin as kernel
+from facetrack_cli.tracking.models.skin_colour import (
+    LEAST_CONTRAST,
+    LEAST_SHARE,
+    LEAST_VARIANCE,
+    kovac,
+    learn_skin,
+    note,
+)
+from tests.twins import skin as naive
+
+FACE = (50.0, 40.0, 60.0, 70.0)
+# sRGB; the first is known to Kovac's rules, the others are not
+USUAL, DARK, PALE = (205, 150, 125), (52, 36, 30), (188, 180, 176)
+GREY_WALL, WARM_WALL, BLUE_WALL = (120, 122, 124), (190, 130, 95), (60, 90, 160)
+
+
+def random_picture(seed, height, width):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def portrait(skin, wall, *, fill=1.0, noise=4.0, height=150, width=170):
+    """A face that fills the ellipse in FACE, or `fill` of its axes, with eyes and mouth, before a wall; BGR."""
+    rng = np.random.default_rng(0)
+    picture = np.empty((height, width, 3))
+    picture[:] = wall[::-1]
+    y, x = np.mgrid[:height, :width]
+    u, v = (x - 79.5) / (30 * fill), (y - 74.5) / (35 * fill)
+    picture[u**2 + v**2 <= 1] = skin[::-1]
+    light = 1 + 0.1 * np.cos(np.minimum(np.hypot(u, v), 1) * np.pi / 2)
+    for eye in (-0.4, 0.4):
+        picture[((u - eye) / 0.18) ** 2 + ((v + 0.25) / 0.1) ** 2 <= 1] = (40, 35, 35)
+    picture[(u / 0.35) ** 2 + ((v - 0.5) / 0.09) ** 2 <= 1] = (0.75 * np.array(skin[::-1])) * (1, 0.9, 1.1)
+    picture = picture * light[..., None] + rng.normal(0, noise, (height, width, 1))
+    return Frame(0, 0.0, np.clip(np.rint(picture), 0, 255).astype(np.uint8))
+
+
+def mean_p(frame, model):
+    """Mean p in the face, and in all that is outside of its box."""
+    p = kernel.skin_map(frame.bgr, model.table) / 255
+    y, x = np.mgrid[: p.shape[0], : p.shape[1]]
+    face = ((x - 79.5) / 30) ** 2 + ((y - 74.5) / 35) ** 2 <= 0.9
+    outside = (x < 50) | (x >= 110) | (y < 40) | (y >= 110)
+    return p[face].mean(), p[outside].mean()
+
+
+# --- kernels and their twins
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6), height=st.integers(1, 9), width=st.integers(1, 9))
+def test_a_map_is_the_table_at_the_colour_that_opencv_gives(seed, height, width):
+    bgr = random_picture(seed, height, width)
+    bgr[0, 0] = [(255, 0, 0), (0, 0, 255), (0, 0, 0), (255, 255, 255)][seed % 4]
+    table = np.random.default_rng(seed + 1).integers(0, 256, (256, 256), dtype=np.uint8)
+    colours = [[naive.rounded(*map(int, pixel)) for pixel in row] for row in bgr]
+    np.testing.assert_array_equal(colours, cv2.cvtColor(bgr, cv2.COLOR_BGR2YCrCb)[..., [0, 2, 1]])
+    expected = [[table[cb, cr] for _, cb, cr in row] for row in colours]
+    np.testing.assert_array_equal(kernel.skin_map(bgr, table), expected)
+    np.testing.assert_array_equal(kernel.skin_map(np.asfortranarray(bgr), table), expected)
+
+
+def test_the_colours_are_those_of_bt601():
+    bgr = random_picture(0, 1, 4000)
+    exact = np.array([naive.y_cb_cr(*map(int, pixel)) for pixel in bgr[0]])
+    seen = np.array([naive.rounded(*map(int, pixel)) for pixel in bgr[0]])
+    assert np.abs(np.clip(exact, 0, 255) - seen).max() < 1
+
+
+# edges to a quarter of a pixel, where pixels begin and end among them, and far outside
+edges = st.integers(-20, 60).map(lambda q: q / 4) | st.floats(-3, 12) | st.sampled_from([-1e12, 1e12])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    height=st.integers(1, 8),
+    width=st.integers(1, 9),
+    boxes=st.lists(st.tuples(*8 * [edges]), min_size=1, max_size=4),
+)
+def test_sums_over_boxes_count_parts_of_pixels_by_their_area(seed, height, width, boxes):
+    values = np.random.default_rng(seed).integers(0, 256, (height, width), dtype=np.uint8)
+    boxes = np.array(boxes)
+    inner, outer = boxes[:, :4], boxes[:, 4:]
+    seen = kernel.differences(cv2.integral(values), inner, outer)
+    expected = [[naive.box_sum(values, a), naive.box_sum(values, b)] for a, b in zip(inner, outer, strict=True)]
+    np.testing.assert_allclose(seen, expected, atol=1e-6)
+
+
+def test_a_box_of_nothing_sums_to_nothing():
+    integral = cv2.integral(np.full((4, 5), 255, np.uint8))
+    nan = float("nan")
+    empty = np.array([[nan, nan, nan, nan], [2, 2, 2, 3], [3, 3, 1, 1], [99, 99, 120, 120], [-9, 0, -1, 4]])
+    whole = np.tile([-0.5, -0.5, 4.5, 3.5], (len(empty), 1))
+    np.testing.assert_array_equal(kernel.differences(integral, empty, whole), [[0, 20 * 255]] * len(empty))
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6), height=st.integers(1, 6), width=st.integers(1, 7))
+def test_p_at_points_is_that_of_the_nearest_pixel(seed, height, width):
+    rng = np.random.default_rng(seed)
+    bgr, table = random_picture(seed, height, width), rng.integers(0, 256, (256, 256), dtype=np.uint8)
+    xy = np.vstack([rng.uniform(-3, 9, (20, 2)), [[np.nan, 0], [0, np.nan], [1e300, 0], [0, -np.inf]]])
+    expected = np.zeros(len(xy))
+    for n, (x, y) in enumerate(xy):
+        for i in range(height):
+            for j in range(width):
+                if j - 0.5 <= x < j + 0.5 and i - 0.5 <= y < i + 0.5:
+                    expected[n] = table[naive.rounded(*map(int, bgr[i, j]))[1:]] / 255
+    np.testing.assert_array_equal(kernel.at_points(bgr, table, xy), expected)
+
+
+# --- the model as printed
+
+
+def test_kovacs_rules_are_those_of_the_paper_at_every_threshold():
+    levels = [0, 20, 21, 40, 41, 60, 80, 95, 96, 110, 111, 112, 170, 171, 195, 196, 210, 211, 220, 221, 226, 227, 255]
+    bgr = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).astype(np.uint8)
+    bgr = bgr.reshape(len(levels), -1, 3)
+    expected = [[naive.kovac(*map(int, pixel)) for pixel in row] for row in bgr]
+    assert 100 < np.sum(expected) < 0.5 * np.size(expected)
+    np.testing.assert_array_equal(kovac(bgr), expected)
+
+
+def test_the_gaussian_is_that_of_the_pixels_that_pass():
+    frame = portrait(USUAL, BLUE_WALL)
+    model = learn_skin(frame, FACE)
+    region = frame.bgr[40:110, 50:110]
+    passed = [pixel for row in region for pixel in row if naive.kovac(*map(int, pixel))]
+    colours = np.array([naive.rounded(*map(int, pixel))[1:] for pixel in passed])
+    np.testing.assert_allclose(model.mean, colours.mean(axis=0))
+    ours, exact = np.linalg.eigvalsh(model.cov), np.linalg.eigvalsh(np.cov(colours.T, bias=True))
+    np.testing.assert_allclose(ours, np.maximum(exact, LEAST_VARIANCE))
+
+    near = [(cb, cr) for cb in range(90, 130, 7) for cr in range(120, 170, 7)]
+    expected = [255 * naive.probability(colour, model.mean, model.cov) for colour in near]
+    np.testing.assert_allclose([model.table[colour] for colour in near], expected, atol=0.5 + 1e-9)
+    assert np.unravel_index(model.table.argmax(), (256, 256)) == tuple(np.rint(model.mean))
+    assert note(model) is None and not model.fallback
+
+
+def test_a_wide_spread_is_kept_as_it_is():
+    rng = np.random.default_rng(1)
+    y_cr_cb = np.full((40, 40, 3), 150.0)
+    y_cr_cb[..., 1:] = rng.multivariate_normal([155, 105], [[60, -20], [-20, 40]], (40, 40))
+    bgr = cv2.cvtColor(np.rint(y_cr_cb).astype(np.uint8), cv2.COLOR_YCrCb2BGR)
+    model = learn_skin(Frame(0, 0.0, bgr), (0, 0, 40, 40))
+    y_cr_cb = cv2.cvtColor(bgr, cv2.COLOR_BGR2YCrCb)[kovac(bgr)]
+    assert len(y_cr_cb) > 1000
+    np.testing.assert_allclose(model.cov, np.cov(y_cr_cb[:, [2, 1]].T.astype(float), bias=True), rtol=1e-9)
+
+
+def test_a_face_of_one_flat_colour_is_found_again_in_slightly_other_light():
+    flat = portrait(USUAL, BLUE_WALL, noise=0)
+    flat.bgr[40:110, 50:110] = USUAL[::-1]
+    model = learn_skin(flat, FACE)
+    np.testing.assert_allclose(model.cov, LEAST_VARIANCE * np.eye(2), atol=1e-9)
+    r, g, b = USUAL
+    other = np.array([[[b + 2, g, r + 2]]], np.uint8)
+    assert 0.4 < kernel.skin_map(other, model.table)[0, 0] / 255 < 1
+
+
+# --- where the rules fail
+
+
+@pytest.mark.parametrize("skin", [DARK, PALE], ids=["dark", "pale"])
+@pytest.mark.parametrize("wall", [GREY_WALL, WARM_WALL, BLUE_WALL], ids=["grey", "warm", "blue"])
+def test_dark_and_pale_faces_are_learned_from_the_box_and_the_user_is_told(skin, wall):
+    frame = portrait(skin, wall)
+    model = learn_skin(frame, FACE)
+    assert model.fallback and model.share < 0.1
+    assert note(model).startswith(f"Kovac's rules find skin in only {model.share:.0%} of the face, so its colour was")
+    assert "\n" not in note(model)
+    face, outside = mean_p(frame, model)
+    assert face > 0.5
+    if (skin, wall) != (PALE, GREY_WALL):
+        assert outside < 0.1
+
+
+def test_a_usual_face_is_known_before_any_wall_of_another_colour():
+    for wall in (GREY_WALL, BLUE_WALL):
+        frame = portrait(USUAL, wall)
+        model = learn_skin(frame, FACE)
+        assert not model.fallback and model.share > 0.7 and note(model) is None
+        face, outside = mean_p(frame, model)
+        assert face > 0.5 and outside < 0.05
+
+
+def test_a_warm_wall_in_the_corners_does_not_pass_for_a_dark_face():
+    """Around a dark face that fills little of the box only the wall passes; learned from, it would be all the skin."""
+    frame = portrait(DARK, WARM_WALL, fill=0.85)
+    box_share = kovac(frame.bgr[40:110, 50:110]).mean()
+    assert box_share > LEAST_SHARE  # by the whole box the rules would seem to fit
+    model = learn_skin(frame, FACE)
+    assert model.fallback and model.share < LEAST_SHARE
+    face, outside = mean_p(frame, model)
+    as_printed = learn_skin(frame, FACE, least_share=0)
+    assert not as_printed.fallback
+    wrong_face, wrong_outside = mean_p(frame, as_printed)
+    assert face > outside and wrong_face < wrong_outside
+
+
+def test_a_wall_of_the_faces_own_colour_is_told_to_the_user():
+    model = learn_skin(portrait(USUAL, USUAL), FACE)
+    assert not model.fallback
+    assert abs(model.contrast) < LEAST_CONTRAST
+    assert (
+        note(model) == "what surrounds the face has nearly the same colour, so skin colour will hardly tell them apart"
+    )
+    both = note(learn_skin(portrait(PALE, PALE), FACE))
+    assert both.startswith("Kovac's") and both.endswith("tell them apart")
+
+
+def test_contrast_is_the_papers_difference_of_the_two_regions():
+    frame = portrait(USUAL, GREY_WALL)
+    for box in (FACE, (62.0, 31.0, 60.0, 70.0)):
+        model = learn_skin(frame, box)
+        p = kernel.skin_map(frame.bgr, model.table) / 255
+        x0, y0, w, h = box[0] - 0.5, box[1] - 0.5, box[2], box[3]
+        cx, cy, sx, sy = x0 + w / 2, y0 + h / 2, w / 2**0.5, h / 2**0.5
+        inner = naive.box_sum(p, (x0, y0, x0 + w, y0 + h))
+        outer = naive.box_sum(p, (cx - sx, cy - sy, cx + sx, cy + sy))
+        # the ring is read in whole pixels
+        assert model.contrast == pytest.approx((2 * inner - outer) / (w * h), abs=0.02)
+
+
+def test_least_share_decides():
+    frame = portrait(USUAL, BLUE_WALL)
+    share = learn_skin(frame, FACE).share
+    assert not learn_skin(frame, FACE, least_share=share).fallback
+    assert learn_skin(frame, FACE, least_share=share + 1e-9).fallback
+    assert learn_skin(portrait(DARK, BLUE_WALL, noise=0), FACE, least_share=0).fallback  # nothing passed to learn from
+
+
+# --- wild input
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 50),
+    box=st.tuples(st.floats(-40, 60), st.floats(-40, 60), st.floats(0.01, 1e9), st.floats(0.01, 1e9)),
+    flat=st.booleans(),
+)
+def test_any_box_of_any_picture_gives_a_model_or_says_that_it_is_not_in_the_picture(seed, box, flat):
+    bgr = random_picture(seed, 17, 23)
+    if flat:
+        bgr[:] = bgr[0, 0]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            model = learn_skin(Frame(3, 0.0, bgr), box)
+            assert not flat or np.abs(model.mean - 128).max() > 3
+    except InputError as error:
+        outside = box[0] >= 22.5 or box[1] >= 16.5 or box[0] + box[2] <= 0.5 or box[1] + box[3] <= 0.5
+        what = "23x17" if outside else "have a colour"
+        assert "frame 3" in str(error) and what in str(error)
+        return
+    assert np.isfinite(model.mean).all() and np.linalg.eigvalsh(model.cov).min() >= LEAST_VARIANCE - 1e-6
+    assert model.table.max() > 200 and 0 <= model.share <= 1 and -1 <= model.contrast <= 1
+
+
+def test_a_box_partly_outside_is_learned_from_what_is_inside():
+    frame = portrait(USUAL, BLUE_WALL)
+    cut = Frame(0, 0.0, np.ascontiguousarray(frame.bgr[:, 80:]))
+    model = learn_skin(cut, (FACE[0] - 80, *FACE[1:]))
+    np.testing.assert_allclose(model.mean, learn_skin(frame, FACE).mean, atol=1)
+    for box in ((-9, 0, 5, 5), (170, 0, 5, 5), (0, 150, 5, 5), (0, -9, 3, 3), (float("nan"), 0, 5, 5)):
+        with pytest.raises(InputError, match="is not in the picture of 170x150"):
+            learn_skin(frame, box)
+
+
+def test_nothing_of_the_frame_is_changed():
+    frame = portrait(USUAL, BLUE_WALL)
+    before = frame.bgr.copy()
+    frame.bgr.flags.writeable = False
+    learn_skin(frame, FACE)
+    np.testing.assert_array_equal(frame.bgr, before)
+
+
+# --- which pixels are meant
+
+
+def one_column(column, height=15):
+    """Skin in a single column of a picture of cloth."""
+    bgr = np.full((height, 40, 3), BLUE_WALL[::-1], np.uint8)
+    bgr[:, column] = USUAL[::-1]
+    return Frame(0, 0.0, bgr)
+
+
+def test_a_box_has_the_pixels_whose_centres_it_covers():
+    for left, first, last in ((10.0, 10, 14), (10.4, 10, 14), (9.6, 10, 14), (10.6, 11, 15)):
+        seen = [column for column in range(40)
+                if not learn_skin(one_column(column), (left, 2.0, 5.0, 9.0), least_share=0).fallback]  # fmt: skip
+        assert seen == list(range(first, last + 1))
+
+
+def test_the_ellipse_lies_in_the_middle_of_the_box():
+    left, right = (learn_skin(one_column(column), (10.0, 3.0, 5.0, 9.0)).share for column in (10, 14))
+    assert left == right > 0
+
+
+def test_the_table_follows_colours_that_vary_together():
+    rng = np.random.default_rng(0)
+    light, warm = rng.normal(0, 1, (2, 60, 50, 1))
+    bgr = np.clip(np.array(USUAL[::-1]) + 5 * light + warm * np.array([-14, 0, 14]), 0, 255).round().astype(np.uint8)
+    model = learn_skin(Frame(0, 0.0, bgr), (0.0, 0.0, 50.0, 60.0))
+    assert abs(model.cov[0, 1]) > 0.5 * np.sqrt(model.cov[0, 0] * model.cov[1, 1])
+    for off in ((6, 6), (6, -6), (-3, 8), (10, 0)):
+        cb, cr = np.round(model.mean + off).astype(int)
+        d = np.array([cb, cr]) - model.mean
+        assert model.table[cb, cr] == pytest.approx(255 * np.exp(-d @ np.linalg.solve(model.cov, d) / 2), abs=0.51)

@@ -1,0 +1,216 @@
+"""Clouds of skin pixels and several targets in the whole engine, on made-up clips whose truth is known."""
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
+
+SKIN, WALL = (120, 150, 205), (150, 120, 90)
+HEAD, LEFT, RIGHT = (130.0, 60.0, 22.0, 28.0), (60.0, 140.0, 14.0, 14.0), (200.0, 140.0, 14.0, 14.0)
+
+
+def picture(*ellipses, noise=None, skin=SKIN):
+    """Ellipses (centre x, y, half axes) of skin before a wall, 200x260, with eyes and mouth in the first one."""
+    out = np.full((200, 260, 3), WALL, np.uint8)
+    for x, y, a, b in ellipses:
+        cv2.ellipse(out, (round(x), round(y)), (round(a), round(b)), 0, 0, 360, skin, -1, cv2.LINE_AA)
+    if ellipses:
+        x, y, a, b = ellipses[0]
+        for dx, dy in ((-0.4, -0.25), (0.4, -0.25), (0, 0.45)):
+            eye = round(x + dx * a), round(y + dy * b)
+            cv2.ellipse(out, eye, (round(a / 5), round(b / 10)), 0, 0, 360, (40, 40, 60), -1, cv2.LINE_AA)
+    if noise is not None:
+        out = np.clip(out + noise.normal(0, 6, out.shape), 0, 255).astype(np.uint8)
+    return out
+
+
+def box(ellipse):
+    x, y, a, b = ellipse
+    return x - a + 0.5, y - b + 0.5, 2 * a, 2 * b
+
+
+def frames(paths, seed=1):
+    rng = np.random.default_rng(seed)
+    return [Frame(i, i / 25, picture(*ellipses, noise=rng)) for i, ellipses in enumerate(paths)]
+
+
+def start(*names):
+    known = {"head": HEAD, "left_hand": LEFT, "right_hand": RIGHT}
+    return Start(0, {name: TargetStart(box=box(known[name])) for name in names}, "clip.init.yaml")
+
+
+def run(config, clip, begin, seed=0, overrides=()):
+    return list(track(build_tracker(load_recipe(config, overrides), begin), iter(clip), seed))
+
+
+def places(results):
+    """(T, targets, 4): x, y, w, h."""
+    return np.array([[(p.x, p.y, p.w, p.h) for target in r.targets for p in target.parts] for r in results])
+
+
+def moved(ellipse, dx, dy):
+    return ellipse[0] + dx, ellipse[1] + dy, *ellipse[2:]
+
+
+def swing(count=40):
+    """A head that nods and two hands that move fast, apart from each other."""
+    fast, slow = np.arange(count) / 3, np.arange(count) / 4
+    return [(moved(HEAD, 10 * np.sin(t / 6), 4 * np.sin(s)), moved(LEFT, 25 * np.sin(f), 20 * np.cos(s) - 20),
+             moved(RIGHT, 25 * np.sin(s), 20 * np.cos(f) - 20))
+            for t, (f, s) in enumerate(zip(fast, slow, strict=True))]  # fmt: skip
+
+
+ALL = ("head", "left_hand", "right_hand")
+
+
+@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
+def test_head_and_hands_are_followed_and_keep_their_names(config):
+    clip = swing()
+    results = run(config, frames(clip), start(*ALL))
+    true = np.array([[ellipse[:2] for ellipse in row] for row in clip])
+    found = places(results)
+    assert [target.name for target in results[0].targets] == list(ALL)
+    off = np.hypot(*np.moveaxis(found[..., :2] - true, 2, 0))
+    assert off.mean(axis=0).max() < 6 and np.quantile(off, 0.95) < 14
+    assert {p.status for target in results[0].targets for p in target.parts} == {"init"}
+    assert all(p.status == "tracked" for r in results[1:] for target in r.targets for p in target.parts)
+
+
+def test_the_size_of_a_cloud_is_that_of_the_skin():
+    """Four standard deviations a side are exact of an ellipse that is evenly filled."""
+    still = [(HEAD, LEFT, RIGHT)] * 30
+    found = places(run("head_hands_cloud", frames(still), start(*ALL)))
+    np.testing.assert_allclose(found[0, :, 2:], [[44, 56], [28, 28], [28, 28]])
+    np.testing.assert_allclose(found[10:, :, 2:].mean(axis=0), [[44, 56], [28, 28], [28, 28]], rtol=0.15)
+
+
+def test_hands_that_meet_the_face_do_not_take_it_and_go_on_their_way():
+    """Without exclusion, the cloud of a hand that passes over the face would stay on it."""
+    across = [(HEAD, (70 + 4.0 * t, 62.0, 14.0, 14.0), RIGHT) for t in range(30)]
+    begin = Start(0, {name: TargetStart(box=box(e)) for name, e in zip(ALL, across[0], strict=True)}, "x")
+    kept = [places(run("head_hands", frames(across), begin, seed))[-1, 1, 0] for seed in range(3)]
+    assert np.abs(np.array(kept) - across[-1][1][0]).max() < 8
+    lost = [places(run("head_hands", frames(across), begin, seed, ["exclusion=null"]))[-1, 1, 0] for seed in range(3)]
+    assert np.abs(np.array(lost) - HEAD[0]).mean() < 20
+
+
+@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
+def test_the_same_seed_gives_the_same_track_and_another_does_not(config):
+    clip = frames(swing(6))
+    a, b, c = (places(run(config, clip, start(*ALL), seed)) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(a, b)
+    assert np.all(np.abs(a - c)[1:].max(axis=(0, 2)) > 0)
+
+
+def test_a_target_less_is_followed_too():
+    found = places(
+        run("head_hands", frames(swing(10)), start("head", "left_hand"), overrides=["targets.right_hand=null"])
+    )
+    assert found.shape == (10, 2, 4)
+
+
+def test_a_start_without_a_target_is_refused():
+    with pytest.raises(InputError, match="has no right_hand"):
+        build_tracker(load_recipe("head_hands"), start("head", "left_hand"))
+
+
+@pytest.mark.parametrize("level", [0, 128])
+def test_flat_pictures_go_on_and_say_lost(level):
+    flat = [Frame(i, i / 25, np.full((200, 260, 3), level, np.uint8)) for i in range(1, 8)]
+    results = run("head_hands", [*frames([(HEAD, LEFT, RIGHT)]), *flat], start(*ALL))
+    assert np.isfinite(places(results)).all()
+    assert all(p.status == "lost" for target in results[-1].targets for p in target.parts)
+
+
+def test_a_pixel_weighs_what_its_colour_says_and_the_floor_elsewhere():
+    frame = Frame(0, 0.0, picture(LEFT))
+    model = SkinCloud((28.0, 28.0), box(LEFT), floor=0.02)
+    learned = model.init(frame, np.zeros((1, 2)))
+    x = np.array([[60.0, 139.0], [10.0, 10.0], [-50.0, 4.0], [1e8, 1e8]])[:, None]
+    found = np.exp(model.score(learned, frame, x, x))[:, 0]
+    assert found[0] > 0.8 and found[1:].tolist() == pytest.approx([0.02] * 3)
+    on, off = model.distances(learned, frame, x[:2])[:, 0]
+    assert on < 0.4 and off > 0.9
+
+
+def test_a_large_target_is_read_from_a_reduced_picture():
+    """At four times the size in pixels, the same particles say the same to within what pixels at the border differ."""
+    small = picture(LEFT)
+    large = cv2.resize(small, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
+    x = np.random.default_rng(0).uniform((30, 110), (90, 170), (500, 1, 2))
+    model = SkinCloud((28.0, 28.0), box(LEFT), max_size=32)
+    big = SkinCloud((112.0, 112.0), tuple(4 * v for v in box(LEFT)), max_size=32)
+    a, b = (m.score(m.init(Frame(0, 0.0, p), None), Frame(0, 0.0, p), y, y)
+            for m, p, y in ((model, small, x), (big, large, 4 * x + 1.5)))  # fmt: skip
+    assert np.mean(np.abs(np.exp(a) - np.exp(b)) > 0.1) < 0.02
+
+
+def clouds(results, target):
+    return np.array([result.targets[target].cloud for result in results])
+
+
+@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
+@pytest.mark.parametrize("zoom", [1, 4])
+def test_a_target_that_keeps_off_none_does_not_change_by_what_is_tracked_beside_it(config, zoom):
+    """Nor by which parts of a frame others have asked for before: at the larger size they are reduced."""
+    clip = [cv2.resize(frame.bgr, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_LINEAR) for frame in frames(swing(5))]
+    at = {name: tuple(zoom * v for v in box(e)) for name, e in zip(ALL, (HEAD, LEFT, RIGHT), strict=True)}
+
+    def followed(*names):
+        begin = Start(0, {name: TargetStart(box=at[name]) for name in names}, "x")
+        left_out = [f"targets.{name}=null" for name in ALL if name not in names]
+        return run(config, [Frame(i, 0.0, bgr) for i, bgr in enumerate(clip)], begin, 2, ["exclusion=null", *left_out])
+
+    together, pair = followed(*ALL), followed("head", "left_hand")
+    np.testing.assert_array_equal(clouds(together, 0), clouds(followed("head"), 0))
+    for target in (0, 1):
+        np.testing.assert_array_equal(clouds(together, target), clouds(pair, target))
+
+
+def noisy(width=260, height=200):
+    """Skin and cloth mixed pixel by pixel, in every shade."""
+    share = np.random.default_rng(2).uniform(0.6, 1, (height, width, 1))
+    return np.round(share * np.array(SKIN) + (1 - share) * np.array(WALL)).astype(np.uint8)
+
+
+def test_particles_are_pixels_of_the_reduced_picture():
+    bgr = noisy()
+    teacher = Frame(0, 0.0, picture(HEAD))
+    small = cv2.cvtColor(cv2.resize(bgr, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2YCrCb)
+    model = SkinCloud((50.0, 60.0), box(HEAD), max_size=32)
+    learned = model.init(teacher, None)
+    x = np.random.default_rng(0).uniform((0, 0), (259, 199), (300, 1, 2))
+    # the pixels 2 i and 2 i + 1 are one
+    column, row = np.floor((x[:, 0] + 0.5) / 2).astype(int).T
+    p = learned.table[small[row, column, 2], small[row, column, 1]] / 255
+    assert np.ptp(p) > 0.3 and (p < model.floor).any()
+    found = np.exp(model.score(learned, Frame(1, 0.0, bgr), x, x))[:, 0]
+    np.testing.assert_allclose(found, np.maximum(p, model.floor))
+
+
+def test_distances_look_at_the_middle_of_a_box_of_the_targets_shape():
+    bgr = np.full((200, 260, 3), WALL, np.uint8)
+    bgr[80:120, 90:170] = SKIN
+    learned = SkinCloud((80.0, 40.0), (90.0, 80.0, 80.0, 40.0)).init(Frame(0, 0.0, bgr), None)
+    there = np.array([[[129.5, 99.5]]])
+    wide, high, larger = (
+        SkinCloud(size, box(HEAD), max_size=None).distances(learned, Frame(0, 0.0, bgr), there)[0, 0]
+        for size in ((110.0, 55.0), (55.0, 110.0), (130.0, 65.0))
+    )
+    assert wide < 0.05 < larger and high > 0.3
+
+
+def test_least_share_arrives():
+    dark = Frame(0, 0.0, picture(HEAD, skin=(30, 36, 52)))
+    (said,) = SkinCloud((44.0, 56.0), box(HEAD)).init(dark, None).notes
+    assert said.startswith("Kovac")
+    # none of it passes as skin, so that only what does not need to can be learned without a word
+    usual = Frame(0, 0.0, picture(HEAD))
+    assert not SkinCloud((44.0, 56.0), box(HEAD)).init(usual, None).notes
+    assert SkinCloud((44.0, 56.0), box(HEAD), least_share=1.0).init(usual, None).notes

@@ -1,0 +1,138 @@
+"""From a start to the targets that a recipe names, and hands that nobody placed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.tracking.start import haar_start, name_targets, read_init
+from facetrack_cli.tracking.start.haar import NotHereError
+from facetrack_cli.video.source import open_source
+from tests.tracking.test_skin_cloud import HEAD, LEFT, RIGHT, box, picture
+
+SAMPLES = Path(__file__).parents[2] / "sample_videos"
+ALL = ("head", "left_hand", "right_hand")
+FRAME = Frame(0, 0.0, picture(HEAD, LEFT, RIGHT))
+
+
+def start(**boxes):
+    return Start(0, {name: TargetStart(box=one) for name, one in boxes.items()}, "clip.init.yaml")
+
+
+def overlap(a, b):
+    across = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
+    down = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
+    return max(across, 0) * max(down, 0) / (a[2] * a[3] + b[2] * b[3] - max(across, 0) * max(down, 0))
+
+
+def test_without_names_a_start_stays_as_it_is():
+    given = start(face=box(HEAD))
+    assert name_targets(given, (), None) is given
+
+
+def test_targets_come_in_the_order_of_the_recipe():
+    given = start(right_hand=box(RIGHT), head=box(HEAD), left_hand=box(LEFT))
+    assert list(name_targets(given, ALL, None).targets) == list(ALL)
+
+
+@pytest.mark.parametrize("name", ["face", "head", "somebody"])
+def test_a_single_target_is_the_head_and_hands_are_found_from_left_to_right(name):
+    found = name_targets(start(**{name: box(HEAD)}), ALL, FRAME).targets
+    assert found["head"].box == box(HEAD)
+    assert overlap(found["left_hand"].box, box(LEFT)) > 0.7
+    assert overlap(found["right_hand"].box, box(RIGHT)) > 0.7
+
+
+def test_a_face_beside_a_hand_is_the_head_and_the_other_hand_is_found():
+    found = name_targets(start(face=box(HEAD), right_hand=box(LEFT)), ALL, FRAME).targets
+    assert found["right_hand"].box == box(LEFT), "what the file says is kept"
+    assert overlap(found["left_hand"].box, box(RIGHT)) > 0.7, "the one that is no target yet"
+
+
+def test_too_few_regions_of_skin_are_told_with_what_to_do():
+    frame = Frame(7, 0.0, picture(HEAD, LEFT))
+    with pytest.raises(InputError) as caught:
+        name_targets(Start(7, {"face": TargetStart(box=box(HEAD))}, "haar"), ALL, frame, clip="a.mp4")
+    assert str(caught.value).startswith(
+        "a.mp4: frame 7 shows one region of skin beside the head, to begin left_hand and"
+    )
+    assert "init file" in str(caught.value) and "--set targets.right_hand=null" in str(caught.value)
+    with pytest.raises(InputError, match="shows no region of skin"):
+        name_targets(start(head=box(HEAD)), ALL, Frame(0, 0.0, picture(HEAD)))
+
+
+def test_what_the_recipe_does_not_know_is_refused():
+    with pytest.raises(InputError, match=r"has foot, which the recipe does not know; it follows head, left_hand"):
+        name_targets(start(head=box(HEAD), foot=box(LEFT)), ALL, FRAME)
+
+
+@pytest.mark.parametrize("boxes", [{"left_hand": box(LEFT)}, {"left_hand": box(LEFT), "right_hand": box(RIGHT)}])
+def test_without_a_head_there_is_no_beginning(boxes):
+    with pytest.raises(InputError, match="has no box of head, which the recipe begins with"):
+        name_targets(start(**boxes), ALL, FRAME)
+    points = Start(0, {"head": TargetStart(points={"nose": (1.0, 2.0)})}, "x")
+    with pytest.raises(InputError, match="has no box of head"):
+        name_targets(points, ALL, FRAME)
+
+
+def test_in_a_clip_head_and_hands_are_found_where_the_truth_has_them():
+    path = SAMPLES / "signing.mp4"
+    true = read_init(path.with_suffix(".init.yaml")).targets
+    with open_source(path) as source:
+        found = haar_start(source, (), complete=lambda frame, start: name_targets(start, ALL, frame))
+    assert found.frame == 0
+    for name, target in found.targets.items():
+        middle = [np.array(one.box[:2]) + np.array(one.box[2:]) / 2 for one in (target, true[name])]
+        assert np.abs(middle[0] - middle[1]).max() < 0.3 * true[name].box[2], name
+
+
+def test_a_frame_that_lacks_hands_is_passed_over():
+    path = SAMPLES / "signing.mp4"
+
+    def later(frame, start):
+        if frame.index < 3:
+            raise NotHereError(f"not in frame {frame.index}")
+        return start
+
+    with open_source(path) as source:
+        assert haar_start(source, (), complete=later).frame == 3
+    with open_source(path, stop=3) as source, pytest.raises(InputError, match="not in frame 0"):
+        haar_start(source, (), complete=later)
+
+
+SPECK = (24.0, 60.0, 11.0, 11.0)  # leftmost, and the smallest
+
+
+def test_hands_are_the_largest_regions_not_the_leftmost():
+    frame = Frame(0, 0.0, picture(HEAD, LEFT, RIGHT, SPECK))
+    found = name_targets(start(head=box(HEAD)), ALL, frame).targets
+    assert overlap(found["left_hand"].box, box(LEFT)) > 0.7
+    assert overlap(found["right_hand"].box, box(RIGHT)) > 0.7
+
+
+def test_a_hand_that_was_placed_where_no_skin_is_does_not_let_a_speck_take_the_others_place():
+    frame = Frame(0, 0.0, picture(HEAD, RIGHT, SPECK))
+    given = start(head=box(HEAD), left_hand=(120.0, 150.0, 28.0, 28.0))
+    assert overlap(name_targets(given, ALL, frame).targets["right_hand"].box, box(RIGHT)) > 0.7
+
+
+@pytest.mark.parametrize("given", [(20.0, 100.0, 85.0, 85.0), (57.0, 137.0, 7.0, 7.0)])
+def test_a_hand_within_a_larger_or_a_smaller_box_is_that_one(given):
+    found = name_targets(start(head=box(HEAD), left_hand=given), ALL, FRAME).targets
+    assert overlap(found["right_hand"].box, box(RIGHT)) > 0.7
+
+
+def test_a_grey_clip_is_refused_at_its_first_face_and_not_searched_to_its_end():
+    looked = []
+
+    def grey(source):
+        for frame in source:
+            looked.append(frame.index)
+            level = frame.bgr.mean(axis=2, keepdims=True).astype(np.uint8)
+            yield Frame(frame.index, frame.time_s, np.ascontiguousarray(level.repeat(3, axis=2)))
+
+    with open_source(SAMPLES / "signing.mp4") as source, pytest.raises(InputError, match="have a colour"):
+        haar_start(grey(source), (), complete=lambda frame, start: name_targets(start, ALL, frame))
+    assert looked == [0]

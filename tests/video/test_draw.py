@@ -1,0 +1,541 @@
+"""The overlay: what is drawn where, in what form, on any result."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.numbers import clock
+from facetrack_cli.core.types import Frame, Image, PartResult, Result, Status, TargetResult
+from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.overlay.status_bar import StatusBar, summary
+from facetrack_cli.video.overlay.text import Font, Sprite, plain, stamp
+
+SIZES = [(128, 96), (320, 240), (640, 480), (1280, 720), (240, 320), (33, 21)]
+NAMES = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+AT = {
+    "nose": (0.5, 0.4),
+    "mouth_left": (0.4, 0.6),
+    "mouth_right": (0.6, 0.6),
+    "lip_upper": (0.5, 0.55),
+    "lip_lower": (0.5, 0.7),
+}
+
+
+def part(name: str = "nose", x: float = 50, y: float = 50, **other: object) -> PartResult:
+    values: dict[str, object] = {"w": 13.0, "h": 13.0, "status": "tracked", "confidence": 0.9, "cov": (1.0, 0.2, 1.0)}
+    return PartResult(name, x, y, ess=50.0, **{**values, **other})  # type: ignore[arg-type]
+
+
+def result(
+    size: tuple[int, int],
+    *parts: PartResult,
+    index: int = 0,
+    ground: int = 128,
+    name: str = "face",
+    spread: float = 1.0,
+) -> Result:
+    picture = np.full((size[1], size[0], 3), ground, np.uint8)
+    centres = np.array([(p.x, p.y) for p in parts]).reshape(1, -1, 2)
+    cloud = centres + spread * np.random.default_rng(index).normal(size=(40, len(parts), 2))
+    return Result(Frame(index, index / 25, picture), (TargetResult(name, parts, 40, cloud),))
+
+
+def face(size: tuple[int, int], index: int = 0, lost: tuple[str, ...] = (), ground: int = 128) -> Result:
+    unit = min(size) / 240
+    parts = [
+        part(
+            name,
+            x * size[0] + 0.5 * index,
+            y * size[1],
+            w=13 * unit,
+            h=13 * unit,
+            status="lost" if name in lost else "tracked",
+        )
+        for name, (x, y) in AT.items()
+    ]
+    return result(size, *parts, index=index, ground=ground)
+
+
+def touched(image: Image, ground: int = 128) -> np.ndarray:
+    return (image != ground).any(axis=2)
+
+
+def around(mask: np.ndarray, x: float, y: float, reach: float) -> np.ndarray:
+    return mask[max(0, int(y - reach)) : int(y + reach) + 2, max(0, int(x - reach)) : int(x + reach) + 2]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_new_picture_of_the_same_size_and_the_frame_untouched(size: tuple[int, int]) -> None:
+    overlay = Overlay(size, title="factorized")
+    for index in range(3):
+        given_result = face(size, index)
+        before, cloud = given_result.frame.bgr.copy(), given_result.targets[0].cloud.copy()
+        image = overlay.draw(given_result)
+        assert image.shape == before.shape and image.dtype == np.uint8
+        assert not np.shares_memory(image, given_result.frame.bgr)
+        assert np.array_equal(given_result.frame.bgr, before)
+        assert np.array_equal(given_result.targets[0].cloud, cloud)
+        assert (image != before).any()
+
+
+def test_the_same_results_give_the_same_pictures() -> None:
+    def sequence() -> list[Image]:
+        overlay = Overlay((320, 240), title="x")
+        return [overlay.draw(face((320, 240), i, lost=("nose",) if i > 5 else ())) for i in range(12)]
+
+    assert all(np.array_equal(a, b) for a, b in zip(sequence(), sequence(), strict=True))
+
+
+@pytest.mark.parametrize("size", SIZES[:5])
+def test_each_part_is_drawn_and_nothing_far_from_them(size: tuple[int, int]) -> None:
+    drawn = touched(Overlay(size).draw(face(size)))
+    for x, y in AT.values():
+        assert around(drawn, x * size[0], y * size[1], 4).any()
+    assert not drawn[int(0.85 * size[1]) :].any()
+    assert not drawn[int(0.3 * size[1]) :, : int(0.2 * size[0])].any()
+
+
+def test_the_window_stands_where_the_part_says_to_a_fraction_of_a_pixel() -> None:
+    def middle(x: float) -> float:
+        one = result((200, 200), part("nose", x, 100.0, w=41.0, h=41.0, cov=(0, 0, 0)), spread=0.0)
+        difference = np.abs(Overlay((200, 200)).draw(one).astype(float) - 128).sum(axis=2)
+        row = difference[112, :]  # crosses both sides, clear of mark and label
+        return float((row * np.arange(200)).sum() / row.sum())
+
+    assert middle(100.0) == pytest.approx(100.0, abs=0.15)
+    assert middle(100.5) == pytest.approx(100.5, abs=0.15)
+
+
+def test_a_turned_window_reaches_further_along_its_diagonal() -> None:
+    def drawn(angle: float) -> np.ndarray:
+        one = result((200, 200), part("nose", 100.0, 100.0, w=61.0, h=61.0, angle=angle), name="nose")
+        return touched(Overlay((200, 200)).draw(one))
+
+    straight, turned = drawn(0.0), drawn(45.0)
+    assert not straight[100, 137:].any() and turned[100, 137:148].any()
+    assert straight[129:133, 129:133].any() and not turned[129:133, 129:133].any()
+
+
+@pytest.mark.parametrize("width", [7, 13, 26, 60])
+def test_lost_differs_from_tracked_in_form_not_in_colour_alone(width: int) -> None:
+    def ink(status: Status) -> np.ndarray:
+        one = result((200, 200), part("n", 100.0, 100.0, w=width, h=width, status=status, cov=(0, 0, 0)), spread=0.0)
+        difference = np.abs(Overlay((200, 200)).draw(one).astype(int) - 128).max(axis=2)[50:150, 50:150]
+        return difference > 60  # what is coloured, without regard to the colour
+
+    tracked, lost, init = ink("tracked"), ink("lost"), ink("init")
+    for a, b in ((tracked, lost), (init, lost), (tracked, init)):
+        share = (a != b).sum() / max(a.sum(), b.sum())
+        # seven pixels have no room for a mark, but for the cross of what is lost
+        assert share >= (0.15 if width > 7 or b is lost else 0.05), share
+
+
+def bright(image: Image, x: float, y: float) -> int:
+    """Of the nine pixels around (x, y), the largest distance of a channel from the grey ground."""
+    return int(np.abs(around(image, x, y, 1).astype(int) - 128).max())
+
+
+def test_a_lost_window_is_dashed() -> None:
+    def side(status: Status) -> np.ndarray:
+        one = result((300, 300), part("n", 150.0, 150.0, w=51.0, h=51.0, status=status, cov=(0, 0, 0)), spread=0.0)
+        image = Overlay((300, 300)).draw(one)
+        return np.array([bright(image, x, 125) > 90 for x in range(126, 175)])
+
+    assert side("tracked").all()
+    gaps = np.abs(np.diff(side("lost").astype(int))).sum()
+    assert gaps >= 4
+
+
+def test_status_has_its_own_colour_for_every_target() -> None:
+    targets = tuple(
+        TargetResult(f"t{i}", (part("a", 40.0 + 55 * i, 100.0, w=31.0, h=31.0),), 1, np.zeros((0, 1, 2)))
+        for i in range(5)
+    )
+    image = Overlay((320, 240)).draw(Result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), targets))
+    colours = {tuple(image[100, 40 + 55 * i].tolist()) for i in range(5)}
+    assert len(colours) == 5
+    lost = part("a", 60.0, 100.0, w=41.0, h=41.0, status="lost")
+    blue, green, red = Overlay((320, 240)).draw(result((320, 240), lost))[100, 60].tolist()
+    assert red > green > blue and (red, green, blue) not in colours
+
+
+def test_trails_follow_and_fade_and_are_forgotten() -> None:
+    size = (320, 240)
+    overlay = Overlay(size, fps=25.0, trail_s=1.0)
+    for index in range(26):
+        image = overlay.draw(result(size, part("nose", 100.0 + 4 * index, 120.0, w=9.0, h=9.0), index=index))
+    strength = np.abs(image.astype(int) - 128).max(axis=2)[117:124].max(axis=0)
+    assert strength[186:188].max() > strength[106:110].max() > 0  # new is stronger than old
+    for index in range(26, 70):  # at rest for longer than the trail lasts
+        image = overlay.draw(result(size, part("nose", 200.0, 120.0, w=9.0, h=9.0), index=index))
+    assert not touched(image)[100:140, :180].any()
+
+
+def test_a_part_that_was_lost_leaves_a_broken_trail_in_another_colour() -> None:
+    size = (320, 240)
+
+    def trail(status: Status) -> Image:
+        overlay = Overlay(size)
+        for index in range(20):
+            image = overlay.draw(result(size, part("n", 60.0 + 8 * index, 120.0, status=status), index=index))
+        return image[116:125, 130:190].astype(int)
+
+    tracked, lost = trail("tracked"), trail("lost")
+    assert (tracked[..., 0] - tracked[..., 2]).max() > 60 and (lost[..., 2] - lost[..., 0]).max() > 60
+    assert touched(tracked).any(axis=0).all() and not touched(lost).any(axis=0).all()
+
+
+def held(overlay: Overlay) -> int:
+    return sum(
+        sys.getsizeof(p.centres) + p.centres.nbytes + sys.getsizeof(p) for past in overlay._past.values() for p in past
+    )
+
+
+@pytest.mark.parametrize("fps", [1.0, 25.0, 240.0, 10_000.0])
+def test_memory_is_bounded_for_any_rate_and_changing_targets(fps: float) -> None:
+    overlay = Overlay((160, 120), fps=fps)
+    most = 0
+    for index in range(300):
+        step = result((160, 120), part("a", 50.0, 60.0), index=index, name=f"target{index // 50}")
+        step.frame.time_s = index / fps
+        overlay.draw(step)
+        most = max(most, held(overlay))
+    assert len(overlay._past) == 1 and len(overlay._past["target5"]) <= 40
+    assert 0 < most < 40_000
+
+
+def test_a_clock_that_goes_back_starts_the_trail_anew() -> None:
+    size = (320, 240)
+    overlay = Overlay(size)
+    for index in range(10, 20):
+        overlay.draw(result(size, part("a", 8.0 * index, 120.0), index=index))
+    again = overlay.draw(result(size, part("a", 250.0, 120.0), index=0))
+    assert np.array_equal(again, Overlay(size).draw(result(size, part("a", 250.0, 120.0), index=0)))
+
+
+def test_parts_outside_the_picture() -> None:
+    size = (160, 120)
+    plain_ground = Overlay(size).draw(result(size, part("a", 1e4, 1e4), index=0))[30:]
+    assert not touched(plain_ground).any()
+    for x, y in ((-3.0, 60.0), (163.0, 60.0), (80.0, -3.0), (80.0, 123.0)):
+        drawn = touched(Overlay(size).draw(result(size, part("a", x, y), index=0)))
+        assert drawn[20:].any() == (y >= 0)
+    Overlay(size).draw(result(size, part("a", 1e300, -1e300), index=0))
+    Overlay(size).draw(result(size, part("a", float("nan"), 1.0), part("b", 50.0, float("inf")), index=0))
+
+
+def test_the_ellipse_shows_the_covariance() -> None:
+    def drawn(cov: tuple[float, float, float], spread: float = 0.0) -> np.ndarray:
+        return touched(Overlay((200, 200)).draw(result((200, 200), part("n", 100.0, 100.0, cov=cov), spread=spread)))
+
+    wide, tall, leaning = drawn((400.0, 0.0, 25.0)), drawn((25.0, 0.0, 400.0)), drawn((300.0, 280.0, 300.0))
+    assert wide[100, 138:143].any() and not wide[138:143, 100].any()
+    assert tall[138:143, 100].any() and not tall[100, 138:143].any()
+    assert leaning[120:, 120:].sum() > 5 and not leaning[120:, :80].any()
+    assert not drawn((0.0, 0.0, 0.0))[100, 120:].any()
+    dots = drawn((0.0, 0.0, 0.0), spread=20.0)
+    assert dots[60:140, 60:90].sum() + dots[60:140, 110:140].sum() >= 10
+
+
+@pytest.mark.parametrize("cov", [(0, 0, 0), (1e300, 0, 1e300), (-1, 5, -1), (1, 100, 1), (float("inf"), 0, 1)])
+def test_any_covariance(cov: tuple[float, float, float]) -> None:
+    Overlay((160, 120)).draw(result((160, 120), part("n", 80.0, 60.0, cov=cov)))
+
+
+def test_no_targets_no_parts_no_particles() -> None:
+    ground = np.full((120, 160, 3), 128, np.uint8)
+    bare = TargetResult("face", (), 0, np.zeros((0, 0, 2)))
+    alone = TargetResult("face", (part(),), 0, np.zeros((0, 1, 2)))
+    short = TargetResult("face", (part("a"), part("b", 90.0)), 5, np.full((5, 1, 2), 20.0))
+    for targets in ((), (bare,), (alone,), (short,)):
+        image = Overlay((160, 120)).draw(Result(Frame(0, 0.0, ground), targets))
+        assert (image[:10] != 128).any()  # the status bar is there all the same
+
+
+def test_a_frame_of_another_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="overlay"):
+        Overlay((100, 100)).draw(result((101, 100), part()))
+
+
+def test_labels_stand_beside_large_windows_and_not_beside_small_ones() -> None:
+    def outside(width: float) -> int:
+        one = result((640, 480), part("nose", 320.0, 240.0, w=width, h=width, cov=(0, 0, 0)), spread=0.0)
+        drawn = touched(Overlay((640, 480)).draw(one))
+        reach = int(width / 2) + 3
+        drawn[240 - reach : 241 + reach, 320 - reach : 321 + reach] = False
+        return int(drawn[30:].sum())
+
+    assert outside(13.0) == 0 and outside(41.0) > 50
+
+
+def test_labels_never_lie_on_one_another_or_on_a_window() -> None:
+    size = (640, 480)
+    close = [
+        part(n, 300.0 + 45 * (i % 3), 200.0 + 45 * (i // 3), w=41, h=41, cov=(0, 0, 0)) for i, n in enumerate(NAMES)
+    ]
+    crowded = result(size, *close, spread=0.0)
+    nameless = result(size, *[part("", p.x, p.y, w=41, h=41, cov=(0, 0, 0)) for p in close], spread=0.0)
+    # a part named like its target has no label of its own
+    nameless = Result(nameless.frame, (TargetResult("", nameless.targets[0].parts, 40, nameless.targets[0].cloud),))
+    with_labels, without = Overlay(size).draw(crowded), Overlay(size).draw(nameless)
+    changed = (with_labels != without).any(axis=2)
+    assert changed.sum() > 100
+    for p in close:
+        assert not changed[int(p.y) - 20 : int(p.y) + 21, int(p.x) - 20 : int(p.x) + 21].any()
+
+
+def test_identity_and_names_stand_near_their_targets() -> None:
+    size = (320, 240)
+
+    def draw(identity: str | None, prob: float | None, y: float = 150.0) -> Image:
+        parts = (part("face", 160.0, y, w=61.0, h=61.0, cov=(0, 0, 0)),)
+        target = TargetResult("face", parts, 0, np.zeros((0, 1, 2)), identity, prob)
+        return Overlay(size).draw(Result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), (target,)))
+
+    nobody, somebody, sure = draw(None, None), draw("Grace", None), draw("Grace", 0.93)
+    assert touched(somebody)[100:118].sum() > touched(nobody)[100:118].sum() + 40
+    assert touched(sure)[100:118].sum() > touched(somebody)[100:118].sum()
+    # at the top there is no room above: below, then
+    assert touched(draw("Grace", None, y=40.0))[73:].sum() > touched(draw(None, None, y=40.0))[73:].sum() + 40
+
+
+def test_the_line_of_a_window_keeps_its_weight_while_its_size_changes() -> None:
+    def weight(overlay: Overlay, side: float, index: int) -> int:
+        box = part("box", 160, 120, w=side, h=side, cov=None)
+        image = overlay.draw(result((320, 240), box, index=index, ground=0, spread=0))
+        return int((image[120, 130:155].max(axis=1) > 60).sum())  # across the window's left side
+
+    for first, then in ((40, 20), (20, 40)):
+        overlay = Overlay((320, 240))
+        weights = [weight(overlay, side, i) for i, side in enumerate((first, then, first))]
+        assert len(set(weights)) == 1
+        assert weight(Overlay((320, 240)), then, 0) != weights[1], "seen first at that size it would be another"
+
+
+def test_names_of_targets_do_not_lie_on_each_other() -> None:
+    overlay = Overlay((320, 240))
+    for index, apart in enumerate((120, 30, 10, 4, 10, 120)):
+        one, two = (
+            result((320, 240), part("box", x, 120, w=40, h=40, cov=None), index=index, name=name).targets[0]
+            for name, x in (("left_hand", 160 - apart / 2), ("right_hand", 160 + apart / 2))
+        )
+        seen: list[tuple[float, float, float, float]] = []
+        shapes = [overlay._shape(target, (255, 255, 255)) for target in (one, two)]
+        image = np.zeros((240, 320, 3), np.uint8)
+        for shape in shapes:
+            seen += overlay._tag(image, shape, True, seen)
+        (a, b) = seen
+        assert a[2] <= b[0] or b[1] >= a[3] or a[1] >= b[3], f"{apart} apart"
+        assert [box[1] < 100 for box in seen] == [True, apart == 120], "above, where there is room"
+
+
+def luminance(image: Image) -> np.ndarray:
+    linear = np.where(image / 255 <= 0.04045, image / 255 / 12.92, ((image / 255 + 0.055) / 1.055) ** 2.4)
+    return np.asarray(linear @ np.array([0.0722, 0.7152, 0.2126]))
+
+
+@pytest.mark.parametrize("ground", [0, 128, 255])
+@pytest.mark.parametrize(("size", "least"), [((320, 240), 8), ((3840, 2160), 40), ((128, 96), 7)])
+def test_the_status_bar_can_be_read(size: tuple[int, int], least: int, ground: int) -> None:
+    one = result(size, part("nose", size[0] / 2, size[1] / 2), index=8888, ground=ground)
+    overlay = Overlay(size)
+    image = overlay.draw(one)
+    assert overlay._bar is not None and overlay._bar.height <= 0.14 * size[1]
+    strip = luminance(image[: overlay._bar.height])
+    ink = strip > 0.7
+    font = overlay._bar._font
+    start = round(0.8 * font.cap) + font.width("#")
+    rows = np.flatnonzero(ink[:, start : start + font.width("8888")].any(axis=1))  # the digits of the frame number
+    assert least <= rows[-1] - rows[0] + 1 <= 1.25 * least
+    dark = float(np.median(strip[: rows[-1]]))
+    assert (float(strip[ink].mean()) + 0.05) / (dark + 0.05) >= 4.5  # what WCAG asks of text
+
+
+@pytest.mark.parametrize("cap", [7, 8, 12, 41])
+def test_type_is_as_high_as_it_says_and_digits_equally_wide(cap: int) -> None:
+    font = Font(cap)
+    for char in "HE8":
+        rows = np.flatnonzero((font.mask(char) > 110).any(axis=1))
+        assert abs(rows[-1] - rows[0] + 1 - cap) <= 1 and abs(rows[0] - font.top) <= 1
+    assert len({font.width(d) for d in "0123456789"}) == 1
+    assert font.mask("abc").shape == (font.height, font.width("abc"))
+    masks = [font.mask(d) for d in "0123456789"]
+    for i, a in enumerate(masks):
+        for b in masks[:i]:
+            assert np.abs(a.astype(int) - b).sum() > 255 * 0.1 * cap  # no digit passes for another
+
+
+def test_text_outside_ascii_and_sprites_over_the_edge() -> None:
+    assert plain("Ünïcode_µ") == "Unicode_?" and plain("a\nb") == "a?b" and plain("factorized") == "factorized"
+    image = np.zeros((10, 10, 3), np.uint8)
+    sprite = Sprite(np.full((4, 4, 3), 200, np.uint8), np.zeros((4, 4, 3), np.uint8))
+    for left, top, pixels in ((-2, -2, 4), (8, 8, 4), (3, 3, 16), (20, 0, 0), (-4, 0, 0)):
+        image[:] = 0
+        stamp(image, sprite, left, top)
+        assert (image == 200).all(axis=2).sum() == pixels
+
+
+def test_what_the_bar_says() -> None:
+    good, gone = part("nose"), part("lip_upper", status="lost")
+    target = TargetResult("face", (good,), 1, np.zeros((0, 1, 2)))
+    assert summary([target]) == ("tracked", ["tracked"])
+    assert summary([TargetResult("face", (part(status="init"),), 1, np.zeros((0, 1, 2)))]) == ("init", ["init"])
+    some = TargetResult("face", (good, gone), 1, np.zeros((0, 2, 2)))
+    assert summary([some]) == ("lost", ["lost: lip_upper", "lost 1/2", "lost"])
+    assert summary([some, target])[1][0] == "lost: face/lip_upper"
+    whole = TargetResult("hand", (gone, part("thumb", status="lost")), 1, np.zeros((0, 2, 2)))
+    assert summary([target, whole])[1][0] == "lost: hand"
+    assert summary([some, whole])[1][:2] == ["lost: face/lip_upper, hand", "lost: face/lip_upper +1"]
+    assert summary([])[0] == "lost"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.0, "0:00.00"), (5.16, "0:05.16"), (59.999, "1:00.00"), (3601.5, "1:00:01.50"), (-1.0, "-0:01.00")],
+)
+def test_the_clock(seconds: float, text: str) -> None:
+    assert clock(seconds) == text
+
+
+@pytest.mark.parametrize("width", [48, 128, 240, 320, 1000])
+@pytest.mark.parametrize("lost", [(), ("nose",), NAMES[:3]])
+def test_nothing_in_the_bar_overlaps_or_is_cut_off(width: int, lost: tuple[str, ...]) -> None:
+    bar = StatusBar(width, 8, 1, "factorized_transition")
+    room = {"frame": 40, "gauge": 34, "clock": 60, "title": 150, "percent": 34}
+    _, sayings = summary(face((320, 240), lost=lost).targets)
+    items, saying, left = bar._fit(sayings, room, width)
+    assert left >= 0
+    assert not items or sum(room[k] for k in items) + bar._font.width(saying) + left == width
+    image = np.zeros((60, width, 3), np.uint8)
+    bar.draw(image, face((320, 240), index=1234567, lost=lost))
+    assert not image[bar.height :].any() and not image[: bar.height, -2:].any()
+
+
+numbers = st.floats(-1e4, 1e4) | st.sampled_from([0.0, -1e12, 1e12])
+parts = st.builds(
+    PartResult,
+    name=st.text(max_size=12),
+    x=numbers,
+    y=numbers,
+    w=st.floats(0, 5000),
+    h=st.floats(0, 5000),
+    status=st.sampled_from(["init", "tracked", "lost"]),
+    confidence=st.floats(0, 1),
+    cov=st.tuples(st.floats(0, 1e12), st.floats(-1e12, 1e12), st.floats(0, 1e12)),
+    ess=st.floats(0, 1000),
+    angle=st.none() | st.floats(-720, 720),
+)
+
+
+@st.composite
+def targets(draw: st.DrawFn) -> TargetResult:
+    of = draw(st.lists(parts, max_size=4))
+    cloud = draw(st.integers(0, 300))
+    rng = np.random.default_rng(draw(st.integers(0, 9)))
+    where = rng.normal(0, draw(st.sampled_from([0.0, 5.0, 1e6])), (cloud, len(of), 2))
+    identity = draw(st.none() | st.text(max_size=9))
+    return TargetResult(draw(st.text(max_size=9)), tuple(of), cloud, where, identity, draw(st.none() | st.floats(0, 1)))
+
+
+@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    size=st.tuples(st.integers(1, 400), st.integers(1, 300)),
+    frames=st.lists(st.tuples(st.lists(targets(), max_size=3), st.floats(0, 1e6)), min_size=1, max_size=4),
+    title=st.text(max_size=30),
+    fps=st.floats(0.01, 1000),
+)
+def test_no_result_makes_it_raise(
+    size: tuple[int, int], frames: list[tuple[list[TargetResult], float]], title: str, fps: float
+) -> None:
+    overlay = Overlay(size, fps=fps, title=title)
+    for index, (of, time_s) in enumerate(frames):
+        picture = np.full((size[1], size[0], 3), 77, np.uint8)
+        image = overlay.draw(Result(Frame(index, time_s, picture), tuple(of)))
+        assert image.shape == picture.shape and (picture == 77).all()
+
+
+# --- corrections ---
+
+NOWHERE = {"x": float("nan"), "y": float("nan"), "w": float("nan"), "h": float("nan"), "cov": None, "confidence": None}
+
+
+def gone(name: str = "nose", **other: object) -> PartResult:
+    return part(name, **{**NOWHERE, "status": "absent", **other})  # type: ignore[arg-type]
+
+
+def test_an_absent_part_is_not_drawn_and_neither_is_its_name() -> None:
+    size = (640, 480)
+    shown = part("lip_lower", 420.0, 300.0, w=80.0, h=80.0)
+    alone = result(size, shown, spread=0.0)
+    both = replace(alone, targets=(replace(alone.targets[0], parts=(shown, gone())),))
+    ours, without = Overlay(size).draw(both), Overlay(size).draw(alone)
+    bar = Overlay(size)._bar
+    assert bar is not None
+    assert np.array_equal(ours[bar.height :], without[bar.height :])
+    assert not np.array_equal(ours[: bar.height], without[: bar.height]), "the bar tells"
+
+
+def test_an_absent_target_leaves_the_picture_as_it_is() -> None:
+    frame = Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8))
+    nothing = Result(frame, (TargetResult("face", (gone(), gone("lip_upper")), None, np.zeros((0, 2, 2))),))
+    overlay = Overlay((320, 240))
+    assert overlay._bar is not None
+    assert not touched(overlay.draw(nothing))[overlay._bar.height :].any()
+
+
+def test_a_trail_leads_neither_to_a_place_given_by_hand_nor_past_an_absence() -> None:
+    size = (320, 240)
+
+    def trail(*parts: PartResult) -> np.ndarray:
+        overlay = Overlay(size)
+        pictures = [overlay.draw(result(size, one, index=i, spread=0.0)) for i, one in enumerate(parts)]
+        return touched(pictures[-1])[100:140, 100:200]  # between the two places
+
+    here, there = part(x=60.0, y=120.0, cov=None), part(x=240.0, y=120.0, cov=None)
+    assert trail(here, there).any()
+    assert not trail(here, replace(there, status="init", by_hand=True)).any()
+    assert not trail(here, gone(), there).any()
+
+
+def test_what_a_correction_gave_has_a_filled_diamond() -> None:
+    size = (320, 240)
+
+    def middle(**other: object) -> np.ndarray:
+        one = part(x=160.0, y=120.0, w=61.0, h=61.0, cov=None, status="init", **other)
+        return Overlay(size).draw(result(size, one, spread=1e4))[120, 160]  # no dot of the cloud is near
+
+    assert (middle() == 128).all() and not (middle(by_hand=True) == 128).all()
+
+
+def test_the_bar_says_calmly_what_is_absent_and_what_was_given_by_hand() -> None:
+    def said(*parts: PartResult, other: tuple[PartResult, ...] = ()) -> tuple[str, list[str]]:
+        targets = [TargetResult("face", parts, 1, np.zeros((0, len(parts), 2)))]
+        targets += [TargetResult("hand", other, 1, np.zeros((0, len(other), 2)))] if other else []
+        return summary(targets)
+
+    lip, hand = part("lip"), part("box", status="init", by_hand=True)
+    assert said(lip, gone()) == ("tracked", ["tracked; nose absent", "nose absent", "absent 1/2", "tracked"])
+    assert said(gone(), gone("lip")) == ("absent", ["absent"])
+    lost = replace(lip, status="lost")
+    assert said(lost, gone()) == ("lost", ["lost: lip; nose absent", "lost: lip", "lost 1/2", "lost"])
+    assert said(replace(lip, status="init"), gone())[0] == "init"
+    assert said(gone(), gone("lip"), other=(part("box"),))[1][0] == "tracked; face absent"
+    assert said(lip, replace(hand, name="nose")) == ("init", ["nose by hand", "by hand"])
+    assert said(lip, other=(hand,))[1][0] == "hand by hand"
+
+
+def test_the_sign_of_what_is_absent_is_not_that_of_what_is_lost() -> None:
+    def bar(status: str) -> Image:
+        image = np.full((48, 320, 3), 128, np.uint8)
+        one = part(status=status)
+        StatusBar(320, 8, 1).draw(image, Result(Frame(0, 0.0, image), (TargetResult("f", (one,), 1, np.zeros(0)),)))
+        return image
+
+    vermilion = (bar("lost")[..., 2].astype(int) - bar("lost")[..., 0] > 60).any()
+    assert vermilion and not (bar("absent")[..., 2].astype(int) - bar("absent")[..., 0] > 60).any()

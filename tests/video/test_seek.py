@@ -1,0 +1,498 @@
+"""Any frame of a clip: the pixels and the time that reading from the start gives, without decoding all before it."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import threading
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.types import Frame
+from facetrack_cli.video import cursors, stamps
+from facetrack_cli.video.recent import Recent, Turns
+from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import open_source
+from tests.support import media
+from tests.support.samples import FOLDER
+
+X264 = ("-preset", "medium", "-threads", "1")
+VP8 = ("-deadline", "good", "-cpu-used", "5", "-auto-alt-ref", "1", "-lag-in-frames", "16", "-g", "40", "-b:v", "200k")
+GAPS = [0.04] * 15 + [0.12] * 10 + [0.02] * 20 + [0.5] * 4 + [0.033] * 40
+TIMES = list(itertools.accumulate(GAPS, initial=0.0))
+
+# by name: how it is made, and whether jumps are to be expected
+CLIPS: dict[str, tuple[Callable[[Path], object], bool]] = {}
+
+
+def clip(name: str, jumps: bool = True) -> Callable[[Callable[[Path], object]], Callable[[Path], object]]:
+    def keep(make: Callable[[Path], object]) -> Callable[[Path], object]:
+        CLIPS[name] = make, jumps
+        return make
+
+    return keep
+
+
+def encoded(name: str, *options: str, jumps: bool = True, **more: object) -> None:
+    CLIPS[name] = lambda path: media.write_video(path, options=options, **{"frames": 100, **more}), jumps  # type: ignore[arg-type]
+
+
+encoded("b_frames.mp4", *X264, "-bf", "3", "-g", "45", "-x264-params", "b-pyramid=normal:scenecut=0")
+encoded("open_gop.mp4", *X264, "-bf", "3", "-g", "24", "-x264-params", "open-gop=1:scenecut=0")
+encoded("open_gop.ts", *X264, "-bf", "3", "-g", "24", "-x264-params", "open-gop=1:scenecut=0")
+encoded("variable.mp4", *X264, "-bf", "2", "-g", "30", frames=90, times=TIMES)
+encoded("variable.mkv", *X264, "-bf", "2", "-g", "30", frames=90, times=TIMES)
+encoded("sound.ts", *X264, "-g", "30", sound="sin(2000*t)")
+encoded("plain.mkv", *X264, "-g", "30")
+encoded("fragments.mp4", *X264, "-g", "30", "-movflags", "+frag_keyframe+empty_moov")
+encoded("plain.avi", "-g", "12")
+encoded("no_stamps.avi", "-bf", "2", jumps=False)
+encoded("vp8.webm", *VP8)
+encoded("vp9.webm", "-c:v", "libvpx-vp9", *VP8)
+encoded("no_length.webm", "-live", "1", jumps=False)
+encoded("hevc.mp4", "-c:v", "libx265", "-preset", "fast", "-x265-params", "log-level=none:keyint=30:pools=1")
+encoded("mpeg1.mpg")
+encoded("no_stamps.mpg", "-c:v", "mpeg2video", "-bf", "2", jumps=False)
+encoded("odd.mp4", *X264, "-g", "30", "-video_track_timescale", "12345", fps=Fraction(90000, 3754))
+encoded("every_key.mov")
+
+
+@clip("edit_list.mp4")
+def _(path: Path) -> None:
+    whole = media.write_video(path.with_suffix(".whole.mp4"), frames=150, options=(*X264, "-g", "40"))
+    media.ffmpeg("-ss", "1.1", "-i", whole, "-c", "copy", path)
+
+
+@clip("rotated.mp4")
+def _(path: Path) -> None:
+    whole = media.write_video(path.with_suffix(".whole.mp4"), frames=120, options=(*X264, "-bf", "2", "-g", "30"))
+    media.rotated(whole, path, 90)
+
+
+@clip("truncated.mkv")
+def _(path: Path) -> None:
+    whole = media.write_video(path.with_suffix(".whole.mkv"), frames=160, options=(*X264, "-g", "30"))
+    media.cut(whole, path, 0.7)
+
+
+@clip("truncated.mp4")
+def _(path: Path) -> None:
+    whole = media.write_video(path.with_suffix(".whole.mp4"), frames=160, options=(*X264, "-g", "30"))
+    media.cut(whole, path, 0.7)
+
+
+@clip("middle.ts")
+def _(path: Path) -> None:
+    options = (*X264, "-bf", "3", "-g", "24", "-x264-params", "open-gop=1:scenecut=0")
+    whole = media.write_video(path.with_suffix(".whole.ts"), frames=150, options=options)
+    path.write_bytes(whole.read_bytes()[188 * 150 :])
+
+
+@clip("damaged.mp4", jumps=False)
+def _(path: Path) -> None:
+    media.write_video(path, frames=120, options=(*X264, "-g", "30"))
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + len(data) // 8] = bytes(len(data) // 8)
+    path.write_bytes(data)
+
+
+@clip("two_sizes.ts", jumps=False)
+def _(path: Path) -> None:
+    parts = []
+    for place, size in enumerate(((64, 48), (80, 48), (64, 48))):
+        part = media.write_video(path.with_suffix(f".{place}.ts"), frames=50, size=size, options=(*X264, "-g", "10"))
+        shifted = path.with_suffix(f".{place}.shifted.ts")
+        media.ffmpeg("-i", part, "-c", "copy", "-output_ts_offset", str(place * 2), shifted)
+        parts.append(shifted.read_bytes())
+    path.write_bytes(b"".join(parts))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("clips")
+
+
+READ: dict[str, list[Frame]] = {}
+
+
+def made(folder: Path, name: str) -> tuple[Path, list[Frame]]:
+    """A clip, and its frames as they are read from the start."""
+    path = folder / name
+    if name not in READ:
+        CLIPS[name][0](path)
+        with open_source(path) as source:
+            READ[name] = list(source)
+    return path, READ[name]
+
+
+def jumping(path: Path) -> tuple[Frames, cursors.Approach]:
+    """The frames of a video whose stamps have been read."""
+    frames = Frames(path)
+    reader = frames._reader
+    assert isinstance(reader, cursors.Approach)
+    reader._begin_stamps()
+    if reader._thread is not None:
+        reader._thread.join()
+    return frames, reader
+
+
+def check(frame: Frame, expected: Frame) -> None:
+    assert frame.index == expected.index
+    assert frame.time_s == expected.time_s, frame.index  # to the last bit
+    assert np.array_equal(frame.bgr, expected.bgr), frame.index
+
+
+@pytest.mark.parametrize("name", sorted(CLIPS))
+def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: str) -> None:
+    path, expected = made(folder, name)
+    assert len(expected) > 40
+    frames, reader = jumping(path)
+    with frames:
+        assert frames.size == expected[0].size and not frames.exact
+        order = np.random.default_rng(0).permutation(len(expected)).tolist()
+        for index in order[:30]:
+            frames._recent.clear()  # each by a way of its own
+            check(frames.read(index), expected[index])
+        assert (reader.jumps > 0) == CLIPS[name][1]
+        with pytest.raises(InputError, match=rf"the clip has {len(expected)} frames \(0 to {len(expected) - 1}\);"):
+            frames.read(len(expected))
+        assert frames.exact and frames.count == len(expected)
+        for index in (len(expected) - 1, 0, len(expected) // 2):
+            check(frames.read(index), expected[index])
+
+
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_any_sequence_of_reads(folder: Path, data: st.DataObject) -> None:
+    path, expected = made(folder, data.draw(st.sampled_from(sorted(CLIPS))))
+    total = len(expected)
+    step = st.one_of(st.integers(-6, 6), st.integers(-total, total))
+    begin_at = data.draw(st.integers(0, 8))
+    with Frames(path) as frames:
+        frames._recent.most_bytes = data.draw(st.sampled_from([0, 10, 1000])) * expected[0].bgr.nbytes
+        reader = frames._reader
+        assert isinstance(reader, cursors.Approach)
+        index = 0
+        for place, by in enumerate(data.draw(st.lists(step, min_size=1, max_size=25))):
+            if place == begin_at:
+                reader._begin_stamps()
+            index += by
+            if 0 <= index < total:
+                check(frames.read(index), expected[index])
+            else:
+                with pytest.raises(InputError):
+                    frames.read(index)
+                assert index < 0 or (frames.exact and frames.count == total)
+                index = min(max(index, 0), total - 1)
+            assert frames.count >= 1 and (not frames.exact or frames.count == total)
+
+
+def test_the_sample_clips() -> None:
+    for name in ("expressions", "signing"):
+        path = FOLDER / f"{name}.mp4"
+        with open_source(path) as source:
+            expected = list(source)
+        frames, reader = jumping(path)
+        with frames:
+            for index in np.random.default_rng(1).permutation(len(expected))[:30].tolist():
+                check(frames.read(index), expected[index])
+            assert reader.jumps > 0
+
+
+# how much is decoded
+
+
+@pytest.fixture(scope="module")
+def long(folder: Path) -> Path:
+    """A clip of 600 frames with keyframes 250 apart."""
+    options = (*X264, "-preset", "veryfast", "-bf", "3", "-g", "250", "-x264-params", "scenecut=0")
+    pictures = [media.numbered(index % 256) for index in range(600)]
+    return media.write_video(folder / "long.mp4", frames=pictures, options=options)
+
+
+def test_stepping_through_neighbours_does_not_decode_them_again(long: Path) -> None:
+    frames, reader = jumping(long)
+    with frames:
+        assert media.number(frames.read(480).bgr) == 480 - 256
+        assert frames.decoded <= cursors.CHECKED + 1 + 240
+        for way in (range(479, 300, -1), range(301, 480), range(479, 300, -7)):
+            before, jumps = frames.decoded, reader.jumps
+            for index in way:
+                assert media.number(frames.read(index).bgr) == index % 256
+            assert frames.decoded - before <= 250 and reader.jumps - jumps <= 1
+        before = frames.decoded
+        for index in range(480, 540):
+            frames.read(index)
+        assert frames.decoded - before <= 60 + 300  # at most one way from the keyframe
+
+
+def test_a_small_cache_does_not_decode_a_group_for_each_step_back(long: Path) -> None:
+    with Frames(long) as frames:
+        room = 20
+        frames._recent.most_bytes = room * frames.read(0).bgr.nbytes
+        frames._reader._back = room * 3 // 4  # type: ignore[union-attr]
+        frames._reader._begin_stamps()  # type: ignore[union-attr]
+        frames._reader._thread.join()  # type: ignore[union-attr]
+        frames.read(490)
+        before = frames.decoded
+        for index in range(489, 400, -1):
+            assert media.number(frames.read(index).bgr) == index % 256
+        assert frames.decoded - before <= (90 / 15 + 2) * 240
+
+
+def test_a_far_frame_is_not_decoded_from_the_start(long: Path) -> None:
+    frames, _ = jumping(long)
+    with frames:
+        frames.read(530)
+        assert frames.decoded < 530 - 500 + cursors.CHECKED + 10
+        assert frames.count == 600 and not frames.exact
+        with pytest.raises(InputError):
+            frames.read(10**6)
+        assert frames.exact and frames.decoded < 200
+
+
+def test_a_long_clip_has_its_stamps_read_at_once_and_a_short_one_when_it_is_gone_far(long: Path, folder: Path) -> None:
+    with Frames(long) as frames:
+        assert frames._reader._thread is not None  # type: ignore[union-attr]
+    path, expected = made(folder, "b_frames.mp4")
+    with Frames(path) as frames:
+        for index in range(len(expected)):
+            frames.read(index)
+        assert frames.decoded == len(expected)
+        assert frames._reader._thread is None  # type: ignore[union-attr]
+        frames._recent.clear()
+        frames.read(90)
+        assert frames._reader._thread is not None  # type: ignore[union-attr]
+
+
+def test_a_clip_that_does_not_say_how_long_it_is_has_its_packets_counted(folder: Path) -> None:
+    path, expected = made(folder, "no_length.webm")
+    frames, reader = jumping(path)
+    with frames:
+        assert reader._claimed == 0 and frames.count == len(expected) == 100 and not frames.exact
+        check(frames.read(70), expected[70])
+        assert frames.count == 100
+
+
+def test_memory_is_flat_over_many_reads(long: Path) -> None:
+    frames, reader = jumping(long)
+    with frames:
+        size = frames.read(0).bgr.nbytes
+        frames._recent.most_bytes = 30 * size
+        for place, index in enumerate(np.random.default_rng(2).integers(0, 600, 2000).tolist()):
+            frames.read(index if place % 20 == 0 else min(max(reader.last - 1, 0), 599))
+            assert frames._recent.bytes <= 30 * size
+            assert len(reader._cursors) <= cursors.CURSORS
+        assert len(frames._recent._known) <= 30 and len(reader._heads) == cursors.CHECKED
+
+
+# doubt
+
+
+def test_stamps_that_differ_are_not_used(folder: Path) -> None:
+    path, expected = made(folder, "b_frames.mp4")
+    for shift in (0, 60):  # from the start, and from the middle on
+        frames, reader = jumping(path)
+        with frames:
+            good = reader._arrived
+            assert good is not None
+            wrong = good.positions.copy()
+            wrong[shift:] += 1e-6
+            reader._arrived = stamps.Stamps(wrong, good.keys, good.entries, good.indexed, good.counted)
+            for index in (90, 99, 30, 70):
+                check(frames.read(index), expected[index])
+            assert reader._stamps is None
+
+
+def test_without_an_ffmpeg_program_frames_are_counted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, expected = made(folder, "b_frames.mp4")
+
+    def missing(*_: object) -> None:
+        raise RuntimeError("no ffmpeg")
+
+    monkeypatch.setattr(stamps.ffmpeg, "contents", missing)
+    frames, reader = jumping(path)
+    with frames:
+        for index in (95, 3, 60):
+            check(frames.read(index), expected[index])
+        assert reader.jumps == 0
+
+
+def test_hidden_packets_of_vp8_and_vp9_are_no_frames() -> None:
+    def stream(*packets: bytes) -> bytes:
+        return b"\0" * 32 + b"".join(len(p).to_bytes(4, "little") + b"\0" * 8 + p for p in packets)
+
+    vp8 = stream(b"\x10rest", b"\x01rest", b"\x11rest", b"")
+    assert stamps._shown(io.BytesIO(vp8), "vp8").tolist() == [True, False, True, False]
+    vp9 = stream(b"\x82rest\0", b"\x84rest\0", b"\x86rest\0", b"\x84rest\xc9", b"\x88")
+    assert stamps._shown(io.BytesIO(vp9), "vp9").tolist() == [True, False, True, True, True]
+
+
+# several at once
+
+
+def test_several_threads_at_once(folder: Path) -> None:
+    path, expected = made(folder, "open_gop.mp4")
+    wrong: list[object] = []
+    with Frames(path) as frames:
+
+        def work(seed: int) -> None:
+            try:
+                for index in np.random.default_rng(seed).integers(0, len(expected), 40).tolist():
+                    check(frames.read(index), expected[index])
+            except BaseException as error:
+                wrong.append(error)
+
+        threads = [threading.Thread(target=work, args=(seed,)) for seed in range(6)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert wrong == []
+
+
+def test_who_asks_last_has_the_next_turn_and_overtakes() -> None:
+    turns = Turns()
+    order: list[int] = []
+    first = turns.ticket()
+    later = [turns.ticket() for _ in range(3)]
+
+    def work(ticket: int) -> None:
+        with turns.turn(ticket):
+            order.append(ticket)
+
+    with turns.turn(first):
+        assert not turns.overtaken(first)
+        threads = [threading.Thread(target=work, args=(ticket,)) for ticket in later]
+        for thread in threads:
+            thread.start()
+        with turns._condition:
+            turns._condition.wait_for(lambda: len(turns._waiting) == 3)
+        assert turns.overtaken(first) and not turns.overtaken(later[-1])
+    for thread in threads:
+        thread.join()
+    assert order == later[::-1]
+
+
+def test_a_long_way_gives_way_to_who_asks_later(folder: Path) -> None:
+    path, expected = made(folder, "no_stamps.avi")
+    with Frames(path) as frames:
+        reader = frames._reader
+        assert isinstance(reader, cursors.Approach)
+        done: list[int] = []
+        grab = reader._grab
+        late = threading.Thread(target=lambda: (check(frames.read(5), expected[5]), done.append(5)))
+
+        def slow(cursor: cursors._Cursor) -> bool:
+            if cursor.next == 50 and not late.ident:
+                late.start()
+                with frames._turns._condition:
+                    frames._turns._condition.wait_for(lambda: bool(frames._turns._waiting))
+            return grab(cursor)
+
+        reader._grab = slow  # type: ignore[method-assign]
+        frames._recent.clear()
+        check(frames.read(90), expected[90])
+        done.append(90)
+        late.join()
+        assert done == [5, 90]
+        assert frames.decoded <= 1 + 91 + 7, "what was decoded before was lost"
+
+
+def test_closing_while_another_thread_reads(long: Path) -> None:
+    for far in (True, False):
+        frames = Frames(long)
+        reader = frames._reader
+        assert isinstance(reader, cursors.Approach)
+        grab, begun = reader._grab, threading.Event()
+        said: list[BaseException] = []
+
+        def slow(cursor: cursors._Cursor, grab=grab, begun=begun) -> bool:  # type: ignore[no-untyped-def]
+            begun.set()
+            return bool(grab(cursor))
+
+        def work(frames=frames, said=said) -> None:  # type: ignore[no-untyped-def]
+            try:
+                while True:
+                    frames._recent.clear()
+                    for index in (599, 300, 10):
+                        frames.read(index)
+            except BaseException as caught:
+                said.append(caught)
+
+        reader._grab = slow  # type: ignore[method-assign]
+        thread = threading.Thread(target=work)
+        thread.start()
+        begun.wait()
+        if far and reader._thread is not None:
+            reader._thread.join()
+        frames.close()
+        thread.join()
+        frames.close()
+        (error,) = said
+        assert isinstance(error, RuntimeError) and "open them again" in str(error)
+        assert not reader._cursors and (reader._thread is None or not reader._thread.is_alive())
+
+
+def test_a_closed_one_cannot_be_read(folder: Path) -> None:
+    with Frames(made(folder, "plain.avi")[0]) as frames:
+        pass
+    with pytest.raises(RuntimeError, match="open them again"):
+        frames.read(0)
+
+
+# folders and refusals
+
+
+def test_a_folder_of_images(tmp_path: Path) -> None:
+    path = media.write_pictures(tmp_path / "frames", 12)
+    with open_source(path, fps=Fraction(30)) as source:
+        expected = list(source)
+    with Frames(path, fps=Fraction(30)) as frames:
+        assert (frames.count, frames.exact, frames.size, frames.fps) == (12, True, media.SIZE, 30)
+        for index in (7, 0, 11, 7, 10):
+            check(frames.read(index), expected[index])
+        assert frames.decoded == 4
+        for index in (12, -1):
+            with pytest.raises(InputError, match=r"no frame -?\d+, the clip has 12 frames \(0 to 11\); choose"):
+                frames.read(index)
+
+
+def test_a_folder_with_a_broken_picture_ends_there(tmp_path: Path) -> None:
+    path = media.write_pictures(tmp_path / "frames", 12)
+    (path / "7.png").write_text("no picture")
+    with Frames(path) as frames:
+        with pytest.raises(InputError, match=r"7.png: is not an image, or of an unknown kind; repair"):
+            frames.read(7)
+        assert frames.count == 7 and media.number(frames.read(6).bgr) == 6
+
+
+def test_refusals_are_those_of_the_source(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        Frames(tmp_path / "missing.mp4")
+    with pytest.raises(UsageError, match="keeps its own frame rate"):
+        Frames(media.write_video(tmp_path / "clip.mp4", frames=3), fps=Fraction(30))
+
+
+def test_recent_keeps_to_its_bytes() -> None:
+    recent: Recent[int, str] = Recent(10)
+    for key in range(4):
+        recent.put(key, str(key), 4)
+    assert [recent.get(key) for key in range(4)] == [None, None, "2", "3"] and recent.bytes == 8
+    recent.get(2)
+    recent.put(5, "5", 6)
+    assert [recent.get(key) for key in (2, 3, 5)] == ["2", None, "5"] and recent.bytes == 10
+    recent.put(5, "five", 1)
+    assert recent.get(5) == "five" and recent.bytes == 5
+    recent.put(6, "large", 50)
+    assert recent.get(6) == "large" and recent.get(5) is None and recent.bytes == 50
+    recent.clear()
+    assert recent.get(6) is None and recent.bytes == 0

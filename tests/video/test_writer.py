@@ -1,0 +1,318 @@
+"""Writing MP4s: each frame at its time, the sound in step, and nothing half-written left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import OutputError
+from facetrack_cli.video import ffmpeg as ours
+from facetrack_cli.video.source import open_source
+from facetrack_cli.video.writer import VideoWriter
+from tests.support import media
+
+FPS = Fraction(25)
+# a tone that begins in the 13th frame
+BEEP = "0.5*sin(6000*t)*gte(t,0.5)"
+
+
+def write(path: Path, count: int = 20, **options: object) -> VideoWriter:
+    writer = VideoWriter(path, media.SIZE, FPS, **options)  # type: ignore[arg-type]
+    for index in range(count):
+        writer.write(media.numbered(index), index / 25)
+    writer.close()
+    return writer
+
+
+def copy(source: Path, target: Path, **options: object) -> VideoWriter:
+    """Through our reader and our writer, with sound, as `run` does."""
+    with open_source(source, **options) as frames:  # type: ignore[arg-type]
+        writer = VideoWriter(target, frames.size, frames.fps, audio_from=source)
+        for frame in frames:
+            writer.write(frame.bgr, frame.time_s)
+        writer.close()
+    return writer
+
+
+def onset(path: Path) -> float:
+    """When the beep begins, in seconds."""
+    sound = np.abs(media.read_sound(path))
+    return float(np.argmax(sound > 0.2)) / 44100
+
+
+def left_behind(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize("fps", [Fraction(25), Fraction(30000, 1001), Fraction(24000, 1001), Fraction(359, 12)])
+def test_constant_rate_stays_strictly_constant(tmp_path: Path, fps: Fraction) -> None:
+    path = tmp_path / "out.mp4"
+    with VideoWriter(path, media.SIZE, fps) as writer:
+        for index in range(30):  # with times to the whole millisecond, as Matroska gives them
+            writer.write(media.numbered(index), round(float(index / fps), 3))
+    pictures = media.read_timed(path)
+    assert [media.number(picture) for _, picture in pictures] == list(range(30))
+    np.testing.assert_allclose([t for t, _ in pictures], [float(k / fps) for k in range(30)], atol=1e-9)
+    head = ours.run(["-i", str(path)]).stderr
+    assert "h264" in head and "yuv420p" in head and "mp4" in head
+    assert left_behind(tmp_path) == ["out.mp4"]
+
+
+def test_variable_rate_stays_in_step_with_the_source(tmp_path: Path) -> None:
+    gaps = [0.04] * 6 + [0.25] * 3 + [0.013] * 12 + [1.5, 0.04, 0.04]
+    times = np.round(np.concatenate([[0.0], np.cumsum(gaps)]), 3)
+    source = media.write_video(tmp_path / "vfr.mp4", frames=len(times), times=times.tolist(), sound=BEEP)
+    copy(source, tmp_path / "out.mp4")
+    pictures = media.read_timed(tmp_path / "out.mp4")
+    shown = [t for t, _ in pictures]
+    np.testing.assert_allclose(shown, times, atol=0.002)
+    for moment in np.arange(0.005, times[-1], 0.0171):  # whenever one looks, both show the same frame
+        expected = int(np.searchsorted(times, moment, side="right")) - 1
+        if min(abs(times - moment)) > 0.003:
+            assert media.number(pictures[np.searchsorted(shown, moment, side="right") - 1][1]) == expected
+    assert onset(tmp_path / "out.mp4") == pytest.approx(0.5, abs=0.03)
+
+
+def test_every_source_gives_as_many_frames_as_it_has(tmp_path: Path) -> None:
+    for suffix in (".mkv", ".webm", ".avi", ".ts"):
+        source = media.write_video(tmp_path / f"clip{suffix}", frames=40, sound=BEEP)
+        out = tmp_path / f"{suffix[1:]}.mp4"
+        assert copy(source, out).warnings == []
+        assert [media.number(frame.bgr) for frame in open_source(out)] == list(range(40)), suffix
+
+
+def test_times_are_ignored_on_request_and_never_fall(tmp_path: Path) -> None:
+    for timestamps, expected in ((False, [0, 0.04, 0.08, 0.12]), (True, [0, 1.0, 1.0, 1.5])):
+        with VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS, timestamps=timestamps) as writer:
+            for index, moment in enumerate([3.0, 4.0, 4.0, 4.5]):
+                writer.write(media.numbered(index), moment)
+        pictures = media.read_timed(tmp_path / "out.mp4")
+        np.testing.assert_allclose([t for t, _ in pictures], expected, atol=0.001)
+
+
+def test_odd_sizes_are_padded_by_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "out.mp4"
+    with VideoWriter(path, (63, 47), FPS) as writer:
+        for index in range(5):
+            writer.write(media.numbered(index, (63, 47)), index / 25)
+    pictures = media.read_timed(path)
+    assert pictures[0][1].shape == (48, 64, 3)
+    assert [media.number(picture[:47, :63]) for _, picture in pictures] == list(range(5))
+
+
+@pytest.mark.parametrize("size", [(320, 240), (1280, 720)])
+def test_colours_come_back(tmp_path: Path, size: tuple[int, int]) -> None:
+    width, height = size
+    colours = np.array([[40, 40, 200], [40, 200, 40], [200, 40, 40], [30, 200, 220], [128, 128, 128]], np.uint8)
+    picture = np.ascontiguousarray(np.repeat(colours[None], height, 0).repeat(width // 5, 1))
+    with VideoWriter(tmp_path / "out.mp4", size, FPS) as writer:
+        for index in range(3):
+            writer.write(picture, index / 25)
+    decoded = media.read_timed(tmp_path / "out.mp4")[1][1]
+    for k, colour in enumerate(colours):
+        middle = decoded[height // 2, width // 5 * k + width // 10]
+        assert np.abs(middle.astype(int) - colour).max() <= 3, (colour, middle)
+
+
+def test_wrong_frames_are_refused(tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS) as writer:
+        with pytest.raises(ValueError, match="takes uint8"):
+            writer.write(media.numbered(0, (62, 48)), 0.0)
+        with pytest.raises(ValueError, match="takes uint8"):
+            writer.write(media.numbered(0).astype(np.float32), 0.0)  # type: ignore[arg-type]
+        writer.write(media.numbered(3)[:, ::-1][:, ::-1], 0.0)
+    with pytest.raises(ValueError, match="closed"):
+        writer.write(media.numbered(0), 1.0)
+    assert media.number(media.read_timed(tmp_path / "out.mp4")[0][1]) == 3
+
+
+# sound
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".webm", ".avi", ".mpg", ".ts", ".mov"])
+@pytest.mark.parametrize("start", [0, 7])
+def test_sound_stays_in_step(tmp_path: Path, suffix: str, start: int) -> None:
+    source = media.write_video(tmp_path / f"clip{suffix}", frames=60, sound=BEEP)
+    assert onset(source) == pytest.approx(0.5, abs=0.04)
+    out = tmp_path / "out.mp4"
+    writer = copy(source, out, start=start, stop=45)
+    assert writer.warnings == []
+    # lossy codecs start a packet early or late; a frame lasts 0.04 s
+    assert onset(out) == pytest.approx(0.5 - start / 25, abs=0.04)
+    length = len(media.read_sound(out)) / 44100
+    assert length == pytest.approx((45 - start) / 25, abs=0.06)
+    assert [media.number(picture) for _, picture in media.read_timed(out)] == list(range(start, 45))
+    assert left_behind(tmp_path) == [f"clip{suffix}", "out.mp4"] if suffix != ".mp4" else ["clip.mp4", "out.mp4"]
+
+
+@pytest.mark.parametrize("delay", [-0.2, 0.24])
+def test_sound_that_starts_before_or_after_the_pictures(tmp_path: Path, delay: float) -> None:
+    source = media.write_video(tmp_path / "clip.mkv", frames=60, sound=BEEP, sound_delay_s=delay)
+    copy(source, tmp_path / "out.mp4")
+    assert onset(tmp_path / "out.mp4") == pytest.approx(0.5 + delay, abs=0.03)
+
+
+def test_start_of_the_sound_may_be_given(tmp_path: Path) -> None:
+    source = media.write_video(tmp_path / "clip.mkv", frames=60, sound=BEEP)
+    write(tmp_path / "out.mp4", 30, audio_from=source, audio_start_s=0.28)
+    assert onset(tmp_path / "out.mp4") == pytest.approx(0.22, abs=0.03)
+
+
+def test_no_sound_no_fuss(tmp_path: Path) -> None:
+    silent = media.write_video(tmp_path / "silent.mp4", frames=20)
+    folder = media.write_pictures(tmp_path / "frames", 3)
+    for source in (silent, folder, tmp_path / "missing.mp4"):
+        writer = write(tmp_path / "out.mp4", audio_from=source)
+        assert writer.warnings == []
+        assert "Audio" not in ours.run(["-i", str(tmp_path / "out.mp4")]).stderr
+
+
+def test_sound_that_fails_leaves_the_video_and_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = media.write_video(tmp_path / "clip.mp4", frames=20, sound=BEEP)
+    real = ours.run
+
+    def failing(arguments: list[str]) -> subprocess.CompletedProcess[str]:
+        if "-itsoffset" in arguments:
+            return subprocess.CompletedProcess(arguments, 1, "", "[aist#0:1 @ 0x1] Error: no such codec\n")
+        return real(arguments)
+
+    monkeypatch.setattr(ours, "run", failing)
+    writer = write(tmp_path / "out.mp4", audio_from=source)
+    (warning,) = writer.warnings
+    assert "without sound" in warning and "no such codec" in warning and "\n" not in warning and "0x1" not in warning
+    assert len(media.read_timed(tmp_path / "out.mp4")) == 20
+    assert left_behind(tmp_path) == ["clip.mp4", "out.mp4"]
+
+
+def test_cut_source_gives_its_sound_as_far_as_it_goes(tmp_path: Path) -> None:
+    whole = media.write_video(tmp_path / "whole.mp4", frames=100, sound=BEEP)
+    short = media.cut(whole, tmp_path / "short.mp4", 0.6)
+    copy(short, tmp_path / "out.mp4")
+    assert onset(tmp_path / "out.mp4") == pytest.approx(0.5, abs=0.03)
+    assert len(media.read_timed(tmp_path / "out.mp4")) > 30
+
+
+# files
+
+
+def test_nothing_appears_at_the_path_before_it_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "out.mp4"
+    path.write_text("the former one")
+    writer = VideoWriter(path, media.SIZE, FPS)
+    writer.write(media.numbered(0), 0.0)
+    assert path.read_text() == "the former one"
+    (temporary,) = [name for name in left_behind(tmp_path) if name != "out.mp4"]
+    assert temporary.startswith(".")
+    writer.discard()
+    writer.close()
+    assert path.read_text() == "the former one" and left_behind(tmp_path) == ["out.mp4"]
+
+
+def test_without_frames_there_is_no_file(tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS):
+        pass
+    assert left_behind(tmp_path) == []
+
+
+def test_what_was_written_until_an_error_is_kept(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS) as writer:
+        for index in range(12):
+            writer.write(media.numbered(index), index / 25)
+        raise KeyboardInterrupt
+    assert len(media.read_timed(tmp_path / "out.mp4")) == 12
+
+
+def test_interrupted_within_a_frame(tmp_path: Path) -> None:
+    path = tmp_path / "out.mp4"
+    writer = VideoWriter(path, media.SIZE, FPS)
+    for index in range(12):
+        writer.write(media.numbered(index), index / 25)
+    writer._pipe.write(b"\x1f\x43\xb6\x75\x01\x00\x00")
+    writer.close()
+    assert [media.number(picture) for _, picture in media.read_timed(path)] == list(range(12))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals to a process group")
+def test_ctrl_c_of_the_terminal_does_not_reach_the_encoder(tmp_path: Path) -> None:
+    script = (
+        "import sys, time\nfrom fractions import Fraction\nfrom pathlib import Path\n"
+        "from facetrack_cli.video.writer import VideoWriter\nfrom tests.support import media\n"
+        "with VideoWriter(Path(sys.argv[1]), media.SIZE, Fraction(25)) as writer:\n"
+        "    for index in range(200):\n"
+        "        writer.write(media.numbered(index), index / 25)\n"
+        "        if index == 30: print('go', flush=True)\n"
+        "        if index > 30: time.sleep(0.05)\n"
+    )
+    root = Path(__file__).parents[2]
+    child = subprocess.Popen(
+        [sys.executable, "-c", script, tmp_path / "out.mp4"],
+        cwd=root,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    assert child.stdout is not None and child.stdout.readline()
+    time.sleep(0.2)
+    os.killpg(child.pid, signal.SIGINT)  # as a terminal does: to the whole group
+    assert child.wait(timeout=30) != 0
+    child.stdout.close()
+    numbers = [media.number(picture) for _, picture in media.read_timed(tmp_path / "out.mp4")]
+    assert numbers == list(range(len(numbers))) and 31 <= len(numbers) < 200
+    assert left_behind(tmp_path) == ["out.mp4"]
+
+
+def test_output_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "missing" / "out.mp4", tmp_path / "file" / "out.mp4"):
+        with pytest.raises(OutputError) as caught:
+            VideoWriter(path, media.SIZE, FPS)
+        assert str(path) in str(caught.value) and "another output folder" in str(caught.value)
+    (tmp_path / "out.mp4").mkdir()
+    with pytest.raises(OutputError, match=r"out\.mp4"):
+        write(tmp_path / "out.mp4")
+    assert left_behind(tmp_path) == ["file", "out.mp4"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS)
+    writer.discard()
+    # the encoder's file is the device that is always full
+    monkeypatch.setattr(VideoWriter, "_target", property(lambda self: Path("/dev/full")))
+    writer = VideoWriter(tmp_path / "out.mp4", (640, 480), FPS)
+    with pytest.raises(OutputError) as caught:
+        for index in range(600):
+            writer.write(media.numbered(index % 256, (640, 480)), index / 25)
+        writer.close()
+    message = str(caught.value)
+    assert "No space left" in message and str(tmp_path / "out.mp4") in message and "\n" not in message
+    with contextlib.suppress(ValueError):
+        writer.write(media.numbered(0, (640, 480)), 99.0)
+    writer.close()
+    assert left_behind(tmp_path) == []
+
+
+def test_encoder_that_dies(tmp_path: Path) -> None:
+    writer = VideoWriter(tmp_path / "out.mp4", (640, 480), FPS)
+    writer.write(media.numbered(0, (640, 480)), 0.0)
+    writer._encoder.kill()
+    with pytest.raises(OutputError, match=r"out\.mp4: the video cannot be written"):
+        for index in range(1, 50):
+            writer.write(media.numbered(index, (640, 480)), index / 25)
+    assert left_behind(tmp_path) == []
+
+
+def test_no_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "nothing"))
+    with pytest.raises(OutputError, match="ffmpeg cannot be started"):
+        VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS)
+    assert left_behind(tmp_path) == []
