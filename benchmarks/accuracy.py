@@ -27,7 +27,7 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.plan import find_plan_start
 from facetrack_cli.runs.seeds import Failure, Plan, SeedRun, run_plans
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 WITHIN = 35
 
@@ -45,7 +45,7 @@ def runs_of(
 
 
 def paired(
-    plans: Sequence[Plan], truth: Table, jobs: int, *, partial: bool = False
+    plans: Sequence[Plan], truth: Trajectory, jobs: int, *, partial: bool = False
 ) -> Iterator[tuple[str, list[SeedRun], list[list[Pair]]]]:
     """Of each plan in turn its label and its runs, one a seed, each with its pairs with the truth."""
     for label, group in itertools.groupby(run_plans(plans, jobs), key=lambda run: run.label):
@@ -54,8 +54,12 @@ def paired(
             if isinstance(run, Failure):
                 raise run.error
             runs.append(run)
-        known = within(truth, runs[0].table, Options())
-        yield label, runs, [match(run.table, known, partial=partial, select=None, check_shift=False) for run in runs]
+        known = within(truth, runs[0].trajectory, Options())
+        yield (
+            label,
+            runs,
+            [match(run.trajectory, known, partial=partial, select=None, check_shift=False) for run in runs],
+        )
 
 
 def back(occlusion: Occlusion) -> bool:

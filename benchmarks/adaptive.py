@@ -161,7 +161,7 @@ def shift_row(clip: Path, config: str) -> list[float]:
     assert isinstance(target, ParticleTarget)
     guide, model = target.guide, target.likelihood
     assert guide is not None and isinstance(model, Appearance)
-    (one,) = truth.series
+    (one,) = truth.parts
     places = dict(
         zip(one.frame.tolist(), np.stack([one.x, one.y, one.w, one.h, np.nan_to_num(one.angle)], 1), strict=True)
     )

@@ -1,7 +1,4 @@
-"""Runs of trackers that adapt, with what they tell, for `adaptive.py` and `recognition.py`.
-
-The trajectories of `facetrack_cli.runs.seeds` hold neither corners nor scale nor posterior.
-"""
+"""Runs of trackers that adapt, with their diagnostics, for `adaptive.py` and `recognition.py`."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Frame, Mask, Result, Start
+from facetrack_cli.core.types import Array, Frame, Mask, Start
 from facetrack_cli.evaluation.boxes import SUCCESS_THRESHOLDS, BoxMeasures, measure_boxes, share_above
 from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap, variant
 from facetrack_cli.recipe.load import load_recipe
@@ -22,7 +19,7 @@ from facetrack_cli.runs.plan import find_plan_start
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.video.source import open_source
 
 SAMPLES = Path(__file__).parent.parent / "sample_videos"
@@ -99,16 +96,16 @@ def follow(clip: Path, config: str, seeds: int, start: Start | None = None, more
     cv2.setNumThreads(1)
     name, overrides = variant(config)
     recipe = load_recipe(name, [*overrides, *more])
+    truth: Trajectory | None = None
     try:
         truth = read_truth(default_truth(clip))
     except InputError:
         if start is None:
             raise
-        truth = Table(clip, ())
     begin = start or find_plan_start(clip, recipe, truth=truth)
     true = {
         int(frame): (*box, angle)
-        for one in truth.series
+        for one in (truth.parts if truth is not None else ())
         for frame, box, angle in zip(one.frame, one.boxes, one.angle, strict=True)
     }
     with open_source(clip, start=begin.frame) as source:
@@ -122,50 +119,34 @@ def follow(clip: Path, config: str, seeds: int, start: Start | None = None, more
     return found
 
 
-def run_of(results: Iterable[Result], true: Mapping[int, Sequence[float]]) -> Run:
+def run_of(results: Iterable[FrameResult], true: Mapping[int, Sequence[float]]) -> Run:
     """Of the one target of some results; `true` has left, top, width, height and angle of frames."""
-    rows: list[tuple[float, ...]] = []
-    states, corners, posterior = [], [], []
-    nan = float("nan")
-    size = np.ones(2)
+    collected = Collector()
     for result in results:
-        (target,) = result.targets
-        (part,), told = target.parts, target.told
-        if not rows:
-            size = np.array([part.w, part.h])
-        box = (part.x - (part.w - 1) / 2, part.y - (part.h - 1) / 2, part.w, part.h)
-        deformed = (1.0, 0.0, 0.0, 1.0) if told is None or told.affine is None else told.affine[:4]
-        states.append((part.x, part.y, *deformed))
-        if told is None or told.affine is None:
-            corners.append(corners_of(np.array([box]), np.eye(2)[None])[0])
-        else:
-            first = np.array([[part.x - (size[0] - 1) / 2, part.y - (size[1] - 1) / 2, *size]])
-            corners.append(corners_of(first, np.reshape(deformed, (1, 2, 2)))[0])
-        posterior.append(None if told is None else told.posterior)
-        scale = nan if told is None or told.scale is None else told.scale
-        sure = nan if part.confidence is None else part.confidence
-        here = (
-            result.frame.index,
-            *box,
-            part.angle or 0.0,
-            scale,
-            target.particles or nan,
-            sure,
-            part.status == "lost",
-        )
-        rows.append((*here, *true.get(result.frame.index, (nan,) * 5)))
-    table = np.array(rows, np.float64)
+        collected.add(result.rows)
+    one = collected.trajectory()
+    reported = one.diagnostics.get(one.target)
+    affine = None if reported is None else reported.values.get("affine")
+    deformed = np.tile([1.0, 0.0, 0.0, 1.0], (len(one), 1)) if affine is None else affine[:, :4]
+    sizes = one.boxes[:, 2:] if affine is None else np.tile(one.boxes[0, 2:], (len(one), 1))
+    centres = np.stack([one.x, one.y], axis=1)
+    upright = np.concatenate([centres - (sizes - 1) / 2, sizes], axis=1)
+    posterior: list[Mapping[str, float] | None] = [None] * len(one)
+    if reported is not None and "posterior" in reported.values:
+        names = reported.labels["posterior"]
+        posterior = [dict(zip(names, row, strict=True)) for row in reported.values["posterior"].tolist()]
+    known = np.array([true.get(frame, (np.nan,) * 5) for frame in one.frame.tolist()], np.float64)
     return Run(
-        frame=table[:, 0],
-        boxes=table[:, 1:5],
-        states=np.array(states),
-        corners=np.array(corners),
-        angle=table[:, 5],
-        scale=table[:, 6],
-        particles=table[:, 7],
-        confidence=table[:, 8],
-        lost=table[:, 9] > 0,
+        frame=one.frame.astype(np.float64),
+        boxes=one.boxes,
+        states=np.concatenate([centres, deformed], axis=1),
+        corners=corners_of(upright, deformed.reshape(-1, 2, 2)),
+        angle=np.nan_to_num(one.angle),
+        scale=np.full(len(one), np.nan) if reported is None else reported.get("scale"),
+        particles=one.particles,
+        confidence=one.confidence,
+        lost=one.status == "lost",
         posterior=tuple(posterior),
-        truth=table[:, 10:14],
-        true_angle=table[:, 14],
+        truth=known[:, :4],
+        true_angle=known[:, 4],
     )

@@ -130,7 +130,7 @@ def main() -> None:
     for config, overrides in chosen.values():
         tracker = build_tracker(load_recipe(config, overrides), start)
         results = list(track(tracker, (Frame(i, i / 25, frame) for i, frame in enumerate(frames)), 0))
-        counts.append(float(np.mean([result.targets[0].particles or 0 for result in results[1:]])))
+        counts.append(float(np.mean([result.rows.particles[0] for result in results[1:]])))
     with tempfile.TemporaryDirectory() as folder:
         path = encoded(frames, Path(folder) / "clip.mp4", given.crf)
         works += [lambda: seconds_each(decoding(path, None))[1:], lambda: seconds_each(decoding(path, 1))[1:]]

@@ -52,11 +52,11 @@ def run(path: Path, start: Start, found: dict[int, Array], config: str, seed: in
     off, lost, rows = [], 0, 0
     with open_source(path, start=start.frame) as source:
         for result in track(tracker, iter(source), seed):
-            parts = result.targets[0].parts
-            lost += sum(part.status == "lost" for part in parts)
-            rows += len(parts)
+            one = result.targets[0].rows
+            lost += int(np.sum(one.status == "lost"))
+            rows += len(one)
             if result.frame.index in found and result.frame.index > start.frame:
-                off.append(np.hypot(*(np.array([(p.x, p.y) for p in parts]) - found[result.frame.index]).T))
+                off.append(np.hypot(*(np.stack([one.x, one.y], axis=1) - found[result.frame.index]).T))
     errors = np.array(off)
     return errors, lost / rows, np.median(errors[-10:], axis=0)
 

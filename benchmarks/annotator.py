@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.core.types import BOX, Array, Correction, Frame, Mask, Start, TargetResult, TargetStart
+from facetrack_cli.core.types import BOX, Array, Correction, Frame, Mask, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.corrected import CorrectedTarget, kept_place
+from facetrack_cli.tracking.corrected import CorrectedTarget, completed
+from facetrack_cli.trajectory.trajectory import TargetResult
 
 WATCHED = 5
 """Frames on end that are wrong before he goes back, and the least distance of two corrections."""
@@ -134,16 +135,11 @@ class Work:
             dx, dy = self.miss * hand.standard_normal(2)
             box = (x + dx * w - (w - 1) / 2, y + dy * h - (h - 1) / 2, w, h)
             return Correction(frame, truth.target, TargetStart(box=box), learn=learn)
-        given, kept, absent = {}, {}, []
-        for k, part in enumerate(found.parts):
-            if part.status == "absent":
-                absent.append(part.name)
-            elif wrong[k]:
-                dx, dy = self.miss * truth.bound / BOUND * hand.standard_normal(2)
-                given[part.name] = (float(truth.places[t, k, 0] + dx), float(truth.places[t, k, 1] + dy))
-            else:
-                kept[part.name] = kept_place(part)
-        return Correction(frame, truth.target, TargetStart(points=given), kept, tuple(absent), learn)
+        given = {}
+        for k in np.flatnonzero(wrong & (found.rows.status != "absent")).tolist():
+            dx, dy = self.miss * truth.bound / BOUND * hand.standard_normal(2)
+            given[truth.parts[k]] = (float(truth.places[t, k, 0] + dx), float(truth.places[t, k, 1] + dy))
+        return completed(Correction(frame, truth.target, TargetStart(points=given), learn=learn), found.rows)
 
     def _marks(self) -> Iterator[Correction]:
         """What somebody says who marks as absent what is covered, in the frames in which that changes."""
@@ -157,7 +153,8 @@ class Work:
 
 
 def _places(result: TargetResult) -> Array:
-    return np.array([(part.x, part.y, part.w, part.h) for part in result.parts])
+    rows = result.rows
+    return np.stack([rows.x, rows.y, rows.w, rows.h], axis=1)
 
 
 def _first_wrong(wrong: Sequence[Mask], seen: Mask, since: int) -> int | None:

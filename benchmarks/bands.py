@@ -36,8 +36,7 @@ from facetrack_cli.recipe.skin import SkinNcc
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import Tracker, track
 from facetrack_cli.tracking.target import Likelihood, ParticleTarget
-from facetrack_cli.trajectory.row import rows
-from facetrack_cli.trajectory.table import Table, from_rows
+from facetrack_cli.trajectory.trajectory import Collector
 from facetrack_cli.video.source import open_source
 
 FIRST_SEED = 20_000
@@ -145,7 +144,10 @@ def one_run(folder: Path, path: Path, case: Case, seed: int) -> Array | None:
         return None
     clip = folder / golden.clip
     results = track(tracker, frames_of(clip, golden, case.noise, seed), seed)
-    table: Table = from_rows(clip, (row for result in results for row in rows(result)))
+    collected = Collector()
+    for result in results:
+        collected.add(result.rows)
+    table = collected.trajectory(path=clip)
     return measure([table], golden.statistics, golden.names)
 
 

@@ -56,13 +56,13 @@ from facetrack_cli.runs.plan import find_plan_start
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import haar_start
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.source import open_source
 
 CORNERS = ("mouth_left", "mouth_right")
 
 
-def truth_of(table: Table, target: str, parts: Sequence[str], frames: Sequence[Frame]) -> Truth:
+def truth_of(table: Trajectory, target: str, parts: Sequence[str], frames: Sequence[Frame]) -> Truth:
     place = {frame.index: t for t, frame in enumerate(frames)}
     places = np.full((len(frames), len(parts), 4), np.nan)
     covered = np.zeros((len(frames), len(parts)), dtype=np.bool_)

@@ -65,7 +65,7 @@ def people(folder: Path, clips: Mapping[str, Path]) -> Path:
 
 def boxed(folder: Path, clip: Path) -> None:
     """A person's pictures out of a folder of frames, each with its true box in an init file."""
-    (truth,) = read_truth(default_truth(clip)).series
+    (truth,) = read_truth(default_truth(clip)).parts
     folder.mkdir(parents=True)
     wanted = {int(truth.frame[i]): truth.boxes[i] for i in np.linspace(0, len(truth) - 1, PICTURES).round().astype(int)}
     with open_source(clip) as source:

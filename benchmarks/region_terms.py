@@ -48,8 +48,8 @@ def main() -> None:
     parser.add_argument("--config", action="append", required=True)
     parser.add_argument("--target", help="default: the first")
     given = parser.parse_args()
-    series = read_truth(default_truth(given.clip)).series
-    truth = next(one for one in series if given.target in (None, one.target))
+    parts = read_truth(default_truth(given.clip)).parts
+    truth = next(one for one in parts if given.target in (None, one.target))
     frames: dict[int, Frame] = {}
     with open_source(given.clip) as source:
         for frame in source:

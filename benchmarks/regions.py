@@ -41,7 +41,7 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.plan import find_plan_start
 from facetrack_cli.runs.seeds import Plan
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 Span = tuple[int, int]
 AWAY = 5  # rows
@@ -74,10 +74,10 @@ def cases(clip: Path, given: argparse.Namespace) -> Iterator[Case]:
         yield Case(*particles[label], seeds)
 
 
-def true_start(truth: Table, frame: int) -> Start:
+def true_start(truth: Trajectory, frame: int) -> Start:
     """The true boxes of a frame."""
     found = {}
-    for one in truth.series:
+    for one in truth.parts:
         ((left, top, width, height),) = one.boxes[one.frame == frame].tolist()
         found[one.target] = TargetStart(box=(left, top, width, height))
     return Start(frame, found, "the truth")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from facetrack_cli.core.types import Array, Box, PartResult, Point
+from facetrack_cli.core.types import Array, Box, Point
 
 
 def iou(a: Array, b: Array, size: tuple[int, int] | None = None) -> Array:
@@ -35,18 +33,19 @@ def _clip(boxes: Array, size: tuple[int, int]) -> Array:
     return np.concatenate([corner, np.clip(boxes[:, 2:], 0.0, size - corner)], axis=1)
 
 
-def corners(affine: Array, part: PartResult) -> Array | None:
-    """(4, 2) corners, clockwise from the top left, of a part whose sides became parallel to the columns of `affine`.
+def corners(affine: Array, centre: Array, size: Array) -> Array:
+    """(T, 4, 2) corners, clockwise from the top left, of boxes whose sides became parallel to the columns of `affine`.
 
-    `affine` (6,) begins with a1 to a4 of [[a1, a2], [a3, a4]]; the sides' lengths are the part's w and h. None where a
-    side has no direction.
+    `affine` (T, 6) begins with a1 to a4 of [[a1, a2], [a3, a4]]; `centre` and `size` (T, 2) are in pixels, `size` the
+    lengths of the sides. nan where a side has no direction.
     """
-    across, down = affine[[0, 2]], affine[[1, 3]]
-    lengths = math.hypot(*across), math.hypot(*down)
-    if not all(math.isfinite(length) and length > 1e-9 for length in lengths):
-        return None
-    u, v = across * (part.w / 2 / lengths[0]), down * (part.h / 2 / lengths[1])
-    return np.array([part.x, part.y]) + np.stack([-u - v, u - v, u + v, v - u])
+    sides = affine[:, [[0, 2], [1, 3]]]  # (T, side, xy)
+    lengths = np.hypot(sides[..., 0], sides[..., 1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        half = sides * (size / 2 / np.where(lengths > 1e-9, lengths, np.nan))[..., None]
+    u, v = half[:, 0], half[:, 1]
+    found: Array = centre[:, None] + np.stack([-u - v, u - v, u + v, v - u], axis=1)
+    return np.where(np.isfinite(found).all(axis=(1, 2), keepdims=True), found, np.nan)
 
 
 def size_of_points(x0: Array) -> float:

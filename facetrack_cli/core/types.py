@@ -19,9 +19,9 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 Image: TypeAlias = NDArray[np.uint8]
-
-
-Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
+Whole: TypeAlias = NDArray[np.int64]
+Mask: TypeAlias = NDArray[np.bool_]
+Texts: TypeAlias = NDArray[np.str_]
 
 
 Extent: TypeAlias = tuple[float, float, float, float]  # x from, y from, x to, y to
@@ -187,83 +187,3 @@ class Start:
     targets: Mapping[str, TargetStart]
     origin: str
     corrections: tuple[Correction, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class PartResult:
-    """The estimate of one part in one frame. (x, y) is the centre of its window of w x h pixels.
-
-    `cov` is the posterior's 2x2 covariance as (xx, xy, yy) in pixels squared. None is what a tracker cannot tell. An
-    absent part has nan for x, y, w, h. `by_hand`: a correction said so at this very frame.
-    """
-
-    name: str
-    x: float
-    y: float
-    w: float
-    h: float
-    status: Status
-    confidence: float | None = None
-    cov: tuple[float, float, float] | None = None
-    ess: float | None = None
-    angle: float | None = None
-    corners: Array | None = None  # (4, 2) clockwise from the top left, of a part that is no rectangle
-    by_hand: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """What a tracker that adapts says of one target in one frame, beside where it is; None is what it cannot tell.
-
-    `affine` is (a1, a2, a3, a4, tx, ty), the deformation since the start and the centre in pixels; `scale` is 1 at the
-    start. `error` is eps_t and `noise` eta, by which the noise is larger than usual. `posterior` over identities, and
-    its `entropy` in nats. `insets` are small grey pictures of what it knows, with their names.
-    """
-
-    affine: tuple[float, ...] | None = None
-    scale: float | None = None
-    error: float | None = None
-    noise: float | None = None
-    posterior: Mapping[str, float] | None = None
-    entropy: float | None = None
-    insets: tuple[tuple[str, Image], ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class TargetResult:
-    """The estimate of one target in one frame; `cloud` (n, K, 2) are the particles' centres, for drawing."""
-
-    name: str
-    parts: tuple[PartResult, ...]
-    particles: int | None
-    cloud: Array
-    identity: str | None = None
-    identity_prob: float | None = None
-    notes: tuple[str, ...] = ()  # lines for the user, said in the first frame
-    told: Told | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Result:
-    """All that the tracker says of one frame."""
-
-    frame: Frame
-    targets: tuple[TargetResult, ...]
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Lines for the user, each once, with the first target that it is said of where there are several."""
-        first: dict[str, str] = {}
-        for target in self.targets:
-            for note in target.notes:
-                first.setdefault(note, target.name)
-        return tuple(f"{name}: {note}" if len(self.targets) > 1 else note for note, name in first.items())
-
-
-Whole: TypeAlias = NDArray[np.int64]
-
-
-Mask: TypeAlias = NDArray[np.bool_]
-
-
-Texts: TypeAlias = NDArray[np.str_]

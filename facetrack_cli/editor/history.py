@@ -6,27 +6,30 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start
-from facetrack_cli.editor.corrections import completed
-from facetrack_cli.editor.files.rows import Rows, recorded
-from facetrack_cli.editor.files.run_folder import Run
-from facetrack_cli.editor.files.tracks import Store, Track
 from facetrack_cli.editor.retrack import Read, Report, Task, Tracking, spans
-from facetrack_cli.tracking.corrected import is_complete
+from facetrack_cli.editor.run_folder import Run
+from facetrack_cli.editor.tracks import Store, Track, spliced
+from facetrack_cli.tracking.corrected import completed, is_complete
 from facetrack_cli.tracking.start import name_targets, read_init
 from facetrack_cli.tracking.start.init_file import TARGET
+from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 MOST_STEPS: Final = 1000  # that can be taken back
 
 
-class Now(NamedTuple):
-    """The corrections, and the rows that follow from them."""
+Tracks: TypeAlias = Mapping[str, Sequence[Track]]  # of each target
+
+
+class Step(NamedTuple):
+    """Corrections, and the tracks that follow from them."""
 
     corrections: tuple[Correction, ...]
-    rows: Rows
+    tracks: Tracks
 
 
 class Fixer:
@@ -40,18 +43,17 @@ class Fixer:
         self._store = Store()
         self._tracking = Tracking(run, self._store, read)
         self._at_first = self._ordered(_completed_by_rows(run))
-        begins = {name: [None, *self._within(self._at_first, name)] for name in run.index.targets}
-        self._known: dict[str, list[Track]] = recorded(run.index, begins)
-        self.now = Now(self._at_first, Rows(run.index, {name: list(tracks) for name, tracks in self._known.items()}))
-        self._past: list[Now] = []
+        self._known = {name: self._recorded(name) for name in run.targets}
+        self._past: list[Step] = []
+        self._take(Step(self._at_first, {name: tuple(tracks) for name, tracks in self._known.items()}))
 
     @property
     def corrections(self) -> tuple[Correction, ...]:
-        return self.now.corrections
+        return self.now[0]
 
     @property
-    def rows(self) -> Rows:
-        return self.now.rows
+    def rows(self) -> Trajectory:
+        return self.now[1]
 
     @property
     def start(self) -> Start:
@@ -80,7 +82,7 @@ class Fixer:
         """Add corrections, or replace those of the same frames and targets, and track anew what follows from them."""
         for one in given:
             self.check(one)
-        done = [completed(one, self.rows.target(one.frame, one.target)) for one in given]
+        done = [completed(one, rows_of(self.rows, one.frame, one.target)) for one in given]
         others = [one for one in self.corrections if not any(_same(one, new) for new in done)]
         self._become([*others, *done], report, stop)
 
@@ -101,7 +103,7 @@ class Fixer:
     def undo(self) -> None:
         """Take back the last step; nothing is tracked for it."""
         if self._past:
-            self.now = self._past.pop()
+            self._take(self._past.pop())
 
     def apply(
         self,
@@ -120,13 +122,13 @@ class Fixer:
 
     def check(self, one: Correction, *, beyond: bool = False) -> None:
         """InputError if a correction does not fit the run; it may lie `beyond` its end."""
-        index = self.run.index
-        if one.target not in index.parts:
-            raise InputError(f"there is no {one.target} in the run; it has {', '.join(index.targets)}")
-        if not index.first < one.frame <= index.last and not (beyond and one.frame > index.last):
-            why = ", in which it begins; begin it anew with facetrack init" if one.frame == index.first else ""
+        run = self.run
+        if one.target not in run.parts:
+            raise InputError(f"there is no {one.target} in the run; it has {', '.join(run.targets)}")
+        if not run.first < one.frame <= run.last and not (beyond and one.frame > run.last):
+            why = ", in which it begins; begin it anew with facetrack init" if one.frame == run.first else ""
             raise InputError(
-                f"frame {one.frame} cannot be corrected{why}; the run can be from {index.first + 1} to {index.last}"
+                f"frame {one.frame} cannot be corrected{why}; the run can be from {run.first + 1} to {run.last}"
             )
         self._tracking.check(one)
 
@@ -167,35 +169,43 @@ class Fixer:
                 plans[task.target].pop(0)
             done += sum(stop - first for first, stop in spans(tasks))
         begins = [track.begin for tracks in found.values() for track in tracks if track.begin is not None]
-        became = self._ordered([*begins, *(one for one in corrections if one.frame > self.run.index.last)])
+        became = self._ordered([*begins, *(one for one in corrections if one.frame > self.run.last)])
         for name, tracks in found.items():
             self._known[name] += [track for track in tracks if track not in self._known[name]]
         if became == self.corrections:
             return
-        # without what the rows have worked out of all frames, which would add up
-        past = Now(self.corrections, Rows(self.run.index, self.rows.tracks))
-        self._past = [*self._past, past][-MOST_STEPS:]
-        self.now = Now(became, Rows(self.run.index, found))
+        self._past = [*self._past, self._step][-MOST_STEPS:]
+        self._take(Step(became, {name: tuple(tracks) for name, tracks in found.items()}))
+
+    def _take(self, step: Step) -> None:
+        self._step = step
+        self.now = step.corrections, spliced(self.run.rows, step.tracks, self._store)
+
+    def _recorded(self, target: str) -> list[Track]:
+        """The tracks that the run itself recorded of a target."""
+        begins = [None, *self._within(self._at_first, target)]
+        firsts = [self.run.first if begin is None else begin.frame for begin in begins]
+        stops = [*firsts[1:], self.run.last + 1]
+        return [Track(target, *one) for one in zip(begins, firsts, stops, strict=True)]
 
     def _within(self, corrections: Iterable[Correction], target: str) -> list[Correction]:
         """Those of a target that the run comes to."""
-        return [one for one in corrections if one.target == target and one.frame <= self.run.index.last]
+        return [one for one in corrections if one.target == target and one.frame <= self.run.last]
 
     def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
-        places = {name: place for place, name in enumerate(self.run.index.targets)}
+        places = {name: place for place, name in enumerate(self.run.targets)}
         return tuple(sorted(corrections, key=lambda one: (one.frame, places[one.target])))
 
     def _plan(self, target: str, corrections: Sequence[Correction]) -> list[Task]:
         """What one target is made of: from each beginning to the next, one frame more where that leaves parts open."""
-        index = self.run.index
         plan: list[Task] = []
         begin: Correction | None = None
-        first = index.first
+        first = self.run.first
         for one in sorted(corrections, key=lambda one: one.frame):
-            more = 0 if is_complete(one, index.parts[target]) else 1
+            more = 0 if is_complete(one, self.run.parts[target]) else 1
             plan.append(Task(target, begin, first, one.frame + more))
             begin, first = one, one.frame
-        plan.append(Task(target, begin, first, index.last + 1))
+        plan.append(Task(target, begin, first, self.run.last + 1))
         return plan
 
     @staticmethod
@@ -205,11 +215,11 @@ class Fixer:
 
     def _completed(self, task: Task, before: Track | None) -> Task:
         """With its beginning completed by what the track before it has in that frame."""
-        if task.begin is None or is_complete(task.begin, self.run.index.parts[task.target]):
+        if task.begin is None or is_complete(task.begin, self.run.parts[task.target]):
             return task
         assert before is not None
-        rows = Rows(self.run.index, {task.target: [before]})
-        return replace(task, begin=completed(task.begin, rows.target(task.first, task.target)))
+        rows = before.rows(self.run.rows, self._store)
+        return replace(task, begin=completed(task.begin, rows_of(rows, task.first, task.target)))
 
     def _find(self, task: Task, stop: int) -> Track | None:
         """A track that is known already of what the task asks for, up to a frame."""
@@ -219,11 +229,15 @@ class Fixer:
 
 def _completed_by_rows(run: Run) -> list[Correction]:
     """The corrections that a run was made with; what they leave open is where the rows of their frames have it."""
-    rows = Rows(run.index, recorded(run.index, {name: [None] for name in run.index.targets}))
     return [
-        completed(one, rows.target(one.frame, one.target)) if one.frame <= run.index.last else one
+        completed(one, rows_of(run.rows, one.frame, one.target)) if one.frame <= run.last else one
         for one in run.start.corrections
     ]
+
+
+def rows_of(rows: Trajectory, frame: int, target: str) -> Trajectory:
+    """The rows of a target in one frame."""
+    return choose(rows.at(frame), target)
 
 
 def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:

@@ -5,43 +5,39 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from facetrack_cli.core.spans import stretches
-from facetrack_cli.core.types import Correction
-from facetrack_cli.editor.files.rows import Rows
-from facetrack_cli.editor.files.run_index import STATUS, UNKNOWN
+from facetrack_cli.core.spans import spans
+from facetrack_cli.core.types import Correction, Mask, Whole
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 MOST_DOUBTFUL: Final = 100
-DOUBT: Final = 0.5  # of a confidence that is below this, somebody should look
-_STEPS: Final = 10_000
-_LOST, _ABSENT = STATUS.index("lost"), STATUS.index("absent")
+DOUBT: Final = 0.5  # a confidence below this is worth a look
 
 
-def overview(rows: Rows, bins: int, corrections: tuple[Correction, ...] = ()) -> dict[str, Any]:
-    """Ready for JSON: of each part and of each of `bins` equal stretches the least confidence, None if unknown, and the
+def overview(rows: Trajectory, bins: int, corrections: tuple[Correction, ...] = ()) -> dict[str, Any]:
+    """Ready for JSON: of each part and each of `bins` equal stretches the least confidence, None if unknown, and the
     shares of frames in which it is lost and absent; the doubtful stretches, worst first; the corrections.
     """
-    index = rows.index
-    bins = max(1, min(bins, len(index)))
-    edges = np.arange(bins) * len(index) // bins
-    sizes = np.diff([*edges.tolist(), len(index)])
+    first, last = int(rows.frame[0]), int(rows.frame[-1])
+    count = last - first + 1
+    bins = max(1, min(bins, count))
+    edges = np.arange(bins) * count // bins
+    sizes = np.diff([*edges.tolist(), count])
     parts = []
-    for column, (target, part) in enumerate(_parts(rows)):
-        status, sure = rows.status[:, column], rows.confidence[:, column]
-        least = np.minimum.reduceat(sure, edges)
+    for one in rows.parts:
+        least = np.fmin.reduceat(one.confidence, edges)
         parts.append(
             {
-                "target": target,
-                "part": part,
-                "least": [None if one == UNKNOWN else one / _STEPS for one in least.tolist()],
-                "lost": _shares(status == _LOST, edges, sizes),
-                "absent": _shares(status == _ABSENT, edges, sizes),
+                "target": one.target,
+                "part": one.part,
+                "least": [None if sure != sure else sure for sure in least.tolist()],
+                "lost": _shares(one.status == "lost", edges, sizes),
+                "absent": _shares(one.status == "absent", edges, sizes),
             }
         )
     return {
-        "first": index.first,
-        "last": index.last,
+        "first": first,
+        "last": last,
         "bins": bins,
         "parts": parts,
         "doubtful": doubtful(rows),
@@ -53,46 +49,31 @@ def overview(rows: Rows, bins: int, corrections: tuple[Correction, ...] = ()) ->
                 "absent": True if one.absent is True else list(one.absent),
             }
             for one in corrections
-            if one.frame <= index.last
+            if one.frame <= last
         ],
     }
 
 
-def doubtful(rows: Rows, level: float = DOUBT) -> list[dict[str, Any]]:
+def doubtful(rows: Trajectory, level: float = DOUBT) -> list[dict[str, Any]]:
     """The worst frame of each stretch in which a part is lost or its confidence below `level`, worst first."""
-    found: list[tuple[int, int, int]] = []  # confidence, frame, column
-    for column in range(rows.status.shape[1]):
-        status, sure = rows.status[:, column], rows.confidence[:, column]
-        told = sure != UNKNOWN
-        doubt = told & (status != _ABSENT) & ((status == _LOST) | (sure < level * _STEPS))
-        spans = np.array(stretches(doubt)).reshape(-1, 2)
-        if not len(spans):
-            continue
-        begins, ends = spans[:, 0], spans[:, 1] + 1
-        # the least of each stretch, and of what lies between two of them, which is passed over
-        pairs = np.stack([begins, ends], axis=1).ravel()
-        worst = np.minimum.reduceat(np.append(sure, np.uint16(UNKNOWN)), pairs)[::2]
-        few = np.argsort(worst, kind="stable")[:MOST_DOUBTFUL]
-        for stretch in few.tolist():
-            begin, end = int(begins[stretch]), int(ends[stretch])
-            at = begin + int(np.argmin(sure[begin:end]))
-            found.append((int(sure[at]), at, column))
-    names = _parts(rows)
+    found = []
+    for column, one in enumerate(rows.parts):
+        sure = one.confidence
+        doubt = np.isfinite(sure) & (one.status != "absent") & ((one.status == "lost") | (sure < level))
+        worst = [begin + int(np.argmin(sure[begin:end])) for begin, end in spans(doubt)]
+        found += sorted((float(sure[at]), at, column) for at in worst)[:MOST_DOUBTFUL]
+    first = int(rows.frame[0])
     return [
         {
-            "frame": at + rows.index.first,
-            "target": names[column][0],
-            "part": names[column][1],
-            "confidence": sure / _STEPS,
-            "status": STATUS[int(rows.status[at, column])],
+            "frame": at + first,
+            "target": rows.parts[column].target,
+            "part": rows.parts[column].part,
+            "confidence": sure,
+            "status": str(rows.parts[column].status[at]),
         }
         for sure, at, column in sorted(found)[:MOST_DOUBTFUL]
     ]
 
 
-def _parts(rows: Rows) -> list[tuple[str, str]]:
-    return [(target, part) for target, parts in rows.index.parts.items() for part in parts]
-
-
-def _shares(those: NDArray[np.bool_], edges: NDArray[np.int64], sizes: NDArray[np.int64]) -> list[float]:
+def _shares(those: Mask, edges: Whole, sizes: Whole) -> list[float]:
     return [round(share, 4) for share in (np.add.reduceat(those.astype(np.int64), edges) / sizes).tolist()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
@@ -10,9 +11,8 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame
-from facetrack_cli.editor.files.rows import Rows
-from facetrack_cli.editor.files.run_folder import Run
-from facetrack_cli.editor.files.tracks import Recorder, Store, Track
+from facetrack_cli.editor.run_folder import Run
+from facetrack_cli.editor.tracks import Store, Track
 from facetrack_cli.recipe.model import ParticlesRecipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.corrected import CorrectedTarget
@@ -20,6 +20,8 @@ from facetrack_cli.tracking.exclusion import Cover
 from facetrack_cli.tracking.loop import Target
 from facetrack_cli.tracking.start import check_start
 from facetrack_cli.tracking.start.checks import check_windows
+from facetrack_cli.trajectory.trajectory import Collector, Trajectory
+from facetrack_cli.trajectory.writers import as_written
 
 _APART_S: Final = 0.002  # a clip whose frames have other times than the run's is another clip
 
@@ -59,7 +61,7 @@ class Tracking:
     def track(
         self,
         tasks: Sequence[Task],
-        rows: Rows,
+        rows: Trajectory,
         *,
         report: Report = lambda done, total: None,
         stop: Callable[[], bool] = lambda: False,
@@ -68,7 +70,7 @@ class Tracking:
 
         A target has one task at most. Raises StoppedError once `stop` says so, InputError if the clip is not the run's.
         """
-        live = [_Live(self._run, self._store, task, self._first()) for task in tasks]
+        live = [_Live(self._run, task, self._first()) for task in tasks]
         frames = spans(tasks)
         total = sum(stop - first for first, stop in frames)
         done = 0
@@ -82,7 +84,7 @@ class Tracking:
                     one.step(frame, [] if self._alone else self._covers(one, now, rows, index))
                 done += 1
                 report(done, total)
-        return [one.recorder.track() for one in live]
+        return [one.track(self._store) for one in live]
 
     def _first(self) -> Frame:
         if self._start is None:
@@ -91,22 +93,22 @@ class Tracking:
 
     def _frame(self, index: int) -> Frame:
         frame = self._read(index)
-        then = self._run.index.time_of(index - self._run.index.first)
-        if then is not None and abs(frame.time_s - then) > _APART_S:
+        then = float(self._run.rows.parts[0].time_s[index - self._run.first])
+        if abs(frame.time_s - then) > _APART_S:
             raise InputError(
                 f"{self._run.clip}: frame {index} is at {frame.time_s:.4f} s, and in the run at {then:.4f} s; "
                 "name the run's clip with --clip"
             )
         return frame
 
-    def _covers(self, one: _Live, now: Sequence[_Live], rows: Rows, index: int) -> list[Cover]:
+    def _covers(self, one: _Live, now: Sequence[_Live], rows: Trajectory, index: int) -> list[Cover]:
         """What the other targets explain: those that are tracked now as they are, the rest as they are recorded.
 
         As in a run, targets before it are where they are in this frame, those after it where they were.
         """
         found: list[Cover | None] = []
         running = {other.task.target: other for other in now}
-        for place, name in enumerate(rows.index.targets):
+        for place, name in enumerate(self._run.targets):
             if place == one.place:
                 continue
             ahead = place > one.place
@@ -114,35 +116,34 @@ class Tracking:
             if other is not None and (other.begun or not ahead):
                 found.append(other.target.cover(other.state, ahead=ahead))
             else:
-                found.append(recorded_cover(rows, max(index - ahead, rows.index.first), name))
+                found.append(recorded_cover(rows, max(index - ahead, self._run.first), name))
         return [cover for cover in found if cover is not None]
 
 
-def recorded_cover(rows: Rows, frame: int, name: str) -> Cover | None:
-    """What a target explains by its row; None of points, and where it is not to be seen."""
-    parts = rows.target(frame, name)["parts"]
-    try:
-        x, y, w, h = (float(parts[0][key]) for key in "xywh")
-    except KeyError:
-        return None
-    return None if len(parts) > 1 else Cover(np.array([x, y]), np.array([w, h]) / 2)
+def recorded_cover(rows: Trajectory, frame: int, name: str) -> Cover | None:
+    """What a target explains by its row; None of points, and where it is absent."""
+    parts = rows.of_target(name)
+    at = parts[0].row(frame)
+    assert at is not None
+    x, y, w, h = (float(getattr(parts[0], key)[at]) for key in "xywh")
+    return None if len(parts) > 1 or math.isnan(x) else Cover(np.array([x, y]), np.array([w, h]) / 2)
 
 
 class _Live:
     """A target that is being tracked."""
 
-    def __init__(self, run: Run, store: Store, task: Task, first: Frame) -> None:
+    def __init__(self, run: Run, task: Task, first: Frame) -> None:
         self.task = task
-        self.place = run.index.targets.index(task.target)
+        self.place = run.targets.index(task.target)
         corrections = () if task.begin is None else (task.begin,)
         target: Target = build_tracker(run.recipe, replace(run.start, corrections=corrections))[self.place]
         if task.begin is not None:
             assert isinstance(target, CorrectedTarget)
             target = target.resumed(first)
         self.target = target
-        self.recorder = Recorder(store, task.target, task.begin, task.first)
         self.begun = False
         self.state: Any = None
+        self._collected = Collector()
         # a stream of its own for each target, as in a run
         spawned = (self.place,) if self.place else ()
         self._rng = np.random.default_rng(np.random.SeedSequence(run.recipe.seed, spawn_key=spawned))
@@ -153,7 +154,11 @@ class _Live:
         else:
             self.state, result = self.target.begin(self._rng, frame)
             self.begun = True
-        self.recorder.add(frame, result)
+        self._collected.add(result.rows)
+
+    def track(self, store: Store) -> Track:
+        rows = as_written(self._collected.trajectory())
+        return Track(self.task.target, self.task.begin, self.task.first, self.task.stop, store.add(rows))
 
 
 def spans(tasks: Sequence[Task]) -> list[tuple[int, int]]:

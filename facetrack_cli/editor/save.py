@@ -6,20 +6,35 @@ import contextlib
 import errno
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.editor.files.journal import announce, beside, finish, sweep
-from facetrack_cli.editor.files.rows import Rows
-from facetrack_cli.editor.files.run_folder import UNSAVED, Run
 from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.journal import announce, beside, finish, sweep
 from facetrack_cli.editor.repaint import repaint
 from facetrack_cli.editor.retrack import Report
+from facetrack_cli.editor.run_folder import UNSAVED, Run, stamp, write_rows
 from facetrack_cli.report.make import NAME as PAGE
 from facetrack_cli.runs.clip import past_end
 from facetrack_cli.tracking.start import write_init
-from facetrack_cli.tracking.start.init_writer import as_yaml, record_of
+from facetrack_cli.tracking.start.init_writer import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.trajectory.trajectory import Trajectory
+
+
+class _Plain:
+    """A sink into an open file."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._records = file, 0
+
+    def write(self, record: str) -> None:
+        self._records += 1
+        self._file.write(record.encode(errors="backslashreplace"))
+
+    def finish(self, tail: Callable[[int], str]) -> None:
+        self._file.write(tail(self._records).encode(errors="backslashreplace"))
+
 
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -41,9 +56,6 @@ def save(
         forget(run)
         return [f"{run.folder}: nothing was corrected, all is as it was"]
     _check(run)
-    init = {key: value for key, value in run.init.items() if key != "corrections"}
-    if fixer.corrections:
-        init["corrections"] = [record_of(one) for one in fixer.corrections]
     files: list[Path] = []
     said: list[str] = []
     at = run.folder
@@ -52,11 +64,11 @@ def save(
         if run.video is not None and video:
             files.append(run.video)
             said += _painted(run, rows, report, stop)
-        for book in rows.index.books:
-            at = book.path
+        for form, (path, _) in run.files.items():
+            at = path
             files.append(at)
             with beside(at).open("wb") as file:
-                rows.write(book, file, init)
+                write_rows(form, _Plain(file), run, rows, fixer.corrections)
         at = run.folder / CORRECTED
         files.append(at)
         beside(at).write_bytes(as_yaml(fixer.start, run.clip.name).encode())
@@ -71,14 +83,14 @@ def save(
         remedy = "free some space" if e.errno in _FULL else "make it writable"
         raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
     finish(run.folder)
-    said += past_end(fixer.corrections, rows.index.last, str(run.folder / CORRECTED))
+    said += past_end(fixer.corrections, run.last, str(run.folder / CORRECTED))
     old = [run.video] if run.video is not None and not video else []
     old += [path for path in (run.folder / PAGE,) if path.is_file()]
     said += [f"{path}: left as it was, it shows the track of before" for path in old]
     return [*(f"{path}: written" for path in files), *said]
 
 
-def _painted(run: Run, rows: Rows, report: Report, stop: Callable[[], bool]) -> Sequence[str]:
+def _painted(run: Run, rows: Trajectory, report: Report, stop: Callable[[], bool]) -> Sequence[str]:
     """Paint the video beside the old one."""
     assert run.video is not None
     part = beside(run.video)
@@ -90,9 +102,9 @@ def _painted(run: Run, rows: Rows, report: Report, stop: Callable[[], bool]) -> 
 
 def _check(run: Run) -> None:
     """OutputError if what is to be replaced is not what was opened, or no file."""
-    for book in run.index.books:
-        if not book.untouched:
-            raise OutputError(f"{book.path}: was written by somebody else since it was opened; begin again")
+    for path, opened in run.files.values():
+        if stamp(path) != opened:
+            raise OutputError(f"{path}: was written by somebody else since it was opened; begin again")
     if (run.folder / CORRECTED).is_dir():
         raise OutputError(f"{run.folder / CORRECTED}: is a folder, where a file is to be; move it away, and save again")
 

@@ -8,7 +8,6 @@ A truth that is empty, shorter, counted from another frame or of another clip gi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.shift import find_shift
 from facetrack_cli.trajectory.header import picture_of
 from facetrack_cli.trajectory.select import choose
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 NOT_SEEN = ("hidden", "absent")
 
@@ -30,8 +29,8 @@ OF_TRACK = ("init", "tracked", "lost")
 
 
 def match(
-    trajectory: Table,
-    truth: Table,
+    trajectory: Trajectory,
+    truth: Trajectory,
     *,
     partial: bool,
     select: str | None,
@@ -72,33 +71,33 @@ def match(
 # --- names -----------------------------------------------------------------------------------------------------------
 
 
-def _pair_names(ours: Table, truth: Table, select: str | None, note: Callable[[str], None]) -> list[Pair]:
-    theirs = truth.series
+def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: Callable[[str], None]) -> list[Pair]:
+    theirs = truth.parts
     if truth.targets == ("",):
         return [_nameless(ours, truth, select, note)]
-    found = [Pair(one.name, one, other) for one in ours.series if (other := truth.find(one.target, one.part))]
+    found = [Pair(one.name, one, other) for one in ours.parts if (other := truth.find(one.target, one.part))]
     if not found and len(ours.targets) == len(truth.targets) == 1:
-        renamed = replace(truth, series=tuple(replace(one, target=ours.targets[0]) for one in theirs))
-        found = [Pair(one.name, one, other) for one in ours.series if (other := renamed.find(one.target, one.part))]
+        renamed = {one.part: one.renamed(ours.target, one.part) for one in theirs}
+        found = [Pair(one.name, one, renamed[one.part]) for one in ours.parts if one.part in renamed]
         if found and ours.targets[0]:
             note(f"{truth.targets[0]} of the truth is taken for {ours.targets[0]}: both have one target")
-            theirs = renamed.series
+            theirs = tuple(renamed.values())
     if not found:
         raise InputError(
             f"{truth.path}: no part in common with {ours.path}; it has {_names(theirs)}, the trajectory "
-            f"{_names(ours.series)}: {_remedy(theirs, ours.series)}"
+            f"{_names(ours.parts)}: {_remedy(theirs, ours.parts)}"
         )
     paired = {one.name for one in found}
     alone = [one for one in theirs if one.name not in paired]
     if alone and select is None:
         note(f"{truth.path}: {_names(alone)} {'are' if len(alone) > 1 else 'is'} not in the trajectory, and left out")
-    unknown = [one for one in ours.series if one.name not in paired]
+    unknown = [one for one in ours.parts if one.name not in paired]
     if unknown:
         note(f"{truth.path}: says nothing of {_names(unknown)}")
     return found
 
 
-def _remedy(theirs: Sequence[Series], ours: Sequence[Series]) -> str:
+def _remedy(theirs: Sequence[Trajectory], ours: Sequence[Trajectory]) -> str:
     """How two tables come to have parts in common."""
     true, tracked = ({one.part == BOX for one in those} for those in (theirs, ours))
     if (true, tracked) == ({False}, {True}):
@@ -111,8 +110,8 @@ def _remedy(theirs: Sequence[Series], ours: Sequence[Series]) -> str:
     return "name targets and parts alike"
 
 
-def _nameless(ours: Table, truth: Table, select: str | None, note: Callable[[str], None]) -> Pair:
-    boxed = [one for one in ours.series if np.any(np.isfinite(one.w) & np.isfinite(one.h))]
+def _nameless(ours: Trajectory, truth: Trajectory, select: str | None, note: Callable[[str], None]) -> Pair:
+    boxed = [one for one in ours.parts if np.any(np.isfinite(one.w) & np.isfinite(one.h))]
     if len(boxed) > 1 and len({one.target for one in boxed}) == 1:
         raise InputError(
             f"{truth.path}: holds boxes, and {ours.path} points, {_names(boxed)}; give truth of these points "
@@ -127,10 +126,10 @@ def _nameless(ours: Table, truth: Table, select: str | None, note: Callable[[str
         raise InputError(f"{truth.path}: holds boxes, and no part of {ours.path} has w and h; give truth of its points")
     if boxed[0].part != "box":
         note(f"{truth.path}: its boxes are taken for {boxed[0].name}, the only part with a size")
-    return Pair(boxed[0].name, boxed[0], truth.series[0])
+    return Pair(boxed[0].name, boxed[0], truth.parts[0])
 
 
-def _names(those: Sequence[Series], most: int = 6) -> str:
+def _names(those: Sequence[Trajectory], most: int = 6) -> str:
     names = [one.name if one.target else f"{one.part} without a name" for one in those]
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
@@ -139,7 +138,7 @@ def _names(those: Sequence[Series], most: int = 6) -> str:
 # --- status ----------------------------------------------------------------------------------------------------------
 
 
-def _check_status(trajectory: Table, truth: Table, named: Sequence[Pair]) -> None:
+def _check_status(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair]) -> None:
     theirs = [one.truth for one in named]
     for one in theirs:
         strange = np.flatnonzero(~np.isin(one.status, ("", *OF_TRUTH, *OF_TRACK)))
@@ -161,14 +160,14 @@ def _check_status(trajectory: Table, truth: Table, named: Sequence[Pair]) -> Non
         )
 
 
-def _says(those: Sequence[Series], words: Sequence[str]) -> bool:
+def _says(those: Sequence[Trajectory], words: Sequence[str]) -> bool:
     return any(bool(np.isin(one.status, words).any()) for one in those)
 
 
 # --- frames ----------------------------------------------------------------------------------------------------------
 
 
-def _check_frames(trajectory: Table, truth: Table, named: Sequence[Pair], partial: bool) -> None:
+def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair], partial: bool) -> None:
     ours = np.unique(np.concatenate([one.ours.frame for one in named]))
     theirs = np.unique(np.concatenate([one.truth.frame for one in named]))
     both = len(np.intersect1d(ours, theirs))
@@ -207,7 +206,7 @@ def _check_frames(trajectory: Table, truth: Table, named: Sequence[Pair], partia
             )
 
 
-def _shift(truth: Table, more: int) -> int:
+def _shift(truth: Trajectory, more: int) -> int:
     """What --shift has to be for `more` frames than the truth was moved already."""
     return int(truth.header.get("shift", 0)) + more
 
@@ -219,7 +218,7 @@ def _span(frames: Whole) -> str:
 # --- places ----------------------------------------------------------------------------------------------------------
 
 
-def _check_picture(trajectory: Table, truth: Table, named: Sequence[Pair]) -> None:
+def _check_picture(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair]) -> None:
     """Truth that is seen lies in the picture; most of it outside is of another clip, or of the clip in another size."""
     size = picture_of(trajectory)
     if size is None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from facetrack_cli.core.spans import spans
 from facetrack_cli.core.types import Array
-from facetrack_cli.evaluation.rows import Figure, Rows, joined
+from facetrack_cli.evaluation.rows import Figure, Rows, column
 
 FAILURE = 0.1
 """Normalised error above which a row has failed, as COFW and WFLW have it; 300-W takes 0.08."""
@@ -96,7 +96,7 @@ def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeas
     What a correction gave is left out: it is no merit of the tracker.
     """
     parts = [part.take(~part.later) for part in parts]
-    error, unit, visible, hidden = (joined(parts, name) for name in ("error", "unit", "visible", "hidden"))
+    error, unit, visible, hidden = (column(parts, name) for name in ("error", "unit", "visible", "hidden"))
     seen = visible & np.isfinite(error)
     missing = visible & np.isinf(error)
     covered = hidden & np.isfinite(error)
@@ -148,7 +148,7 @@ def occlusions(parts: Sequence[Rows]) -> tuple[Occlusion, ...]:
 
 
 def _of_target(target: str, parts: Sequence[Rows]) -> list[Occlusion]:
-    frames = np.unique(joined(parts, "frame"))
+    frames = np.unique(column(parts, "frame"))
     # a part without a row in a frame is not known to be covered there, nor to be near
     covered = np.zeros((len(frames), len(parts)), dtype=np.bool_)
     near, judged, by_hand = np.zeros_like(covered), np.zeros_like(covered), np.zeros_like(covered)

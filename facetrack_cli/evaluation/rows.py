@@ -13,7 +13,7 @@ import numpy as np
 
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.trajectory.table import Series
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 Figure: TypeAlias = float | None
 """A measured figure; None where it is not defined, as the precision of nothing."""
@@ -127,7 +127,7 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
     )
 
 
-def joined(parts: Iterable[Rows], name: str) -> Any:
+def column(parts: Iterable[Rows], name: str) -> Any:
     """One column of all parts, end to end."""
     return np.concatenate([getattr(part, name) for part in parts])
 
@@ -138,12 +138,12 @@ def share(of: Mask, those: Mask) -> Figure:
     return float(np.sum(of & those) / count) if count else None
 
 
-def says_box(ours: Series, truth: Series) -> bool:
+def says_box(ours: Trajectory, truth: Trajectory) -> bool:
     """Whether one of a pair says that it is a box; the windows of points have sizes too, and are none."""
     return "box" in (ours.part, truth.part) or truth.corners is not None
 
 
-def is_box(ours: Series, truth: Series) -> bool:
+def is_box(ours: Trajectory, truth: Trajectory) -> bool:
     """Whether a pair is measured as boxes: one of them says that it is a box, and both have a size in some row."""
     return says_box(ours, truth) and all(bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in (ours, truth))
 
@@ -152,8 +152,8 @@ class Pair(NamedTuple):
     """One part and its truth, row by row: `ours.frame` and `truth.frame` are equal."""
 
     name: str
-    ours: Series
-    truth: Series
+    ours: Trajectory
+    truth: Trajectory
 
     @property
     def kind(self) -> str:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.trajectory.table import Series
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 FARTHEST = 30  # frames that are searched to either side
 # chosen on 451 aligned tracks, real and simulated: no false alarm; of those that follow, cut by 12 frames, 4 of 5 found
@@ -36,7 +36,7 @@ class Shift(NamedTuple):
     error_at_lag: float
 
 
-def find_shift(pairs: Sequence[tuple[Series, Series]]) -> Shift | None:
+def find_shift(pairs: Sequence[tuple[Trajectory, Trajectory]]) -> Shift | None:
     """The lag at which (ours, truth) clearly belong together, or None where 0 is as good, or nothing can be said."""
     tracks = [track for track in (_Track.of(*pair) for pair in pairs) if track is not None]
     if not tracks:
@@ -117,7 +117,7 @@ class _Track:
         self.first = np.hypot(*(ours[:1] - truth[began]).T) if began.size else np.empty(0)
 
     @classmethod
-    def of(cls, ours: Series, truth: Series) -> _Track | None:
+    def of(cls, ours: Trajectory, truth: Trajectory) -> _Track | None:
         mine = np.isfinite(ours.x) & np.isfinite(ours.y) & (ours.status != "lost")
         seen = np.isfinite(truth.x) & np.isfinite(truth.y) & ~np.isin(truth.status, ("hidden", "absent"))
         rows = np.flatnonzero(seen)[:: 1 + int(seen.sum()) // MOST_ROWS]

@@ -26,10 +26,10 @@ from facetrack_cli.evaluation.points import (
     measure_recovery,
     occlusions,
 )
-from facetrack_cli.evaluation.rows import Figure, Rows, is_box, joined, rows_of, says_box
+from facetrack_cli.evaluation.rows import Figure, Rows, column, is_box, rows_of, says_box
 from facetrack_cli.evaluation.trust import ConfidenceMeasures, CoverageMeasures, LostMeasures, Trust, measure_trust
 from facetrack_cli.evaluation.units import Unit, check_normalise, unit_of
-from facetrack_cli.trajectory.table import Series
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.rows import Pair
@@ -105,7 +105,7 @@ def evaluate(
     notes: Sequence[str] = (),
     options: Options | None = None,
     *,
-    reference: Sequence[Series] = (),
+    reference: Sequence[Trajectory] = (),
 ) -> Evaluation:
     """Measure the pairs of `match`. Lengths are taken from their truth, and from the truth series in `reference`.
 
@@ -137,7 +137,7 @@ def evaluate(
     return replace(evaluation, notes=(*notes, *_strange_start(rows), *_why_undefined(evaluation, rows)))
 
 
-def units_of(pairs: Sequence[Pair], normalise: str = "size", reference: Sequence[Series] = ()) -> dict[str, Unit]:
+def units_of(pairs: Sequence[Pair], normalise: str = "size", reference: Sequence[Trajectory] = ()) -> dict[str, Unit]:
     """By target, the length that normalises its errors."""
     check_normalise(normalise)
     found = {}
@@ -342,7 +342,7 @@ _WHY: Final = (  # a figure that is not defined although the other is, and why
 def _strange_start(rows: Sequence[Rows]) -> list[str]:
     """Whether the rows that the tracker was given at its start lie nowhere near the truth."""
     given = [part.take(part.init & ~part.later & part.placed) for part in rows]
-    error, unit = joined(given, "error"), joined(given, "unit")
+    error, unit = column(given, "error"), column(given, "unit")
     known = np.isfinite(error) & np.isfinite(unit)
     if not known.any() or np.median(error[known] / unit[known]) <= 1:
         return []
@@ -358,7 +358,7 @@ def _why_undefined(evaluation: Evaluation, rows: Sequence[Rows]) -> list[str]:
         why.append(f"errors are not normalised and nothing is near ({texts}): give --normalise PIXELS")
     if all(part.init.all() for part in rows):
         return [*why, "all rows were given to the tracker, so lost, confidence and coverage are not measured"]
-    for group, column in (("lost", "status"), ("confidence", "confidence"), ("coverage", "std")):
+    for group, name in (("lost", "status"), ("confidence", "confidence"), ("coverage", "std")):
         if getattr(evaluation.all.trust, group) is None:
-            why.append(f"the trajectory has no {column}, so {group} is not measured")
+            why.append(f"the trajectory has no {name}, so {group} is not measured")
     return why

@@ -15,7 +15,7 @@ import numpy as np
 
 from facetrack_cli.core.spans import spans
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.rows import Figure, Rows, joined, share
+from facetrack_cli.evaluation.rows import Figure, Rows, column, share
 
 BINS = 10
 ELLIPSE_50 = 2 * math.log(2)
@@ -134,7 +134,7 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
     by_hand = [part.frame[part.by_hand] for part in parts]
     parts = [part.take(part.told) for part in parts]
     lost, visible, covered, near, judged = (
-        joined(parts, name) for name in ("lost", "visible", "covered", "near", "judged")
+        column(parts, name) for name in ("lost", "visible", "covered", "near", "judged")
     )
     if not len(lost):
         return None
@@ -177,7 +177,7 @@ def _any_within(frames: Whole, first: int, last: Whole) -> bool:
 
 def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
     """What confidence is worth; None if no row has any."""
-    confidence, near, judged, visible = (joined(parts, name) for name in ("confidence", "near", "judged", "visible"))
+    confidence, near, judged, visible = (column(parts, name) for name in ("confidence", "near", "judged", "visible"))
     told = np.isfinite(confidence)
     if not told.any():
         return None
@@ -200,7 +200,7 @@ def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
 
 def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
     """Whether the spread covers the error, over visible rows; None if no row has a std."""
-    offset, std, visible, placed = (joined(parts, name) for name in ("offset", "std", "visible", "placed"))
+    offset, std, visible, placed = (column(parts, name) for name in ("offset", "std", "visible", "placed"))
     counted = visible & placed & np.isfinite(offset).all(axis=1)
     known = np.isfinite(std).all(axis=1)
     if not known.any():

@@ -19,7 +19,7 @@ import numpy as np
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.trajectory.table import Series
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 # names of the two parts, tried in this order
 NAMED = {"mouth": (("mouth_left", "mouth_right"),), "eyes": (("eye_left", "eye_right"), ("point_37", "point_46"))}
@@ -58,7 +58,7 @@ def check_normalise(how: str) -> str:
     return how
 
 
-def unit_of(how: str, target: str, truth: Sequence[Series], *, box: bool, frames: Whole) -> Unit:
+def unit_of(how: str, target: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) -> Unit:
     """The length of one target, whose truth is `truth`, for increasing `frames` (F,).
 
     Raises UsageError where the truth has not the two parts that `how` names.
@@ -82,7 +82,7 @@ def unit_of(how: str, target: str, truth: Sequence[Series], *, box: bool, frames
     return Unit(target, frames, np.full(len(frames), size), text)
 
 
-def _pair(how: str, truth: Sequence[Series]) -> tuple[Series, Series] | None:
+def _pair(how: str, truth: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory] | None:
     """The two parts that `how` names, None if it names none."""
     wanted = NAMED.get(how) or (((how.split(":")[0], how.split(":")[1]),) if ":" in how else ())
     there = {s.part: s for s in truth}
@@ -96,7 +96,7 @@ def _pair(how: str, truth: Sequence[Series]) -> tuple[Series, Series] | None:
     return None
 
 
-def _size(truth: Sequence[Series], frames: Whole) -> tuple[float, str]:
+def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:
     """The unit of recipes and what it is; nan if there is none."""
     if len(truth) < 2:
         return math.nan, "size: one point has none"

@@ -15,7 +15,7 @@ import numpy as np
 
 from facetrack_cli.core.spans import stretches
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 Kind: TypeAlias = Literal["start", "corrected", "lost", "back", "worst", "end"]
 
@@ -32,11 +32,11 @@ _OF_EPISODES: Final = 2 / 3  # of the pictures beside start, worst and end, wher
 class Clock:
     """Frames to seconds on the clip's clock: as the rows say, at the nominal rate where they say nothing."""
 
-    def __init__(self, table: Table, fps: float) -> None:
+    def __init__(self, table: Trajectory, fps: float) -> None:
         self.frames: Whole = table.frames
         self._period = 1 / fps
         told = np.full(len(self.frames), np.nan)
-        for series in table.series:
+        for series in table.parts:
             told[np.searchsorted(self.frames, series.frame)] = series.time_s
         self.times: Array = np.where(np.isfinite(told), told, self.frames * self._period)
 
@@ -160,13 +160,13 @@ class Story:
         return events | {(one.frame, "corrected"): Event("corrected", corrected=one) for one in self.corrections}
 
 
-def tell(table: Table, clock: Clock) -> Story:
+def tell(table: Trajectory, clock: Clock) -> Story:
     """Read the run off its rows."""
     several = len(table.targets) > 1
-    parts = tuple(_part(s, s.name if several else s.part, clock) for s in table.series)
+    parts = tuple(_part(s, s.name if several else s.part, clock) for s in table.parts)
     any_lost = np.zeros(len(clock.frames), dtype=np.bool_)
     total, known = np.zeros(len(clock.frames)), np.zeros(len(clock.frames))
-    for series in table.series:
+    for series in table.parts:
         place = np.searchsorted(clock.frames, series.frame)
         any_lost[place] |= series.status == "lost"
         sure = np.isfinite(series.confidence) & (series.status != "init")
@@ -179,16 +179,16 @@ def tell(table: Table, clock: Clock) -> Story:
     return Story(parts, episodes, int(any_lost.sum()), worst, _corrections(table, names))
 
 
-def _corrections(table: Table, names: Sequence[str]) -> tuple[Corrected, ...]:
+def _corrections(table: Trajectory, names: Sequence[str]) -> tuple[Corrected, ...]:
     found: dict[int, tuple[list[str], list[str]]] = {}
-    for series, name in zip(table.series, names, strict=True):
+    for series, name in zip(table.parts, names, strict=True):
         for at in np.flatnonzero(series.corrected).tolist():
             given, absent = found.setdefault(int(series.frame[at]), ([], []))
             (absent if series.status[at] == "absent" else given).append(name)
     return tuple(Corrected(frame, tuple(given), tuple(absent)) for frame, (given, absent) in sorted(found.items()))
 
 
-def _part(series: Series, name: str, clock: Clock) -> PartStory:
+def _part(series: Trajectory, name: str, clock: Clock) -> PartStory:
     sure, frames = series.confidence, series.frame
     spans = []
     for a, b in stretches(series.status == "lost"):

@@ -10,16 +10,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias, cast
+from typing import Final, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.geometry import corners
-from facetrack_cli.core.types import Frame, Image, PartResult, Result, Status, TargetResult
-from facetrack_cli.report.diagnostics import identity, told_of
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.core.types import Frame, Image
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
@@ -64,7 +62,7 @@ class Pictures:
 
 
 def pictures(
-    table: Table,
+    table: Trajectory,
     clip: Clip,
     wanted: Sequence[int],
     *,
@@ -153,18 +151,18 @@ def _frames(clip: Clip, wanted: Sequence[int], report: Report) -> Iterator[Frame
 class _Maker:
     """Turns frames into pictures: cut out, scaled, drawn on, packed."""
 
-    def __init__(self, table: Table, clip: Clip, title: str, unit: float | None) -> None:
+    def __init__(self, table: Trajectory, clip: Clip, title: str, unit: float | None) -> None:
         self._table, self._clip, self._title = table, clip, title
-        self.frames = table.frames
+        marked = [replace(part, by_hand=part.corrected) for part in table.parts]
+        self._marked = joined(marked, diagnostics=table.diagnostics)
+        self.frames, self._times = table.frames, table.times
         self._unit = unit if unit is not None and unit > 0 else self._typical()
 
     def time_of(self, frame: int) -> float:
         """Seconds, as the rows say, else by the nominal rate."""
-        for series in self._table.series:
-            at = int(np.searchsorted(series.frame, frame))
-            if at < len(series) and series.frame[at] == frame and math.isfinite(series.time_s[at]):
-                return float(series.time_s[at])
-        return frame / self._clip.fps
+        at = int(np.searchsorted(self.frames, frame))
+        known = at < len(self.frames) and self.frames[at] == frame and math.isfinite(self._times[at])
+        return float(self._times[at]) if known else frame / self._clip.fps
 
     def draw(self, frame: Frame) -> Picture:
         """The frame with the overlay that `facetrack run` draws, at the picture's own size, with its trail."""
@@ -184,29 +182,24 @@ class _Maker:
         view, size = self._layout(frame)
         return Picture(_jpeg(_scaled(image, view, size)), size, view)
 
-    def _result(self, frame: Frame, view: View, zoom: float) -> Result:
+    def _result(self, frame: Frame, view: View, zoom: float) -> FrameResult:
         """The rows of one frame as the tracker's result, in the pixels of a view enlarged by `zoom`."""
-        targets = []
-        for name in self._table.targets:
-            parts = tuple(
-                _part(series, at, view, zoom)
-                for series in self._table.series
-                if series.target == name and (at := _row(series, frame.index)) is not None
-            )
-            if not parts:
-                continue
-            who: tuple[str | None, float | None] = (None, None)
-            if (known := told_of(self._table, name, frame.index)) is not None:
-                told, at = known
-                who = identity(told, at)
-                if len(parts) == 1:
-                    parts = (replace(parts[0], corners=corners(told.affine[at], parts[0])),)
-            targets.append(TargetResult(name, parts, 0, np.empty((0, len(parts), 2)), *who))
-        return Result(frame, tuple(targets))
+        rows = self._marked.at(frame.index)
+        shown = replace(
+            rows,
+            x=(rows.x - view[0] + 0.5) * zoom - 0.5,
+            y=(rows.y - view[1] + 0.5) * zoom - 0.5,
+            w=np.nan_to_num(rows.w) * zoom,
+            h=np.nan_to_num(rows.h) * zoom,
+            std_x=rows.std_x * zoom,
+            std_y=rows.std_y * zoom,
+            status=np.where(rows.status == "", "tracked", rows.status),
+        )
+        return FrameResult(frame, recorded(frame.index, shown))
 
     def _typical(self) -> float:
         """The size of the targets where nothing else says it: the median span of their windows."""
-        of_one = [s for s in self._table.series if len(s) == len(self._table.series[0])]
+        of_one = [s for s in self._table.parts if len(s) == len(self._table.parts[0])]
         spans = []
         for centres, sides in (
             ([s.x for s in of_one], [s.w for s in of_one]),
@@ -220,7 +213,7 @@ class _Maker:
     def _layout(self, frame: int) -> tuple[View, tuple[int, int]]:
         """What of the clip to show, and how large."""
         width, height = self._clip.size
-        rows = [(s, at) for s in self._table.series if (at := _row(s, frame)) is not None]
+        rows = [(s, at) for s in self._table.parts if (at := s.row(frame)) is not None]
         x = np.array([s.x[at] for s, at in rows])
         y = np.array([s.y[at] for s, at in rows])
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)  # nan is not
@@ -237,31 +230,6 @@ class _Maker:
         left = round(min(max((low[0] + high[0] - w) / 2, 0), width - w))
         top = round(min(max((low[1] + high[1] - h) / 2, 0), height - h))
         return (left, top, w, h), _fit((w, h))
-
-
-def _row(series: Series, frame: int) -> int | None:
-    at = int(np.searchsorted(series.frame, frame))
-    return at if at < len(series) and series.frame[at] == frame else None
-
-
-def _part(series: Series, at: int, view: View, zoom: float) -> PartResult:
-    sx, sy = (float(std[at]) * zoom for std in (series.std_x, series.std_y))
-    return PartResult(
-        name=series.part,
-        x=(float(series.x[at]) - view[0] + 0.5) * zoom - 0.5,
-        y=(float(series.y[at]) - view[1] + 0.5) * zoom - 0.5,
-        w=float(np.nan_to_num(series.w[at])) * zoom,
-        h=float(np.nan_to_num(series.h[at])) * zoom,
-        status=cast(Status, str(series.status[at]) or "tracked"),
-        confidence=_known(series.confidence[at]),
-        cov=(sx * sx, 0.0, sy * sy) if math.isfinite(sx * sy) else None,  # rows hold no covariance of x with y
-        angle=_known(series.angle[at]),
-        by_hand=bool(series.corrected[at]),
-    )
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _fit(size: tuple[int, int]) -> tuple[int, int]:

@@ -22,7 +22,8 @@ from facetrack_cli.report.measures import about, measures
 from facetrack_cli.report.page import Content, Plot, Truth, render
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import Header, read_header
-from facetrack_cli.trajectory.table import Table, read_trajectory
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 NAME: Final = "report.html"
 _VIDEO: Final = "annotated.mp4"
@@ -109,7 +110,7 @@ def trajectory_of(run: Path) -> Path:
     raise InputError(f"{run}: has no trajectory.json; name the folder of a run, which facetrack run wrote")
 
 
-def _measured(table: Table, header: Header, truth: TruthFile | None) -> tuple[list[Pair], Truth | None]:
+def _measured(table: Trajectory, header: Header, truth: TruthFile | None) -> tuple[list[Pair], Truth | None]:
     if truth is None:
         return [], None
     theirs = read_truth(truth.path, truth.form, shift=truth.shift or 0)
@@ -122,12 +123,12 @@ def _measured(table: Table, header: Header, truth: TruthFile | None) -> tuple[li
         check_shift=truth.shift is None,
         note=notes.append,
     )
-    found = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.series)
+    found = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.parts)
     read_as = str(theirs.header.get("read_as", truth.form)) + (f", {truth.shift:+d} frames" if truth.shift else "")
     return pairs, Truth(str(theirs.path), f"Read as {read_as}. {about(found)}", measures(found), found.notes)
 
 
-def _plot(table: Table, pairs: list[Pair], title: str) -> Plot:
+def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Plot:
     """The plots, as a drawing that scales if it is small, and a narrow picture for phones."""
     figure = plots.page_figure(table, pairs, title=title, width=_WIDE)
     width, height = figure.get_size_inches()

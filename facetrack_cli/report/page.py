@@ -19,7 +19,7 @@ from facetrack_cli.report.html import Html, Image, join, page, pairs, section, t
 from facetrack_cli.report.measures import Measures
 from facetrack_cli.report.text import count, ended, lasting, names, number, percent, rate, sentences, why
 from facetrack_cli.trajectory.header import CORRECTED, Header, TargetHeader
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 MOST_SPANS = 100  # rows of the table of lost spans
 
@@ -99,7 +99,7 @@ def _key_frames(content: Content) -> Html:
 def _figure(content: Content, key: KeyFrame) -> Html:
     picture = content.pictures.found[key.frame]
     confidence, gone, absent = {}, [], []
-    for series, part in zip(content.table.series, content.story.parts, strict=True):
+    for series, part in zip(content.table.parts, content.story.parts, strict=True):
         at = int(np.searchsorted(series.frame, key.frame))
         if at < len(series) and series.frame[at] == key.frame:
             confidence[part.name] = float(series.confidence[at])
@@ -142,7 +142,7 @@ def _plots(content: Content) -> Html:
     alt = (
         "Plots over time: position and size of each part, confidence with lost spans shaded, status, particles and "
         "effective sample size, spread"
-        + (", what the tracker told of identity, scale, noise and error" if content.table.told else "")
+        + (", what the tracker told of identity, scale, noise and error" if content.table.diagnostics else "")
         + (", error against the truth." if content.truth else ".")
     )
     picture = tag(
@@ -289,7 +289,7 @@ class Content:
     """All that the page shows."""
 
     title: str
-    table: Table
+    table: Trajectory
     header: Header
     clock: Clock
     story: Story

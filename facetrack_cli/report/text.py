@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.report.events import Clock, Event, Story
 from facetrack_cli.trajectory.header import Header
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 __all__ = ["at_clock", "count", "ended", "lasting", "names", "number", "percent", "rate", "sentences", "why"]
 
@@ -63,7 +63,7 @@ def ended(header: Header) -> tuple[str, bool]:
     return "The run is complete.", True
 
 
-def sentences(table: Table, header: Header, clock: Clock, story: Story) -> str:
+def sentences(table: Trajectory, header: Header, clock: Clock, story: Story) -> str:
     """The run in words: what was tracked, for how long, how often it was lost."""
     frames, one = len(clock.frames), len(story.parts) == 1
     targets = table.targets

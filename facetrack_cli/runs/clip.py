@@ -12,11 +12,12 @@ from facetrack_cli.runs.outputs import Outputs, check
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import find_start, frames_of, open_clip, origin_of
 from facetrack_cli.tracking.start.checks import check_windows
-from facetrack_cli.trajectory.row import Footer
+from facetrack_cli.trajectory.writers import Footer
 
 if TYPE_CHECKING:
-    from facetrack_cli.core.types import Correction, Result, Start
+    from facetrack_cli.core.types import Correction, Start
     from facetrack_cli.tracking.loop import Tracker
+    from facetrack_cli.trajectory.trajectory import FrameResult
     from facetrack_cli.video.source import Source
 
 
@@ -50,11 +51,11 @@ def _track(
     tally = _Tally()
     total = source.frames_hint
 
-    def record(result: Result) -> None:
+    def record(result: FrameResult) -> None:
         if tally.frames == 0:
-            outputs.begin(source, start)
+            outputs.begin(source, start, result.rows)
         for writer in outputs.writers:
-            writer.write(result)
+            writer.write(result.rows)
         tally.count(result)
         report(tally.frames, total)
 
@@ -123,15 +124,14 @@ class _Tally:
         self.notes: tuple[str, ...] = ()
         self._began = 0.0
 
-    def count(self, result: Result) -> None:
+    def count(self, result: FrameResult) -> None:
         if self.frames == 0:
             self._began = time.perf_counter()
             self.notes = result.notes
         self.frames += 1
         self.last = result.frame.index
-        self.lost_at_end = tuple(
-            f"{target.name}/{part.name}" for target in result.targets for part in target.parts if part.status == "lost"
-        )
+        rows = result.rows
+        self.lost_at_end = tuple("/".join(rows.names[i]) for i in rows.which[rows.status == "lost"].tolist())
         self.lost.update(self.lost_at_end)
 
     def rate(self) -> float:

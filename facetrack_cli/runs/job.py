@@ -9,7 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
-from facetrack_cli.trajectory.row import Format
+from facetrack_cli.trajectory.writers import Format
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import FileSink, StreamSink, refused
-from facetrack_cli.trajectory.row import Footer, Header
-from facetrack_cli.trajectory.writers import WRITERS, Writer
+from facetrack_cli.trajectory.writers import WRITERS, Footer, Header, Writer
 
 if TYPE_CHECKING:
-    from facetrack_cli.core.types import Result, Start
+    from facetrack_cli.core.types import Start
     from facetrack_cli.runs.job import Job
+    from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
     from facetrack_cli.video.overlay.overlay import Overlay
     from facetrack_cli.video.source import Source
     from facetrack_cli.video.writer import VideoWriter
@@ -95,9 +95,9 @@ class Outputs:
             raise
         return self
 
-    def begin(self, source: Source, start: Start) -> None:
-        """Write the headers and start the encoder."""
-        header = _header(self._job, source, start)
+    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
+        """Write the headers and start the encoder; `rows` are those of the first frame."""
+        header = _header(self._job, source, start, rows)
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self.writers.append(WRITERS[form](sink, header))
         if self._job.out is not None and self._job.video:
@@ -108,7 +108,7 @@ class Outputs:
             sound = source.path if source.is_video else None
             self._video = VideoWriter(self._job.out / VIDEO, source.size, source.fps, audio_from=sound)
 
-    def paint(self, result: Result) -> None:
+    def paint(self, result: FrameResult) -> None:
         """Draw one result and pass it to the encoder."""
         assert self._overlay is not None and self._video is not None
         self._video.write(self._overlay.draw(result), result.frame.time_s)
@@ -165,10 +165,13 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _header(job: Job, source: Source, start: Start) -> Header:
+def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
     from facetrack_cli.recipe.model import to_dict
     from facetrack_cli.tracking.start.init_writer import record_of
+    from facetrack_cli.trajectory.diagnostics import KNOWN
 
+    # those that every facetrack knows are not declared
+    declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
     return {
         "versions": _versions(),
         "source": {
@@ -191,4 +194,5 @@ def _header(job: Job, source: Source, start: Start) -> Header:
             },
             **({"corrections": [record_of(one) for one in start.corrections]} if start.corrections else {}),
         },
+        **({"diagnostics": [one.record() for one in declared.values()]} if declared else {}),
     }

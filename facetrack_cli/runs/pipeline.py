@@ -13,15 +13,16 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeAlias, TypeVar
 
-from facetrack_cli.core.types import Frame, Result
+from facetrack_cli.core.types import Frame
+from facetrack_cli.trajectory.trajectory import FrameResult
 
 DEPTH = 4  # frames in each queue
 POLL_S = 0.1  # how long a stage sleeps at most before it looks whether the run was cancelled
 PATIENCE_S = 1.0  # a decoder that does not come back from a read is left behind after this long
 
 T = TypeVar("T")
-Track: TypeAlias = Callable[[Iterator[Frame]], Iterator[Result]]
-Effect: TypeAlias = Callable[[Result], None]
+Track: TypeAlias = Callable[[Iterator[Frame]], Iterator[FrameResult]]
+Effect: TypeAlias = Callable[[FrameResult], None]
 
 
 def run(
@@ -135,7 +136,7 @@ class _Painter(threading.Thread):
     def __init__(self, paint: Effect) -> None:
         super().__init__(name="paint", daemon=True)
         self._paint = paint
-        self._channel = _Channel[Result]()
+        self._channel = _Channel[FrameResult]()
         self.error: BaseException | None = None
 
     def run(self) -> None:
@@ -145,7 +146,7 @@ class _Painter(threading.Thread):
         except BaseException as e:  # it is raised again in the thread that tracks
             self.error = e
 
-    def put(self, result: Result) -> None:
+    def put(self, result: FrameResult) -> None:
         if not self._channel.put(result, self._failed):
             assert self.error is not None
             raise self.error

@@ -19,7 +19,7 @@ from facetrack_cli.runs.seeds import Plan
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import find_start, place_start
 from facetrack_cli.tracking.start import find_init
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.source import open_source
 
 
@@ -55,7 +55,7 @@ class Begin(NamedTuple):
             raise UsageError("--fps is for image folders; a video brings its own rate")
         return cls(clip, None if init is None else HAAR if init == HAAR else Path(init), box, stop, fps, start)
 
-    def plan(self, label: str, recipe: Recipe, seeds: int, truth: Table | None, stopped: Stop) -> Plan:
+    def plan(self, label: str, recipe: Recipe, seeds: int, truth: Trajectory | None, stopped: Stop) -> Plan:
         """A recipe with seeds 0 to `seeds` - 1."""
         start = find_plan_start(
             self.clip,
@@ -82,7 +82,7 @@ def find_plan_start(
     *,
     init: Path | Literal["haar"] | None = None,
     box: Box | None = None,
-    truth: Table | None = None,
+    truth: Trajectory | None = None,
     fps: Fraction | None = None,
     first: int = 0,
     stop: int | None = None,
@@ -115,14 +115,14 @@ def find_plan_start(
     return start
 
 
-def truth_start(truth: Table, points: Sequence[str]) -> Start:
+def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
     """The first frame of the truth in which its targets' boxes, or all these points of them, are visible."""
     for frame in truth.frames.tolist():
         targets: dict[str, TargetStart] = {}
         for target in truth.targets:
             box: Box | None = None
             found: dict[str, tuple[float, float]] = {}
-            for one in truth.series:
+            for one in truth.parts:
                 at = int(np.searchsorted(one.frame, frame))
                 if one.target != target or at == len(one) or one.frame[at] != frame or one.status[at] not in _SEEN:
                     continue
@@ -143,12 +143,12 @@ def truth_start(truth: Table, points: Sequence[str]) -> Start:
     )
 
 
-def far_from_truth(start: Start, truth: Table) -> str | None:
+def far_from_truth(start: Start, truth: Trajectory) -> str | None:
     """A line if a start's box lies elsewhere than the truth's in its frame: then every figure measures that."""
     if start.origin == str(truth.path):
         return None
     for name, target in start.targets.items():
-        known = [one for one in truth.series if one.target in (name, "") and start.frame in one.frame]
+        known = [one for one in truth.parts if one.target in (name, "") and start.frame in one.frame]
         for one in known if target.box is not None else []:
             true = one.boxes[one.frame == start.frame]
             overlap = float(iou(np.array([target.box]), true)[0]) if np.isfinite(true).all() else 1.0

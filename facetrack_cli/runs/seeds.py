@@ -12,7 +12,6 @@ import itertools
 import multiprocessing
 import signal
 import time
-from array import array
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
@@ -26,7 +25,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError
-from facetrack_cli.core.types import Frame, Result, Start, Whole
+from facetrack_cli.core.types import Frame, Start, Whole
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.batch import cores, use_threads, worker_context
 from facetrack_cli.runs.signals import Stop
@@ -34,10 +33,8 @@ from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import check_start
 from facetrack_cli.tracking.start.checks import check_windows
-from facetrack_cli.trajectory.diagnostics import ToldSeries, from_columns
-from facetrack_cli.trajectory.row import Row, rows
-from facetrack_cli.trajectory.table import Table, series
-from facetrack_cli.video.source import Source, open_source
+from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, one_part
+from facetrack_cli.video.source import open_source
 
 Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
 
@@ -69,7 +66,7 @@ class SeedRun:
 
     label: str
     seed: int
-    table: Table
+    trajectory: Trajectory
     frames_per_s: float
     warnings: tuple[str, ...] = ()
 
@@ -119,50 +116,7 @@ class _Feed:
         return Frame(self.frame.index, self.frame.time_s, self.frame.bgr)
 
 
-_NO_NUMBERS = ("target", "part", "status", "identity", "identity_prob", "by_hand")
-_NUMBERS = tuple(name for name in Row._fields if name not in _NO_NUMBERS)
-
-
-class _Log:
-    """The rows of a run, as one array of numbers for each column and part."""
-
-    def __init__(self) -> None:
-        self._columns: dict[tuple[str, str], dict[str, array[float]]] = {}
-        self._said: dict[tuple[str, str], list[tuple[str, bool]]] = {}  # status, and whether it was given by hand
-        # of the targets, a row a frame each
-        self._who: list[tuple[str, int, str, float]] = []
-
-    def add(self, result: Result) -> None:
-        for target in result.targets:
-            if target.identity and target.identity_prob is not None:
-                self._who.append((target.name, result.frame.index, target.identity, target.identity_prob))
-        for row in rows(result):
-            key = (row.target, row.part)
-            if key not in self._columns:
-                self._columns[key] = {name: array("d") for name in _NUMBERS}
-                self._said[key] = []
-            for name, column in self._columns[key].items():
-                value = getattr(row, name)
-                column.append(np.nan if value is None else value)
-            self._said[key].append((row.status, row.by_hand))
-
-    def table(self, source: Source) -> Table:
-        found = []
-        for (target, part), columns in self._columns.items():
-            values = {name: np.array(column) for name, column in columns.items()}
-            status, by_hand = zip(*self._said[target, part], strict=True)
-            found.append(series(target, part, values.pop("frame"), status=status, by_hand=by_hand, **values))
-        return Table(source.path, tuple(found), _header(source.size), self._told(source.path))
-
-    def _told(self, path: Path) -> tuple[ToldSeries, ...]:
-        """Who each target is, of those of which anything is said."""
-        if not self._who:
-            return ()
-        targets, frames, names, probabilities = zip(*self._who, strict=True)
-        return from_columns(path, targets, np.array(frames), np.array(names, dtype=np.str_), np.array(probabilities))
-
-
-def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Table:
+def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
     """What is known of a run of this plan before it: the names of its rows, in these frames, and no place.
 
     Raises what the plan's recipe and start are refused for without a look at the picture of that (width, height).
@@ -171,8 +125,8 @@ def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Table:
     tracker = build_tracker(plan.recipe, plan.start)
     check_windows(plan.recipe, tracker, size, plan.start.origin)
     one = np.ones(len(frames))  # every part of every tracker has a size
-    rows = [series(target.name, part, frames, w=one, h=one) for target in tracker for part in target.parts]
-    return Table(plan.clip, tuple(rows), _header(size))
+    rows = [one_part(target.name, part, frames, w=one, h=one) for target in tracker for part in target.parts]
+    return joined(rows, path=plan.clip, header=_header(size))
 
 
 def _header(size: tuple[int, int]) -> dict[str, Any]:
@@ -193,7 +147,7 @@ def _run(
         check_windows(plan.recipe, tracker, source.size, plan.start.origin)
         feed = _Feed()
         runs = [track(tracker, iter(feed), seed, clip=str(plan.clip)) for seed in seeds]
-        logs = [_Log() for _ in seeds]
+        logs = [Collector() for _ in seeds]
         seconds = [0.0 for _ in seeds]
         count = 0
         notes: tuple[str, ...] = ()
@@ -207,14 +161,16 @@ def _run(
                 began = time.perf_counter()
                 result = next(run)
                 seconds[i] += (time.perf_counter() - began) * (count > 0)
-                logs[i].add(result)
+                logs[i].add(result.rows)
                 notes = notes or result.notes
             count += 1
             tell(len(seeds))
         if count == 0:
             raise InputError(f"{plan.clip}: frame {plan.start.frame}, where {plan.start.origin} begins, cannot be read")
+    about = {"path": source.path, "header": _header(source.size)}
+    warnings = (*source.warnings, *notes)
     return [
-        SeedRun(plan.label, seed, log.table(source), (count - 1) / max(spent, 1e-9), (*source.warnings, *notes))
+        SeedRun(plan.label, seed, log.trajectory(**about), (count - 1) / max(spent, 1e-9), warnings)
         for seed, log, spent in zip(seeds, logs, seconds, strict=True)
     ]
 

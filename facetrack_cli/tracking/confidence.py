@@ -23,7 +23,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Frame, Status
+from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.trajectory.trajectory import Status
 
 
 class Measures(Protocol):

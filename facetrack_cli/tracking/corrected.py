@@ -14,17 +14,18 @@ ours; the papers begin once.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.types import BOX, Correction, Frame, PartResult, Point, TargetResult, TargetStart
+from facetrack_cli.core.types import BOX, Correction, Frame, Mask, TargetStart
 from facetrack_cli.tracking.exclusion import Cover
 from facetrack_cli.tracking.loop import Target
-from facetrack_cli.tracking.target import ParticleTarget, absent_part
-from facetrack_cli.trajectory.row import DECIMALS
+from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.trajectory.trajectory import DECIMALS, Status, TargetResult, Trajectory, build
 
 STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets
 
@@ -109,8 +110,7 @@ class CorrectedTarget:
         given = correction.given
         absent = correction.hidden(self.parts)
         if len(absent) == len(self.parts):
-            result = TargetResult(self.name, tuple(map(absent_part, absent)), None, np.zeros((0, len(absent), 2)))
-            return replace(state, inner=None), _marked(result, absent)
+            return replace(state, inner=None), _marked(self._absent(frame), absent)
         if self.anew.points and given.box is not None and not given.points:
             given = self.anew.place(frame, correction)
         by_hand = tuple(part for part in self.parts if part in given.points or not self.anew.points)
@@ -123,13 +123,14 @@ class CorrectedTarget:
             target = self.anew.build(frame, given)
             inner, result = target.begin(rng, frame)
             # what is kept is where the tracker was, though it is learned anew
-            result = replace(result, parts=tuple(replace(part, status="tracked") for part in result.parts))
+            result = _with_status(result, np.ones(len(self.parts), np.bool_), "tracked")
         else:
             target = self.target
             assert isinstance(target, ParticleTarget)
             anew = by_hand if correction.learn is None and self.anew.points else ()
             inner, result = target.restart(rng, frame, state.first, given, absent, anew)
-        result = replace(result, parts=tuple(_placed(part) if part.name in by_hand else part for part in result.parts))
+        # what somebody says is certain
+        result = _with_status(result, np.isin(self.parts, by_hand), "init", confidence=1.0)
         return replace(state, target=target, inner=inner, rng=rng), _marked(result, (*by_hand, *absent))
 
     @property
@@ -141,21 +142,21 @@ class CorrectedTarget:
         self, rng: np.random.Generator, state: State, frame: Frame, covers: Sequence[Cover]
     ) -> tuple[State, TargetResult]:
         if state.inner is None:
-            parts = tuple(absent_part(part) for part in self.parts)
-            return state, TargetResult(self.name, parts, None, np.zeros((0, len(parts), 2)))
+            return state, self._absent(frame)
         inner, result = state.target.advance(state.rng or rng, state.inner, frame, covers)
         return replace(state, inner=inner), result
 
     def _completed(self, correction: Correction, state: State, tracked: TargetResult) -> Correction:
         """With the parts that it does not speak of where they are tracked, or absent as they were."""
-        assert correction.absent is not True
-        spoken = {*correction.given.points, *correction.kept, *correction.absent}
-        rest = [part for part in tracked.parts if part.name not in spoken]
-        return replace(
-            correction,
-            kept={**correction.kept, **{part.name: kept_place(part) for part in rest if part.status != "absent"}},
-            absent=(*correction.absent, *(part.name for part in rest if part.status == "absent")),
-        )
+        return completed(correction, tracked.rows)
+
+    def _absent(self, frame: Frame) -> TargetResult:
+        """The result while nothing of the target is visible."""
+        k = len(self.parts)
+        names = [(self.name, part) for part in self.parts]
+        times = np.full(k, frame.time_s)
+        rows = build(names, np.arange(k), np.full(k, frame.index), time_s=times, status=["absent"] * k)
+        return TargetResult(rows, np.zeros((0, k, 2)))
 
 
 def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
@@ -169,18 +170,44 @@ def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
     return {*given.points, *correction.kept, *correction.absent} >= set(parts)
 
 
-def kept_place(part: PartResult) -> Point:
-    """Where a part was, with the digits of the CSV: a run that is read back goes on as it did."""
-    return round(part.x, DECIMALS["x"]), round(part.y, DECIMALS["y"])
+def completed(correction: Correction, rows: Trajectory) -> Correction:
+    """With the parts that it does not speak of where `rows`, those of its target in its frame, have them.
+
+    They keep their place, with the digits of the CSV, so that a run that is read back goes on as it did; what is
+    absent there stays absent.
+    """
+    parts = [part for _, part in rows.names]
+    if is_complete(correction, parts):
+        return correction
+    assert correction.absent is not True
+    kept, absent = dict(correction.kept), list(correction.absent)
+    for (_, part), x, y in zip(rows.names, rows.x.tolist(), rows.y.tolist(), strict=True):
+        if part in correction.given.points or part in kept or part in absent:
+            continue
+        if math.isnan(x) or math.isnan(y):
+            absent.append(part)
+        else:
+            kept[part] = round(x, DECIMALS["x"]), round(y, DECIMALS["y"])
+    return replace(correction, kept=kept, absent=all_or(absent, parts))
 
 
-def _placed(part: PartResult) -> PartResult:
-    """What somebody says is certain."""
-    return replace(part, status="init", confidence=None if part.confidence is None else 1.0)
+def all_or(absent: Sequence[str], parts: Sequence[str]) -> tuple[str, ...] | Literal[True]:
+    """The absent ones of `parts`, as a correction has them: True for all."""
+    return True if set(absent) >= set(parts) else tuple(absent)
+
+
+def _with_status(result: TargetResult, those: Mask, status: Status, confidence: float | None = None) -> TargetResult:
+    """The result with `those` parts (K,) of this status, and of this confidence if they have any."""
+    rows = replace(result.rows, status=np.where(those, status, result.rows.status))
+    if confidence is not None:
+        judged = those & ~np.isnan(rows.confidence)
+        rows = replace(rows, confidence=np.where(judged, confidence, rows.confidence))
+    return result._replace(rows=rows)
 
 
 def _marked(result: TargetResult, by_hand: Sequence[str]) -> TargetResult:
-    return replace(result, parts=tuple(replace(part, by_hand=part.name in by_hand) for part in result.parts))
+    parts = [part for _, part in result.rows.names]
+    return result._replace(rows=replace(result.rows, by_hand=np.isin(parts, by_hand)))
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Frame, Result, TargetResult
+from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.exclusion import Cover
+from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 
 
 class Target(Protocol):
@@ -45,7 +46,7 @@ class Target(Protocol):
 Tracker: TypeAlias = tuple[Target, ...]
 
 
-def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "") -> Iterator[Result]:
+def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "") -> Iterator[FrameResult]:
     """Track over `frames`, the first of which is the one that the tracker's start belongs to.
 
     Targets take their turn in their order: those that came before are known where they are in this frame, the others
@@ -74,4 +75,4 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "
             except InputError as e:
                 raise InputError(f"{clip}: {e}" if clip else str(e)) from None
             states, results = [state for state, _ in ended], [result for _, result in ended]
-        yield Result(frame, tuple(results))
+        yield FrameResult(frame, tuple(results))

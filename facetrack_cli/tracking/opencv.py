@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, RecipeError
-from facetrack_cli.core.types import BOX, Box, Frame, PartResult, Status, TargetResult
+from facetrack_cli.core.types import BOX, Box, Frame
+from facetrack_cli.trajectory.trajectory import Status, TargetResult, one_part
 
 FACTORIES: Final = {
     "mil": "TrackerMIL_create",
@@ -81,7 +82,7 @@ class OpenCvTarget:
                 f"{self.origin}: OpenCV's {self.tracker.upper()} cannot begin with the box {list(box)} of {self.name} "
                 f"({e.err}); give one that leaves some of the picture around it"
             ) from None
-        return _State(tracker, box), self._result(box, "init")
+        return _State(tracker, box), self._result(frame, box, "init")
 
     def advance(
         self, rng: np.random.Generator, state: _State, frame: Frame, covers: object = ()
@@ -92,8 +93,8 @@ class OpenCvTarget:
             found, box = False, state.box
         # one that has lost its target reports an empty box
         if not found or box[2] < 1 or box[3] < 1:
-            return state, self._result(state.box, "lost")
-        return _State(state.tracker, box), self._result(box, "tracked")
+            return state, self._result(frame, state.box, "lost")
+        return _State(state.tracker, box), self._result(frame, box, "tracked")
 
     def cover(self, state: _State, *, ahead: bool) -> None:
         """OpenCV's trackers know nothing of each other."""
@@ -111,10 +112,11 @@ class OpenCvTarget:
             )
         return left, top, right - left, bottom - top
 
-    def _result(self, box: tuple[float, ...], status: Status) -> TargetResult:
-        left, top, w, h = (float(side) for side in box)
-        part = PartResult(name=BOX, x=left + (w - 1) / 2, y=top + (h - 1) / 2, w=w, h=h, status=status)
-        return TargetResult(self.name, (part,), None, NO_CLOUD)
+    def _result(self, frame: Frame, box: tuple[float, ...], status: Status) -> TargetResult:
+        left, top, w, h = box
+        place = {"x": [left + (w - 1) / 2], "y": [top + (h - 1) / 2], "w": [w], "h": [h]}
+        rows = one_part(self.name, BOX, [frame.index], time_s=[frame.time_s], status=[status], **place)
+        return TargetResult(rows, NO_CLOUD)
 
 
 def _seed(seed: int) -> None:

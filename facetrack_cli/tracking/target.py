@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
@@ -12,16 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Frame, Info, Particles, PartResult, Status, TargetResult, TargetStart, Told
+from facetrack_cli.core.types import Array, Frame, Image, Info, Particles, TargetStart
 from facetrack_cli.tracking.confidence import Confidence, Judgement, Measures
 from facetrack_cli.tracking.exclusion import Cover, Exclusion
 from facetrack_cli.tracking.filters import Ahead, Step
 from facetrack_cli.tracking.models.motion import AffineWalk
-from facetrack_cli.tracking.models.patches import scale_of
 from facetrack_cli.tracking.models.shape_prior import BoundPrior
-from facetrack_cli.tracking.models.spaces import AffineSpace, Estimate, PointSpace, Space, estimate, evenly
+from facetrack_cli.tracking.models.spaces import Estimate, PointSpace, Space, estimate, evenly
 from facetrack_cli.tracking.models.velocity import Flow, Guide
 from facetrack_cli.tracking.resampling import uniform
+from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, NOISE, POSTERIOR, Diagnostic, Diagnostics
+from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, Trajectory, build
 
 
 class Likelihood(Measures, Protocol):
@@ -40,9 +40,19 @@ class Likelihood(Measures, Protocol):
         """What is known after a frame with the estimate `state` (K, D), for the next one."""
 
 
+@runtime_checkable
+class Reports(Protocol):
+    """A likelihood that reports more than log-likelihoods, in every frame."""
+
+    diagnostics: tuple[Diagnostic, ...]
+
+    def diagnose(self, learned: Any) -> Mapping[str, Any]:
+        """The value of each of `diagnostics` by its name."""
+
+
 @runtime_checkable  # is asked once a target: it is slow
 class Adapts(Protocol):
-    """A likelihood of which a guide may ask how far patches are from what is known, and which tells what it knows."""
+    """A likelihood that says how far patches are from what is known, for the velocity prediction."""
 
     def error(self, learned: Any, patches: Any) -> Array:
         """(N,): phi(y, a_t) of patches y (N, d)."""
@@ -50,7 +60,8 @@ class Adapts(Protocol):
     def expected(self, learned: Any) -> Any:
         """(d,): the patch that the model expects, its mean."""
 
-    def tell(self, learned: Any) -> Told: ...
+    def insets(self, learned: Any) -> tuple[tuple[str, Image], ...]:
+        """Small grey images of what is known, each with its name."""
 
 
 @runtime_checkable
@@ -75,16 +86,16 @@ class Motion(Protocol):
 class State:
     """What a particle filter carries on: particles, estimate, what was learned of the clip, how parts are judged.
 
-    `told` is what a likelihood that adapts tells of itself, `flow` what the guide has learned, `ahead` what that
-    predicted of this frame, and `entropy_before` the entropy of the identity in the frame before this one. `absent`
-    (K,) are the parts that are not to be seen, None if all are.
+    `reported` are the likelihood's diagnostics, `flow` is what the guide has learned, `ahead` what that predicted of
+    this frame, and `entropy_before` the entropy of the identity in the frame before this one. `absent` (K,) are the
+    parts that are not visible, None if all are.
     """
 
     particles: Particles
     estimated: Estimate
     learned: Any
     judgement: Judgement | None
-    told: Told | None = None
+    reported: Mapping[str, Any] = field(default_factory=dict)
     flow: Flow | None = None
     ahead: Ahead | None = None
     entropy_before: float | None = None
@@ -146,8 +157,9 @@ class ParticleTarget:
         if self.confidence is not None:
             judgement = self.confidence.begin(self.likelihood, learned, frame, self.x0, self.space.windows(still))
         flow = None if self.guide is None else self.guide.begin(rng, frame, self.x0, self.motion)
-        state = State(particles, still, learned, judgement, self._tell(learned), flow)
-        return state, replace(self._result(state, self._even, "init"), notes=getattr(learned, "notes", ()))
+        state = State(particles, still, learned, judgement, self._diagnose(learned), flow)
+        result = self._result(state, frame, self._even, "init")
+        return state, result._replace(notes=getattr(learned, "notes", ()))
 
     @property
     def _even(self) -> Info:
@@ -188,11 +200,11 @@ class ParticleTarget:
             still,
             learned,
             judgement,
-            self._tell(learned),
+            self._diagnose(learned),
             flow,
             absent=hidden if hidden.any() else None,
         )
-        return state, self._result(state, self._even, "tracked")
+        return state, self._result(state, frame, self._even, "tracked")
 
     def _placed(self, given: TargetStart, hidden: NDArray[np.bool_]) -> tuple[Array, Array | None]:
         """The state (K, D) of what is given, and how far its particles are scattered."""
@@ -224,21 +236,25 @@ class ParticleTarget:
             distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
             judgement = self.confidence.judge(judgement, distance)
         learned = self.likelihood.learn(state.learned, frame, estimated.state, particles)
-        told = self._tell(learned)
+        reported = self._diagnose(learned)
         if self.guide is None:
-            state = State(particles, estimated, learned, judgement, told, absent=state.absent)
+            state = State(particles, estimated, learned, judgement, reported, absent=state.absent)
         else:
             flow = self.guide.learn(frame, estimated.state, particles.x)
-            before = None if state.told is None else state.told.entropy
-            state = State(particles, estimated, learned, judgement, told, flow, bound.ahead, before)
-        return state, self._result(state, info, "tracked")
+            before = state.reported.get(ENTROPY.name)
+            state = State(particles, estimated, learned, judgement, reported, flow, bound.ahead, before)
+        return state, self._result(state, frame, info, "tracked")
 
     @cached_property
     def _adapts(self) -> Adapts | None:
         return self.likelihood if isinstance(self.likelihood, Adapts) else None
 
-    def _tell(self, learned: Any) -> Told | None:
-        return None if self._adapts is None else self._adapts.tell(learned)
+    @cached_property
+    def _reports(self) -> Reports | None:
+        return self.likelihood if isinstance(self.likelihood, Reports) else None
+
+    def _diagnose(self, learned: Any) -> Mapping[str, Any]:
+        return {} if self._reports is None else self._reports.diagnose(learned)
 
     def predict(self, state: State, frame: Frame) -> Ahead:
         """Where the target is expected in `frame`: where its guide says, or where it was."""
@@ -250,7 +266,7 @@ class ParticleTarget:
         ahead = self.guide.predict(
             state.flow, frame, lambda patches: adapts.error(learned, patches), lambda: adapts.expected(learned)
         )
-        entropy = None if state.told is None else state.told.entropy
+        entropy = state.reported.get(ENTROPY.name)
         if entropy is None:
             return ahead
         return ahead._replace(entropy_fell=state.entropy_before is None or entropy <= state.entropy_before)
@@ -262,49 +278,63 @@ class ParticleTarget:
         centre = self.motion.expect(mean[None])[0] if ahead else mean
         return Cover(centre[0, :2], self.space.windows(state.estimated)[0] / 2)
 
-    def _result(self, state: State, info: Info, otherwise: Status) -> TargetResult:
-        """`otherwise` is the status where nothing judges."""
-        judged, estimated = state.judgement, state.estimated
-        windows = self.space.windows(estimated)
-        outline = self.space.outline(estimated)
-        absent = state.absent
-        parts = tuple(
-            absent_part(name)
-            if absent is not None and absent[i]
-            else PartResult(
-                name=name,
-                x=float(estimated.state[i, 0]),
-                y=float(estimated.state[i, 1]),
-                w=float(windows[i, 0]),
-                h=float(windows[i, 1]),
-                status=otherwise if judged is None else judged.status[i],
-                confidence=None if judged is None else float(judged.confidence[i]),
-                cov=(float(estimated.cov[i, 0, 0]), float(estimated.cov[i, 0, 1]), float(estimated.cov[i, 1, 1])),
-                ess=float(info.ess[i]),
-                angle=None if outline is None else outline.angle,
-                corners=None if outline is None else outline.corners,
-            )
-            for i, name in enumerate(self.parts)
+    @cached_property
+    def _names(self) -> tuple[tuple[str, str], ...]:
+        return tuple((self.name, part) for part in self.parts)
+
+    @cached_property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What is reported of the target beside its rows."""
+        return tuple(
+            one for part in (self._reports, self.space, self.guide) if part is not None for one in part.diagnostics
         )
-        cloud = state.particles.x[..., :2]
-        if state.told is None:
-            return TargetResult(self.name, parts, len(cloud), cloud)
-        told, (identity, probability) = self._told(state, state.told), _likeliest(state.told.posterior)
-        return TargetResult(self.name, parts, len(cloud), cloud, identity, probability, told=told)
 
-    def _told(self, state: State, told: Told) -> Told:
-        """What the likelihood tells, with what there is to tell of the state and of the prediction."""
-        affine, scale, ahead = None, None, state.ahead
-        if isinstance(self.space, AffineSpace):
-            x, y, *deformation = state.estimated.state[0].tolist()
-            affine, scale = (*deformation, x, y), float(scale_of(state.estimated.state[None])[0, 0])
-        error, noise = (None, None) if ahead is None else (ahead.error, ahead.noise)
-        return Told(affine, scale, error, noise, told.posterior, told.entropy, told.insets)
+    def _result(self, state: State, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
+        """`otherwise` is the status where nothing judges."""
+        k, judged, estimated = len(self.parts), state.judgement, state.estimated
+        windows, outline = self.space.windows(estimated), self.space.outline(estimated)
+        identity, probability = _likeliest(state.reported.get(POSTERIOR.name))
+        rows = build(
+            self._names,
+            np.arange(k),
+            np.full(k, frame.index),
+            time_s=np.full(k, frame.time_s),
+            x=estimated.state[:, 0],
+            y=estimated.state[:, 1],
+            w=windows[:, 0],
+            h=windows[:, 1],
+            angle=None if outline is None else [outline.angle],
+            confidence=None if judged is None else judged.confidence,
+            status=[otherwise] * k if judged is None else judged.status,
+            std_x=np.sqrt(np.maximum(estimated.cov[:, 0, 0], 0.0)),
+            std_y=np.sqrt(np.maximum(estimated.cov[:, 1, 1], 0.0)),
+            cov_xy=estimated.cov[:, 0, 1],
+            particles=np.full(k, float(len(state.particles.x))),
+            ess=info.ess,
+            identity=[identity] * k if identity else None,
+            identity_prob=[probability] * k if identity else None,
+            corners=None if outline is None else outline.corners[None],
+            diagnostics=self._reported(state, frame),
+        )
+        if state.absent is not None:
+            rows = without_place(rows, state.absent)
+        insets = () if self._adapts is None else self._adapts.insets(state.learned)
+        return TargetResult(rows, state.particles.x[..., :2], insets)
+
+    def _reported(self, state: State, frame: Frame) -> Mapping[str, Diagnostics]:
+        if not self.diagnostics:
+            return {}
+        values = {**state.reported, **self.space.diagnose(state.estimated)}
+        if state.ahead is not None:
+            values |= {NOISE.name: state.ahead.noise, ERROR.name: state.ahead.error}
+        return {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
 
 
-def absent_part(name: str) -> PartResult:
-    """The row of a part that is not to be seen."""
-    return PartResult(name, math.nan, math.nan, math.nan, math.nan, "absent")
+def without_place(rows: Trajectory, absent: NDArray[np.bool_]) -> Trajectory:
+    """The rows, those of `absent` parts (K,) without anything that is known of a place."""
+    known: dict[str, Any] = {name: np.where(absent, np.nan, getattr(rows, name)) for name in (*PLACE, "cov_xy")}
+    corners = None if rows.corners is None else np.where(absent[:, None, None], np.nan, rows.corners)
+    return replace(rows, **known, corners=corners, status=np.where(absent, "absent", rows.status))
 
 
 def _likeliest(posterior: Mapping[str, float] | None) -> tuple[str | None, float | None]:

@@ -1,193 +1,147 @@
-"""What a tracker that adapts told of its targets, as arrays: who it is, and how scale, noise and error went.
+"""What a tracker reports of a target beside its rows, as its parts declare it: scale, noise, posterior, ...
 
-    table = read_trajectory(Path("out/trajectory.json"))
-    face = table.told[0]
-    face.names, face.posterior       # (P,) and (T, P)
-
-Axes: T frames of one target, increasing; P names. A number that is not known is nan, a text "".
+A likelihood, a state space or a velocity prediction lists what it reports in `diagnostics`, and gives the values of
+each frame. They are collected into arrays, and go into JSON, plots and report; nothing there names them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.writers import KEYS, NUMBERS
+from facetrack_cli.core.types import Array, Whole
 
-SURE = 0.9  # the level that the paper's figure 2(c) looks at
+SURE: Final = 0.9
+"""The probability at which an identity counts as recognised (Zhou et al. 2003, figure 2c)."""
+
+
+@dataclass(frozen=True)
+class Diagnostic:
+    """A quantity that is reported of a target in every frame.
+
+    `shape` () is a number, (n,) are n numbers, and None one number for each of some names. `least` and `most` bound
+    the values, `decimals` are those in JSON, one for all or one for each number, and `meaning` stands in plots.
+    """
+
+    name: str
+    meaning: str = ""
+    unit: str = ""
+    shape: tuple[int, ...] | None = ()
+    least: float = -math.inf
+    most: float = math.inf
+    decimals: int | tuple[int, ...] = 4
+
+    def record(self) -> dict[str, Any]:
+        """What the header of a JSON trajectory says of it."""
+        shape = None if self.shape is None else list(self.shape)
+        return {"name": self.name, "meaning": self.meaning, "unit": self.unit, "shape": shape}
+
+
+POSTERIOR: Final = Diagnostic("posterior", "probability of each identity", shape=None, least=0, most=1)
+ENTROPY: Final = Diagnostic("entropy", "of the posterior", "nats", least=0)
+SCALE: Final = Diagnostic("scale", "1 at the start", least=0)
+NOISE: Final = Diagnostic("noise", "eta of eq. 13: noise of the motion, relative to its usual", least=0)
+ERROR: Final = Diagnostic("error", "eps_t of eq. 13: error of the velocity prediction", least=0)
+# a1 to a4 to 5 decimals: of a box of 1,000 pixels that is a hundredth of one
+AFFINE: Final = Diagnostic(
+    "affine", "deformation a1 to a4 since the start; centre in pixels", shape=(6,), decimals=(5, 5, 5, 5, 3, 3)
+)
+KNOWN: Final[Mapping[str, Diagnostic]] = {one.name: one for one in (POSTERIOR, ENTROPY, SCALE, NOISE, ERROR, AFFINE)}
+"""Those of the shipped trackers (Zhou, Chellappa & Moghaddam 2003), which docs/files.md describes."""
 
 
 @dataclass(frozen=True, eq=False)
-class ToldSeries:
-    """What is told of one target over time: `posterior` (T, P) over `names`, `affine` (T, 6), all others (T,).
+class Diagnostics:
+    """The diagnostics of one target over T frames, increasing: of each name an array (T,), (T, n) or (T, names).
 
-    `identity` is the most likely name, `entropy` in nats, `scale` 1 at the start, `noise` eta and `error` eps_t
-    (Zhou et al. 2003, eq. 13), `affine` a1 to a4 and the centre in pixels. A CSV has `identity` and its probability.
+    `labels` are the names that a value of shape None is for. What is not known is nan.
     """
 
-    target: str
-    frame: NDArray[np.int64]
-    identity: NDArray[np.str_]
-    identity_prob: Array
-    names: tuple[str, ...]
-    posterior: Array
-    entropy: Array
-    scale: Array
-    noise: Array
-    error: Array
-    affine: Array
+    declared: tuple[Diagnostic, ...]
+    frame: Whole
+    values: Mapping[str, Array]
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def beliefs(self) -> tuple[tuple[str, ...], Array]:
-        """(P,) names and (T, P) their probabilities: the posterior, or where it was not kept that of the identity."""
-        if self.names:
-            return self.names, self.posterior
-        names = tuple(dict.fromkeys(name for name in self.identity.tolist() if name))
-        who = self.identity[:, None] == np.array(names, dtype=np.str_)[None]
-        return names, np.where(who, self.identity_prob[:, None], np.nan)
+    def get(self, name: str) -> Array:
+        """The values of a name, all of them nan where it is not reported."""
+        return self.values[name] if name in self.values else np.full(len(self.frame), np.nan)
 
-    def passed(self, name: str, level: float = SURE) -> int | None:
-        """The first frame in which `name` has a probability above `level`; None if there is none."""
-        names, probabilities = self.beliefs()
-        if name not in names:
-            return None
-        above = np.flatnonzero(probabilities[:, names.index(name)] > level)
-        return int(self.frame[above[0]]) if above.size else None
+    def row(self, frame: int) -> int | None:
+        """The index of a frame; None if it has none."""
+        at = int(np.searchsorted(self.frame, frame))
+        return at if at < len(self.frame) and self.frame[at] == frame else None
 
+    def between(self, first: int, stop: int) -> Diagnostics:
+        """Those of frames from `first` to before `stop`."""
+        rows = (self.frame >= first) & (self.frame < stop)
+        return replace(self, frame=self.frame[rows], values={key: v[rows] for key, v in self.values.items()})
 
-def from_records(path: Path, frames: Sequence[Any]) -> tuple[ToldSeries, ...]:
-    """What the frames of a JSON trajectory tell, targets in the order in which they come; () if nothing.
+    @classmethod
+    def of(
+        cls, declared: tuple[Diagnostic, ...], frame: Sequence[int], found: Sequence[Mapping[str, Any]]
+    ) -> Diagnostics:
+        """From what was reported in each frame, by name; what is None or missing is not known.
 
-    Raises InputError, with frame and target, for what is not as facetrack writes it. Records that are no frames at all
-    are left to `formats.table`, which says so.
-    """
-    found: dict[str, dict[int, Mapping[str, Any]]] = {}
-    try:
-        for record in frames:
-            for target in record["targets"]:
-                if target["parts"] and not _MEMBERS.isdisjoint(target):
-                    name, frame = target["target"], record["frame"]
-                    if not isinstance(name, str) or not isinstance(frame, int) or not 0 <= frame < 10**18:
-                        return ()
-                    found.setdefault(name, {}).setdefault(frame, target)
-    except (KeyError, TypeError, AttributeError):
-        return ()
-    return tuple(_of_target(path, name, dict(sorted(told.items()))) for name, told in found.items())
+        Raises ValueError, with the index of the frame as its first argument, for a value that does not fit.
+        """
+        values: dict[str, Array] = {}
+        labels: dict[str, tuple[str, ...]] = {}
+        for one in declared:
+            given = [each.get(one.name) for each in found]
+            if all(value is None for value in given):
+                continue
+            if one.shape is None:
+                labels[one.name] = tuple(dict.fromkeys(key for v in given if isinstance(v, Mapping) for key in v))
+            width = () if one.shape == () else (len(labels[one.name]),) if one.shape is None else one.shape
+            values[one.name] = column = np.full((len(found), *width), np.nan)
+            for at, value in enumerate(given):
+                if value is not None:
+                    column[at] = _checked(one, at, value, labels.get(one.name, ()))
+        return cls(declared, np.asarray(frame, np.int64), values, labels)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Diagnostics]) -> Diagnostics:
+        """Those of successive frames as one."""
+        if len({(*one.values, *one.labels.items()) for one in parts}) == 1:
+            values = {key: np.concatenate([one.values[key] for one in parts]) for key in parts[0].values}
+            return replace(parts[0], frame=np.concatenate([one.frame for one in parts]), values=values)
+        frames = [frame for one in parts for frame in one.frame.tolist()]
+        return cls.of(parts[0].declared, frames, [each for one in parts for each in one.records()])
 
-_MEMBERS = KEYS | {"identity", "identity_prob"}
-
-
-def _of_target(path: Path, target: str, told: Mapping[int, Mapping[str, Any]]) -> ToldSeries:
-    frame = np.array(list(told), dtype=np.int64)
-
-    def wrong(at: int, key: str, why: str) -> InputError:
-        return InputError(f"{path}: frame {frame[at]}, {target}: {key} {why}; correct it, or leave it out")
-
-    def column(key: str, most: float = math.inf) -> Array:
-        values = np.full(len(frame), np.nan)
-        for at, one in enumerate(told.values()):
-            value = one.get(key)
-            if value is not None:
-                values[at] = number = _number(value)
-                if not 0 <= number <= most or math.isinf(number):
-                    raise wrong(at, key, f"{value!r} is no {'probability' if most == 1 else 'number from 0 up'}")
-        return values
-
-    identity = [one.get("identity") for one in told.values()]
-    for at, name in enumerate(identity):
-        if name is not None and not isinstance(name, str):
-            raise wrong(at, "identity", f"{name!r} is no name")
-    affine = np.full((len(frame), 6), np.nan)
-    for at, one in enumerate(told.values()):
-        value = one.get("affine")
-        if value is not None:
-            numbers = [_number(v) for v in value] if isinstance(value, list) else []
-            if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
-                raise wrong(at, "affine", "is no list of six numbers, a1 to a4 and the centre")
-            affine[at] = numbers
-    names, posterior, why = _posterior([one.get("posterior") for one in told.values()])
-    if why:
-        raise wrong(len(posterior), "posterior", why)
-    return ToldSeries(
-        target=target,
-        frame=frame,
-        identity=np.array([name or "" for name in identity], dtype=np.str_),
-        identity_prob=column("identity_prob", most=1.0),
-        names=names,
-        posterior=posterior,
-        affine=affine,
-        **{key: column(key) for key in NUMBERS},
-    )
+    def records(self) -> list[dict[str, Any]]:
+        """What is known in each frame, by name, as `of` takes it."""
+        found: list[dict[str, Any]] = [{} for _ in self.frame]
+        for name, values in self.values.items():
+            for each, value in zip(found, values.tolist(), strict=True):
+                each[name] = dict(zip(self.labels[name], value, strict=True)) if name in self.labels else value
+        return found
 
 
-def _posterior(found: Sequence[Any]) -> tuple[tuple[str, ...], Array, str]:
-    """Names in the order in which they come, and (T, P); or the good rows and what is wrong with the next."""
-    places: dict[str, int] = {}
-    for one in found:
-        if isinstance(one, dict) and one.keys() != places.keys():
-            for name in one:
-                places.setdefault(name, len(places))
-    values = np.full((len(found), len(places)), np.nan)
-    for at, one in enumerate(found):
-        if one is None:
-            continue
-        if not isinstance(one, dict):
-            return (), values[:at], "is no object of names and their probabilities"
-        for name, value in one.items():
-            number = _number(value)
-            if not 0 <= number <= 1 or not name:
-                return (), values[:at], f"of {name!r} {value!r} is no probability"
-            values[at, places[name]] = number
-    return tuple(places), values, ""
+def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
+    """The numbers of a value, nan where there are none."""
+    bounded = one.least > -math.inf
+    expected = "probability" if one.most == 1 else "number from 0 up" if bounded else "finite number"
+    if one.shape is None:
+        if not isinstance(value, Mapping):
+            raise ValueError(at, f"{one.name} is not an object of names and numbers")
+        for name, number in value.items():
+            if not name or not _fits(one, number):
+                raise ValueError(at, f"{one.name} of {name!r}: {number!r} is no {expected}")
+        return [float(value.get(name, math.nan)) for name in labels]
+    if one.shape:
+        if not isinstance(value, Sequence) or len(value) != one.shape[0] or not all(_fits(one, v) for v in value):
+            raise ValueError(at, f"{one.name} is not a list of {one.shape[0]} numbers")
+        return [float(v) for v in value]
+    if not _fits(one, value):
+        raise ValueError(at, f"{one.name} {value!r} is no {expected}")
+    return float(value)
 
 
-def _number(value: Any) -> float:
-    """The number that JSON has, or nan for what is none."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return math.nan
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
-
-
-def from_columns(
-    path: Path, targets: Iterable[str], frame: NDArray[np.int64], identity: NDArray[np.str_], prob: Array
-) -> tuple[ToldSeries, ...]:
-    """Who each target is, from rows (R,) in any order, of which those of one frame say the same; () if none says so.
-
-    Raises InputError for a probability that is none.
-    """
-    if not (identity != "").any() and not np.isfinite(prob).any():
-        return ()
-    with np.errstate(invalid="ignore"):
-        outside = np.flatnonzero((prob < 0) | (prob > 1))
-    of = np.array(list(targets), dtype=np.str_)
-    if outside.size:
-        at = int(outside[0])
-        raise InputError(
-            f"{path}: frame {frame[at]}, {of[at]}: identity_prob {prob[at]:.15g} is no probability; "
-            "correct it, or leave it empty"
-        )
-    found = []
-    for target in dict.fromkeys(of.tolist()):
-        rows = np.flatnonzero(of == target)
-        frames, first = np.unique(frame[rows], return_index=True)
-        who, sure = identity[rows][first], prob[rows][first]
-        if not (who != "").any() and not np.isfinite(sure).any():
-            continue
-        blank = np.full(len(frames), np.nan)
-        numbers = dict.fromkeys(NUMBERS, blank)
-        few = np.empty((len(frames), 0))
-        found.append(
-            ToldSeries(target, frames, who, sure, (), few, affine=np.full((len(frames), 6), np.nan), **numbers)
-        )
-    return tuple(found)
+def _fits(one: Diagnostic, value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return math.isnan(value) or (abs(value) <= 1e300 and one.least <= value <= one.most)

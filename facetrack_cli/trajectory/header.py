@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Box, Correction, Point, Start, TargetStart
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 CORRECTED: Final = "corrected.init.yaml"
 
@@ -82,7 +82,7 @@ class Header(BaseModel):
         return str(self.recipe.get("name", "recipe"))
 
 
-def read_header(table: Table) -> Header:
+def read_header(table: Trajectory) -> Header:
     """The header of a trajectory in JSON or JSON lines. InputError, with the key, if it is not as a run writes it."""
     try:
         return Header.model_validate(dict(table.header))
@@ -94,13 +94,13 @@ def read_header(table: Table) -> Header:
         ) from None
 
 
-def said(table: Table, group: str, key: str) -> Any:
+def said(table: Trajectory, group: str, key: str) -> Any:
     """The value below `group`, as of "recipe" and "name"; None where there is none."""
     found = table.header.get(group)
     return found.get(key) if isinstance(found, dict) else None
 
 
-def clip_of(table: Table) -> Path | None:
+def clip_of(table: Trajectory) -> Path | None:
     """The clip, looked for where the run was started and beside the trajectory; it need not be there."""
     named = said(table, "source", "path")
     if not isinstance(named, str) or not named:
@@ -109,7 +109,7 @@ def clip_of(table: Table) -> Path | None:
     return next((p for p in (Path(named), beside / named, beside.parent / named) if is_there(p)), Path(named))
 
 
-def picture_of(table: Table) -> tuple[int, int] | None:
+def picture_of(table: Trajectory) -> tuple[int, int] | None:
     """Width and height of its pictures in pixels."""
     size = said(table, "source", "size")
     if isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size):

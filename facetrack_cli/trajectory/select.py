@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, TypeAlias, get_args
 
@@ -10,46 +10,35 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.table import Series, Table, series
+from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
 
 Around: TypeAlias = Literal["windows", "points"]
 AROUND: tuple[Around, ...] = get_args(Around)
 
 
-def choose(table: Table, select: str | None) -> Table:
+def choose(table: Trajectory, select: str | None) -> Trajectory:
     """The table with one target alone (`face`), or one part of it (`face/nose`); all of it for None.
 
     Raises UsageError, which lists what there is, when nothing has that name.
     """
     if select is None:
         return table
-    found = tuple(one for one in table.series if select in (one.target, one.name))
+    found = [one for one in table.parts if select in (one.target, one.name)]
     if not found:
-        names = [name for name in table.targets if name] + [one.name for one in table.series]
+        names = [name for name in table.targets if name] + [one.name for one in table.parts]
         raise UsageError(f"{table.path}: has no {select!r}; choose among {', '.join(names)}")
-    told = tuple(one for one in table.told if any(one.target == series.target for series in found))
-    return replace(table, series=found, told=told)
+    diagnostics = {name: one for name, one in table.diagnostics.items() if name == found[0].target}
+    return joined(found, header=table.header, diagnostics=diagnostics, path=table.path)
 
 
-def blank_lost(table: Table) -> Table:
+def blank_lost(table: Trajectory) -> Trajectory:
     """The table with the place and size of lost rows not known."""
-
-    def blank(one: Series) -> Series:
-        def kept(values: Array) -> Array:
-            return np.where(one.status == "lost", np.nan, values)
-
-        return replace(one, x=kept(one.x), y=kept(one.y), w=kept(one.w), h=kept(one.h))
-
-    return replace(table, series=tuple(blank(one) for one in table.series))
+    lost = table.status == "lost"
+    x, y, w, h = (np.where(lost, np.nan, values) for values in (table.x, table.y, table.w, table.h))
+    return replace(table, x=x, y=y, w=w, h=h)
 
 
-def by_target(table: Table) -> Iterator[tuple[str, tuple[Series, ...]]]:
-    """Each target's name and the series of its parts."""
-    for target in table.targets:
-        yield target, tuple(one for one in table.series if one.target == target)
-
-
-def enclose(parts: Sequence[Series], around: Around = "windows") -> Series:
+def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajectory:
     """One box for each row of a target, as the series of a part `box`: the smallest upright box around its parts.
 
     A target of one part has that part's own box. Of several, `windows` encloses the windows that the tracker compares,
@@ -59,7 +48,7 @@ def enclose(parts: Sequence[Series], around: Around = "windows") -> Series:
     none.
     """
     if len(parts) == 1:
-        return replace(parts[0], part="box")
+        return parts[0].renamed(parts[0].target, "box")
     frame = np.unique(np.concatenate([part.frame for part in parts]))
     shape = len(frame), len(parts)
     by_hand = np.zeros(len(frame), dtype=np.bool_)
@@ -83,7 +72,7 @@ def enclose(parts: Sequence[Series], around: Around = "windows") -> Series:
     high = np.where(unknown[..., None], -np.inf, edges[..., 2:]).max(axis=1)
     w, h = np.where(unknown.all(axis=1)[:, None], np.nan, high - low).T
     left, top = np.where(np.isfinite(low), low, np.nan).T
-    return series(
+    return one_part(
         parts[0].target,
         "box",
         frame,

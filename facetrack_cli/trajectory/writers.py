@@ -1,27 +1,45 @@
-"""The table of results: one row a frame, target and part. CSV, JSON and JSON lines, and the reader of the CSV.
+"""Writing trajectories a frame at a time, with flat memory: CSV, JSON and JSON lines.
 
 The CSV holds what was measured and nothing of when or where, so the same numbers give the same bytes. JSON holds the
-same rows, grouped by frame, with what a tracker that adapts tells of a target (told.py), between a header (source,
-recipe, seed, init) and a footer (how the run ended). JSON lines are the header, a line a frame, and the footer, each
-with its `type`. Truth files are CSV with the same columns, whose `status` is visible, hidden or absent.
+same rows, grouped by frame, with the diagnostics of each target, between a header (source, recipe, seed, init) and a
+footer (how the run ended). JSON lines are the header, a line a frame, and the footer, each with its `type`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import lru_cache
-from itertools import groupby
-from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Protocol
+from itertools import groupby, islice
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
+import numpy as np
+
+from facetrack_cli import __version__
 from facetrack_cli.core.numbers import dumps, fixed
-from facetrack_cli.trajectory.row import COLUMNS, DECIMALS, SCHEMA, VERSION, WHOLE, Footer, Format, Header, Row, rows
+from facetrack_cli.core.types import Array
+from facetrack_cli.trajectory.diagnostics import Diagnostics
+from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, Trajectory, by_frame
 
-if TYPE_CHECKING:
-    from facetrack_cli.core.types import Result, Told
+SCHEMA = "facetrack-trajectory"
+VERSION = 1
+Format: TypeAlias = Literal["csv", "json", "jsonl"]
+FORMATS: tuple[Format, ...] = ("csv", "json", "jsonl")
+Header: TypeAlias = Mapping[str, Any]  # JSON-ready: source, recipe, seed, init
 
 
-# --- writing -----------------------------------------------------------------------------------------------------
+class Footer(NamedTuple):
+    """How a run ended. `complete` is False when frames that were asked for are missing; `stopped` says why.
+
+    `lost_frames` counts, for each "target/part", the frames in which it was lost. Only at its end is it known whether
+    a clip keeps a constant rate.
+    """
+
+    complete: bool = True
+    stopped: str | None = None
+    warnings: tuple[str, ...] = ()
+    lost_frames: Mapping[str, int] = {}
+    variable_fps: bool | None = None
 
 
 class Sink(Protocol):
@@ -32,26 +50,22 @@ class Sink(Protocol):
 
 
 class Writer(Protocol):
-    """A trajectory being written, a frame at a time. `close` ends it properly, whatever ended the run."""
+    """A trajectory being written, some frames at a time. `close` ends it properly, whatever ended the run."""
 
-    def write(self, result: Result) -> None: ...
+    def write(self, rows: Trajectory) -> None: ...
     def close(self, footer: Footer) -> None: ...
 
 
-def csv_lines(items: Iterable[Row]) -> str:
-    """Rows as lines of CSV, without the header."""
-    return "".join(",".join([form(value) for form, value in zip(_CSV, row, strict=False)]) + "\n" for row in items)
-
-
 class CsvWriter:
-    """Header line, then a row a frame, target and part."""
+    """Header line, then a row for each frame, target and part."""
 
     def __init__(self, sink: Sink, header: Header) -> None:
         self._sink = sink
         sink.write(",".join(COLUMNS) + "\n")
 
-    def write(self, result: Result) -> None:
-        self._sink.write(csv_lines(rows(result)))
+    def write(self, rows: Trajectory) -> None:
+        for lines in csv_frames(rows):
+            self._sink.write(lines)
 
     def close(self, footer: Footer) -> None:
         self._sink.finish(lambda _: "")
@@ -66,10 +80,11 @@ class JsonWriter:
         head = "".join(f"{dumps(key)}: {dumps(value)},\n" for key, value in _head(header).items())
         sink.write("{\n" + head + '"frames": [\n')
 
-    def write(self, result: Result) -> None:
-        # the comma goes with the record that follows it: a file cut back to whole records still closes
-        self._sink.write(self._between + "{" + _frame(result) + "}")
-        self._between = ",\n"
+    def write(self, rows: Trajectory) -> None:
+        for frame in json_frames(rows):
+            # the comma goes with the record that follows it: a file cut back to whole records still closes
+            self._sink.write(self._between + "{" + frame + "}")
+            self._between = ",\n"
 
     def close(self, footer: Footer) -> None:
         def tail(records: int) -> str:
@@ -86,8 +101,9 @@ class JsonLinesWriter:
         self._sink = sink
         sink.write(dumps({"type": "header", **_head(header)}) + "\n")
 
-    def write(self, result: Result) -> None:
-        self._sink.write('{"type":"frame",' + _frame(result) + "}\n")
+    def write(self, rows: Trajectory) -> None:
+        for frame in json_frames(rows):
+            self._sink.write('{"type":"frame",' + frame + "}\n")
 
     def close(self, footer: Footer) -> None:
         self._sink.finish(lambda records: dumps({"type": "footer", **_foot(footer, records - 1)}) + "\n")
@@ -101,8 +117,6 @@ WRITERS: Mapping[Format, Callable[[Sink, Header], Writer]] = {
 
 
 def _head(header: Header) -> dict[str, Any]:
-    from facetrack_cli import __version__
-
     return {"schema": SCHEMA, "version": VERSION, "facetrack": __version__, **header}
 
 
@@ -118,91 +132,126 @@ def _foot(footer: Footer, frames: int) -> dict[str, Any]:
     }
 
 
-def _frame(result: Result) -> str:
-    """The members of one frame's object; numbers have the digits of the CSV."""
-    targets: list[str] = []
-    told = {target.name: members(target.told) for target in result.targets if target.told is not None}
-    for name, group in groupby(rows(result), key=attrgetter("target")):
-        parts: list[str] = []
-        head: list[str] = []
-        for row in group:
-            known = {key: text for key, form, value in zip(_KEYS, _JSON, row, strict=True) if (text := form(value))}
-            head = head or _members(known, _OF_TARGET)
-            parts.append("{" + ",".join(_members(known, _OF_PART)) + "}")
-        head += told.get(name, ())
-        targets.append("{" + ",".join(head) + ',"parts":[' + ",".join(parts) + "]}")
-    time_s = _JSON[COLUMNS.index("time_s")](result.frame.time_s) or "null"
-    return f'"frame":{result.frame.index},"time_s":{time_s},"targets":[{",".join(targets)}]'
+# --- rows as text ------------------------------------------------------------------------------------------------
 
 
+def csv_frames(rows: Trajectory) -> Iterator[str]:
+    """The lines of each frame, without the header."""
+    for _, _, cells in _frames(rows, _CSV):
+        yield "".join([",".join(line) + "\n" for line in cells])
+
+
+def json_frames(rows: Trajectory) -> Iterator[str]:
+    """The members of each frame's object; numbers have the digits of the CSV."""
+    for frame, which, cells in _frames(rows, _JSON):
+        targets = []
+        for target, group in groupby(zip(which, cells, strict=True), key=lambda one: rows.names[one[0]][0]):
+            known = [dict(zip(_JSON, line, strict=True)) for _, line in group]
+            head = _members(known[0], _OF_TARGET)
+            if target in rows.diagnostics:
+                head += _reported(rows.diagnostics[target], frame)
+            parts = ["{" + ",".join(_members(one, _OF_PART)) + "}" for one in known]
+            targets.append("{" + ",".join(head) + ',"parts":[' + ",".join(parts) + "]}")
+        time_s = cells[0][_TIME] or "null"
+        yield f'"frame":{frame},"time_s":{time_s},"targets":[{",".join(targets)}]'
+
+
+def as_written(rows: Trajectory) -> Trajectory:
+    """The rows with the numbers that a file of them holds."""
+
+    def rounded(values: Array, decimals: int) -> Array:
+        texts = map(_form(decimals), values.ravel().tolist())
+        return np.array([float(text) if text else np.nan for text in texts]).reshape(values.shape)
+
+    def reported(found: Diagnostics) -> Diagnostics:
+        values = {}
+        for one in found.declared:
+            if (value := found.values.get(one.name)) is not None:
+                if isinstance(one.decimals, tuple):
+                    values[one.name] = np.stack([rounded(value[:, i], d) for i, d in enumerate(one.decimals)], axis=1)
+                else:
+                    values[one.name] = rounded(value, one.decimals)
+        return replace(found, values=values)
+
+    columns: dict[str, Any] = {name: rounded(getattr(rows, name), decimals) for name, decimals in DECIMALS.items()}
+    diagnostics = {target: reported(found) for target, found in rows.diagnostics.items()}
+    return replace(rows, **columns, cov_xy=np.full(len(rows), np.nan), corners=None, diagnostics=diagnostics)
+
+
+def _frames(
+    rows: Trajectory, forms: Mapping[str, Callable[[Any], str]]
+) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
+    """Each frame with its rows by part: the indices of their names, and their columns as text, "" if not known."""
+    texts = {name: [forms[name](pair[at]) for pair in rows.names] for at, name in enumerate(_NAMES)}
+    frames = by_frame(rows)
+    while block := list(islice(frames, _BLOCK)):
+        some = rows.take(np.array([i for _, at in block for i in at], np.int64))
+        which = some.which.tolist()
+        columns = []
+        for name, form in forms.items():
+            if name in _NAMES:
+                columns.append([texts[name][i] for i in which])
+            else:
+                columns.append([form(value) for value in getattr(some, name).tolist()])
+        lines, first = list(zip(*columns, strict=True)), 0
+        for frame, at in block:
+            rows_ = slice(first, first + len(at))
+            yield frame, which[rows_], lines[rows_]
+            first += len(at)
+
+
+def _reported(found: Diagnostics, frame: int) -> list[str]:
+    """`"name":value` of the diagnostics of one frame: those of some names, then numbers, then lists.
+
+    What is not finite is left out: of several names one, of a list all of it.
+    """
+    at = found.row(frame)
+    members = []
+    for one in sorted(found.declared, key=lambda one: (one.shape is not None, bool(one.shape))):
+        if at is None or one.name not in found.values:
+            continue
+        value = found.values[one.name][at].tolist()
+        numbers = [value] if one.shape == () else value
+        decimals = one.decimals if isinstance(one.decimals, tuple) else (one.decimals,) * len(numbers)
+        texts = [_form(d)(number) for d, number in zip(decimals, numbers, strict=True)]
+        if one.shape is None:
+            known = [f"{_key(name)}:{text}" for name, text in zip(found.labels[one.name], texts, strict=True) if text]
+            text = "{" + ",".join(known) + "}" if known else ""
+        else:
+            text = ",".join(texts) if all(texts) else ""
+            text = f"[{text}]" if one.shape and text else text
+        members += [f"{_key(one.name)}:{text}"] if text else []
+    return members
+
+
+_form = lru_cache(fixed)
+_key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
 _OF_TARGET = ("target", "particles", "identity", "identity_prob")
-
-
 _OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", "std_x", "std_y", "ess")
 
 
 def _members(known: Mapping[str, str], names: Iterable[str]) -> list[str]:
-    return [f'"{name}":{known[name]}' for name in names if name in known]
+    return [f'"{name}":{known[name]}' for name in names if known[name]]
 
 
-def _whole(value: Any) -> str:
-    return "" if value is None else str(value)
-
-
-def _quoted(value: Any) -> str:
-    text = str(value)
+def _quoted(text: str) -> str:
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text
 
 
-def _string(value: Any) -> str:
-    return dumps(value) if value else ""
+def _string(text: str) -> str:
+    return dumps(text) if text else ""
 
 
-def _only_true(value: Any) -> str:
-    return "true" if value else ""
-
-
-# how the values of each column are written; "" is not known
-_CSV = tuple(fixed(DECIMALS[name]) if name in DECIMALS else _whole if name in WHOLE else _quoted for name in COLUMNS)
-
-
-_JSON = (*(_string if form is _quoted else form for form in _CSV), _only_true)
-
-
-_KEYS = Row._fields
-
-
-# a1 to a4 to 5 decimals: of a box of 1,000 pixels that is a hundredth of one
-_FIVE, _FOUR, _THREE = fixed(5), fixed(4), fixed(3)
-
-
-_AFFINE: tuple[Callable[[Any], str], ...] = (_FIVE, _FIVE, _FIVE, _FIVE, _THREE, _THREE)
-
-
-NUMBERS = ("entropy", "scale", "noise", "error")
-
-
-KEYS = frozenset(("posterior", "affine", *NUMBERS))
-
-
-_key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
-
-
-def members(told: Told) -> list[str]:
-    """`"key":value` of what is known: posterior, entropy, scale, noise, error, affine, in this order.
-
-    What is not finite is left out: of the posterior a name, of the affine map all of it.
-    """
-    found = []
-    if told.posterior is not None:
-        found.append(f'"posterior":{_object(told.posterior)}')
-    found += [f'"{name}":{text}' for name in NUMBERS if (text := _FOUR(getattr(told, name)))]
-    if told.affine is not None:
-        numbers = [form(value) for form, value in zip(_AFFINE, told.affine, strict=True)]
-        if all(numbers):
-            found.append(f'"affine":[{",".join(numbers)}]')
-    return found
-
-
-def _object(posterior: Mapping[str, float]) -> str:
-    return "{" + ",".join([f"{_key(name)}:{text}" for name, p in posterior.items() if (text := _FOUR(p))]) + "}"
+_NUMBERS: Mapping[str, Callable[[Any], str]] = {
+    "frame": str,
+    "particles": fixed(0),
+    **{name: fixed(decimals) for name, decimals in DECIMALS.items()},
+}
+_CSV: Mapping[str, Callable[[Any], str]] = {name: _NUMBERS.get(name, _quoted) for name in COLUMNS}
+_JSON: Mapping[str, Callable[[Any], str]] = {
+    **{name: _NUMBERS.get(name, _string) for name in COLUMNS},
+    "by_hand": lambda value: "true" if value else "",
+}
+_TIME = COLUMNS.index("time_s")
+_NAMES = ("target", "part")
+_BLOCK = 1_000  # frames that become text at a time

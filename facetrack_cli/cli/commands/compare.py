@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from facetrack_cli.runs.plan import Begin
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.trajectory.table import Table
+    from facetrack_cli.trajectory.trajectory import Trajectory
 
 FILES = ("compare.json", "compare.csv", "compare.md")
 PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
@@ -182,7 +182,7 @@ def command(
 def _run(
     named: dict[str, Recipe],
     begin: Begin,
-    truth: Table,
+    truth: Trajectory,
     seeds: int,
     workers: int,
     settings: Options,

@@ -14,7 +14,7 @@ from facetrack_cli.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.summary import Evaluation
-    from facetrack_cli.trajectory.table import Table
+    from facetrack_cli.trajectory.trajectory import Trajectory
 
 
 def _failure(ctx: click.Context, param: click.Parameter, value: str) -> float:
@@ -130,7 +130,7 @@ def command(
     notes: list[str] = []
     pairs = match(ours, theirs, partial=partial, select=target, check_shift=shift is None, note=notes.append)
     settings = Options(normalise, failure, picture_of(ours))
-    evaluation = evaluate(pairs, notes, settings, reference=theirs.series)
+    evaluation = evaluate(pairs, notes, settings, reference=theirs.parts)
     about = About(
         ours.path, theirs.path, str(theirs.header.get("read_as", truth_format)), shift or 0, ours.header.get("read_as")
     )
@@ -166,7 +166,7 @@ def _check_outputs(outputs: dict[str, str | None], overwrite: bool) -> dict[str,
     return files
 
 
-def _truth_beside(ours: Table) -> Path:
+def _truth_beside(ours: Trajectory) -> Path:
     """The truth file beside the clip of a JSON trajectory."""
     from facetrack_cli.trajectory.header import clip_of, is_there
 

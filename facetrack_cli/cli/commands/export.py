@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from facetrack_cli.trajectory.select import Around
-    from facetrack_cli.trajectory.table import Table
+    from facetrack_cli.trajectory.trajectory import Trajectory
 
 ENDINGS = {
     "mot": ".mot.txt",
@@ -91,8 +91,8 @@ def command(
     """
     from facetrack_cli.core.files import check_new
     from facetrack_cli.trajectory.header import clip_of
+    from facetrack_cli.trajectory.reader import read_trajectory
     from facetrack_cli.trajectory.select import blank_lost, choose
-    from facetrack_cli.trajectory.table import read_trajectory
 
     if media is not None and form not in OF_MEDIA:
         raise UsageError(f"--media is for {' and '.join(OF_MEDIA)}; {form} does not name the clip")
@@ -116,7 +116,7 @@ def command(
         _tell(f"{path}: {_summary(table, form)}")
 
 
-def _text(table: Table, form: str, path: Path | None, media: Path | None, around: Around) -> str:
+def _text(table: Trajectory, form: str, path: Path | None, media: Path | None, around: Around) -> str:
     from datetime import datetime
 
     import numpy as np
@@ -124,9 +124,9 @@ def _text(table: Table, form: str, path: Path | None, media: Path | None, around
     from facetrack_cli.trajectory.formats import boxes as plain
     from facetrack_cli.trajectory.formats import coco, dlc, eaf, mot, vot
     from facetrack_cli.trajectory.header import said
-    from facetrack_cli.trajectory.select import by_target, enclose
+    from facetrack_cli.trajectory.select import enclose
 
-    if not any(np.isfinite(one.x).any() for one in table.series):
+    if not np.isfinite(table.x).any():
         raise InputError("no row has a place, x and y; there is nothing to export")
     if form == "dlc":
         recipe = said(table, "recipe", "name")
@@ -139,13 +139,13 @@ def _text(table: Table, form: str, path: Path | None, media: Path | None, around
         return coco.write_coco(table, size, file_name, around=around)
     if form in ONE_TARGET and len(table.targets) > 1:
         raise UsageError(f"{form} holds one target; choose with --target among {', '.join(table.targets)}")
-    boxes = [enclose(parts, around) for _, parts in by_target(table)]
+    boxes = [enclose(table.of_target(target), around) for target in table.targets]
     if form == "mot":
         return mot.write_mot(boxes)
     return {"otb": plain.write_otb, "got10k": plain.write_got10k, "vot": vot.write_vot}[form](boxes[0])
 
 
-def _clip(table: Table, media: Path | None) -> Path:
+def _clip(table: Trajectory, media: Path | None) -> Path:
     """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""
     from facetrack_cli.trajectory.header import clip_of, is_there
 
@@ -161,7 +161,7 @@ def _clip(table: Table, media: Path | None) -> Path:
     return clip
 
 
-def _pictures(table: Table, media: Path | None) -> tuple[tuple[int, int], Callable[[int], str]]:
+def _pictures(table: Trajectory, media: Path | None) -> tuple[tuple[int, int], Callable[[int], str]]:
     """The size of the frames, and the names of their images."""
     from facetrack_cli.trajectory.header import clip_of, is_there, picture_of
     from facetrack_cli.video import images
@@ -201,7 +201,7 @@ def _tell(message: str) -> None:
     click.echo(" ".join(message.splitlines()), err=True)
 
 
-def _summary(table: Table, form: str) -> str:
+def _summary(table: Trajectory, form: str) -> str:
     frames = table.frames
     begins = f"; line 1 is frame {frames[0]}" if form in ("otb", "got10k") and frames[0] else ""
     return f"{len(frames)} frames of {', '.join(table.targets) or 'one target'}{begins}"

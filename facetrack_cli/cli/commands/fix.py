@@ -65,8 +65,8 @@ def command(
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
     143 terminated.
     """
-    from facetrack_cli.editor.files.run_folder import check_size, check_writable, open_run
     from facetrack_cli.editor.history import Fixer
+    from facetrack_cli.editor.run_folder import check_size, check_writable, open_run
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.video.seek import Frames
 
@@ -74,7 +74,8 @@ def command(
         raise UsageError(f"{'--port' if port is not None else '--open'} is for the page; leave it or --init out")
     if init is None and quiet:
         raise UsageError("--quiet goes with --init; the page's address must be said")
-    with open_run(run, clip) as opened, Frames(opened.clip, fps=opened.fps) as frames:
+    opened = open_run(run, clip)
+    with Frames(opened.clip, fps=opened.fps) as frames:
         check_size(opened, frames.size)
         check_writable(opened)
         with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
@@ -87,9 +88,9 @@ def command(
 
 def _apply(fixer: Fixer, init: Path, stop: Stop, *, video: bool, quiet: bool) -> int:
     """Have the corrections of a file, and save; the exit code."""
-    from facetrack_cli.editor.files.run_folder import UNSAVED
     from facetrack_cli.editor.history import corrections_of
     from facetrack_cli.editor.retrack import StoppedError
+    from facetrack_cli.editor.run_folder import UNSAVED
     from facetrack_cli.editor.save import save
     from facetrack_cli.runs.progress import progress
 
@@ -117,7 +118,7 @@ def _apply(fixer: Fixer, init: Path, stop: Stop, *, video: bool, quiet: bool) ->
 
 def _page(fixer: Fixer, frames: Frames, stop: Stop, *, video: bool, port: int, browse: bool) -> int:
     """Serve the page until it is saved or stopped; the exit code."""
-    from facetrack_cli.editor.files.run_folder import UNSAVED
+    from facetrack_cli.editor.run_folder import UNSAVED
     from facetrack_cli.editor.web.fix_session import FixSession
     from facetrack_cli.editor.web.pictures import Pictures
     from facetrack_cli.editor.web.serve import run_page
@@ -150,8 +151,8 @@ def _page(fixer: Fixer, frames: Frames, stop: Stop, *, video: bool, port: int, b
 
 def _unsaved(fixer: Fixer) -> tuple[Correction, ...]:
     """The corrections of a session that was not saved, if they still are of this run."""
-    from facetrack_cli.editor.files.run_folder import UNSAVED
     from facetrack_cli.editor.history import corrections_of
+    from facetrack_cli.editor.run_folder import UNSAVED
 
     path = fixer.run.folder / UNSAVED
     if not path.is_file():

@@ -12,7 +12,7 @@ from facetrack_cli.core.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.evaluation.rows import Pair
-    from facetrack_cli.trajectory.table import Table
+    from facetrack_cli.trajectory.trajectory import Trajectory
 
 FORMS = ("png", "svg", "pdf")  # those of plots/style.py, which would load numpy
 
@@ -91,8 +91,8 @@ def command(
 
     need_matplotlib()
     from facetrack_cli.report.figures import page_figure, render
+    from facetrack_cli.trajectory.reader import read_trajectory
     from facetrack_cli.trajectory.select import choose
-    from facetrack_cli.trajectory.table import read_trajectory
 
     table = read_trajectory(trajectory)
     pairs = None if truth is None else _pairs(table, truth, truth_format, shift, partial, target)
@@ -105,7 +105,9 @@ def _beside(trajectory: Path) -> Path:
     return (trajectory if trajectory.is_dir() else trajectory.parent) / "plot.png"
 
 
-def _pairs(table: Table, truth: Path, form: str, shift: int | None, partial: bool, target: str | None) -> list[Pair]:
+def _pairs(
+    table: Trajectory, truth: Path, form: str, shift: int | None, partial: bool, target: str | None
+) -> list[Pair]:
     from facetrack_cli.evaluation.match import match
     from facetrack_cli.trajectory.formats.read import read_truth
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from facetrack_cli.core.types import Box
     from facetrack_cli.evaluation.experiments.repeat_text import Repetition
     from facetrack_cli.runs.progress import Progress
-    from facetrack_cli.trajectory.table import Series, Table
+    from facetrack_cli.trajectory.trajectory import Trajectory
 
 FILES = ("repeat.json", "repeat.csv", "repeat.md")
 PLOTS = ("spread.png",)
@@ -139,7 +139,7 @@ def command(
         if len(runs) < 2:
             shown.say(f"facetrack: {ending.reason} before two runs had begun; nothing was written")
             ctx.exit(ending.code or ExitCode.FAULT)
-        tables, ran = [run.table for run in runs], tuple(run.seed for run in runs)
+        tables, ran = [run.trajectory for run in runs], tuple(run.seed for run in runs)
         found = Repetition(
             clip=clip,
             label=recipe.name,
@@ -159,16 +159,14 @@ def command(
     ctx.exit(ending.code or ExitCode.DONE)
 
 
-def _matched(table: Table, truth: Table | None) -> list[Series]:
-    """The truth's series under the names of the track's."""
-    from dataclasses import replace
-
+def _matched(table: Trajectory, truth: Trajectory | None) -> list[Trajectory]:
+    """The parts of the truth under the names of the track's."""
     from facetrack_cli.evaluation.match import match
 
     if truth is None:
         return []
     pairs = match(table, truth, partial=True, select=None, check_shift=False)
-    return [replace(pair.truth, target=pair.ours.target, part=pair.ours.part) for pair in pairs]
+    return [pair.truth.renamed(pair.ours.target, pair.ours.part) for pair in pairs]
 
 
 def _write(found: Repetition, folder: Folder, shown: Progress, plots: bool) -> None:

@@ -12,7 +12,7 @@ import click
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Whole, rate
 from facetrack_cli.core.errors import ExitCode, OutputError, UsageError
-from facetrack_cli.trajectory.row import FORMATS, Format
+from facetrack_cli.trajectory.writers import FORMATS, Format
 
 if TYPE_CHECKING:
     from fractions import Fraction

@@ -58,7 +58,7 @@ class FixSession(Session):
     ) -> None:
         run = fixer.run
         self.fixer, self.video = fixer, video
-        self._parts = run.index.parts
+        self._parts = run.parts
         wanted = [_want(name, parts) for name, parts in self._parts.items()]
         self._propose = Proposer(frames, run.recipe, run.recipe.points)
         super().__init__(
@@ -69,9 +69,9 @@ class FixSession(Session):
             saves_to=str(run.folder),
             wants=wanted,
             free=False,
-            draft=Draft(run.index.first),
-            first=run.index.first,
-            last=run.index.last,
+            draft=Draft(run.first),
+            first=run.first,
+            last=run.last,
         )
         self._about["learns"] = not isinstance(run.recipe, OpenCvRecipe)  # those begin anew in any case
         if unsaved:
@@ -92,7 +92,7 @@ class FixSession(Session):
         return {**found, "proposals": [one for given in found["proposals"] for one in self._for_targets(given)]}
 
     def check_draft(self, draft: Draft) -> None:
-        if not self.fixer.run.index.first <= draft.frame <= self.fixer.run.index.last:
+        if not self.fixer.run.first <= draft.frame <= self.fixer.run.last:
             raise RefusedError(400, f"the run has no frame {draft.frame}")
         for name, one in draft.targets.items():
             if name not in self._parts:
@@ -113,17 +113,15 @@ class FixSession(Session):
     # what this session alone serves
 
     def _rows(self, request: Request) -> Json:
-        index, rows = self.fixer.run.index, self.fixer.rows
-        first = max(request.whole("from", 0), index.first)
-        last = min(request.whole("to", first), index.last)
+        run, rows = self.fixer.run, self.fixer.rows
+        first = max(request.whole("from", 0), run.first)
+        last = min(request.whole("to", first), run.last)
         if last - first > MOST_ROWS:
             raise RefusedError(400, f"{last - first + 1} frames are too many; {MOST_ROWS} are given")
         return {
             "from": first,
             "parts": [[name, part] for name, parts in self._parts.items() for part in parts],
-            "frames": [
-                [cell for one in rows.targets(frame) for cell in cells(one)] for frame in range(first, last + 1)
-            ],
+            "frames": [cells(rows, frame) for frame in range(first, last + 1)],
         }
 
     def _overview(self, request: Request) -> Json:

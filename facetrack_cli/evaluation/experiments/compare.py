@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -28,10 +28,11 @@ from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
 from facetrack_cli.evaluation.experiments.sheet import OVERRIDES
 from facetrack_cli.evaluation.match import match
-from facetrack_cli.evaluation.rows import Rows, joined, rows_of
+from facetrack_cli.evaluation.rows import Rows, column, rows_of
 from facetrack_cli.evaluation.summary import Evaluation, evaluate, higher_is_better, names, scalars, units_of
 from facetrack_cli.runs.seeds import outline
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.reader import MAX_FRAME
+from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 if TYPE_CHECKING:
     from facetrack_cli.runs.seeds import Plan, SeedRun
@@ -172,18 +173,18 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
 # --- one run -----------------------------------------------------------------------------------------------------
 
 
-def score_run(run: SeedRun, truth: Table, options: Options, note: Callable[[str], None] = lambda _: None) -> Score:
+def score_run(run: SeedRun, truth: Trajectory, options: Options, note: Callable[[str], None] = lambda _: None) -> Score:
     """Measure one run; `note` is told what was paired how (see `match`). InputError where the truth does not fit it."""
     pairs = match(
-        run.table,
-        within(truth, run.table, options),
+        run.trajectory,
+        within(truth, run.trajectory, options),
         partial=options.partial,
         select=options.select,
         check_shift=False,
         note=note,
     )
-    evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.series)
-    units = units_of(pairs, reference=truth.series)
+    evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.parts)
+    units = units_of(pairs, reference=truth.parts)
     rows = [rows_of(pair, units[pair.ours.target].at(pair.ours.frame)) for pair in pairs]
     frame, error = error_by_frame(rows)
     boxes = evaluation.all.boxes
@@ -202,12 +203,12 @@ def score_run(run: SeedRun, truth: Table, options: Options, note: Callable[[str]
     )
 
 
-def shifted(run: SeedRun, truth: Table, options: Options) -> InputError | None:
+def shifted(run: SeedRun, truth: Trajectory, options: Options) -> InputError | None:
     """What speaks for a truth that counts frames otherwise than the run; to be asked of runs that can be scored."""
     try:
         match(
-            run.table,
-            within(truth, run.table, options),
+            run.trajectory,
+            within(truth, run.trajectory, options),
             partial=options.partial,
             select=options.select,
             check_shift=True,
@@ -217,7 +218,7 @@ def shifted(run: SeedRun, truth: Table, options: Options) -> InputError | None:
     return None
 
 
-def kinds_of(plan: Plan, truth: Table, options: Options, size: tuple[int, int]) -> set[str]:
+def kinds_of(plan: Plan, truth: Trajectory, options: Options, size: tuple[int, int]) -> set[str]:
     """What the runs of a plan on pictures of that (width, height) will be measured as, `boxes` or `points`.
 
     Raises, before anything runs, what recipe, start and the names in the truth are refused for.
@@ -228,15 +229,14 @@ def kinds_of(plan: Plan, truth: Table, options: Options, size: tuple[int, int]) 
     return {pair.kind for pair in pairs}
 
 
-def within(truth: Table, trajectory: Table, options: Options) -> Table:
+def within(truth: Trajectory, trajectory: Trajectory, options: Options) -> Trajectory:
     """The truth of the frames that were asked for: from the run's first one to before --stop."""
-    first = int(trajectory.frames[0])
-    last = math.inf if options.stop is None else options.stop - 1
-    kept = [one.take((one.frame >= first) & (one.frame <= last)) for one in truth.series]
-    if not any(len(one) for one in kept):
-        asked = f"from frame {first} on" if options.stop is None else f"from frame {first} to {options.stop - 1}"
+    first, stop = int(trajectory.frames[0]), MAX_FRAME if options.stop is None else options.stop
+    kept = [one for part in truth.parts if len(one := part.between(first, stop))]
+    if not kept:
+        asked = f"from frame {first} on" if options.stop is None else f"from frame {first} to {stop - 1}"
         raise InputError(f"{truth.path}: has no row {asked}; correct it, or give frames that it knows")
-    return replace(truth, series=tuple(one for one in kept if len(one)))
+    return joined(kept, header=truth.header, path=truth.path)
 
 
 def has_failed(evaluation: Evaluation) -> bool:
@@ -255,8 +255,8 @@ def tail_overlap(overlap: Array) -> float | None:
 
 def error_by_frame(rows: Sequence[Rows]) -> tuple[Whole, Array]:
     """(T,) frames and the mean error in pixels over the parts with one."""
-    frame, place = np.unique(joined(rows, "frame"), return_inverse=True)
-    error = joined(rows, "error")
+    frame, place = np.unique(column(rows, "frame"), return_inverse=True)
+    error = column(rows, "error")
     known = np.isfinite(error)
     count = np.bincount(place[known], minlength=len(frame))
     total = np.bincount(place[known], weights=error[known], minlength=len(frame))
@@ -265,8 +265,8 @@ def error_by_frame(rows: Sequence[Rows]) -> tuple[Whole, Array]:
 
 def cumulative(rows: Sequence[Rows]) -> Array | None:
     """(n,) share of the visible rows whose normalised error is at most each of CUMULATIVE_AT; None without a length."""
-    seen = joined(rows, "visible") & joined(rows, "placed") & np.isfinite(joined(rows, "unit"))
-    normalised = joined(rows, "error")[seen] / joined(rows, "unit")[seen]
+    seen = column(rows, "visible") & column(rows, "placed") & np.isfinite(column(rows, "unit"))
+    normalised = column(rows, "error")[seen] / column(rows, "unit")[seen]
     return share_up_to(normalised, CUMULATIVE_AT) if seen.any() else None
 
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 HOLD = 5  # frames in a row that make leaving, or coming back, more than an excursion
 FRACTION = 0.25  # of the target's size: the default limit
@@ -91,12 +91,12 @@ class Spread:
         return np.asarray(np.hypot(self.std[:, 0], self.std[:, 1]), dtype=np.float64)
 
 
-def target_size(tables: Sequence[Table], target: str) -> float:
+def target_size(tables: Sequence[Trajectory], target: str) -> float:
     """The target's size in its first frame, in pixels, as recipes measure lengths.
 
     The largest distance between two parts; of a single part the root of its box's area. 1.0 where neither is known.
     """
-    parts = [s for s in tables[0].series if s.target == target and len(s)]
+    parts = [s for s in tables[0].parts if s.target == target and len(s)]
     first = np.array([(s.x[0], s.y[0]) for s in parts])
     if len(parts) > 1:
         size = size_of_points(first)
@@ -106,7 +106,7 @@ def target_size(tables: Sequence[Table], target: str) -> float:
 
 
 def spreads(
-    seeds: Sequence[int], tables: Sequence[Table], fraction: float = FRACTION, truth: Sequence[Series] = ()
+    seeds: Sequence[int], tables: Sequence[Trajectory], fraction: float = FRACTION, truth: Sequence[Trajectory] = ()
 ) -> tuple[Spread, ...]:
     """The spread of every part over the runs `tables`, one a seed; `truth` are its series under the runs' names.
 
@@ -114,7 +114,7 @@ def spreads(
     """
     known = {(one.target, one.part): one for one in truth}
     found = []
-    for first in tables[0].series:
+    for first in tables[0].parts:
         name = (first.target, first.part)
         runs = [one for table in tables if (one := table.find(*name)) is not None]
         frames = runs[0].frame
@@ -127,7 +127,7 @@ def spreads(
     return tuple(found)
 
 
-def _truth_at(truth: Series | None, frames: Whole) -> Array | None:
+def _truth_at(truth: Trajectory | None, frames: Whole) -> Array | None:
     """(T, 2): the true centres in these frames, nan where they are not known."""
     if truth is None:
         return None

@@ -37,7 +37,7 @@ from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.evaluation.goldens import permutation_test as exchange
 from facetrack_cli.evaluation.goldens.identities import names, probability
 from facetrack_cli.evaluation.goldens.permutation_test import FAR
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 Name: TypeAlias = Literal[
     "x", "y", "w", "h", "angle", "std_x", "std_y", "ess", "step", "particles", "confidence", "lost", "identity"
@@ -151,13 +151,13 @@ class Verdict:
 # --- measuring -----------------------------------------------------------------------------------------------------
 
 
-def choose(tables: Sequence[Table]) -> tuple[Statistic, ...]:
+def choose(tables: Sequence[Trajectory]) -> tuple[Statistic, ...]:
     """The statistics that runs of this clip have: none that the tracker never gives, and nothing that is fixed."""
     found = []
     named = names(tables)
     for name, q in QUANTITIES.items():
-        for i, one in enumerate(tables[0].series):
-            values = np.stack([_values(name, table, table.series[i], named) for table in tables])
+        for i, one in enumerate(tables[0].parts):
+            values = np.stack([_values(name, table.parts[i], named) for table in tables])
             told = np.isfinite(values)
             if not told.any() or (name in _MAY_BE_FIXED and np.ptp(values[told]) < 1e-9):
                 continue
@@ -165,7 +165,9 @@ def choose(tables: Sequence[Table]) -> tuple[Statistic, ...]:
     return tuple(found)
 
 
-def measure(tables: Sequence[Table], statistics: Sequence[Statistic], named: Mapping[str, str] | None = None) -> Array:
+def measure(
+    tables: Sequence[Trajectory], statistics: Sequence[Statistic], named: Mapping[str, str] | None = None
+) -> Array:
     """(S, F), in whole units of each quantity, nan where a run has no value in a span.
 
     `named` is whose probability is meant of each target that is named; by default who most of these runs say it is.
@@ -176,12 +178,12 @@ def measure(tables: Sequence[Table], statistics: Sequence[Statistic], named: Map
     named = names(tables) if named is None else named
     for table in tables:
         known: dict[tuple[str, str], Array] = {}
-        by_name = {one.name: one for one in table.series}
+        by_name = {one.name: one for one in table.parts}
         row = []
         for s in statistics:
             one = by_name[s.series]
             if (s.quantity, s.series) not in known:
-                known[s.quantity, s.series] = _values(s.quantity, table, one, named)
+                known[s.quantity, s.series] = _values(s.quantity, one, named)
             inside: Mask = (one.frame >= s.first) & (one.frame <= s.last)
             values = known[s.quantity, s.series][inside]
             values = values[np.isfinite(values)]
@@ -222,7 +224,7 @@ def alike(recorded: Array) -> bool:
     return bool((np.nan_to_num(recorded) == np.nan_to_num(recorded[0])).all())
 
 
-def _steps(one: Series) -> Array:
+def _steps(one: Trajectory) -> Array:
     return np.hypot(np.diff(one.x, prepend=math.nan), np.diff(one.y, prepend=math.nan))
 
 
@@ -231,15 +233,15 @@ def _log(values: Array, offset: float | None) -> Array:
         return np.asarray(np.log(values + (offset or 0.0)))
 
 
-def _values(quantity: Name, table: Table, one: Series, named: Mapping[str, str]) -> Array:
+def _values(quantity: Name, one: Trajectory, named: Mapping[str, str]) -> Array:
     """(T,) of a series; of who it is, the probability of who its target is said to be."""
     if quantity == "identity":
-        return probability(table, one, named.get(one.target, ""))
+        return probability(one, named.get(one.target, ""))
     return _VALUES[quantity](one)
 
 
 _MAY_BE_FIXED: Final = ("w", "h", "angle", "particles")
-_VALUES: Final[dict[Name, Callable[[Series], Array]]] = {
+_VALUES: Final[dict[Name, Callable[[Trajectory], Array]]] = {
     "x": lambda one: one.x,
     "y": lambda one: one.y,
     "w": lambda one: _log(one.w, 0.0),

@@ -195,15 +195,15 @@ def _checked(path: Path, golden: Golden, status: Status, message: str) -> Checke
 
 
 def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) -> Checked:
-    tables = [run.table for run in runs]
-    seconds = sum(len(run.table.frames) / run.frames_per_s for run in runs)
+    tables = [run.trajectory for run in runs]
+    seconds = sum(len(run.trajectory.frames) / run.frames_per_s for run in runs)
     changed = differences(completed(golden.settings), to_dict(plan.recipe))
     notes = [f"recipe differs from the golden's: {', '.join(changed)}; {UPDATE}"] if changed else []
     gallery = _gallery(plan.recipe)
     if golden.gallery is not None and gallery is not None and checksum(gallery) != golden.gallery.sha256:
         notes.append(f"the gallery {gallery} is not the one recorded, {golden.gallery.file}; {UPDATE}")
     name, seeds = _name(golden), len(runs)
-    if shape := _other_shape(golden, tables[0].frames.tolist(), [one.name for one in tables[0].series]):
+    if shape := _other_shape(golden, tables[0].frames.tolist(), [one.name for one in tables[0].parts]):
         return Checked(path, golden.clip, name, "fails", shape, tuple(notes), seconds, seeds)
     verdict = judge(golden.statistics, golden.recorded, measure(tables, golden.statistics, golden.names))
     who = sentence(golden.names, tables)
@@ -297,7 +297,7 @@ def update(
         found = list(itertools.islice(runs, 1))
         if found and isinstance(found[0], SeedRun):
             found += itertools.islice(runs, len(one.seeds) - 1)
-        tables = [run.table for run in found if isinstance(run, SeedRun)]
+        tables = [run.trajectory for run in found if isinstance(run, SeedRun)]
         name = one.recipe.name
         if found and isinstance(found[0], Failure):
             yield Updated(one.clip.name, name, None, str(found[0].error))

@@ -34,7 +34,7 @@ from facetrack_cli.evaluation.goldens.bands import QUANTITIES, Name, Statistic
 from facetrack_cli.evaluation.goldens.identities import names
 from facetrack_cli.tracking.start.init_writer import record_of
 from facetrack_cli.trajectory.header import CorrectionHeader
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.images import listing
 
 FOLDER: Final = "goldens"
@@ -99,7 +99,7 @@ def find_goldens(folder: Path) -> list[Path]:
 
 
 def record(
-    tables: Sequence[Table],
+    tables: Sequence[Trajectory],
     *,
     clip: Path,
     recipe: str,

@@ -12,38 +12,32 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 
-def last_names(tables: Sequence[Table]) -> dict[str, Counter[str]]:
+def last_names(tables: Sequence[Trajectory]) -> dict[str, Counter[str]]:
     """How many runs end with which name, for each target that is named in any of them."""
     found: dict[str, Counter[str]] = {}
     for table in tables:
-        for one in table.told:
-            if named := [name for name in one.identity.tolist() if name]:
-                found.setdefault(one.target, Counter())[named[-1]] += 1
+        for target in table.targets:
+            if named := [name for name in table.of_target(target)[0].identity.tolist() if name]:
+                found.setdefault(target, Counter())[named[-1]] += 1
     return found
 
 
-def names(tables: Sequence[Table]) -> dict[str, str]:
+def names(tables: Sequence[Trajectory]) -> dict[str, str]:
     """The name of each target, the one with which most runs end; of as many, the first by the alphabet."""
     return {
         target: min(counted, key=lambda name: (-counted[name], name)) for target, counted in last_names(tables).items()
     }
 
 
-def probability(table: Table, one: Series, name: str) -> Array:
-    """(T,) of this name in each row of a series, 0 where another is more likely, nan where nobody is named."""
-    found = np.full(len(one), np.nan)
-    for told in table.told:
-        if told.target == one.target:
-            rows = np.searchsorted(one.frame, told.frame)
-            found[rows] = np.where(told.identity == name, told.identity_prob, 0.0)
-            found[rows[told.identity == ""]] = np.nan
-    return found
+def probability(one: Trajectory, name: str) -> Array:
+    """(T,) of this name in each row of a part, 0 where another is more likely, nan where nobody is named."""
+    return np.where(one.identity == "", np.nan, np.where(one.identity == name, one.identity_prob, 0.0))
 
 
-def sentence(recorded: Mapping[str, str], tables: Sequence[Table]) -> str:
+def sentence(recorded: Mapping[str, str], tables: Sequence[Trajectory]) -> str:
     """With which names runs end, as `grace in 4 of 4`, and of which target if there are several; "" for nobody."""
     counted = last_names(tables)
     said = []

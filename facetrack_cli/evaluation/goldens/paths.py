@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 HOLD: Final = 3  # frames in a row outside the band that make leaving more than noise
 WIDE: Final = 2.5  # times the median distance of runs from their median: three standard deviations of a normal one
@@ -49,12 +49,12 @@ class Leave:
         )
 
 
-def paths(tables: Sequence[Table]) -> tuple[Path, ...]:
+def paths(tables: Sequence[Trajectory]) -> tuple[Path, ...]:
     """The paths of runs over the same frames and parts, in tenths of pixels."""
     found = []
-    for i, one in enumerate(tables[0].series):
+    for i, one in enumerate(tables[0].parts):
         x, y = _medians(tables, i)
-        away = np.hypot([t.series[i].x - x for t in tables], [t.series[i].y - y for t in tables])
+        away = np.hypot([t.parts[i].x - x for t in tables], [t.parts[i].y - y for t in tables])
         reach = np.maximum(WIDE * _median(away), LEAST_PX)
         blocks = [reach[a : a + EVERY] for a in range(0, len(reach), EVERY)]
         widest = [float(block[np.isfinite(block)].max(initial=LEAST_PX)) for block in blocks]
@@ -62,7 +62,7 @@ def paths(tables: Sequence[Table]) -> tuple[Path, ...]:
     return tuple(found)
 
 
-def first_leave(recorded: Sequence[Path], tables: Sequence[Table]) -> Leave | None:
+def first_leave(recorded: Sequence[Path], tables: Sequence[Trajectory]) -> Leave | None:
     """Where the median of these runs first leaves the band of a path, for HOLD frames in a row; None if it does not."""
     leaves = []
     for i, path in enumerate(recorded):
@@ -73,13 +73,13 @@ def first_leave(recorded: Sequence[Path], tables: Sequence[Table]) -> Leave | No
         held = np.convolve(outside, np.ones(HOLD))[HOLD - 1 :] == HOLD
         if held.any():
             at = int(held.argmax())
-            frames: Whole = tables[0].series[i].frame
+            frames: Whole = tables[0].parts[i].frame
             leaves.append(Leave(int(frames[at]), path.series, float(distance[at]), float(reach[at])))
     return min(leaves, key=lambda leave: leave.frame, default=None)
 
 
-def _medians(tables: Sequence[Table], i: int) -> tuple[Array, Array]:
-    return _median(np.array([t.series[i].x for t in tables])), _median(np.array([t.series[i].y for t in tables]))
+def _medians(tables: Sequence[Trajectory], i: int) -> tuple[Array, Array]:
+    return _median(np.array([t.parts[i].x for t in tables])), _median(np.array([t.parts[i].y for t in tables]))
 
 
 def _median(values: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Series made ready for drawing: gaps, envelopes of long ones, spans, limits. Arrays alone, nothing of matplotlib."""
+"""Columns made ready for drawing: gaps, envelopes of long ones, spans, limits. Arrays alone, nothing of matplotlib."""
 
 from __future__ import annotations
 

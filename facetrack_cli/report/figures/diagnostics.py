@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy as np
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.report.figures.lines import Line, Panel, Pen, limit
 from facetrack_cli.report.figures.style import COLOURS, FAINT, HIDDEN, INK, clean
-from facetrack_cli.trajectory.diagnostics import SURE, ToldSeries
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.diagnostics import SURE, Diagnostic, Diagnostics
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,44 +21,54 @@ if TYPE_CHECKING:
 NAMED = 5  # people with a colour and a name, of more the most likely
 MOST = 6  # targets with a panel each for who they are
 _DASHED: dict[str, Any] = {"color": FAINT, "linewidth": 0.8, "linestyle": (0, (4, 2.5)), "zorder": 1.5}
+_ELSEWHERE = ("posterior", "affine")  # the panel of identities; the positions of the page
+_TRUE_SCALE = "dotted: ground truth, root of width × height"
 _TRUTH: dict[str, Any] = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 1.6)), "zorder": 3}
 
 
-def panels(table: Table, lines: Sequence[Line], pen: Pen) -> list[Panel]:
-    """The panels of what is known of the table's targets; none of a tracker that tells nothing."""
+def panels(table: Trajectory, lines: Sequence[Line], pen: Pen) -> list[Panel]:
+    """The panels of what is reported of the table's targets; none of a tracker that reports nothing."""
     groups = {line.ours.target: line.group for line in reversed(lines)}
-    told = [one for one in table.told if one.target in groups]
     several = len(groups) > 1
     found = list(_counts(table, lines, pen))
-    found += [_who(one, pen, one.target if several else "") for one in told[:MOST] if _known(one.beliefs()[1])]
+    identities = [target for target in table.targets if _known(table.beliefs(target)[2])]
+    found += [_who(table, target, pen, target if several else "") for target in identities[:MOST]]
+    reported = {target: one for target, one in table.diagnostics.items() if target in groups}
+    truths = [true for line in lines if line.pair is not None and (true := _scale(line.pair, reported)) is not None]
 
-    def add(title: str, note: str, key: str, height: float, ends: Sequence[float] = ()) -> None:
-        known = [one for one in told if _known(getattr(one, key))]
+    def add(one: Diagnostic) -> None:
+        known = {target: each for target, each in reported.items() if _known(each.get(one.name))}
+        title, note, height, ends = _LOOK.get(one.name, (one.name, one.meaning, 0.7, None))
+        unit = f" ({one.unit})" if one.unit else ""
+        bounds = ends(table) if ends is not None else ()
+        true = truths if one.name == "scale" else []
+        notes = [note, *(["dashed: its bounds"] if bounds else []), *([_TRUE_SCALE] if true else [])]
+        if (
+            one.name == "entropy"
+            and (most := max((len(each.labels.get("posterior", ())) for each in known.values()), default=0)) > 1
+        ):
+            notes.append(f"undecided among {most}: {np.log(most):.2f}")
 
         def draw(axes: Axes) -> None:
-            true = truths if key == "scale" else []
             # around 1 a scale's changes show best; what is 0 at best begins there
-            values = [*(getattr(one, key) for one in known), *(value for _, value in true), np.array(ends)]
-            limit(axes, values, None if key == "scale" else 0.0, 3)
-            for one in known:
-                pen.line(axes, one.frame, getattr(one, key), color=groups[one.target], linewidth=1.2)
-            for end in ends:
+            values = [*(each.get(one.name) for each in known.values()), *(value for _, value in true), np.array(bounds)]
+            limit(axes, values, 0.0 if one.least == 0 and one.name != "scale" else None, 3)
+            for target, each in known.items():
+                for column in np.atleast_2d(each.get(one.name).T):
+                    pen.line(axes, each.frame, column, color=groups[target], linewidth=1.2)
+            for end in bounds:
                 axes.axhline(end, **_DASHED)
             for frame, value in true:
                 pen.line(axes, frame, value, dot="o", **_TRUTH)
 
         if known:
-            found.append(Panel(title, note, height, draw))
+            found.append(Panel(title + unit, "; ".join(filter(None, notes)), height, draw))
 
-    truths = [true for line in lines if line.pair is not None and (true := _scale(line.pair, told)) is not None]
-    add("scale", "1 at the start" + ("; dotted: truth, root of width × height" if truths else ""), "scale", 0.85)
-    bounds = bounds_of(table.header)
-    note = "of the motion, relative to its usual"
-    add("noise η", note + ("; dashed: its bounds" if bounds else ""), "noise", 0.7, bounds[:2] if bounds else ())
-    add("error ε", "of the prediction; about 1 where the appearance model is right", "error", 0.7)
-    most = max((len(one.names) for one in told), default=0)
-    undecided = f"; undecided among {most}: {np.log(most):.2f}" if most > 1 else ""
-    add("entropy (nats)", "of the posterior" + undecided, "entropy", 0.55)
+    declared = {one.name: one for each in reported.values() for one in each.declared if one.name in each.values}
+    order = [*_LOOK, *(name for name in declared if name not in _LOOK)]
+    for name in order:
+        if name in declared and name not in _ELSEWHERE:
+            add(declared[name])
     return found
 
 
@@ -76,16 +86,31 @@ def bounds_of(header: Mapping[str, Any]) -> tuple[float, float, float] | None:
     return found[0], found[1], found[2]
 
 
+def _ends(table: Trajectory) -> tuple[float, ...]:
+    bounds = bounds_of(table.header)
+    return bounds[:2] if bounds else ()
+
+
+# title, note, height in inches, and where the axis has lines, of diagnostics that have a look of their own
+_LOOK: dict[str, tuple[str, str, float, Callable[[Trajectory], tuple[float, ...]] | None]] = {
+    "scale": ("scale", "1 at the start", 0.85, None),
+    "noise": ("noise η", "of the motion, relative to its usual", 0.7, _ends),
+    "error": ("error ε", "of the prediction; about 1 where the appearance model is right", 0.7, None),
+    "entropy": ("entropy", "of the posterior", 0.55, None),
+}
+
+
 def eta(error: Array, least: float, most: float, rate: float) -> Array:
     """Eq. 13: least + (most - least) tanh(error / rate)."""
     return np.asarray(least + (most - least) * np.tanh(error / rate))
 
 
-def adaptation(table: Table) -> Panel | None:
+def adaptation(table: Trajectory) -> Panel | None:
     """Figure 2(a): eta over the error, and a histogram of where this run's errors fell; None if it tells of none."""
     bounds = bounds_of(table.header)
     targets = table.targets
-    errors = np.concatenate([np.empty(0), *(one.error for one in table.told if one.target in targets)])
+    reported = [one for target, one in table.diagnostics.items() if target in targets]
+    errors = np.concatenate([np.empty(0), *(one.get("error") for one in reported)])
     errors = errors[np.isfinite(errors)]
     if bounds is None or not errors.size:
         return None
@@ -119,7 +144,7 @@ def adaptation(table: Table) -> Panel | None:
     return Panel("noise η over error ε", "; ".join(notes), 1.15, draw)
 
 
-def _counts(table: Table, lines: Sequence[Line], pen: Pen) -> Iterator[Panel]:
+def _counts(table: Trajectory, lines: Sequence[Line], pen: Pen) -> Iterator[Panel]:
     """The number of particles, where it changes."""
     first: dict[str, Line] = {}
     for line in lines:  # the parts of a target have the same
@@ -146,9 +171,9 @@ def _counts(table: Table, lines: Sequence[Line], pen: Pen) -> Iterator[Panel]:
     yield Panel("particles", "; ".join(filter(None, [f"mean {', '.join(means)}", dashed])), 0.85, draw)
 
 
-def _who(told: ToldSeries, pen: Pen, whose: str) -> Panel:
+def _who(table: Trajectory, target: str, pen: Pen, whose: str) -> Panel:
     """A line for each person; the likeliest have a colour and their name, the others are grey."""
-    names, values = told.beliefs()
+    frame, names, values = table.beliefs(target)
     most = np.where(np.isfinite(values), values, -1.0)
     # of those that ever mattered, the likeliest at the end first
     rank = np.lexsort((-most.max(axis=0), -np.round(most[-1], 2)))
@@ -160,7 +185,7 @@ def _who(told: ToldSeries, pen: Pen, whose: str) -> Panel:
                 leading.append(k)
     others = len(names) - len(leading)
     best = names[leading[0]]
-    passed = told.passed(best)
+    passed = table.recognised(target, best)
     sure = f"{clean(best, 24)} above {SURE:g} from frame {passed:,}" if passed is not None else f"nobody above {SURE:g}"
     grey = f"grey: {others} other{'s' * (others != 1)}" if others else ""
 
@@ -172,13 +197,13 @@ def _who(told: ToldSeries, pen: Pen, whose: str) -> Panel:
             axes.axvline(passed, **_DASHED)
         for k in rank[::-1].tolist():
             if k not in leading:
-                pen.line(axes, told.frame, values[:, k], color=HIDDEN, linewidth=0.6, alpha=0.6, zorder=1.6)
+                pen.line(axes, frame, values[:, k], color=HIDDEN, linewidth=0.6, alpha=0.6, zorder=1.6)
         for turn, k in reversed(list(enumerate(leading))):
-            pen.line(axes, told.frame, values[:, k], color=COLOURS[turn % len(COLOURS)], linewidth=1.3, zorder=2.5)
+            pen.line(axes, frame, values[:, k], color=COLOURS[turn % len(COLOURS)], linewidth=1.3, zorder=2.5)
         ends = [float(_last(values[:, k])) for k in leading]
         _labels(axes, ends, [clean(names[k], 24) for k in leading])
 
-    title = "posterior" if told.names else "identity"
+    title = "posterior" if target in table.diagnostics and table.diagnostics[target].labels else "identity"
     notes = [clean(whose, 24), sure, grey]
     return Panel(title, "; ".join(filter(None, notes)), 1.3, draw)
 
@@ -214,19 +239,19 @@ def _labels(axes: Axes, ends: Sequence[float], names: Sequence[str]) -> None:
         )
 
 
-def _scale(pair: Pair, told: Sequence[ToldSeries]) -> tuple[Whole, Array] | None:
-    """(frames, scale) of the true box relative to the first frame that it shares with what is told of its target."""
-    ours = next((one for one in told if one.target == pair.ours.target and _known(one.scale)), None)
-    if ours is None:
+def _scale(pair: Pair, reported: Mapping[str, Diagnostics]) -> tuple[Whole, Array] | None:
+    """(frames, scale) of the true box relative to the first frame that it shares with the reported scale."""
+    ours = reported.get(pair.ours.target)
+    if ours is None or not _known(ours.get("scale")):
         return None
     true = np.sqrt(pair.truth.w * pair.truth.h)
     true = np.where(np.isfinite(true) & (true > 0), true, np.nan)
     _, mine, theirs = np.intersect1d(ours.frame, pair.truth.frame, return_indices=True)
-    both = np.flatnonzero(np.isfinite(ours.scale[mine]) & np.isfinite(true[theirs]))
+    both = np.flatnonzero(np.isfinite(ours.get("scale")[mine]) & np.isfinite(true[theirs]))
     if not both.size:
         return None
     first = both[0]
-    return pair.truth.frame, true * (ours.scale[mine][first] / true[theirs][first])
+    return pair.truth.frame, true * (ours.get("scale")[mine][first] / true[theirs][first])
 
 
 def _last(value: Array) -> float:

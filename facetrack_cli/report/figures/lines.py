@@ -12,7 +12,7 @@ import numpy as np
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.report.figures.data import alone, beyond, envelope, frames_of, limits, spans
 from facetrack_cli.report.figures.style import ABSENT, COLOURS, DASHES, HIDDEN, INK, LOST, clean, line_style
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +40,7 @@ class Panel:
 class Line:
     """A part, its truth where there is one, and how it is drawn. `group` is the colour of its target."""
 
-    ours: Series
+    ours: Trajectory
     pair: Pair | None
     name: str
     look: dict[str, Any]
@@ -51,7 +51,7 @@ class Line:
         return str(self.look["color"])
 
 
-def lines_of(table: Table, pairs: Sequence[Pair]) -> list[Line]:
+def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
     """A line for each part.
 
     Each part of a single target has its own colour; of several targets each has one colour, as in the annotated video,
@@ -62,12 +62,12 @@ def lines_of(table: Table, pairs: Sequence[Pair]) -> list[Line]:
     several = len(targets) > 1
     places = dict.fromkeys(targets, 0)
     found = []
-    for number, s in enumerate(table.series):
+    for number, s in enumerate(table.parts):
         place, nth = targets.index(s.target), places[s.target]
         places[s.target] += 1
         group = COLOURS[place % len(COLOURS)]
-        if len(table.series) > MANY:
-            ramp = group if several else _ramp(number / (len(table.series) - 1))
+        if len(table.parts) > MANY:
+            ramp = group if several else _ramp(number / (len(table.parts) - 1))
             look: dict[str, Any] = {"color": ramp, "linewidth": 0.6, "alpha": 0.75}
         elif several:
             # the targets of a second round of colours would look like those of the first
@@ -79,9 +79,9 @@ def lines_of(table: Table, pairs: Sequence[Pair]) -> list[Line]:
     return found
 
 
-def _name(s: Series, table: Table) -> str:
+def _name(s: Trajectory, table: Trajectory) -> str:
     """As short as tells the parts apart: of several targets with a part each, the target's name."""
-    sole = sum(other.target == s.target for other in table.series) == 1
+    sole = sum(other.target == s.target for other in table.parts) == 1
     if len(table.targets) > 1:
         name = s.target if sole else f"{s.target}/{s.part}"
     else:

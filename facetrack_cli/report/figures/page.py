@@ -30,7 +30,7 @@ from facetrack_cli.report.figures.style import (
     style,
 )
 from facetrack_cli.report.figures.timeline import set_time
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,12 +41,12 @@ if TYPE_CHECKING:
 BINS = 1000  # about the pixels across a panel
 _TRUTH: dict[str, Any] = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 1.6)), "zorder": 3}
 
-Of = Callable[[Series], Array]
+Of = Callable[[Trajectory], Array]
 _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angle", "confidence", "particles", "ess"))
 
 
 def page_figure(
-    table: Table, pairs: Sequence[Pair] | None = None, *, title: str | None = None, width: float = WIDTH
+    table: Trajectory, pairs: Sequence[Pair] | None = None, *, title: str | None = None, width: float = WIDTH
 ) -> Figure:
     """Position, size, confidence, status, particles, spread and error over time: a panel each, of what is known.
 
@@ -59,12 +59,12 @@ def page_figure(
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
 
 
-def size(s: Series) -> Array:
+def size(s: Trajectory) -> Array:
     """(T,) the root of the area, pixels."""
     return np.asarray(np.sqrt(s.w * s.h))
 
 
-def spread(s: Series) -> Array:
+def spread(s: Trajectory) -> Array:
     """(T,) the standard deviation of both axes together, pixels."""
     return np.asarray(np.hypot(s.std_x, s.std_y))
 
@@ -81,7 +81,7 @@ def overlap(pair: Pair) -> Array:
     return np.where(pair.truth.status == "absent", np.nan, found)
 
 
-def _title(table: Table) -> str:
+def _title(table: Trajectory) -> str:
     source, recipe = table.header.get("source"), table.header.get("recipe")
     clip = source.get("path") if isinstance(source, dict) else None
     name = recipe.get("name") if isinstance(recipe, dict) else None
@@ -93,7 +93,7 @@ def _title(table: Table) -> str:
 
 
 class _Page:
-    def __init__(self, table: Table, pairs: Sequence[Pair], width: float) -> None:
+    def __init__(self, table: Trajectory, pairs: Sequence[Pair], width: float) -> None:
         self.table, self.width = table, width
         self.lines = lines_of(table, pairs)
         self.pairs = [line.pair for line in self.lines if line.pair is not None]
@@ -367,7 +367,7 @@ class _Page:
             axes.set_ylim(ends)
         self._strokes(axes, shown)
 
-    def _strokes(self, axes: Axes, shown: Sequence[tuple[Line, Series, Array]]) -> None:
+    def _strokes(self, axes: Axes, shown: Sequence[tuple[Line, Trajectory, Array]]) -> None:
         """A line each, or of many parts the median of each target within bands."""
         if not self.many:
             for line, s, value in shown:

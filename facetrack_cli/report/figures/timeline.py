@@ -8,7 +8,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array
 from facetrack_cli.report.figures.data import frames_of
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000)
 
 
-def set_time(top: Axes, bottom: Axes, table: Table, most: int = 11) -> bool:
+def set_time(top: Axes, bottom: Axes, table: Trajectory, most: int = 11) -> bool:
     """Limits and at most so many ticks of the shared axis of time: frames below, and seconds above if it says True."""
     from matplotlib.ticker import MaxNLocator
 
-    frames = frames_of([s.frame for s in table.series])
+    frames = frames_of([s.frame for s in table.parts])
     first, last = float(frames[0]), float(frames[-1])
     margin = max(0.5, 0.004 * (last - first), 1e-9 * last)
     bottom.set_xlim(first - margin, last + margin)
@@ -39,10 +39,10 @@ def set_time(top: Axes, bottom: Axes, table: Table, most: int = 11) -> bool:
     return True
 
 
-def times(table: Table) -> tuple[Array, Array] | None:
+def times(table: Trajectory) -> tuple[Array, Array] | None:
     """(frames, seconds) where seconds are known and increase, whatever the clip's rate; None if there are not two."""
-    one = len(frames_of([s.frame for s in table.series])) == len(table.series[0])
-    series = table.series[:1] if one else table.series  # all say the same
+    one = len(frames_of([s.frame for s in table.parts])) == len(table.parts[0])
+    series = table.parts[:1] if one else table.parts  # all say the same
     frame = np.concatenate([s.frame for s in series]).astype(np.float64)
     time_s = np.concatenate([s.time_s for s in series])
     known = np.isfinite(time_s)

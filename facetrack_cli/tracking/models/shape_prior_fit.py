@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.tracking.models.shape_prior import ShapePrior
-from facetrack_cli.trajectory.csv_reader import read_csv
-from facetrack_cli.trajectory.row import Row
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 SEEN = ("visible", "init", "tracked", "")
 LEAST_DISTANCE = 0.01  # mouth widths; a shape nearer than this to one that is kept adds nothing
@@ -64,7 +64,7 @@ def fit_prior(
         raise UsageError("no truth file is named; give one or more, such as clip.truth.csv")
     if max_shapes < 1:
         raise UsageError(f"at most {max_shapes} shapes leave no prior; keep 1 or more")
-    tables = [_read(path) for path in paths]
+    tables = [read_trajectory(path) for path in paths]
     names = tuple(parts) if parts is not None else _parts_of(tables[0])
     if len(set(names)) != len(names):
         raise UsageError(f"a part is named twice among {', '.join(names)}")
@@ -78,8 +78,8 @@ def fit_prior(
             )
     shapes: list[Array] = []
     files: list[FileReport] = []
-    for path, targets in zip(paths, tables, strict=True):
-        report, found = _shapes_of(path, targets, names, stable, scale)
+    for path, table in zip(paths, tables, strict=True):
+        report, found = _shapes_of(path, table, names, stable, scale)
         files.append(report)
         shapes.append(found)
     every = np.concatenate(shapes)
@@ -93,51 +93,36 @@ def suggested_sigma(prior: ShapePrior) -> float:
     return max(prior.spacing(), NARROWEST)
 
 
-Target = dict[int, dict[str, Row]]  # frame -> part -> row
-
-
-def _read(path: Path) -> dict[str, Target]:
-    targets: dict[str, Target] = {}
-    for row in read_csv(path):
-        frame = targets.setdefault(row.target, {}).setdefault(row.frame, {})
-        if row.part in frame:
-            raise InputError(
-                f"{path}: frame {row.frame} has part {row.part} of {row.target} twice; keep one row for each part"
-            )
-        frame[row.part] = row
-    if not targets:
-        raise InputError(f"{path}: there is no row in it; a truth file has one for each frame and part")
-    return targets
-
-
-def _parts_of(targets: dict[str, Target]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(part for target in targets.values() for frame in target.values() for part in frame))
+def _parts_of(trajectory: Trajectory) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(part for _, part in trajectory.names))
 
 
 def _shapes_of(
-    path: Path, targets: dict[str, Target], names: tuple[str, ...], stable: str, scale: tuple[str, str]
+    path: Path, trajectory: Trajectory, names: tuple[str, ...], stable: str, scale: tuple[str, str]
 ) -> tuple[FileReport, Array]:
-    missing = [name for name in names if name not in _parts_of(targets)]
+    missing = [name for name in names if name not in _parts_of(trajectory)]
     if missing:
         raise InputError(
             f"{path}: there is no part {', '.join(missing)}; annotate it, or name the parts to learn with --parts"
         )
     shapes: list[Array] = []
-    for target, frames in targets.items():
-        seen = [(number, points) for number in sorted(frames) if (points := _points(frames[number], names)) is not None]
-        if not seen:
+    total = 0
+    for target in trajectory.targets:
+        frames, points = _points(trajectory.of_target(target), names)
+        total += len(frames)
+        seen = np.isfinite(points).all(axis=(1, 2))
+        if not seen.any():
             continue
-        number, first = seen[0]
+        first = points[seen][0]
         left, right = (first[names.index(name)] for name in scale)
         length = math.hypot(*(right - left))
         if length < 1.0:
             raise InputError(
-                f"{path}: frame {number}: {scale[0]} and {scale[1]} of {target} are {length:.2f} pixels apart, "
-                "which gives no scale; correct them"
+                f"{path}: frame {frames[seen][0]}: {scale[0]} and {scale[1]} of {target} are {length:.2f} pixels "
+                "apart, which gives no scale; correct them"
             )
-        moved = np.stack([points for _, points in seen]) - first
+        moved = points[seen] - first
         shapes.append((moved - moved[:, [names.index(stable)]]) / length)
-    total = sum(len(frames) for frames in targets.values())
     if not shapes:
         raise InputError(
             f"{path}: none of its {total} frames shows all of {', '.join(names)}; "
@@ -153,12 +138,16 @@ def _shapes_of(
     return FileReport(path, total, len(found)), found
 
 
-def _points(frame: dict[str, Row], names: tuple[str, ...]) -> Array | None:
-    rows = [frame.get(name) for name in names]
-    places = [(row.x, row.y) for row in rows if row is not None and row.status in SEEN]
-    if len(places) < len(names) or any(x is None or y is None for x, y in places):
-        return None
-    return np.array(places, np.float64)
+def _points(parts: Sequence[Trajectory], names: Sequence[str]) -> tuple[Whole, Array]:
+    """(T,) frames of a target and (T, names, 2) the places of its parts, nan where one is not seen."""
+    frames = np.unique(np.concatenate([one.frame for one in parts]))
+    points = np.full((len(frames), len(names), 2), np.nan)
+    for one in parts:
+        if one.part in names:
+            seen = np.isin(one.status, SEEN)
+            at = np.searchsorted(frames, one.frame[seen])
+            points[at, names.index(one.part)] = np.stack([one.x, one.y], axis=1)[seen]
+    return frames, points
 
 
 def _spread_out(flat: Array, most: int) -> list[int]:

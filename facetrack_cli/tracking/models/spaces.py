@@ -13,12 +13,15 @@ AffineSpace   x, y, a1, a2, a3, a4       the box of the start, turned, scaled an
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from facetrack_cli.core.types import Array, Box, Particles
+from facetrack_cli.tracking.models.patches import scale_of
+from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostic
 
 
 class Estimate(NamedTuple):
@@ -36,7 +39,16 @@ class Outline(NamedTuple):
 
 
 class Space(Protocol):
-    """What a state is in the picture. Its first two coordinates are the centre of the part, in pixels."""
+    """What a state is in the image. Its first two coordinates are the centre of the part, in pixels.
+
+    `diagnostics` are declared by spaces that report more than image geometry, and `diagnose` gives their values.
+    """
+
+    diagnostics: ClassVar[tuple[Diagnostic, ...]] = ()
+
+    def diagnose(self, estimated: Estimate) -> Mapping[str, Any]:
+        """The value of each diagnostic by its name."""
+        return {}
 
     def windows(self, estimated: Estimate) -> Array:
         """(K, 2): width and height in pixels of each part."""
@@ -99,6 +111,7 @@ class AffineSpace(Space):
     """
 
     size: tuple[float, float]
+    diagnostics: ClassVar = (SCALE, AFFINE)
 
     def windows(self, estimated: Estimate) -> Array:
         _, _, a1, a2, a3, a4 = estimated.state[0].tolist()
@@ -109,6 +122,10 @@ class AffineSpace(Space):
         state = affine_state_of_box(*box)
         state[0, [2, 5]] = box[2] / self.size[0], box[3] / self.size[1]
         return state
+
+    def diagnose(self, estimated: Estimate) -> Mapping[str, Any]:
+        x, y, *deformation = estimated.state[0].tolist()
+        return {"scale": float(scale_of(estimated.state[None])[0, 0]), "affine": (*deformation, x, y)}
 
     def outline(self, estimated: Estimate) -> Outline:
         cx, cy, a1, a2, a3, a4 = estimated.state[0].tolist()

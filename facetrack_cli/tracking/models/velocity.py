@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import ClassVar, Protocol, TypeAlias
 
 import cv2
 import numpy as np
@@ -41,6 +41,7 @@ from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.tracking.filters import Ahead
 from facetrack_cli.tracking.kernels.least_squares import differences, gain, mapped
 from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.trajectory.diagnostics import ERROR, NOISE
 
 Rows: TypeAlias = NDArray[np.float32]
 # of the largest singular value: directions in which the patches differ by less are rounding
@@ -103,6 +104,7 @@ class Guide:
     velocity: Velocity | None
     noise: Noise | None
     particles: int
+    diagnostics: ClassVar = (NOISE, ERROR)
 
     def begin(self, rng: np.random.Generator, frame: Frame, x0: Array, motion: Moves) -> Flow:
         """The flow after the first frame, with the target at x0 (1, 6)."""

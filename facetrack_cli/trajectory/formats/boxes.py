@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,13 +29,13 @@ from facetrack_cli.trajectory.formats.lines import (
     read_text,
     whole,
 )
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 LTWH = "left,top,width,height"
 BOX_COLUMNS = ("frame", "x", "y", "w", "h")
 
 
-def read_boxes(path: Path, *, shift: int = 0) -> Table:
+def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
     """CSV with the header frame,x,y,w,h: frames from 0, the left and top edges in pixels from 0."""
     header, *lines = lines_with_frame(read_text(path))
     names = [name.strip().strip('"').lower() for name in header.text.split(",")]
@@ -53,17 +54,17 @@ def read_boxes(path: Path, *, shift: int = 0) -> Table:
     values = numbers(path, lines, len(names), ",".join(names), [names.index(name) for name in BOX_COLUMNS])
     frame = whole(path, lines, values[:, 0], "frame", 0)
     no_frame_twice(path, lines, frame[:, None], "frame")
-    return _table(path, boxes(path, lines, frame + shift, values[:, 1:]), "boxes: frame,x,y,w,h, all from 0")
+    return _read(path, boxes(path, lines, frame + shift, values[:, 1:]), "boxes: frame,x,y,w,h, all from 0")
 
 
-def read_otb(path: Path, *, shift: int = 0) -> Table:
+def read_otb(path: Path, *, shift: int = 0) -> Trajectory:
     """OTB text: a box a line, pixels from 1; line i, from 0, is frame i + `shift`."""
     lines = lines_by_frame(path, read_text(path))
     found = boxes(path, lines, _frames(lines, shift), _from_one(path, lines))
-    return _table(path, found, f"OTB text: {LTWH} a line, pixels from 1 (--truth-format vot: from 0)")
+    return _read(path, found, f"OTB text: {LTWH} a line, pixels from 1 (--truth-format vot: from 0)")
 
 
-def read_got10k(path: Path, *, shift: int = 0) -> Table:
+def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
     """GOT-10k text: a box a line, pixels from 1, with absence.label and cover.label where they lie beside it."""
     lines = lines_by_frame(path, read_text(path))
     absence, cover = (_labels(path.parent / f"{name}.label", path, len(lines)) for name in ("absence", "cover"))
@@ -77,38 +78,38 @@ def read_got10k(path: Path, *, shift: int = 0) -> Table:
     used = " and ".join(
         f"{name}.label" for name, there in (("absence", absence), ("cover", cover)) if there is not None
     )
-    return _table(path, found, f"GOT-10k text: {LTWH} a line, pixels from 1{', with ' if used else ''}{used}")
+    return _read(path, found, f"GOT-10k text: {LTWH} a line, pixels from 1{', with ' if used else ''}{used}")
 
 
-def write_otb(series: Series) -> str:
+def write_otb(one: Trajectory) -> str:
     """A box a line, pixels from 1, at most 4 decimals: `read_otb` with the first frame as `shift` gives it back.
 
     The format has no frame numbers: line 1 is the series' first frame, as in OTB's own files of clips that begin late
     (David at frame 300). A place that is not known is nan,nan,nan,nan. Lost rows are written: they are the estimate.
     Raises InputError for a gap between frames, or a row with a place and no size.
     """
-    gaps = np.flatnonzero(np.diff(series.frame) != 1)
+    gaps = np.flatnonzero(np.diff(one.frame) != 1)
     if gaps.size:
         at = gaps[0]
         raise InputError(
-            f"{series.name}: no row between frames {series.frame[at]} and {series.frame[at + 1]}, and a format without "
+            f"{one.name}: no row between frames {one.frame[at]} and {one.frame[at + 1]}, and a format without "
             "frame numbers has no room for a gap; export to mot or vot"
         )
-    return "".join(",".join([decimal(v) for v in box]) + "\n" for box in (known_boxes(series) + FROM_ONE).tolist())
+    return "".join(",".join([decimal(v) for v in box]) + "\n" for box in (known_boxes(one) + FROM_ONE).tolist())
 
 
-def write_got10k(series: Series) -> str:
+def write_got10k(one: Trajectory) -> str:
     """As `write_otb`: both count pixels from 1 and keep a box a line. The toolkit wants it as `<clip>_001.txt`."""
-    return write_otb(series)
+    return write_otb(one)
 
 
-def known_boxes(series: Series) -> Array:
+def known_boxes(one: Trajectory) -> Array:
     """(T, 4) left, top, width, height from 0; nan where the place is not known. InputError for a place without size."""
-    found = series.boxes
-    sizeless = np.flatnonzero(np.isnan(found).any(axis=1) & ~np.isnan(series.x))
+    found = one.boxes
+    sizeless = np.flatnonzero(np.isnan(found).any(axis=1) & ~np.isnan(one.x))
     if sizeless.size:
         raise InputError(
-            f"{series.name}: frame {series.frame[sizeless[0]]} has no w and h, and these formats hold boxes; "
+            f"{one.name}: frame {one.frame[sizeless[0]]} has no w and h, and these formats hold boxes; "
             "export points to coco or dlc"
         )
     return found
@@ -135,5 +136,5 @@ def _labels(path: Path, boxes_file: Path, rows: int) -> Array | None:
     return found
 
 
-def _table(path: Path, found: Series, read_as: str) -> Table:
-    return Table(path, (found,), {"read_as": read_as})
+def _read(path: Path, found: Trajectory, read_as: str) -> Trajectory:
+    return replace(found, path=path, header={"read_as": read_as})

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from facetrack_cli.trajectory.select import Around, by_target, enclose
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.select import Around, enclose
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 EDGES = (
     ("nose", "lip_upper"),
@@ -38,14 +38,15 @@ SEEN = ("", "init", "tracked", "visible")
 
 
 def write_coco(
-    table: Table, size: tuple[int, int], file_name: Callable[[int], str], *, around: Around = "windows"
+    table: Trajectory, size: tuple[int, int], file_name: Callable[[int], str], *, around: Around = "windows"
 ) -> str:
     """The JSON text. `size` is the picture's (width, height); `file_name` gives the image of a 0-based frame.
 
     `bbox` is the target's box as `enclose` says. Raises InputError for windows of parts that have none.
     """
     categories, annotations = [], []
-    for ident, (target, parts) in enumerate(by_target(table), 1):
+    for ident, target in enumerate(table.targets, 1):
+        parts = table.of_target(target)
         points = [] if [one.part for one in parts] == ["box"] else list(parts)
         categories.append(_category(ident, target, points))
         annotations += _annotations(ident, enclose(parts, around), points)
@@ -63,7 +64,7 @@ def write_coco(
     return f'{{\n"info": {_json(info)},\n"licenses": [],\n{lists}\n}}\n'
 
 
-def _category(ident: int, target: str, points: list[Series]) -> dict[str, Any]:
+def _category(ident: int, target: str, points: list[Trajectory]) -> dict[str, Any]:
     name = target or "target"
     if not points:
         return {"id": ident, "name": name, "supercategory": ""}
@@ -73,7 +74,7 @@ def _category(ident: int, target: str, points: list[Series]) -> dict[str, Any]:
     return {"id": ident, "name": name, "supercategory": "", "keypoints": names, "skeleton": skeleton}
 
 
-def _annotations(ident: int, box: Series, points: list[Series]) -> list[dict[str, Any]]:
+def _annotations(ident: int, box: Trajectory, points: list[Trajectory]) -> list[dict[str, Any]]:
     rows: dict[int, dict[str, Any]] = {}
     for frame, ltwh, confidence in zip(box.frame.tolist(), box.boxes.tolist(), box.confidence.tolist(), strict=True):
         if not math.isfinite(sum(ltwh)):

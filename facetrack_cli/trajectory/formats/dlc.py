@@ -16,15 +16,14 @@ import io
 
 import numpy as np
 
-from facetrack_cli.trajectory.row import DECIMALS
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory
 
 COORDS = ("x", "y", "likelihood")
 
 
-def write_dlc(table: Table, scorer: str = "facetrack") -> str:
+def write_dlc(table: Trajectory, scorer: str = "facetrack") -> str:
     """The text of the file; every target's parts in the table's order. `scorer` names what tracked."""
-    columns = [(one, coord) for one in table.series for coord in COORDS]
+    columns = [(one, coord) for one in table.parts for coord in COORDS]
     heads = [["scorer", *[scorer] * len(columns)]]
     if len(table.targets) > 1:
         heads.append(["individuals", *(one.target for one, _ in columns)])
@@ -32,7 +31,7 @@ def write_dlc(table: Table, scorer: str = "facetrack") -> str:
     heads.append(["coords", *(coord for _, coord in columns)])
     frames = table.frames
     cells = np.full((len(frames), len(columns)), "", dtype=object)
-    for k, one in enumerate(table.series):
+    for k, one in enumerate(table.parts):
         rows = np.searchsorted(frames, one.frame)
         known = np.isfinite(one.x) & np.isfinite(one.y)
         for c, (values, name) in enumerate(((one.x, "x"), (one.y, "y"), (one.confidence, "confidence"))):

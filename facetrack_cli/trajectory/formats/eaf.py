@@ -24,8 +24,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory.formats.head_motion import head_motion, kinds_of
-from facetrack_cli.trajectory.select import by_target
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 SCHEMA = "http://www.mpi.nl/tools/elan/EAFv3.0.xsd"
@@ -62,13 +61,13 @@ VOCABULARIES = {
 FRAME_S = 0.04  # how long a single frame lasts where nothing tells
 
 
-def write_eaf(table: Table, media: Path, folder: Path, *, written: datetime) -> str:
+def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime) -> str:
     """The XML text. `media` is the video that the times belong to, `folder` where the file will stand.
 
     Raises InputError when rows have no time, or times that do not increase from frame to frame.
     """
     begin, end = _times(table)
-    tiers = [tier for target, parts in by_target(table) for tier in _tiers(target, parts)]
+    tiers = [tier for target in table.targets for tier in _tiers(target, table.of_target(target))]
     root = ET.Element(
         "ANNOTATION_DOCUMENT",
         {
@@ -115,7 +114,7 @@ def write_eaf(table: Table, media: Path, folder: Path, *, written: datetime) -> 
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def spans_of(parts: Sequence[Series], status: str = "lost") -> list[tuple[int, int, str]]:
+def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[int, int, str]]:
     """First and last frame, and the names of the parts lost in them, for one target; split where other parts are.
 
     The same of any other `status`, as absent.
@@ -135,7 +134,7 @@ def spans_of(parts: Sequence[Series], status: str = "lost") -> list[tuple[int, i
     return found
 
 
-def _tiers(target: str, parts: Sequence[Series]) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
+def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
     """Kind, target, and its spans; a kind that the parts can tell has a tier also if nothing was found."""
     name = target or "target"
     yield "lost", name, spans_of(parts)
@@ -146,13 +145,9 @@ def _tiers(target: str, parts: Sequence[Series]) -> Iterator[tuple[str, str, lis
         yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
 
 
-def _times(table: Table) -> tuple[dict[int, int], dict[int, int]]:
+def _times(table: Trajectory) -> tuple[dict[int, int], dict[int, int]]:
     """When each frame begins and when the next one does, in milliseconds, by frame."""
-    frames = table.frames
-    time_s = np.full(len(frames), np.nan)
-    for one in table.series:
-        rows = np.searchsorted(frames, one.frame)
-        time_s[rows] = np.where(np.isfinite(one.time_s), one.time_s, time_s[rows])
+    frames, time_s = table.frames, table.times
     unknown = np.flatnonzero(~np.isfinite(time_s))
     if unknown.size:
         raise InputError(f"frame {frames[unknown[0]]} has no time_s, and annotations need times; fill that column")

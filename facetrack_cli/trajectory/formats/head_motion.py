@@ -37,7 +37,7 @@ import numpy as np
 
 from facetrack_cli.core.spans import runs
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.trajectory.table import Series
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 LIGHT_S = 0.04  # smoothing of swings: a nod of 6 Hz keeps a third of its height
 
@@ -115,7 +115,7 @@ class Pose:
     begins: Mask
 
 
-def head_motion(parts: Sequence[Series]) -> list[Span]:
+def head_motion(parts: Sequence[Trajectory]) -> list[Span]:
     """The motion of one target, given the series of its parts; kinds in the table's order, spans in order of time.
 
     Spans of one kind do not overlap. `time_s` of the rows must be known and increase.
@@ -128,7 +128,7 @@ def head_motion(parts: Sequence[Series]) -> list[Span]:
 KINDS = (*LABELS, "nods", "still")
 
 
-def kinds_of(parts: Sequence[Series]) -> tuple[str, ...]:
+def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
     """The kinds that can be told of a target with these parts at all: a single point has neither angle nor size."""
     pose = read_pose(parts)
     missing = {kind for kind, signal in (("tilt", pose.angle), ("size", pose.size)) if signal is None}
@@ -138,7 +138,7 @@ def kinds_of(parts: Sequence[Series]) -> tuple[str, ...]:
 # --- from parts to one pose --------------------------------------------------------------------------------------
 
 
-def read_pose(parts: Sequence[Series]) -> Pose:
+def read_pose(parts: Sequence[Trajectory]) -> Pose:
     """The signals of one target from its parts, which may have rows in different frames."""
     frame = np.unique(np.concatenate([part.frame for part in parts]))
     shape = len(frame), len(parts)

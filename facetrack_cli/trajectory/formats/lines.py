@@ -13,8 +13,8 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.trajectory.limits import MAX_FRAME, MAX_PIXELS, refuse_pipe
-from facetrack_cli.trajectory.table import Series, series
+from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, refuse_pipe
+from facetrack_cli.trajectory.trajectory import Trajectory, one_part
 
 FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # what boxes (..., 4) that are counted from 1 have too much
 
@@ -153,7 +153,7 @@ def boxes(
     status: np.ndarray[tuple[int], np.dtype[np.str_]] | None = None,
     no_area_is_absent: bool = False,
     **columns: Array | None,
-) -> Series:
+) -> Trajectory:
     """One series of boxes (T, 4) left, top, width, height from 0. A row of nan, or without width and height, is absent.
 
     `status` (T,) may say hidden or absent already; rows that it calls absent may hold any box, which is not kept.
@@ -175,7 +175,7 @@ def boxes(
             if rows.size:
                 raise InputError(f"{path}:{lines[rows[0]].number}: {why}")
     known = np.where(absent[:, None], np.nan, ltwh)
-    return series(
+    return one_part(
         target,
         "box",
         frame,

@@ -31,7 +31,7 @@ from facetrack_cli.trajectory.formats.lines import (
     read_text,
     whole,
 )
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 COLUMNS = {
     6: "frame,id,left,top,width,height",
@@ -41,7 +41,7 @@ COLUMNS = {
 }
 
 
-def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Table:
+def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Trajectory:
     """A series for each id. `results` says that column 7 is a confidence (True) or a flag (False); None: look.
 
     Raises InputError, with the line, for what is no MOTChallenge text, and for two rows of one frame and id.
@@ -85,10 +85,10 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Tabl
             )
     dropped = np.count_nonzero(~considered)
     left_out = f", {dropped} rows of flag 0 left out" if dropped else ""
-    return Table(path, tuple(found), {"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"})
+    return joined(found, path=path, header={"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"})
 
 
-def write_mot(chosen: Sequence[Series]) -> str:
+def write_mot(chosen: Sequence[Trajectory]) -> str:
     """Results of MOTChallenge, sorted by frame: ten values a row, at most 4 decimals; conf is -1 where not known.
 
     A series is an id: its target's name if all are numbers and differ, else 1, 2, ... in their order. Lost rows are

@@ -22,8 +22,8 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.formats.lines import read_text
-from facetrack_cli.trajectory.limits import MAX_FRAME, MAX_PIXELS
-from facetrack_cli.trajectory.table import Table, series
+from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
+from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
 
 TARGET = "face"
 # iBUG's numbers of the 68 points, from 1; left and right as seen in the picture, which is where iBUG begins to count
@@ -31,7 +31,7 @@ NAMED = {"nose": 31, "mouth_left": 49, "mouth_right": 55, "lip_upper": 52, "lip_
 _HEAD = re.compile(r"version:\s*\S+\s+n_points:\s*(\d{1,4})\s*\{", re.IGNORECASE)
 
 
-def read_pts(path: Path, *, shift: int = 0) -> Table:
+def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
     """A folder of .pts files, each numbered by the last digits of its name, or one file. A row of nan is absent.
 
     Raises InputError, with file and line, for what is no .pts file, for two files of one frame, and if their numbers of
@@ -62,8 +62,8 @@ def read_pts(path: Path, *, shift: int = 0) -> Table:
     numbers = [*parts.values(), *range(1, count + 1)]
     frame = np.array(list(frames), dtype=np.int64) - 1 + shift
     absent = np.isnan(xy[:, :, 0])
-    found_series = tuple(
-        series(
+    parts_found = [
+        one_part(
             TARGET,
             name,
             frame,
@@ -72,9 +72,10 @@ def read_pts(path: Path, *, shift: int = 0) -> Table:
             status=np.where(absent[:, number - 1], "absent", "visible"),
         )
         for name, number in zip(names, numbers, strict=True)
-    )
+    ]
     unnamed = "" if parts else ", which have no names of ours"
-    return Table(path, found_series, {"read_as": f".pts: {count} points{unnamed}, files and pixels from 1"})
+    header = {"read_as": f".pts: {count} points{unnamed}, files and pixels from 1"}
+    return joined(parts_found, path=path, header=header)
 
 
 def _files(path: Path) -> list[Path]:

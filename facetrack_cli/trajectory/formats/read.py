@@ -24,21 +24,20 @@ from facetrack_cli.trajectory.formats.lines import delimiter, lines_with_frame, 
 from facetrack_cli.trajectory.formats.mot import read_mot
 from facetrack_cli.trajectory.formats.pts import read_pts
 from facetrack_cli.trajectory.formats.vot import read_vot
-from facetrack_cli.trajectory.limits import MAX_FRAME
-from facetrack_cli.trajectory.row import REQUIRED
-from facetrack_cli.trajectory.table import Table, read_trajectory
+from facetrack_cli.trajectory.reader import MAX_FRAME, REQUIRED, read_trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 FORMATS: Final = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
 
 
 class _Reader(Protocol):
-    def __call__(self, path: Path, *, shift: int = 0) -> Table: ...
+    def __call__(self, path: Path, *, shift: int = 0) -> Trajectory: ...
 
 
-def _read_facetrack(path: Path, *, shift: int = 0) -> Table:
+def _read_facetrack(path: Path, *, shift: int = 0) -> Trajectory:
     table = read_trajectory(path)
-    moved = tuple(replace(one, frame=one.frame + shift) for one in table.series)
-    return replace(table, series=moved, told=(), header={**table.header, "read_as": "facetrack's own table"})
+    header = {**table.header, "read_as": "facetrack's own table"}
+    return replace(table, frame=table.frame + shift, diagnostics={}, header=header)
 
 
 _READERS: Final[dict[str, _Reader]] = {
@@ -52,7 +51,7 @@ _READERS: Final[dict[str, _Reader]] = {
 }
 
 
-def read_truth(path: Path, form: str = "auto", *, shift: int = 0) -> Table:
+def read_truth(path: Path, form: str = "auto", *, shift: int = 0) -> Trajectory:
     """The truth in a file or folder, read as `form`, one of FORMATS; `auto` goes by the shape.
 
     `shift` is added to every frame number. Of the table, `header["read_as"]` says in words how it was read, and
@@ -70,7 +69,7 @@ def read_truth(path: Path, form: str = "auto", *, shift: int = 0) -> Table:
     return replace(table, header={**table.header, "shift": shift})
 
 
-def read_results(path: Path, form: str = "auto") -> Table:
+def read_results(path: Path, form: str = "auto") -> Trajectory:
     """A trajectory of ours, or what another tracker wrote: a file in one of FORMATS, read as `form` or by its shape.
 
     Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
@@ -88,9 +87,8 @@ def read_results(path: Path, form: str = "auto") -> Table:
         # its seventh column is a confidence, also where all are 0 or 1
         table = read_mot(path, results=True) if shape == "mot" else _READERS[shape](path)
     read_as = str(table.header["read_as"]).replace("--truth-format", "--format")
-    said = [np.where(np.isin(one.status, ("visible", "hidden", "absent")), "", one.status) for one in table.series]
-    series = tuple(replace(one, status=status) for one, status in zip(table.series, said, strict=True))
-    return replace(table, series=series, header={**table.header, "read_as": read_as})
+    status = np.where(np.isin(table.status, ("visible", "hidden", "absent")), "", table.status)
+    return replace(table, status=status, header={**table.header, "read_as": read_as})
 
 
 @contextmanager

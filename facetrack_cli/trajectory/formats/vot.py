@@ -20,18 +20,18 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Texts
+from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.formats.boxes import known_boxes
 from facetrack_cli.trajectory.formats.lines import Line, boxes, decimal, delimiter, lines_by_frame, numbers, read_text
-from facetrack_cli.trajectory.limits import MAX_PIXELS
-from facetrack_cli.trajectory.table import Series, Table
+from facetrack_cli.trajectory.reader import MAX_PIXELS
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 REGION = "left,top,width,height or x1,y1,...,x4,y4"
 UNKNOWN, INIT, FAILURE = 0, 1, 2
 MOST_LINES = 10**7  # four days of video
 
 
-def read_vot(path: Path, *, shift: int = 0) -> Table:
+def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
     """VOT truth or results; line i, counted from 0, is frame i + `shift`.
 
     Raises InputError, with the line, for masks, polygons of other than four corners, and what is no region at all.
@@ -63,14 +63,19 @@ def read_vot(path: Path, *, shift: int = 0) -> Table:
     kept = np.flatnonzero(codes != UNKNOWN) if result else np.arange(t)
     found = boxes(path, [lines[row] for row in kept], kept + shift, ltwh[kept])
     where = np.where(np.isnan(found.x)[:, None, None], np.nan, corners[kept])
-    header = {"read_as": "VOT text: pixels from 0"}
-    if not result:
-        return Table(path, (_with(found, found.status, where),), header)
-    status = np.select([codes[kept] == INIT, np.isnan(found.x)], ["init", "lost"], "tracked")
-    return Table(path, (_with(found, status, where),), {"read_as": "VOT result: pixels from 0"})
+    status = found.status
+    if result:
+        status = np.select([codes[kept] == INIT, np.isnan(found.x)], ["init", "lost"], "tracked")
+    return replace(
+        found,
+        status=status,
+        corners=None if np.isnan(where).all() else where,
+        path=path,
+        header={"read_as": f"VOT {'result' if result else 'text'}: pixels from 0"},
+    )
 
 
-def write_vot(one: Series) -> str:
+def write_vot(one: Trajectory) -> str:
     """A result of vot-toolkit from frame 0 on: 1 in the first frame of the series, then a region a line, 4 decimals.
 
     Frames before the first and in gaps are 0, a place that is not known is 2. Lost rows are written: they are the
@@ -120,7 +125,3 @@ def _corners(path: Path, lines: list[Line], values: Array) -> Array:
             if wrong.any():
                 raise InputError(f"{path}:{lines[np.flatnonzero(wrong)[0]].number}: {why}")
     return values.reshape(-1, 4, 2)
-
-
-def _with(found: Series, status: Texts, corners: Array) -> Series:
-    return replace(found, status=status, corners=None if np.isnan(corners).all() else corners)

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Image, Status
+from facetrack_cli.core.types import Array, Image
+from facetrack_cli.trajectory.trajectory import Status
 
 Colour = tuple[int, int, int]  # blue, green, red
 Points = NDArray[np.int32]

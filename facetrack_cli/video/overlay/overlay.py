@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from facetrack_cli.core.types import BOX, Array, Image, PartResult, Result, TargetResult
+from facetrack_cli.core.types import BOX, Array, Image, Mask
+from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult, Trajectory
 from facetrack_cli.video.overlay.insets import Insets, Rect, Shown
 from facetrack_cli.video.overlay.marks import LOST, PALETTE, WHITE, Colour, Points, dashes, fixed, ink, mark, polylines
 from facetrack_cli.video.overlay.status_bar import StatusBar
@@ -34,16 +34,19 @@ _RIM = 0.7  # opacity of the dark rim around all lines
 _CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 33)[:-1]) for f in (np.cos, np.sin)], axis=1)  # (32, 2)
 
 
-class _Shape(NamedTuple):
-    """The drawable parts of a target: centres (K, 2), corners (K, 4, 2), windows' bounds (K, 4) as x0, y0, x1, y1."""
+class Shape(NamedTuple):
+    """The K drawable parts of a target: centres, sizes (K, 2), corners (K, 4, 2), bounds (K, 4) as x0, y0, x1, y1."""
 
-    target: TargetResult
-    parts: tuple[PartResult, ...]
-    columns: list[int]  # of the cloud
+    target: str
+    rows: Trajectory
+    parts: tuple[str, ...]
+    cloud: Array
+    insets: tuple[tuple[str, Image], ...]
     centres: Array
+    sizes: Array
     corners: Array
     bounds: Array
-    lost: NDArray[np.bool_]
+    lost: Mask
     colour: Colour
 
 
@@ -52,7 +55,7 @@ class _Past(NamedTuple):
     number: int
     parts: tuple[str, ...]
     centres: Array
-    lost: NDArray[np.bool_]
+    lost: Mask
 
 
 class Overlay:
@@ -82,7 +85,7 @@ class Overlay:
         self._reach = 4.0 * max(size)
         self._count = 0
 
-    def draw(self, result: Result) -> Image:
+    def draw(self, result: FrameResult) -> Image:
         """A new picture of the frame's size, (H, W, 3) uint8, with `result` drawn on it; the frame is left as it was.
 
         Parts without a finite place are left out. Raises ValueError if the frame is not of this overlay's size.
@@ -98,7 +101,7 @@ class Overlay:
             if shape.parts:
                 self._cloud(image, shape)
                 self._lines(image, shape, trail)
-        self._forget({t.name for t in result.targets})
+        self._forget({shape.target for shape in shapes})
         self._labels(image, shapes, corners)
         if self._bar:
             self._bar.draw(image, result)
@@ -107,42 +110,46 @@ class Overlay:
 
     # the geometry of a target
 
-    def _shape(self, target: TargetResult, colour: Colour) -> _Shape:
-        wild = [math.isfinite(p.x + p.y + p.w + p.h) for p in target.parts]
-        columns = [k for k, fine in enumerate(wild) if fine]
-        parts = tuple(target.parts[k] for k in columns)
-        table = np.array([(p.x, p.y, p.w, p.h) for p in parts], np.float64).reshape(-1, 4)
-        np.clip(table, -self._reach, self._reach, out=table)
+    def _shape(self, target: TargetResult, colour: Colour) -> Shape:
+        every = target.rows
+        fine = np.isfinite(every.x + every.y + every.w + every.h)
+        rows = every.take(fine)
+        table = np.clip(np.stack([rows.x, rows.y, rows.w, rows.h], axis=1), -self._reach, self._reach)
         half = np.maximum(table[:, 2:] - 1, 2) / 2
         corners = half[:, None] * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-        angles = [p.angle or 0.0 for p in parts]
-        if any(angles):
-            turn = np.radians(np.nan_to_num(np.array(angles), posinf=0, neginf=0))
-            cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+        angle = np.radians(np.nan_to_num(rows.angle, posinf=0, neginf=0))
+        if angle.any():
+            cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
             x, y = corners[..., 0], corners[..., 1]
             corners = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
         corners = corners + table[:, None, :2]
-        for k, part in enumerate(parts):
-            if part.corners is not None and np.isfinite(part.corners).all():
-                corners[k] = np.clip(part.corners, -self._reach, self._reach)
+        if rows.corners is not None:
+            known = np.isfinite(rows.corners).all(axis=(1, 2), keepdims=True)
+            corners = np.where(known, np.clip(rows.corners, -self._reach, self._reach), corners)
         bounds = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
-        lost = np.array([p.status == "lost" for p in parts], bool)
-        return _Shape(target, parts, columns, table[:, :2], corners, bounds, lost, colour)
+        shown = np.flatnonzero(fine)
+        cloud = target.cloud[:, shown[shown < target.cloud.shape[1]]] if target.cloud.ndim == 3 else target.cloud
+        parts = tuple(every.names[i][1] for i in rows.which.tolist())
+        sizes = np.stack([rows.w, rows.h], axis=1)
+        lost: Mask = rows.status == "lost"
+        return Shape(
+            every.target, rows, parts, cloud, target.insets, table[:, :2], sizes, corners, bounds, lost, colour
+        )
 
     # trails
 
-    def _remember(self, shape: _Shape, now: float) -> list[_Past]:
+    def _remember(self, shape: Shape, now: float) -> list[_Past]:
         """The target's past and its present, oldest first."""
-        past = self._past.setdefault(shape.target.name, deque(maxlen=_SAMPLES + 1))
+        past = self._past.setdefault(shape.target, deque(maxlen=_SAMPLES + 1))
         if past and not past[-1].time_s < now:
-            self._weights = {key: line for key, line in self._weights.items() if key[0] != shape.target.name}
+            self._weights = {key: line for key, line in self._weights.items() if key[0] != shape.target}
             past.clear()
         # a trail leads neither to a place that a correction gave nor past what was absent meanwhile
-        if past and (past[-1].parts != _names(shape) or any(part.by_hand for part in shape.parts)):
+        if past and (past[-1].parts != shape.parts or shape.rows.by_hand.any()):
             past.clear()
         while past and now - past[0].time_s > self.trail_s:
             past.popleft()
-        present = _Past(now, self._count // self._stride, _names(shape), shape.centres, shape.lost)
+        present = _Past(now, self._count // self._stride, shape.parts, shape.centres, shape.lost)
         trail = [*past, present]
         if self._count % self._stride == 0 or not past:
             past.append(present)
@@ -157,17 +164,16 @@ class Overlay:
 
     # particles, then lines over them
 
-    def _cloud(self, image: Image, shape: _Shape) -> None:
+    def _cloud(self, image: Image, shape: Shape) -> None:
         """Faint dots at the particles, evenly thinned out."""
-        cloud = shape.target.cloud
+        cloud = shape.cloud
         if cloud.ndim != 3 or not len(cloud):
             return
-        shown = [k < cloud.shape[1] and self._roomy(p) for k, p in zip(shape.columns, shape.parts, strict=True)]
-        columns = [k for k, show in zip(shape.columns, shown, strict=True) if show]
-        if not columns:
+        shown = self._roomy(shape)[: cloud.shape[1]]
+        if not shown.any():
             return
         width, height = self.size
-        dots = cloud[:: math.ceil(len(cloud) / _DOTS), columns]  # (n, K, 2)
+        dots = cloud[:: math.ceil(len(cloud) / _DOTS), shown]  # (n, K, 2)
         # fmin and fmax pass over NaN, which lands outside
         at = np.rint(np.fmax(np.fmin(dots, max(self.size) + 9), -9)).astype(np.int64)
         spread = np.arange(self._line) - (self._line - 1) // 2
@@ -175,19 +181,21 @@ class Overlay:
         y = at[..., 1, None, None] + spread[:, None]
         x, y = np.broadcast_arrays(x, y)  # (n, K, line, line)
         inside = (x.astype(np.uint64) < width) & (y.astype(np.uint64) < height)  # negative ones wrap to huge
-        tints = (100 * np.where(shape.lost[shown, None], LOST, shape.colour)).astype(np.uint16)
-        part = np.broadcast_to(np.arange(len(columns))[:, None, None], inside.shape)
+        lost = shape.lost[: len(shown)][shown]
+        tints = (100 * np.where(lost[:, None], LOST, shape.colour)).astype(np.uint16)
+        part = np.broadcast_to(np.arange(len(lost))[:, None, None], inside.shape)
         spots, flat = (y * width + x)[inside], image.reshape(-1, 3)
         flat[spots] = (flat[spots] * np.uint16(156) + tints[part[inside]]) >> np.uint16(8)
 
-    def _lines(self, image: Image, shape: _Shape, trail: list[_Past]) -> None:
+    def _lines(self, image: Image, shape: Shape, trail: list[_Past]) -> None:
         """Trails, ellipses, windows and marks with a dark rim around them, blended at once and only where they are."""
         line, edge = self._line, max(1, self._line // 2)
         fine = max(1, line - 1)
         rings, ring_parts = self._ellipses(shape)  # (R, 32, 2)
         places = [p.centres for p in trail]
         touched = np.concatenate([*places, shape.corners.reshape(-1, 2), rings.reshape(-1, 2)])
-        reach = math.ceil(max(self._sign(part) for part in shape.parts)) + line + edge
+        signs = self._signs(shape)
+        reach = math.ceil(max(signs)) + line + edge
         x0, y0 = np.maximum(np.floor(touched.min(axis=0)).astype(int) - reach, 0).tolist()
         x1, y1 = np.minimum(np.ceil(touched.max(axis=0)).astype(int) + reach + 1, self.size).tolist()
         if x0 >= x1 or y0 >= y1:
@@ -203,18 +211,18 @@ class Overlay:
         windows, middles = fixed(local), (shape.centres - origin).tolist()
         order = np.argsort(shape.lost, kind="stable").tolist()  # what is lost lies on top
         for k in order:
-            part, tint = shape.parts[k], tints[k]
-            weight = self._weight(shape.target.name, part)
-            if part.status == "lost":
+            tint, weight = tints[k], self._weight(shape, k)
+            if shape.lost[k]:
                 polylines(layer, list(fixed(dashes(local[k], 10 * line))), ink(tint, 1), weight)
             else:
                 polylines(layer, [windows[k]], ink(tint, 1), weight, closed=True)
+        statuses, by_hand = shape.rows.status.tolist(), shape.rows.by_hand.tolist()
         for k in order:
-            part, tint, (x, y) = shape.parts[k], tints[k], middles[k]
-            if size := self._sign(part):
-                if part.status == "tracked":  # a ring of shade, or the dot would merge with the trail that ends in it
-                    mark(layer, x, y, part.status, ink((0, 0, 0), 0.8), size + line, line)
-                mark(layer, x, y, part.status, ink(tint, 1), size, line, by_hand=part.by_hand)
+            status, tint, size, (x, y) = statuses[k], tints[k], signs[k], middles[k]
+            if size:
+                if status == "tracked":  # a ring of shade, or the dot would merge with the trail that ends in it
+                    mark(layer, x, y, status, ink((0, 0, 0), 0.8), size + line, line)
+                mark(layer, x, y, status, ink(tint, 1), size, line, by_hand=by_hand[k])
         cover = cv2.extractChannel(layer, 3)
         dark = cv2.dilate(cover, np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
         keep = cv2.bitwise_not(cv2.max(cover, cv2.convertScaleAbs(dark, None, _RIM)))
@@ -251,54 +259,55 @@ class Overlay:
             yield broken, LOST, opacity
             start = end
 
-    def _weight(self, target: str, part: PartResult) -> int:
+    def _weight(self, shape: Shape, k: int) -> int:
         """The thickness of a part's window, in pixels: as its size is when it is first seen, or it would flicker."""
-        strong = (24 if part.name == BOX else 60) * self._line
-        return self._weights.setdefault((target, part.name), self._line + (min(part.w, part.h) >= strong))
+        strong = (24 if shape.parts[k] == BOX else 60) * self._line
+        thickness = self._line + bool(shape.sizes[k].min() >= strong)
+        return self._weights.setdefault((shape.target, shape.parts[k]), thickness)
 
-    def _roomy(self, part: PartResult) -> bool:
-        return min(part.w, part.h) >= 9 * self._line
+    def _roomy(self, shape: Shape) -> Mask:
+        """(K,) whether a part's window has room for dots."""
+        found: Mask = shape.sizes.min(axis=1) >= 9 * self._line
+        return found
 
-    def _small(self, part: PartResult) -> bool:
-        return min(part.w, part.h) < 18 * self._line
+    def _small(self, shape: Shape) -> Mask:
+        found: Mask = shape.sizes.min(axis=1) < 18 * self._line
+        return found
 
-    def _sign(self, part: PartResult) -> float:
-        """The size of a part's mark in pixels; 0 is none, since in a few pixels the window says it all."""
-        if part.status == "tracked":
-            return 1.25 * self._line if self._roomy(part) else 0.0
-        share = 0.3 if part.status == "lost" and not self._small(part) else 0.2
-        return max(2 * self._line, share * min(part.w, part.h, 40 * self._line))
+    def _signs(self, shape: Shape) -> list[float]:
+        """The size of each part's mark in pixels; 0 is none, since in a few pixels the window says it all."""
+        share = np.where(shape.lost & ~self._small(shape), 0.3, 0.2)
+        large = np.maximum(2 * self._line, share * np.minimum(shape.sizes.min(axis=1), 40 * self._line))
+        dots = np.where(self._roomy(shape), 1.25 * self._line, 0.0)
+        found: list[float] = np.where(shape.rows.status == "tracked", dots, large).tolist()
+        return found
 
-    def _ellipses(self, shape: _Shape) -> tuple[Array, list[int]]:
+    def _ellipses(self, shape: Shape) -> tuple[Array, list[int]]:
         """Two standard deviations around centres, (R, 32, 2), and whose; only where that is more than the mark."""
-        roots, whose = [], []
-        for k, part in enumerate(shape.parts):
-            xx, xy, yy = (v if math.isfinite(v) else 0.0 for v in part.cov or (0.0, 0.0, 0.0))
-            sx = math.sqrt(min(max(xx, 0.0), self._reach**2))
-            sy = math.sqrt(min(max(yy, 0.0), self._reach**2))
-            # in a small window the dots say as much, with less clutter
-            if 2 * max(sx, sy) < (1.25 * max(part.w, part.h) if self._small(part) else 4 * self._line):
-                continue
-            lean = min(max(xy / (sx * sy), -1.0), 1.0) if sx * sy > 1e-12 else 0.0
-            # the Cholesky root carries the circle to the ellipse
-            roots.append([(2 * sx, 2 * lean * sy), (0.0, 2 * math.sqrt(1 - lean * lean) * sy)])
-            whose.append(k)
-        rings: Array = _CIRCLE @ np.array(roots).reshape(-1, 2, 2) + shape.centres[whose, None]
-        return rings, whose
+        rows = shape.rows
+        sx, sy = (np.minimum(np.nan_to_num(std, posinf=0.0), self._reach) for std in (rows.std_x, rows.std_y))
+        # in a small window the dots say as much, with less clutter
+        least = np.where(self._small(shape), 1.25 * shape.sizes.max(axis=1), 4 * self._line)
+        whose = np.flatnonzero(2 * np.maximum(sx, sy) >= least)
+        sx, sy, xy = sx[whose], sy[whose], np.nan_to_num(rows.cov_xy[whose])
+        spread = sx * sy > 1e-12
+        lean = np.where(spread, np.clip(xy / np.where(spread, sx * sy, 1.0), -1.0, 1.0), 0.0)
+        # the Cholesky root carries the circle to the ellipse
+        roots = np.zeros((len(whose), 2, 2))
+        roots[:, 0] = np.stack([2 * sx, 2 * lean * sy], axis=1)
+        roots[:, 1, 1] = 2 * np.sqrt(1 - lean * lean) * sy
+        rings: Array = _CIRCLE @ roots + shape.centres[whose, None]
+        return rings, whose.tolist()
 
     # words
 
-    def _corner_pictures(self, image: Image, shapes: Sequence[_Shape]) -> list[Rect]:
+    def _corner_pictures(self, image: Image, shapes: Sequence[Shape]) -> list[Rect]:
         """What a target's tracker shows of what it knows, in corners that no window covers; the places taken."""
-        shown = [
-            Shown(s.target.name, s.target.told.insets, s.colour if len(shapes) > 1 else WHITE)
-            for s in shapes
-            if s.target.told is not None and s.target.told.insets
-        ]
+        shown = [Shown(s.target, s.insets, s.colour if len(shapes) > 1 else WHITE) for s in shapes if s.insets]
         windows = [(b[0], b[1], b[2], b[3]) for s in shapes for b in s.bounds.tolist()]
         return self._insets.draw(image, shown, windows) if shown else []
 
-    def _labels(self, image: Image, shapes: Sequence[_Shape], corners: Sequence[Rect]) -> None:
+    def _labels(self, image: Image, shapes: Sequence[Shape], corners: Sequence[Rect]) -> None:
         """Names beside the windows that are large enough for it, each where it covers nothing, or nowhere."""
         font, edge = self._label_font, self._line
         bar = self._bar.height if self._bar else 0
@@ -314,14 +323,15 @@ class Overlay:
             if not shape.parts or len(taken) > 60:
                 continue
             middle = shape.centres.mean(axis=0)
-            for part, bound, centre in zip(shape.parts, shape.bounds.tolist(), shape.centres, strict=True):
-                if part.name in (shape.target.name, BOX):  # says nothing more
+            columns = (shape.parts, shape.bounds.tolist(), shape.centres, shape.lost.tolist())
+            for part, bound, centre, lost in zip(*columns, strict=True):
+                if part in (shape.target, BOX):  # says nothing more
                     continue
                 if min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * font.cap:
                     continue
-                sprite = font.sprite(_short(part.name), LOST if part.status == "lost" else shape.colour, edge)
+                sprite = font.sprite(_short(part), LOST if lost else shape.colour, edge)
                 places = _beside(bound, sprite.size, 2 * edge)
-                key = (shape.target.name, part.name)
+                key = (shape.target, part)
                 order = _outward(centre - middle)
                 if key in self._slots:  # stay where it was, if that is still free
                     order = [self._slots[key], *order]
@@ -343,21 +353,21 @@ class Overlay:
         x0, y0, x1, y1 = x0 - spare, y0 - spare, x1 + spare, y1 + spare
         return not any(x0 < t[2] and t[0] < x1 and y0 < t[3] and t[1] < y1 for t in taken)
 
-    def _tag(self, image: Image, shape: _Shape, named: bool, tags: list[Rect]) -> list[Rect]:
+    def _tag(self, image: Image, shape: Shape, named: bool, tags: list[Rect]) -> list[Rect]:
         """Who a target is, if the tracker says so, or its name where there are several; the place that it took, if any.
 
         It stands above the target, or below where another's `tags` or the picture's border are in the way.
         """
-        target = shape.target
-        text, colour = target.name if named else "", shape.colour
-        if target.identity is not None:
-            text = target.identity
-            if target.identity_prob is not None and math.isfinite(target.identity_prob):
-                if target.identity_prob < _DECIDED:  # pale, and with a question mark: more likely somebody else
+        if not shape.parts:
+            return []
+        text, colour = shape.target if named else "", shape.colour
+        if who := str(shape.rows.identity[0]):
+            text, sure = who, float(shape.rows.identity_prob[0])
+            if math.isfinite(sure):
+                if sure < _DECIDED:  # pale, and with a question mark: more likely somebody else
                     text, colour = f"{text}?", _DOUBTFUL
-                # no posterior is certain
-                text += " >99%" if target.identity_prob >= 0.995 else f" {target.identity_prob:.0%}"
-        if not text or not shape.parts:
+                text += " >99%" if sure >= 0.995 else f" {sure:.0%}"  # no posterior is certain
+        if not text:
             return []
         sprite = self._label_font.sprite(text, colour, self._line)
         width, height = sprite.size
@@ -370,17 +380,13 @@ class Overlay:
         tops = [above, below] if above >= bar else [below]
         boxes = [(left, top, left + width, top + height) for top in tops]
         # back above only once there is room to spare, or it would jump to and fro
-        spare = height if target.name in self._low else 0
+        spare = height if shape.target in self._low else 0
         clear = [self._free(box, tags, spare if i == 0 else 0) for i, box in enumerate(boxes)]
         chosen = boxes[clear.index(True)] if any(clear) else boxes[0]
-        (self._low.add if len(tops) > 1 and chosen[1] == below else self._low.discard)(target.name)
+        (self._low.add if len(tops) > 1 and chosen[1] == below else self._low.discard)(shape.target)
         _shade(image, (left - self._line, int(chosen[1]), left + width + self._line, int(chosen[1]) + height))
         stamp(image, sprite, left, int(chosen[1]))
         return [chosen]
-
-
-def _names(shape: _Shape) -> tuple[str, ...]:
-    return tuple(part.name for part in shape.parts)
 
 
 def _shade(image: Image, box: tuple[int, int, int, int]) -> None:

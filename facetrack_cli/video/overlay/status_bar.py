@@ -6,9 +6,11 @@ import math
 from collections.abc import Sequence
 
 import cv2
+import numpy as np
 
 from facetrack_cli.core.numbers import clock
-from facetrack_cli.core.types import Image, Result, Status, TargetResult
+from facetrack_cli.core.types import Image, Mask
+from facetrack_cli.trajectory.trajectory import FrameResult, Status, Trajectory
 from facetrack_cli.video.overlay.marks import PALETTE, WHITE, Colour, mark
 from facetrack_cli.video.overlay.text import Font, stamp
 
@@ -35,18 +37,14 @@ class StatusBar:
         self._title = title
         self._font = Font(cap)
 
-    def draw(self, image: Image, result: Result) -> None:
+    def draw(self, image: Image, result: FrameResult) -> None:
         """Darken the top `height` rows of `image` (H, W, 3) and write on them, in place."""
         font, cap = self._font, self._font.cap
         strip = image[: self.height]
         cv2.convertScaleAbs(strip, strip, 0.28)
-        status, sayings = summary(result.targets)
-        sure = [
-            p.confidence
-            for t in result.targets
-            for p in t.parts
-            if p.confidence is not None and math.isfinite(p.confidence)
-        ]
+        rows = result.rows
+        status, sayings = summary(rows)
+        sure = rows.confidence[np.isfinite(rows.confidence)].tolist()
         mean = min(max(sum(sure) / len(sure), 0.0), 1.0) if sure else 0.0
         texts = {"frame": f"#{result.frame.index}", "clock": clock(result.frame.time_s)}
         gap, gauge, icon = round(0.8 * cap), round(3.5 * cap), round(1.5 * cap)
@@ -57,7 +55,7 @@ class StatusBar:
             "title": font.width(self._title) + gap if self._title else 0,
             "percent": font.width("100%") + gap,
         }
-        adapted = adaptation(result.targets)
+        adapted = adaptation(rows)
         room |= {item: font.width(text) + gap for item, text in adapted.items()}
         shown, saying, spare = self._fit(sayings, room, self._width - 2 * gap - icon)
         if not sure:  # 0 % would be a lie of a tracker that does not say
@@ -70,7 +68,7 @@ class StatusBar:
                 stamp(strip, font.passing(texts[item]), left, row)
                 left += room[item]
         sign = LOST_TEXT if status == "lost" else _QUIET if status == "absent" else PALETTE[0]
-        by_hand = any(part.by_hand for target in result.targets for part in target.parts)
+        by_hand = bool(rows.by_hand.any())
         mark(strip, left + 0.4 * cap, middle, status, sign, 0.37 * cap, self._line, by_hand=by_hand)
         stamp(strip, font.sprite(saying, LOST_TEXT if status == "lost" else WHITE), left + icon, row)
         if "gauge" in shown:
@@ -111,54 +109,59 @@ class StatusBar:
         return self._title[:length] + ".." if length > 7 else ""
 
 
-def adaptation(targets: Sequence[TargetResult]) -> dict[str, str]:
+def adaptation(rows: Trajectory) -> dict[str, str]:
     """`scale`, and `particles` where their number follows the noise, of a single target that adapts; else nothing.
 
     Each is about as wide in every frame.
     """
-    told = targets[0].told if len(targets) == 1 else None
-    if told is None or told.scale is None or not math.isfinite(told.scale):
+    found = rows.diagnostics.get(rows.target) if len(rows.targets) == 1 else None
+    scale, noise = (math.nan, math.nan) if found is None else (float(found.get(name)[0]) for name in ("scale", "noise"))
+    if not math.isfinite(scale):
         return {}
-    scale, count = f"scale {min(told.scale, 99.0):.2f}", targets[0].particles
-    return (
-        {"scale": scale} if count is None or told.noise is None else {"scale": scale, "particles": f"{count} particles"}
-    )
+    texts = {"scale": f"scale {min(scale, 99.0):.2f}"}
+    count = float(rows.particles[0])
+    return texts if math.isnan(count + noise) else {**texts, "particles": f"{count:.0f} particles"}
 
 
-def summary(targets: Sequence[TargetResult]) -> tuple[Status, list[str]]:
+def summary(rows: Trajectory) -> tuple[Status, list[str]]:
     """The status of all together, and ways to say it, from the longest to the shortest.
 
     What is absent is said beside it, and has no say in it unless all is.
     """
-    parts = [(t, p) for t in targets for p in t.parts]
-    if not parts:
+    if not len(rows):
         return "lost", ["no target", "none"]
-    absent, lost = (sum(p.status == status for _, p in parts) for status in ("absent", "lost"))
-    if absent == len(parts):
+    absent, lost = (int(np.sum(rows.status == status)) for status in ("absent", "lost"))
+    if absent == len(rows):
         return "absent", ["absent"]
-    missing = f"{', '.join(_named(targets, 'absent'))} absent" if absent else ""
+    missing = f"{', '.join(_named(rows, rows.status == 'absent'))} absent" if absent else ""
     if lost:
-        names = _named(targets, "lost")
+        names = _named(rows, rows.status == "lost")
         whole = "lost: " + ", ".join(names)
         several = [f"lost: {names[0]} +{len(names) - 1}"] if len(names) > 1 else []
         both = [f"{whole}; {missing}"] if missing else []
-        return "lost", [*both, whole, *several, f"lost {lost}/{len(parts)}", "lost"]
-    status: Status = "init" if all(p.status in ("init", "absent") for _, p in parts) else "tracked"
-    given = [p for _, p in parts if p.by_hand and p.status == "init"]
+        return "lost", [*both, whole, *several, f"lost {lost}/{len(rows)}", "lost"]
+    init = rows.status == "init"
+    status: Status = "init" if (init | (rows.status == "absent")).all() else "tracked"
+    given = rows.by_hand & init
     sayings: list[str] = [status]
-    if given:
-        status, sayings = "init", [f"{', '.join(_named(targets, 'init', by_hand=True))} by hand", "by hand"]
-    both = [f"{sayings[0]}; {missing}", missing, f"absent {absent}/{len(parts)}"] if missing else []
+    if given.any():
+        status, sayings = "init", [f"{', '.join(_named(rows, given))} by hand", "by hand"]
+    both = [f"{sayings[0]}; {missing}", missing, f"absent {absent}/{len(rows)}"] if missing else []
     return status, [*both, *sayings]
 
 
-def _named(targets: Sequence[TargetResult], status: Status, *, by_hand: bool = False) -> list[str]:
-    """The parts of that status; a target where it is all of its parts."""
+def _named(rows: Trajectory, those: Mask) -> list[str]:
+    """The names of `those` rows (R,); a target where it is all of its parts."""
     names = []
-    for target in targets:
-        those = [p.name for p in target.parts if p.status == status and (p.by_hand or not by_hand)]
-        if those and len(those) == len(target.parts):
-            names.append(target.name)
+    for target in rows.targets:
+        chosen = [(part, bool(those[i])) for i, (name, part) in enumerate(_names(rows)) if name == target]
+        parts = [part for part, is_one in chosen if is_one]
+        if parts and len(parts) == len(chosen):
+            names.append(target)
         else:
-            names += [f"{target.name}/{name}" if len(targets) > 1 else name for name in those]
+            names += [f"{target}/{part}" if len(rows.targets) > 1 else part for part in parts]
     return names
+
+
+def _names(rows: Trajectory) -> list[tuple[str, str]]:
+    return [rows.names[i] for i in rows.which.tolist()]

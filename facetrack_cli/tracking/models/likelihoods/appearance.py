@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Frame, Image, Particles, Told
+from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.tracking.kernels import mixture as kernel
 from facetrack_cli.tracking.models.patches import Patches
 
@@ -150,10 +150,10 @@ class Appearance:
         """(d,): the mean of the mixture in each pixel."""
         return np.asarray((learned.m * learned.mu).sum(axis=0))
 
-    def tell(self, learned: Mixture) -> Told:
-        """S and W as grey pictures, those that take part, as the paper's figure 3 shows them."""
+    def insets(self, learned: Mixture) -> tuple[tuple[str, Image], ...]:
+        """S and W as grey images, those that take part, as the paper's figure 3 shows them."""
         shown = [(name, i) for name, i in (("S", 1), ("W", 0)) if self.mixing[i] > 0] or [("F", 2)]
-        return Told(insets=tuple((name, self._grey(learned.mu[i])) for name, i in shown))
+        return tuple((name, self._grey(learned.mu[i])) for name, i in shown)
 
     def _grey(self, values: NDArray[np.float32]) -> Image:
         """Standard deviations as grey levels: 0 is a middle grey, and 2.5 either way black or white."""

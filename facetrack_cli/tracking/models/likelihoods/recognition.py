@@ -19,15 +19,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Frame, Particles, Told
+from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.tracking.identity.gallery import NONE, Gallery
 from facetrack_cli.tracking.models.likelihoods.appearance import Appearance, Mixture
 from facetrack_cli.tracking.resampling import logsumexp, normalise
+from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
 
 # of a box's proportions against the gallery's: up to 1.2 all of 24 runs on twelve clips named the right one, at 1.25 22
 # of them, and at 1.5 16
@@ -83,6 +84,7 @@ class Recognition:
     none: bool = False
     switch: float = 0.0
     sharpness: float = 1.0
+    diagnostics: ClassVar = (POSTERIOR, ENTROPY)
 
     def __post_init__(self) -> None:
         if self.gallery.shape != self.appearance.patches.shape:
@@ -145,10 +147,13 @@ class Recognition:
         """(d,): what the appearance model expects."""
         return self.appearance.expected(learned.appearance)
 
-    def tell(self, learned: Recognised) -> Told:
-        """What the appearance tells, the posterior and its entropy."""
-        told = self.appearance.tell(learned.appearance)
-        return replace(told, posterior=learned.posterior, entropy=learned.entropy)
+    def insets(self, learned: Recognised) -> tuple[tuple[str, Image], ...]:
+        """Those of the appearance."""
+        return self.appearance.insets(learned.appearance)
+
+    def diagnose(self, learned: Recognised) -> Mapping[str, Any]:
+        """The posterior over identities, and its entropy in nats."""
+        return {"posterior": learned.posterior, "entropy": learned.entropy}
 
     def _log_joint(self, learned: Recognised, frame: Frame, x: Array) -> Array:
         """(N, L): log beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6)."""

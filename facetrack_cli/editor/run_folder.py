@@ -1,0 +1,319 @@
+"""A finished run, as its folder tells of it: rows, recipe, start, and the clip that it was made from.
+
+run = open_run(Path("out"))
+run.recipe, run.start, run.rows
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+from pydantic import ValidationError
+
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
+from facetrack_cli.core.types import Correction, Start
+from facetrack_cli.editor.journal import finish
+from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
+from facetrack_cli.report.make import trajectory_of
+from facetrack_cli.runs.outputs import VIDEO
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.start import check_start
+from facetrack_cli.tracking.start.init_writer import record_of
+from facetrack_cli.trajectory.header import Header, read_header
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, Sink, json_frames
+from facetrack_cli.video.images import listing
+
+UNSAVED: Final = "unsaved.init.yaml"
+STATUS: Final = ("init", "tracked", "lost", "absent")
+_AGAIN: Final = "make the run again"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run. `rows` are those of its JSON, `files` its trajectories with what they were when they were opened.
+
+    `start` has the corrections that it was made with; `fps` is None for a video.
+    """
+
+    folder: Path
+    rows: Trajectory
+    header: Header
+    recipe: Recipe
+    start: Start
+    clip: Path
+    fps: Fraction | None
+    files: Mapping[Format, tuple[Path, object]]
+
+    @cached_property
+    def first(self) -> int:
+        return int(self.rows.frame[0])
+
+    @cached_property
+    def last(self) -> int:
+        return int(self.rows.frame[-1])
+
+    @cached_property
+    def parts(self) -> Mapping[str, tuple[str, ...]]:
+        """The parts of each target."""
+        return {name: tuple(part for target, part in self.rows.names if target == name) for name in self.rows.targets}
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        return self.rows.targets
+
+    @property
+    def video(self) -> Path | None:
+        """The video that the run wrote, if it did."""
+        path = self.folder / VIDEO
+        return path if path.is_file() else None
+
+    @property
+    def head(self) -> dict[str, Any]:
+        """What stands before the rows in JSON."""
+        ends = {*Footer._fields, "frames_tracked", "type"}
+        return {key: value for key, value in self.rows.header.items() if key not in ends}
+
+    @property
+    def footer(self) -> Footer:
+        """What stands after them."""
+        known = {name: self.rows.header[name] for name in Footer._fields if name in self.rows.header}
+        return Footer(**{**known, "warnings": tuple(known.get("warnings", ()))})
+
+
+def open_run(folder: Path, clip: Path | None = None) -> Run:
+    """Open the run that `facetrack run` wrote into a folder; `clip` is where its clip is now, if not where it was.
+
+    Raises InputError, in one line, for a folder without JSON, files that are cut short or differ, rows that do not fit
+    the recipe and the start, a recipe of another version, and a clip or a file of the recipe that is not there.
+    """
+    finish(folder)  # a save that was interrupted
+    main = trajectory_of(folder)
+    files = {form: folder / f"trajectory.{form}" for form in FORMATS if (folder / f"trajectory.{form}").is_file()}
+    stamped = {form: (path, stamp(path)) for form, path in files.items()}
+    rows = read_trajectory(main)
+    if "lost_frames" not in rows.header or "init" not in rows.header:
+        raise _not_ours(main)
+    check_dense(rows)
+    _check_main(rows)
+    header = read_header(rows)
+    path = Path(header.source.path) if clip is None else clip
+    if clip is None and not _is_there(path):
+        raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
+    recipe = _recipe(main, rows.header["recipe"], [Path(), folder, folder.parent, path.parent])
+    start = _start(main, header)
+    fps = None if listing(path) is None else Fraction(header.source.fps).limit_denominator(1001)
+    run = Run(folder, rows, header, recipe, start, path, fps, stamped)
+    for form, path in files.items():
+        if path != main:
+            _check_other(path, form, run)
+    _check_rows(main, run)
+    return run
+
+
+def stamp(path: Path) -> object:
+    """What changes when a file is written again."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def check_dense(rows: Trajectory) -> None:
+    """InputError if a part has no row in some frame, or a status that no run writes."""
+    frames = np.arange(rows.frame.min(), rows.frame.max() + 1)
+    for one in rows.parts:
+        if not np.array_equal(one.frame, frames):
+            missing = np.setdiff1d(frames, one.frame)[0]
+            raise InputError(f"{rows.path}: frame {missing} has no row of {one.name}; {_AGAIN}")
+    if not np.isin(rows.status, STATUS).all():
+        raise _not_ours(rows.path)
+
+
+def _check_main(rows: Trajectory) -> None:
+    """InputError if the frames in the file of `rows` are not, byte by byte, what is written for them."""
+    texts = (text.encode(errors="backslashreplace") for text in json_frames(rows))
+    line = 0
+    with rows.path.open("rb") as file:
+        for line, found in enumerate(file, 1):
+            if found.startswith((b'{"frame":', b'{"type":"frame",')):
+                expected = found[: found.index(b'"frame":')] + next(texts, b"") + b"}"
+                if found not in (expected + b"\n", expected + b",\n"):
+                    raise _not_ours(rows.path, line)
+    if next(texts, None) is not None:
+        raise _not_ours(rows.path, line)
+
+
+class _DiffersError(Exception):
+    """At the line that is its first argument."""
+
+
+class _Compared:
+    """A sink that compares with a file what would be written."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._line, self._records = file, 1, 0
+
+    def write(self, record: str) -> None:
+        data = record.encode(errors="backslashreplace")
+        self._records += 1
+        if (found := self._file.read(len(data))) != data:
+            same = next((i for i, (a, b) in enumerate(zip(found, data, strict=False)) if a != b), len(found))
+            raise _DiffersError(self._line + data.count(b"\n", 0, same))
+        self._line += data.count(b"\n")
+
+    def finish(self, tail: Callable[[int], str]) -> None:
+        self.write(tail(self._records))
+        if self._file.read(1):
+            raise _DiffersError(self._line)
+
+
+def _check_other(path: Path, form: Format, run: Run) -> None:
+    """InputError if a file is not what is written for the run's rows."""
+    try:
+        with path.open("rb") as file:
+            write_rows(form, _Compared(file), run, run.rows)
+    except _DiffersError as e:
+        main = run.rows.path.name
+        raise InputError(
+            f"{path}:{e.args[0]}: differs from {main}; remove it, {main} tells the same, or {_AGAIN}"
+        ) from None
+
+
+def write_rows(
+    form: Format, sink: Sink, run: Run, rows: Trajectory, corrections: Sequence[Correction] | None = None
+) -> None:
+    """Write a run's file with these rows; with `corrections` in place of its own, if they are given."""
+    head, footer = run.head, run.footer
+    if corrections is not None:
+        init = {key: value for key, value in head["init"].items() if key != "corrections"}
+        head["init"] = {**init, **({"corrections": [record_of(one) for one in corrections]} if corrections else {})}
+        footer = footer._replace(lost_frames=lost_frames(rows))
+    writer = WRITERS[form](sink, head)
+    writer.write(rows)
+    writer.close(footer)
+
+
+def lost_frames(rows: Trajectory) -> dict[str, int]:
+    """How often each part is lost, in the order in which they first are, as a run counts them."""
+    lost = {one.name: np.flatnonzero(one.status == "lost") for one in rows.parts}
+    return {name: len(at) for name, at in sorted(lost.items(), key=lambda one: one[1][:1].tolist()) if len(at)}
+
+
+def _not_ours(path: Path, line: int | None = None) -> InputError:
+    place = path if line is None else f"{path}:{line}"
+    return InputError(f"{place}: is not as facetrack run writes it, was it edited? {_AGAIN}")
+
+
+def check_writable(run: Run) -> None:
+    """OutputError if nothing can be written into the run's folder: before somebody has corrected it for an hour."""
+    if not os.access(run.folder, os.W_OK):
+        raise OutputError(
+            f"{run.folder}: cannot be written, where what is corrected is to go; make it writable, or copy the run"
+        )
+
+
+def check_size(run: Run, size: tuple[int, int]) -> None:
+    """InputError if a clip of this (width, height) is not the run's."""
+    if size != run.header.source.size:
+        width, height = run.header.source.size
+        raise InputError(
+            f"{run.clip}: is {size[0]}x{size[1]}, not {width}x{height} pixels as in the run; name its clip with --clip"
+        )
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists() or bool(listing(path))
+    except (OSError, ValueError):  # it is no name at all
+        return False
+
+
+# --- the recipe ----------------------------------------------------------------------------------------------------
+
+
+def _recipe(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) -> Recipe:
+    """The recipe as the run had it; files that it names are sought in `folders` and among the shipped ones."""
+    name = str(settings.get("name", "recipe"))
+    known: dict[str, Any] = {key: deepcopy(value) for key, value in settings.items() if key != "name"}
+    if any(file.stem == name for file in shipped_recipes()):
+        folders = [shipped_folder(), *folders]
+    for one in [known, *_mappings(known.get("targets"))]:
+        for section, key in (("prior", "file"), ("recognition", "gallery")):
+            for place in _mappings({section: one.get(section)}):
+                if isinstance(file := place.get(key), str):
+                    place[key] = str(_sought(main, file, [*folders, shipped_folder()]))
+    kind = KINDS.get(str(known.get("type", "particle_filter")), ParticleRecipe)
+    try:
+        return kind.model_validate(known, context={"path": main.parent / f"{name}.yaml", "root": None})
+    except ValidationError as e:
+        first = e.errors()[0]
+        key = ".".join(str(step) for step in first["loc"])
+        raise InputError(
+            f"{main}: this version of facetrack does not know its recipe ({key}: {first['msg'].lower()}); {_AGAIN}"
+        ) from None
+
+
+def _mappings(value: Any) -> list[dict[str, Any]]:
+    """Those of its values that are mappings."""
+    return [one for one in value.values() if isinstance(one, dict)] if isinstance(value, dict) else []
+
+
+def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
+    for folder in folders:
+        if _is_there(folder / name) and (folder / name).is_file():
+            return (folder / name).resolve()
+    places = ", ".join(dict.fromkeys(str(folder.resolve()) for folder in folders))
+    raise InputError(f'{main}: its recipe names the file "{name}", which is in none of {places}; put it into one')
+
+
+# --- the start -----------------------------------------------------------------------------------------------------
+
+
+def _start(main: Path, header: Header) -> Start:
+    start = header.init.start
+    places = [(one.frame, one.target) for one in start.corrections]
+    ours = all(
+        one.target in start.targets
+        and one.frame > start.frame
+        and (one.absent or one.given.box is not None or one.given.points)
+        for one in start.corrections
+    )
+    if not ours or len({*places}) < len(places) or sorted(frames := [frame for frame, _ in places]) != frames:
+        raise InputError(f"{main}: init.corrections is not as facetrack run writes it; make the run again")
+    return start
+
+
+# --- the rows ------------------------------------------------------------------------------------------------------
+
+
+def _check_rows(main: Path, run: Run) -> None:
+    """InputError if the rows are not what this recipe makes of this start."""
+    try:
+        check_start(run.start, run.header.source.size, run.recipe.points)
+        tracker = build_tracker(run.recipe, run.start)
+    except FacetrackError as e:
+        raise InputError(f"{main}: its start and its recipe do not go together: {e}") from None
+    expected = {target.name: target.parts for target in tracker}
+    if list(expected.items()) != list(run.parts.items()):
+        there, wanted = (
+            ", ".join(f"{name}/{part}" for name, parts in both.items() for part in parts)
+            for both in (run.parts, expected)
+        )
+        raise InputError(f"{main}: has rows of {there}, and its recipe follows {wanted}; {_AGAIN}")
+    if run.first != run.start.frame:
+        raise InputError(f"{main}: its rows begin with frame {run.first}, its start with {run.start.frame}; {_AGAIN}")
+    said, count = run.rows.header.get("frames_tracked"), run.last - run.first + 1
+    if isinstance(said, int) and said != count:
+        raise InputError(f"{main}: says it has {said} frames, and there are {count}; {_AGAIN}")

@@ -1,0 +1,399 @@
+"""The one type for trajectories and ground truth: rows as typed columns, from the tracker's result to every file.
+
+    trajectory = read_trajectory(Path("out"))
+    nose = trajectory.find("face", "nose")
+    nose.frame, nose.x, nose.y       # (R,) each
+
+Axes: R rows, one for each frame, target and part. Rows of one part stand together, in the order of their frames; a
+number that is not known is nan, a text "".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import corners
+from facetrack_cli.core.types import Array, Frame, Image, Mask, Texts, Whole
+from facetrack_cli.trajectory.diagnostics import AFFINE, POSTERIOR, SURE, Diagnostics
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
+DECIMALS: Final[Mapping[str, int]] = {
+    "time_s": 4,
+    "x": 3,
+    "y": 3,
+    "w": 3,
+    "h": 3,
+    "angle": 2,
+    "confidence": 4,
+    "std_x": 3,
+    "std_y": 3,
+    "ess": 1,
+    "identity_prob": 4,
+}
+"""The decimals of each column of numbers: the bytes of a file are a function of the values."""
+COLUMNS: Final = (
+    "frame", "time_s", "target", "part", "x", "y", "w", "h", "angle", "confidence", "status", "std_x", "std_y",
+    "particles", "ess", "identity", "identity_prob",
+)  # fmt: skip
+"""The columns of the CSV, in their order."""
+FLOATS: Final = (*DECIMALS, "particles")
+TEXTS: Final = ("status", "identity")
+PLACE: Final = ("x", "y", "w", "h", "angle", "confidence", "std_x", "std_y", "ess")
+"""The columns that an absent part has no value in."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Where parts of targets are in the frames of a clip, and how sure the tracker is. Every array is (R,).
+
+    `names` are the (target, part) pairs, `which` the index of each row's pair, `frame` the 0-based source frame. (x, y)
+    is the centre and (w, h) the size in pixels; `angle` in degrees; `confidence` 0..1; `std_x`, `std_y` the posterior's
+    standard deviations and `cov_xy` its covariance, in pixels. `status` is init, tracked, lost or absent in a
+    trajectory; visible, hidden or absent in ground truth; "" where nothing is said. `by_hand` marks rows that a
+    correction gave, which a CSV does not tell. `corners` (R, 4, 2), clockwise from the top left, are there for rotated
+    boxes and polygons.
+
+    `header` is what a JSON file says of its run (source, recipe, seed, init), `diagnostics` what a tracker reports of
+    each target beside its rows, `path` the file.
+    """
+
+    names: tuple[tuple[str, str], ...]
+    which: Whole
+    frame: Whole
+    time_s: Array
+    x: Array
+    y: Array
+    w: Array
+    h: Array
+    angle: Array
+    confidence: Array
+    status: Texts
+    std_x: Array
+    std_y: Array
+    particles: Array
+    ess: Array
+    identity: Texts
+    identity_prob: Array
+    by_hand: Mask
+    cov_xy: Array
+    corners: Array | None = None
+    header: Mapping[str, Any] = field(default_factory=dict)
+    diagnostics: Mapping[str, Diagnostics] = field(default_factory=dict)
+    path: Path = Path()
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    # --- names and parts
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(target for target, _ in self.names))
+
+    @property
+    def target(self) -> str:
+        """The target of the first part: of a trajectory of one target, its name."""
+        return self.names[0][0]
+
+    @property
+    def part(self) -> str:
+        """The first part: of a trajectory of one part, its name."""
+        return self.names[0][1]
+
+    @property
+    def name(self) -> str:
+        """`target/part` of the first part."""
+        return "/".join(self.names[0])
+
+    @cached_property
+    def parts(self) -> tuple[Trajectory, ...]:
+        """A trajectory of each part, in the order of `names`."""
+        if len(self.names) == 1:
+            return (self,)
+        ends = np.searchsorted(self.which, np.arange(len(self.names) + 1))
+        return tuple(self.take(slice(*ends[i : i + 2].tolist()), names=(name,)) for i, name in enumerate(self.names))
+
+    def find(self, target: str, part: str) -> Trajectory | None:
+        """The rows of one part; None if there are none."""
+        return next((one for one in self.parts if one.names[0] == (target, part)), None)
+
+    def of_target(self, target: str) -> tuple[Trajectory, ...]:
+        """A trajectory of each part of one target."""
+        return tuple(one for one in self.parts if one.target == target)
+
+    # --- rows
+
+    @property
+    def frames(self) -> Whole:
+        """The frames that have a row, increasing."""
+        return np.unique(self.frame)
+
+    def take(self, rows: Whole | Mask | slice, **others: Any) -> Trajectory:
+        """These rows, in their order; `others` are replaced."""
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
+        picked: dict[str, Any] = {key: array[rows] for key, array in arrays.items() if array is not None}
+        if "names" in others:
+            picked["which"] = np.zeros(len(picked["frame"]), np.int64)
+        return replace(self, **picked, **others)
+
+    def renamed(self, target: str, part: str) -> Trajectory:
+        """A trajectory of one part under another name."""
+        return replace(self, names=((target, part),))
+
+    def row(self, frame: int) -> int | None:
+        """The index of a frame's row, of a trajectory of one part; None if there is none."""
+        at = int(np.searchsorted(self.frame, frame))
+        return at if at < len(self) and self.frame[at] == frame else None
+
+    @cached_property
+    def _by_frame(self) -> tuple[Whole, Whole]:
+        order = np.lexsort((self.which, self.frame))
+        return order, self.frame[order]
+
+    def at(self, frame: int) -> Trajectory:
+        """The rows of one frame."""
+        order, frames = self._by_frame
+        return self.take(order[slice(*np.searchsorted(frames, [frame, frame + 1]).tolist())])
+
+    def between(self, first: int, stop: int) -> Trajectory:
+        """The rows of frames from `first` to before `stop`."""
+        kept = self.take((self.frame >= first) & (self.frame < stop))
+        return replace(kept, diagnostics={name: one.between(first, stop) for name, one in self.diagnostics.items()})
+
+    @property
+    def times(self) -> Array:
+        """(T,) seconds of `frames`, nan where no row says when."""
+        frames = self.frames
+        found, known = np.full(len(frames), np.nan), np.isfinite(self.time_s)
+        found[np.searchsorted(frames, self.frame[known])] = self.time_s[known]
+        return found
+
+    # --- who a target is
+
+    def beliefs(self, target: str) -> tuple[Whole, tuple[str, ...], Array]:
+        """(T,) frames, (P,) names and (T, P) their probabilities: the posterior over identities of a target.
+
+        Where it was not kept, as in a CSV, the probability of the most likely one alone. Without names if nobody is.
+        """
+        found = self.diagnostics.get(target)
+        if found is not None and POSTERIOR.name in found.values:
+            return found.frame, found.labels[POSTERIOR.name], found.values[POSTERIOR.name]
+        one = self.of_target(target)[0]
+        names = tuple(dict.fromkeys(name for name in one.identity.tolist() if name))
+        known = one.identity[:, None] == np.array(names, dtype=np.str_)[None]
+        return one.frame, names, np.where(known, one.identity_prob[:, None], np.nan)
+
+    def recognised(self, target: str, name: str, level: float = SURE) -> int | None:
+        """The first frame in which the identity `name` has a probability above `level`; None if there is none."""
+        frame, names, probabilities = self.beliefs(target)
+        above = np.flatnonzero(probabilities[:, names.index(name)] > level) if name in names else np.empty(0)
+        return int(frame[above[0]]) if above.size else None
+
+    # --- geometry and corrections
+
+    @property
+    def boxes(self) -> Array:
+        """(R, 4): left, top, width, height; a box over whole pixels has its centre at left + (w - 1) / 2."""
+        return np.stack([self.x - (self.w - 1) / 2, self.y - (self.h - 1) / 2, self.w, self.h], axis=1)
+
+    @property
+    def corrected(self) -> Mask:
+        """(R,) rows that corrections gave, of a trajectory of one part.
+
+        In a CSV they are those that are `init` after the first row, or where `absent` begins.
+        """
+        absent = self.status == "absent"
+        shown = (self.status == "init") | (absent & ~np.concatenate([absent[:1], absent[:-1]]))
+        found: Mask = self.by_hand | (shown & (np.arange(len(self)) > 0))
+        return found
+
+    # --- for other libraries
+
+    def columns(self) -> dict[str, Any]:
+        """The columns of the CSV as arrays, rows in the order of the file: by frame, then by part."""
+        order, _ = self._by_frame
+        targets, parts = (np.array([name[i] for name in self.names], dtype=np.str_) for i in (0, 1))
+        own = {"target": targets[self.which], "part": parts[self.which]}
+        return {name: (own[name] if name in own else getattr(self, name))[order] for name in COLUMNS}
+
+    def to_pandas(self) -> DataFrame:
+        """The columns as a pandas DataFrame; pandas must be installed."""
+        import pandas
+
+        return pandas.DataFrame(self.columns())
+
+
+_ARRAYS: Final = tuple(
+    f.name for f in fields(Trajectory) if f.type in ("Whole", "Array", "Texts", "Mask", "Array | None")
+)
+
+
+def build(
+    names: Sequence[tuple[str, str]],
+    which: Any,
+    frame: Any,
+    *,
+    header: Mapping[str, Any] | None = None,
+    diagnostics: Mapping[str, Diagnostics] | None = None,
+    path: Path = Path(),
+    **columns: Any,
+) -> Trajectory:
+    """A trajectory from the columns that are known, with rows in any order; None and columns left out are not known.
+
+    Raises InputError for two rows of one frame, target and part.
+    """
+    which, frame = np.asarray(which, np.int64), np.asarray(frame, np.int64)
+    order: Any = np.lexsort((frame, which))
+    if (order == np.arange(len(order))).all():
+        order = slice(None)
+    which, frame = which[order], frame[order]
+    twice = np.flatnonzero((np.diff(frame) == 0) & (np.diff(which) == 0))
+    if twice.size:
+        name = "/".join(names[which[twice[0]]])
+        raise InputError(
+            f"{path}: frame {frame[twice[0]]} has two rows of {name}; keep one row a frame, target and part"
+        )
+    known: dict[str, Any] = {"which": which, "frame": frame}
+    for name in _ARRAYS[2:]:
+        given = columns.pop(name, None)
+        if given is not None:
+            known[name] = np.asarray(given, dtype=_TYPES.get(name, np.float64))[order]
+        elif name != "corners":
+            known[name] = np.full(len(frame), *_UNKNOWN.get(name, (np.nan,)))
+    if columns:
+        raise TypeError(f"a trajectory has no {', '.join(columns)}")
+    return Trajectory(tuple(names), **known, header=header or {}, diagnostics=diagnostics or {}, path=path)
+
+
+_TYPES: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.str_), "by_hand": np.bool_}
+_UNKNOWN: Final[Mapping[str, tuple[Any, ...]]] = {**dict.fromkeys(TEXTS, ("", "<U8")), "by_hand": (False,)}
+
+
+def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:
+    """The trajectory of one part, from what is known of it."""
+    return build([(target, part)], np.zeros(len(frame), np.int64), frame, **columns)
+
+
+def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
+    """Trajectories of different parts, or of different frames, as one; `others` are header, diagnostics and path."""
+    all_ = list(parts)
+    if len(all_) == 1:
+        return replace(all_[0], **others)
+    numbers: dict[tuple[str, str], int] = {}
+    for one in all_:
+        for name in one.names:
+            numbers.setdefault(name, len(numbers))
+    which = [np.array([numbers[name] for name in one.names], np.int64)[one.which] for one in all_]
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) for one in all_]) for name in _ARRAYS[1:] if name != "corners"
+    }
+    if any(one.corners is not None for one in all_):
+        columns["corners"] = np.concatenate(
+            [np.full((len(one), 4, 2), np.nan) if one.corners is None else one.corners for one in all_]
+        )
+    return build(tuple(numbers), np.concatenate(which), **columns, **others)
+
+
+# --- what a tracker says of one frame ----------------------------------------------------------------------------
+
+
+class TargetResult(NamedTuple):
+    """What a tracker says of one target in one frame: a row for each of its K parts, and its diagnostics.
+
+    `cloud` (N, K, 2) are the particles' centres in pixels, for drawing; `insets` are small grey images of what the
+    tracker knows, each with its name; `notes` are lines for the user, said in the first frame.
+    """
+
+    rows: Trajectory
+    cloud: Array
+    insets: tuple[tuple[str, Image], ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What a tracker says of one frame."""
+
+    frame: Frame
+    targets: tuple[TargetResult, ...]
+
+    @cached_property
+    def rows(self) -> Trajectory:
+        """A row for each target and part, in the tracker's order."""
+        diagnostics = {name: one for target in self.targets for name, one in target.rows.diagnostics.items()}
+        return joined([target.rows for target in self.targets], diagnostics=diagnostics)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Lines for the user, each once, with the first target that it is said of where there are several."""
+        first: dict[str, str] = {}
+        for target in self.targets:
+            for note in target.notes:
+                first.setdefault(note, target.rows.target)
+        return tuple(f"{name}: {note}" if len(self.targets) > 1 else note for note, name in first.items())
+
+
+def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
+    """The rows of one frame as what the tracker said of each target, for drawing: without particles and images.
+
+    Of a target that reports its affine map the corners follow from that.
+    """
+    targets = []
+    for target in rows.targets:
+        if not (parts := [one for one in rows.of_target(target) if len(one)]):
+            continue
+        mine, found = joined(parts, diagnostics=rows.diagnostics), rows.diagnostics.get(target)
+        at = None if found is None or AFFINE.name not in found.values else found.row(frame)
+        if at is not None and found is not None and len(mine) == 1:
+            centre, size = np.array([[mine.x[0], mine.y[0]]]), np.array([[mine.w[0], mine.h[0]]])
+            mine = replace(mine, corners=corners(found.values[AFFINE.name][at : at + 1], centre, size))
+        targets.append(TargetResult(mine, np.empty((0, len(mine), 2))))
+    return tuple(targets)
+
+
+class Collector:
+    """Collects the rows of successive frames into one trajectory, in little more memory than that."""
+
+    def __init__(self) -> None:
+        self._chunks: list[Trajectory] = []
+        self._frames: list[Trajectory] = []
+
+    def add(self, rows: Trajectory) -> None:
+        self._frames.append(rows)
+        if len(self._frames) == 500:  # a frame by itself takes several times its numbers
+            self._chunks.append(successive(self._frames))
+            self._frames.clear()
+
+    def trajectory(self, **others: Any) -> Trajectory:
+        """All rows so far; `others` are header and path."""
+        return replace(successive([*self._chunks, *self._frames]), **others)
+
+
+def successive(pieces: Sequence[Trajectory], like: Trajectory | None = None) -> Trajectory:
+    """Rows of different frames or targets as one, with their diagnostics; names, header and path as in `like`."""
+    targets = dict.fromkeys(name for one in pieces for name in one.diagnostics)
+    found = {name: [one.diagnostics[name] for one in pieces if name in one.diagnostics] for name in targets}
+    diagnostics = {name: Diagnostics.joined(those) for name, those in found.items()}
+    if like is None:
+        return joined(pieces, diagnostics=diagnostics)
+    # the first piece gives the order of the names
+    return joined([like.take(slice(0, 0)), *pieces], diagnostics=diagnostics, header=like.header, path=like.path)
+
+
+def by_frame(rows: Trajectory) -> Iterator[tuple[int, list[int]]]:
+    """Each frame and the indices of its rows, by part."""
+    order = np.lexsort((rows.which, rows.frame)).tolist()
+    frames = rows.frame.tolist()
+    for frame, group in groupby(order, key=lambda i: frames[i]):
+        yield frame, list(group)
