@@ -13,7 +13,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.files.rows import Rows
-from facetrack_cli.editor.files.run_folder import UNSAVED, open_run
+from facetrack_cli.editor.run_folder import UNSAVED, open_run
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.retrack import Tracking
 from facetrack_cli.editor.web import serve as run_module

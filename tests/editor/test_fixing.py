@@ -15,7 +15,7 @@ from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.corrections import merged
 from facetrack_cli.editor.files.rows import Rows
-from facetrack_cli.editor.files.run_folder import UNSAVED, _recipe, check_size, open_run
+from facetrack_cli.editor.run_folder import UNSAVED, _recipe, check_size, open_run
 from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.retrack import StoppedError
 from facetrack_cli.editor.save import keep, save

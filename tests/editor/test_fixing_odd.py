@@ -14,8 +14,8 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.files import run_folder
-from facetrack_cli.editor.files.run_folder import open_run
+from facetrack_cli.editor import run_folder
+from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.overview import overview
 from facetrack_cli.editor.save import save
