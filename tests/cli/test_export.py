@@ -17,10 +17,10 @@ from facetrack_cli.cli.app import cli
 from facetrack_cli.trajectory.formats.boxes import read_got10k, read_otb
 from facetrack_cli.trajectory.formats.mot import read_mot
 from facetrack_cli.trajectory.formats.vot import read_vot
-from facetrack_cli.trajectory.row import COLUMNS, SCHEMA, Row
+from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import by_target, enclose
-from facetrack_cli.trajectory.table import Table, read_trajectory, series
-from facetrack_cli.trajectory.writers import csv_lines
+from facetrack_cli.trajectory.trajectory import series
+from facetrack_cli.trajectory.writers import COLUMNS, SCHEMA, Row, csv_lines
 
 FORMS = ("mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
 

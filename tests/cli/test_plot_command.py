@@ -10,7 +10,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.commands import plot as command
 from facetrack_cli.report import figures as plots
-from facetrack_cli.trajectory.row import COLUMNS
+from facetrack_cli.trajectory.writers import COLUMNS
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
 SAMPLES = Path(__file__).parents[2] / "sample_videos"

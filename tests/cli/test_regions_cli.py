@@ -12,7 +12,7 @@ from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.report.events import Clock, tell
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.trajectory.table import read_trajectory
+from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.media import write_pictures
 from tests.support.terminal import refusal
 from tests.tracking.test_regions import START, clip, truth

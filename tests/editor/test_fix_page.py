@@ -13,9 +13,9 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.files.rows import Rows
-from facetrack_cli.editor.run_folder import UNSAVED, open_run
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.retrack import Tracking
+from facetrack_cli.editor.run_folder import UNSAVED, open_run
 from facetrack_cli.editor.web import serve as run_module
 from facetrack_cli.editor.web import server as server_module
 from facetrack_cli.editor.web import session as session_module
@@ -24,10 +24,10 @@ from facetrack_cli.editor.web.pictures import Pictures
 from facetrack_cli.editor.web.serve import run_page
 from facetrack_cli.editor.web.server import serving
 from facetrack_cli.tracking.start import read_init
-from facetrack_cli.trajectory.csv_reader import read_csv
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.video.seek import Frames
 from tests.support.page_client import Client, wait_for
+from tests.support.results import file_rows
 from tests.support.samples import FOLDER
 from tests.support.terminal import refusal
 
@@ -118,7 +118,7 @@ def test_the_page_is_told_of_the_run(page, out):
     assert one.client.get("api/frame/19.jpg").status == 200 and one.client.get("api/frame/20.jpg").status == 404
     got = one.client.get("api/rows?from=5&to=9999").json
     assert got["from"] == 5 and len(got["frames"]) == STOP - 5 and got["parts"][0] == ["face", "nose"]
-    row = read_csv(out / "trajectory.csv")[5 * 5]
+    row = file_rows(out / "trajectory.csv")[5 * 5]
     assert got["frames"][0][0] == [row.x, row.y, row.w, row.h, None, row.confidence, "tracked", False, None]
     assert one.client.get("api/rows?from=a").status == 400
     found = one.client.get("api/overview?bins=7").json

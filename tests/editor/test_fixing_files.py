@@ -18,8 +18,7 @@ from facetrack_cli.editor.files.run_index import STATUS, UNKNOWN
 from facetrack_cli.editor.files.run_reader import read_index
 from facetrack_cli.editor.files.tracks import Recorder, Store
 from facetrack_cli.editor.overview import doubtful, overview
-from facetrack_cli.trajectory.writers import FORMATS, Footer
-from facetrack_cli.trajectory.writers import WRITERS
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer
 
 PARTS = {"anna": ("nose", "lip"), "ben": ("box",)}
 FIRST, FRAMES = 3, 24

@@ -26,8 +26,8 @@ from facetrack_cli.report.frames import MOST_BYTES, Clip, _jpeg, pictures
 from facetrack_cli.report.html import Html, Image, tag
 from facetrack_cli.report.make import make_report
 from facetrack_cli.report.page import Plot
-from facetrack_cli.trajectory.row import Footer
-from facetrack_cli.trajectory.table import read_trajectory
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.writers import Footer
 from tests.support.media import number, numbered, write_pictures, write_video
 from tests.support.report_run import KEYS, LOST, write_run
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.report.events import Clock, key_frames, tell
-from facetrack_cli.trajectory.table import read_trajectory
+from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.report_run import LOST, write_run
 
 

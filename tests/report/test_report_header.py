@@ -13,7 +13,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.command_line import command, recipe_yaml
 from facetrack_cli.trajectory.header import read_header
-from facetrack_cli.trajectory.table import Table, read_trajectory
+from facetrack_cli.trajectory.reader import read_trajectory
 
 SAMPLE = Path(__file__).parents[2] / "sample_videos" / "occlusion.mp4"
 

@@ -20,7 +20,7 @@ from facetrack_cli.report.events import Clock
 from facetrack_cli.report.frames import Clip, pictures
 from facetrack_cli.report.html import Image
 from facetrack_cli.report.page import Plot
-from facetrack_cli.trajectory.table import Table, read_trajectory
+from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.media import SIZE, write_video
 from tests.support.report_run import write_run
 

@@ -24,10 +24,10 @@ from facetrack_cli.core.types import Image
 from facetrack_cli.recipe.files import shipped_folder
 from facetrack_cli.runs.batch import folders
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.trajectory.csv_reader import read_csv
-from facetrack_cli.trajectory.row import COLUMNS
+from facetrack_cli.trajectory.writers import COLUMNS
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
+from tests.support.results import file_rows
 from tests.support.terminal import read_all
 
 SAMPLE = Path(__file__).parents[2] / "sample_videos" / "expressions.mp4"
@@ -110,7 +110,7 @@ def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
     assert (code, out) == (0, "")
     folder = Path("sway-factorized")
     assert names(folder) == ["annotated.mp4", "trajectory.csv", "trajectory.json"]
-    table = read_csv(folder / "trajectory.csv")
+    table = file_rows(folder / "trajectory.csv")
     assert [row.frame for row in table] == [i for i in range(30) for _ in range(5)]
     assert {row.status for row in table[:5]} == {"init"}
     assert count(folder / "annotated.mp4") == 30
@@ -131,7 +131,7 @@ def test_the_tracker_follows_the_sway(run: Runner, clip: Path) -> None:
     assert run(clip, "--no-video", "--set", "filter.particles=100")[0] == 0
     errors = [
         abs(row.x - (60 + round(3 * np.sin(row.frame / 8))))
-        for row in read_csv(Path("sway-factorized/trajectory.csv"))
+        for row in file_rows(Path("sway-factorized/trajectory.csv"))
         if row.part == "nose" and row.x is not None
     ]
     assert len(errors) == 30
@@ -189,7 +189,7 @@ def test_the_same_bytes_with_one_thread_and_two_and_from_pictures(run: Runner, c
     assert run("pictures/*.png", *SMALL, "--init", "pictures.init.yaml", "-o", "-", "--fps", "25")[1] == one
     assert run("pictures", *SMALL, "-o", "-", "--fps", "50/2")[1] == one
     assert run("pictures", *SMALL, "--fps", 12.5)[0] == 0
-    assert read_csv(Path("pictures-factorized/trajectory.csv"))[-1].time_s == pytest.approx(29 / 12.5)
+    assert file_rows(Path("pictures-factorized/trajectory.csv"))[-1].time_s == pytest.approx(29 / 12.5)
     assert count(Path("pictures-factorized/annotated.mp4")) == 30
 
 
@@ -228,7 +228,7 @@ def test_a_face_is_found_where_no_init_file_lies(run: Runner) -> None:
     data = json.loads(Path("clip-factorized/trajectory.json").read_text())
     assert data["init"]["from"] == "haar"
     nose = data["init"]["targets"]["face"]["points"]["nose"]
-    truth = next(r for r in read_csv(SAMPLE.with_suffix(".truth.csv")) if r.frame == 0 and r.part == "nose")
+    truth = next(r for r in file_rows(SAMPLE.with_suffix(".truth.csv")) if r.frame == 0 and r.part == "nose")
     assert truth.x is not None
     assert truth.y is not None
     assert np.hypot(nose[0] - truth.x, nose[1] - truth.y) < 15
@@ -392,7 +392,7 @@ def test_a_full_disk_keeps_what_was_tracked(run: Runner, clip: Path, monkeypatch
     assert "trajectory.csv: the disk is full" in lines[1]
     folder = Path("sway-factorized")
     assert names(folder) == ["annotated.mp4", "trajectory.csv", "trajectory.json"]
-    kept = read_csv(folder / "trajectory.csv")
+    kept = file_rows(folder / "trajectory.csv")
     assert [row.frame for row in kept] == [i for i in range(len(kept) // 5) for _ in range(5)]
     assert 0 < len(kept) < 150
 
@@ -508,7 +508,7 @@ def test_a_batch_goes_on_past_a_bad_clip(run: Runner, clip: Path, tmp_path: Path
     assert (code, out) == (5, "")
     assert names(Path("all")) == ["other-factorized", "sway-factorized"]
     assert count(Path("all/sway-factorized/annotated.mp4")) == 30
-    assert len(read_csv(Path("all/other-factorized/trajectory.csv"))) == 50
+    assert len(file_rows(Path("all/other-factorized/trajectory.csv"))) == 50
     lines = err.splitlines()
     assert sum("facetrack: error: bad.mp4: not a video" in line for line in lines) == 1
     assert lines[-1] == "1 of 3 inputs failed"
@@ -611,7 +611,7 @@ def check_interrupted(folder: Path, all_frames: int, reason: str) -> None:
     done = data["frames_tracked"]
     assert 0 < done < all_frames
     assert (data["complete"], data["stopped"], len(data["frames"])) == (False, reason, done)
-    assert len(read_csv(folder / "trajectory.csv")) == 5 * done
+    assert len(file_rows(folder / "trajectory.csv")) == 5 * done
     assert count(folder / "annotated.mp4") == done
 
 
@@ -805,7 +805,7 @@ def test_an_encoder_that_is_killed(run: Runner, clip: Path, monkeypatch: pytest.
     assert "(trajectory.csv, trajectory.json)" in summary and "incomplete" in summary
     assert "annotated.mp4: the video cannot be written (ffmpeg was killed by signal 9); run it again" in error
     assert names(Path("sway-factorized")) == ["trajectory.csv", "trajectory.json"]
-    assert len(read_csv(Path("sway-factorized/trajectory.csv"))) >= 8 * 5
+    assert len(file_rows(Path("sway-factorized/trajectory.csv"))) >= 8 * 5
 
 
 @pytest.mark.skipif(os.name != "posix", reason="closes streams as a shell does")

@@ -18,7 +18,8 @@ from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.plan import find_plan_start, truth_start
 from facetrack_cli.runs.seeds import Failure, Plan, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.trajectory.table import Table, read_trajectory, series
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import series
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 CLIP = SAMPLES / "expressions.mp4"

@@ -17,8 +17,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.web import server as server_module
 from facetrack_cli.editor.web.fix_session import FixSession
 from facetrack_cli.editor.web.pick_session import PickSession

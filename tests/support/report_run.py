@@ -8,8 +8,7 @@ import numpy as np
 
 from facetrack_cli.core.files import FileSink
 from facetrack_cli.core.types import Frame, PartResult, Result, TargetResult
-from facetrack_cli.trajectory.row import Footer
-from facetrack_cli.trajectory.writers import JsonWriter
+from facetrack_cli.trajectory.writers import Footer, JsonWriter
 from tests.support.media import SIZE
 
 # part a is lost in frames 8 to 11, part b from 14 to the end

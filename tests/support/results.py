@@ -1,9 +1,13 @@
 """Results of a tracker, and rows of a trajectory, put together by hand."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostics
+from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult, build, joined
 
 
@@ -42,8 +46,6 @@ def target(
 
 
 def with_(rows, **columns):
-    from dataclasses import replace
-
     return replace(rows, **columns)
 
 
@@ -65,3 +67,13 @@ def result(frame, targets):
 def table(path, parts, header=None, diagnostics=None):
     """A trajectory of these parts."""
     return joined(parts, path=path, header=header or {}, diagnostics=diagnostics or {})
+
+
+def file_rows(path):
+    """The rows of a file in its order, each with the columns of the CSV; None is what is not known."""
+    columns = read_trajectory(path).columns()
+    lists = {name: column.tolist() for name, column in columns.items()}
+    return [
+        SimpleNamespace(**{name: None if value != value else value for name, value in zip(lists, row, strict=True)})
+        for row in zip(*lists.values(), strict=True)
+    ]

@@ -9,8 +9,8 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from facetrack_cli.tracking.start import read_init
-from facetrack_cli.trajectory.csv_reader import read_csv
 from facetrack_cli.video.source import open_source
+from tests.support.results import file_rows
 
 FOLDER = Path(__file__).parents[2] / "sample_videos"
 
@@ -23,7 +23,7 @@ class TrackClip:
         self.start = read_init(path.with_suffix(".init.yaml"))
         with open_source(path, stop=stop) as source:
             self.frames = list(source)
-        self.truth = {(row.frame, row.part): row for row in read_csv(path.with_suffix(".truth.csv"))}
+        self.truth = {(row.frame, row.part): row for row in file_rows(path.with_suffix(".truth.csv"))}
 
 
 class BoxClip(NamedTuple):

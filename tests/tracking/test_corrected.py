@@ -12,8 +12,7 @@ from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.corrected import CorrectedTarget
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.models.spaces import AffineSpace, BoxSpace, CloudSpace, Estimate, PointSpace
-from facetrack_cli.trajectory.row import rows
-from facetrack_cli.trajectory.writers import csv_lines
+from facetrack_cli.trajectory.writers import csv_lines, rows
 from tests.support.samples import TrackClip
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Correction, TargetStart
-from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import save
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker

@@ -38,10 +38,10 @@ from facetrack_cli.trajectory.formats.eaf import spans_of
 from facetrack_cli.trajectory.formats.mot import write_mot
 from facetrack_cli.trajectory.formats.vot import write_vot
 from facetrack_cli.trajectory.header import read_header
-from facetrack_cli.trajectory.row import Footer
+from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import enclose
-from facetrack_cli.trajectory.table import Table, read_trajectory, series
-from facetrack_cli.trajectory.writers import WRITERS
+from facetrack_cli.trajectory.trajectory import series
+from facetrack_cli.trajectory.writers import WRITERS, Footer
 from tests.evaluation.test_bands import RECORDED
 from tests.evaluation.test_points import rows
 from tests.evaluation.test_trust import statuses

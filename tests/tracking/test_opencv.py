@@ -131,12 +131,12 @@ def test_run_writes_boxes_and_draws_them(tmp_path):
     from click.testing import CliRunner
 
     from facetrack_cli.cli.app import cli
-    from facetrack_cli.trajectory.csv_reader import read_csv
+    from tests.support.results import file_rows
 
     clip = Path(__file__).parents[2] / "sample_videos" / "expressions.mp4"
     done = CliRunner().invoke(cli, ["run", str(clip), "--config", "mil", "--stop", "8", "-o", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    rows = read_csv(tmp_path / "out" / "trajectory.csv")
+    rows = file_rows(tmp_path / "out" / "trajectory.csv")
     assert [row.frame for row in rows] == list(range(8)) and {row.part for row in rows} == {"box"}
     assert all(row.w and row.h and row.confidence is None and row.std_x is None for row in rows)
     assert (tmp_path / "out" / "annotated.mp4").stat().st_size > 1000

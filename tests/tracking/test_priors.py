@@ -15,8 +15,7 @@ from facetrack_cli.report.figures.shape_prior import draw_prior
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.tracking.models.shape_prior import ShapePrior, bind, default_prior_path, load_prior
 from facetrack_cli.tracking.models.shape_prior_fit import fit_prior
-from facetrack_cli.trajectory.row import COLUMNS, Row
-from facetrack_cli.trajectory.writers import csv_lines
+from facetrack_cli.trajectory.writers import COLUMNS, Row, csv_lines
 from tests.twins import shape as naive_shape
 
 ROOT = Path(__file__).resolve().parents[2]

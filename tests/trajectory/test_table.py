@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory import table as module
-from facetrack_cli.trajectory.row import COLUMNS, SCHEMA
 from facetrack_cli.trajectory.table import Series, Table, read_trajectory
+from facetrack_cli.trajectory.writers import COLUMNS, SCHEMA
 
 NAMES = [name for name in Series.__dataclass_fields__ if name != "corners"]
 

@@ -19,10 +19,9 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import FileSink
 from facetrack_cli.core.types import Frame, PartResult, Result, TargetResult, Told
 from facetrack_cli.trajectory import table as module
-from facetrack_cli.trajectory.row import SCHEMA, Footer
+from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import choose
-from facetrack_cli.trajectory.table import Table, read_trajectory
-from facetrack_cli.trajectory.writers import WRITERS, members
+from facetrack_cli.trajectory.writers import SCHEMA, WRITERS, Footer, members
 
 TOLD = Told(
     affine=(1.0, 0.123456, -0.0, 1.0, 10.0, 20.12345),

@@ -19,9 +19,8 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink
 from facetrack_cli.core.types import Frame, PartResult, Result, TargetResult
-from facetrack_cli.trajectory.csv_reader import read_csv
-from facetrack_cli.trajectory.row import COLUMNS, DECIMALS, FORMATS, Footer, Row, rows
-from facetrack_cli.trajectory.writers import WRITERS, csv_lines
+from facetrack_cli.trajectory.writers import COLUMNS, DECIMALS, FORMATS, WRITERS, Footer, Row, csv_lines, rows
+from tests.support.results import file_rows
 
 HEADER = "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,particles,ess,identity,identity_prob"
 
@@ -167,7 +166,7 @@ numbers = st.none() | st.floats(-1e6, 1e6)
 def test_what_is_written_is_read_back(tmp_path_factory: pytest.TempPathFactory, given_rows: list[Row]) -> None:
     path = tmp_path_factory.getbasetemp() / "round.csv"
     path.write_text(HEADER + "\n" + csv_lines(given_rows), encoding="utf-8", newline="")
-    back = read_csv(path)
+    back = file_rows(path)
     for row, again in zip(given_rows, back, strict=True):
         for name, value, read in zip(Row._fields, row, again, strict=True):
             if isinstance(value, float):
@@ -265,7 +264,7 @@ def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.Monk
     text = path.read_text()
     assert len(text) <= room
     if form == "csv":
-        kept = read_csv(path)
+        kept = file_rows(path)
         indices = [row.frame for row in kept[::2]]
         assert text.endswith("\n")
         assert len(kept) == 2 * len(indices)
@@ -312,17 +311,17 @@ def saved(tmp_path: Path, text: str | bytes) -> Path:
 
 def test_optional_columns_may_be_missing_and_order_is_free(tmp_path: Path) -> None:
     path = saved(tmp_path, "part,x,y,frame,target,mine\nnose,1.5,2,4,face,whatever\n")
-    assert read_csv(path) == [Row(4, None, "face", "nose", 1.5, 2.0)]
+    assert file_rows(path) == [Row(4, None, "face", "nose", 1.5, 2.0)]
 
 
 def test_bom_crlf_and_blank_lines_are_fine(tmp_path: Path) -> None:
     path = saved(tmp_path, "\ufeffframe,target,part,x,y,status\r\n0,face,nose,1,2,hidden\r\n\r\n")
-    assert read_csv(path) == [Row(0, None, "face", "nose", 1.0, 2.0, status="hidden")]
+    assert file_rows(path) == [Row(0, None, "face", "nose", 1.0, 2.0, status="hidden")]
 
 
 def test_a_part_that_is_absent_has_no_place(tmp_path: Path) -> None:
     path = saved(tmp_path, "frame,target,part,x,y,status\n0,face,nose,,,absent\n")
-    assert read_csv(path)[0].x is None
+    assert file_rows(path)[0].x is None
 
 
 @pytest.mark.parametrize(
@@ -349,15 +348,15 @@ def test_a_part_that_is_absent_has_no_place(tmp_path: Path) -> None:
 )
 def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str | bytes, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        read_csv(saved(tmp_path, text))
+        file_rows(saved(tmp_path, text))
     assert "\n" not in str(caught.value)
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.csv: cannot be read: No such file"):
-        read_csv(tmp_path / "none.csv")
+        file_rows(tmp_path / "none.csv")
     with pytest.raises(InputError, match="cannot be read: Is a directory"):
-        read_csv(tmp_path)
+        file_rows(tmp_path)
 
 
 def test_python_csv_agrees_with_ours(tmp_path: Path) -> None:
