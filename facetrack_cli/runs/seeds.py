@@ -29,10 +29,8 @@ from facetrack_cli.core.types import Frame, Start, Whole
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.batch import cores, use_threads, worker_context
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start import check_start
-from facetrack_cli.tracking.start.checks import check_windows
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, one_part
 from facetrack_cli.video.source import open_source
 
@@ -121,9 +119,7 @@ def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
 
     Raises what the plan's recipe and start are refused for without a look at the picture of that (width, height).
     """
-    check_start(plan.start, size, plan.recipe.points)
-    tracker = build_tracker(plan.recipe, plan.start)
-    check_windows(plan.recipe, tracker, size, plan.start.origin)
+    tracker = tracker_for(plan.recipe, plan.start, size)
     one = np.ones(len(frames))  # every part of every tracker has a size
     rows = [one_part(target.name, part, frames, w=one, h=one) for target in tracker for part in target.parts]
     return joined(rows, path=plan.clip, header=_header(size))
@@ -142,9 +138,7 @@ def _run(
     `tell` hears of each frame how many tracked it.
     """
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
-        check_start(plan.start, source.size, plan.recipe.points)
-        tracker = build_tracker(plan.recipe, plan.start)
-        check_windows(plan.recipe, tracker, source.size, plan.start.origin)
+        tracker = tracker_for(plan.recipe, plan.start, source.size)
         feed = _Feed()
         runs = [track(tracker, iter(feed), seed, clip=str(plan.clip)) for seed in seeds]
         logs = [Collector() for _ in seeds]
