@@ -52,7 +52,7 @@ def match(
     _check_status(trajectory, truth, named)
     _check_frames(trajectory, truth, named, partial)
     _check_picture(trajectory, truth, named)
-    if check_shift and (found := find_shift([(one.ours, one.truth) for one in named])):
+    if check_shift and (found := find_shift(named)):
         raise InputError(
             f"{truth.path}: fits {trajectory.path} with {-found.lag:+d} added to its frames (median error "
             f"{found.error_at_lag:.1f} px, as it is {found.error:.1f} px): was either file cut and renumbered? "
@@ -62,9 +62,9 @@ def match(
     for one in named:
         _, mine, theirs = np.intersect1d(one.ours.frame, one.truth.frame, assume_unique=True, return_indices=True)
         if mine.size:
-            pairs.append(Pair(one.name, one.ours.take(mine), one.truth.take(theirs)))
+            pairs.append(Pair(one.ours.take(mine), one.truth.take(theirs)))
         else:
-            note(f"{one.name}: no frame in common, and left out")
+            note(f"{one.ours.name}: no frame in common, and left out")
     return pairs
 
 
@@ -75,10 +75,10 @@ def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: C
     theirs = truth.parts
     if truth.targets == ("",):
         return [_nameless(ours, truth, select, note)]
-    found = [Pair(one.name, one, other) for one in ours.parts if (other := truth.find(one.target, one.part))]
+    found = [Pair(one, other) for one in ours.parts if (other := truth.find(one.target, one.part))]
     if not found and len(ours.targets) == len(truth.targets) == 1:
         renamed = {one.part: one.renamed(ours.target, one.part) for one in theirs}
-        found = [Pair(one.name, one, renamed[one.part]) for one in ours.parts if one.part in renamed]
+        found = [Pair(one, renamed[one.part]) for one in ours.parts if one.part in renamed]
         if found and ours.targets[0]:
             note(f"{truth.targets[0]} of the truth is taken for {ours.targets[0]}: both have one target")
             theirs = tuple(renamed.values())
@@ -87,7 +87,7 @@ def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: C
             f"{truth.path}: no part in common with {ours.path}; it has {_names(theirs)}, the trajectory "
             f"{_names(ours.parts)}: {_remedy(theirs, ours.parts)}"
         )
-    paired = {one.name for one in found}
+    paired = {one.ours.name for one in found}
     alone = [one for one in theirs if one.name not in paired]
     if alone and select is None:
         note(f"{truth.path}: {_names(alone)} {'are' if len(alone) > 1 else 'is'} not in the trajectory, and left out")
@@ -126,7 +126,7 @@ def _nameless(ours: Trajectory, truth: Trajectory, select: str | None, note: Cal
         raise InputError(f"{truth.path}: holds boxes, and no part of {ours.path} has w and h; give truth of its points")
     if boxed[0].part != "box":
         note(f"{truth.path}: its boxes are taken for {boxed[0].name}, the only part with a size")
-    return Pair(boxed[0].name, boxed[0], truth.parts[0])
+    return Pair(boxed[0], truth.parts[0])
 
 
 def _names(those: Sequence[Trajectory], most: int = 6) -> str:

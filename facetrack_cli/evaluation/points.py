@@ -1,19 +1,21 @@
-"""Errors of points against the truth, and what becomes of a part that was covered.
+"""Errors of points against the ground truth, and the recovery of parts after occlusions.
 
-Errors are Euclidean distances in pixels; a *normalised* error is divided by a length of the truth (units.py). Failure
-rate and AUC are those of the facial landmark literature (300-W, COFW, WFLW), a row here standing for an image there.
+Errors are Euclidean distances in pixels; a *normalised* error is divided by a length of the ground truth (units.py).
+Failure rate and AUC are those of the facial landmark literature (300-W, COFW, WFLW), with a row for an image.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from facetrack_cli.core.spans import spans
 from facetrack_cli.core.types import Array
-from facetrack_cli.evaluation.rows import Figure, Rows, column
+from facetrack_cli.evaluation.measure import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Value, mean, median
+from facetrack_cli.evaluation.rows import Rows, column
 
 FAILURE = 0.1
 """Normalised error above which a row has failed, as COFW and WFLW have it; 300-W takes 0.08."""
@@ -41,20 +43,20 @@ class PointMeasures:
                      length
     """
 
-    rows: int
-    missing: int
-    mean_px: Figure
-    median_px: Figure
-    std_px: Figure
-    p95_px: Figure
-    mean_normalised: Figure
-    median_normalised: Figure
-    failure_rate: Figure
-    auc: Figure
-    hidden_rows: int
-    hidden_mean_px: Figure
-    hidden_median_px: Figure
-    lost_for_good: int | None
+    rows: Annotated[int, Measure("visible\nrows", COUNT)]
+    missing: Annotated[int, Measure("", COUNT, "less")]
+    mean_px: Annotated[Value, Measure("mean\npx", PX, "less")]
+    median_px: Annotated[Value, Measure("median\npx", PX, "less")]
+    std_px: Annotated[Value, Measure("std\npx", PX, "less")]
+    p95_px: Annotated[Value, Measure("95th\npx", PX, "less")]
+    mean_normalised: Annotated[Value, Measure("mean\n% of length", PERCENT, "less")]
+    median_normalised: Annotated[Value, Measure("", PERCENT, "less")]
+    failure_rate: Annotated[Value, Measure("failed\n%", PERCENT, "less")]
+    auc: Annotated[Value, Measure("AUC\n", UNIT, "more")]
+    hidden_rows: Annotated[int, Measure("hidden\nrows", COUNT, rare=True)]
+    hidden_mean_px: Annotated[Value, Measure("mean\npx", PX, "less", rare=True)]
+    hidden_median_px: Annotated[Value, Measure("median\npx", PX, "less", rare=True)]
+    lost_for_good: Annotated[int | None, Measure("lost for\ngood", COUNT, "less")]
 
 
 @dataclass(frozen=True)
@@ -82,18 +84,18 @@ class RecoveryMeasures:
     `recovered` is the share of the decided ones; the median and the worst frames to return are of those that come back.
     """
 
-    occlusions: int
-    decided: int
-    returned: int
-    recovered: Figure
-    frames_median: Figure
-    frames_worst: Figure
+    occlusions: Annotated[int, Measure("", COUNT)]
+    decided: Annotated[int, Measure("", COUNT)]
+    returned: Annotated[int, Measure("", COUNT)]
+    recovered: Annotated[Value, Measure("", PERCENT, "more")]
+    frames_median: Annotated[Value, Measure("", HALVES, "less")]
+    frames_worst: Annotated[Value, Measure("", COUNT, "less")]
 
 
 def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeasures:
     """Errors over all rows of the parts, each row counting once; `failure` is a normalised error.
 
-    What a correction gave is left out: it is no merit of the tracker.
+    Rows that a correction gave are left out.
     """
     parts = [part.take(~part.later) for part in parts]
     error, unit, visible, hidden = (column(parts, name) for name in ("error", "unit", "visible", "hidden"))
@@ -109,28 +111,27 @@ def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeas
     return PointMeasures(
         rows=len(px),
         missing=int(np.sum(missing)),
-        mean_px=_mean(px),
-        median_px=_median(px),
+        mean_px=mean(px),
+        median_px=median(px),
         std_px=float(np.std(px)) if len(px) else None,
         p95_px=float(np.percentile(px, 95)) if len(px) else None,
-        mean_normalised=_mean(finite),
-        median_normalised=_median(finite),
-        failure_rate=_mean(normalised > failure),
+        mean_normalised=mean(finite),
+        median_normalised=median(finite),
+        failure_rate=mean(normalised > failure),
         auc=auc(normalised, failure),
         hidden_rows=int(np.sum(covered)),
-        hidden_mean_px=_mean(error[covered]),
-        hidden_median_px=_median(error[covered]),
+        hidden_mean_px=mean(error[covered]),
+        hidden_median_px=median(error[covered]),
         lost_for_good=sum(for_good) if for_good else None,
     )
 
 
-def auc(errors: Array, limit: float) -> Figure:
+def auc(errors: Array, limit: float) -> Value:
     """Area under the cumulative distribution of `errors` (R,) from 0 to `limit`, divided by `limit`; None without rows.
 
-    The distribution is a step function, so its area is exact: each row adds what is left between its error and the
-    limit. Infinite errors add nothing.
+    The distribution is a step function, so the area is exact; infinite errors add nothing.
     """
-    return float(np.mean(np.clip(1 - errors / limit, 0.0, 1.0))) if len(errors) else None
+    return mean(np.clip(1 - errors / limit, 0.0, 1.0))
 
 
 def lost_for_good(part: Rows) -> bool | None:
@@ -187,14 +188,6 @@ def measure_recovery(found: Sequence[Occlusion]) -> RecoveryMeasures | None:
         decided=len(decided),
         returned=len(frames),
         recovered=len(frames) / len(decided) if decided else None,
-        frames_median=float(np.median(frames)) if frames else None,
+        frames_median=median(np.array(frames)),
         frames_worst=float(max(frames)) if frames else None,
     )
-
-
-def _mean(values: Array) -> Figure:
-    return float(np.mean(values)) if len(values) else None
-
-
-def _median(values: Array) -> Figure:
-    return float(np.median(values)) if len(values) else None

@@ -1,4 +1,4 @@
-"""Ours beside the truth, row by row: the arrays that every measure of points and of trust is computed from.
+"""A trajectory beside its ground truth, row by row: the arrays that every measure is computed from.
 
 Axes: R rows of one part, one a frame, in the order of their frames.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,28 +15,22 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-Figure: TypeAlias = float | None
-"""A measured figure; None where it is not defined, as the precision of nothing."""
-
-
 NEAR = 1 / 6
 """A point is near if its error is less than this share of the normalising length."""
-
-
 NEAR_IOU = 0.5
-"""A box is near if its overlap with the truth (intersection over union) is more than this."""
+"""A box is near if its overlap with the ground truth (intersection over union) is more than this."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """One part, ours against the truth; every array is (R,) but `offset` and `std`, which are (R, 2), x before y.
+    """One part against its ground truth; every array is (R,) but `offset` and `std`, which are (R, 2), x before y.
 
-    `offset` is ours minus the truth in pixels, nan where either has no position; `unit` the length in pixels by which
-    errors are normalised, nan where it is unknown. Each row is one of visible, hidden, absent; `placed` are the visible
-    and hidden ones whose true position is known. `near` may be asked where `judged` alone: an absent part has no place
-    to be near to, so an absent row is judged, and not near. `lost` may be asked where `told` alone. `init` are the rows
-    that the tracker was given, `later` those of them that came after the first, by corrections; `left_out` are rows
-    that a correction calls absent.
+    `offset` is ours minus the ground truth in pixels, nan where either has no position; `unit` the length in pixels by
+    which errors are normalised, nan where it is unknown. Each row is one of visible, hidden, absent; `placed` are the
+    visible and hidden ones whose true position is known. `near` is defined where `judged`: an absent part has no place
+    to be near to, so an absent row is judged, and not near. `lost` is defined where `stated`: the status is tracked or
+    lost. `init` are the rows that the tracker was given, `later` those of them after the first, by corrections;
+    `left_out` are rows that a correction calls absent.
     """
 
     target: str
@@ -50,7 +44,7 @@ class Rows:
     placed: Mask
     near: Mask
     judged: Mask
-    told: Mask
+    stated: Mask
     lost: Mask
     init: Mask
     later: Mask
@@ -72,7 +66,7 @@ class Rows:
 
     @property
     def by_hand(self) -> Mask:
-        """(R,) said by a correction: where it is, or that it is absent."""
+        """(R,) given by a correction: a place, or that the part is absent."""
         return self.later | self.left_out
 
     @property
@@ -89,22 +83,22 @@ class Rows:
 
 
 def rows_of(pair: Pair, unit: Array) -> Rows:
-    """The rows of a pair of series of equal frames, with `unit` (R,) in pixels.
+    """The rows of a pair, with `unit` (R,) in pixels.
 
-    A truth row that says nothing of visibility is visible. Whether a box is near is known without a unit.
+    A row of ground truth without a status is visible. Whether a box is near is known without a unit.
     """
     ours, truth = pair.ours, pair.truth
     hidden, absent = truth.status == "hidden", truth.status == "absent"
     offset = np.stack([ours.x - truth.x, ours.y - truth.y], axis=1)
     placed = ~absent & np.isfinite(truth.x) & np.isfinite(truth.y)
     with np.errstate(invalid="ignore"):
-        if is_box(ours, truth):
+        if pair.is_box:
             near, known = iou(ours.boxes, truth.boxes) > NEAR_IOU, np.isfinite(truth.boxes).all(axis=1)
         else:
             near, known = np.hypot(offset[:, 0], offset[:, 1]) < NEAR * unit, np.isfinite(unit)
     init = ours.status == "init"
     if len(ours) and not np.any(ours.status != ""):
-        init = np.arange(len(ours)) == 0  # a tracker that tells no status has been given its first row all the same
+        init = np.arange(len(ours)) == 0  # without any status, the first row alone
     return Rows(
         target=ours.target,
         part=ours.part,
@@ -117,7 +111,7 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         placed=placed,
         near=near & placed & known,
         judged=(placed & known) | absent,
-        told=(ours.status == "tracked") | (ours.status == "lost"),
+        stated=(ours.status == "tracked") | (ours.status == "lost"),
         lost=ours.status == "lost",
         init=init,
         later=init & (np.arange(len(ours)) > 0),
@@ -132,30 +126,18 @@ def column(parts: Iterable[Rows], name: str) -> Any:
     return np.concatenate([getattr(part, name) for part in parts])
 
 
-def share(of: Mask, those: Mask) -> Figure:
-    """How much of `of` is also `those`, 0 to 1; None if there is nothing to count."""
-    count = int(np.sum(of))
-    return float(np.sum(of & those) / count) if count else None
-
-
-def says_box(ours: Trajectory, truth: Trajectory) -> bool:
-    """Whether one of a pair says that it is a box; the windows of points have sizes too, and are none."""
-    return "box" in (ours.part, truth.part) or truth.corners is not None
-
-
-def is_box(ours: Trajectory, truth: Trajectory) -> bool:
-    """Whether a pair is measured as boxes: one of them says that it is a box, and both have a size in some row."""
-    return says_box(ours, truth) and all(bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in (ours, truth))
-
-
 class Pair(NamedTuple):
-    """One part and its truth, row by row: `ours.frame` and `truth.frame` are equal."""
+    """One part and its ground truth, row by row: `ours.frame` and `truth.frame` are equal."""
 
-    name: str
     ours: Trajectory
     truth: Trajectory
 
     @property
-    def kind(self) -> str:
-        """`boxes` if it is measured as such: one says that it is a box, and both have sizes; else `points`."""
-        return "boxes" if is_box(self.ours, self.truth) else "points"
+    def declared_box(self) -> bool:
+        """Whether one of the two is declared a box; the windows of points have sizes too, and are none."""
+        return "box" in (self.ours.part, self.truth.part) or self.truth.corners is not None
+
+    @property
+    def is_box(self) -> bool:
+        """Whether the pair is measured as boxes: one is declared a box, and both have a size in some row."""
+        return self.declared_box and all(bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in self)

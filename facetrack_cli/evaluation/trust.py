@@ -1,8 +1,8 @@
-"""How far `lost`, `confidence` and the posterior's spread can be trusted, against the truth.
+"""How far `lost`, `confidence` and the posterior's spread can be trusted, against the ground truth.
 
-Counted are rows, one a frame and part, without those that the tracker was given. A row is *near* if it is off by less
-than a sixth of the normalising length (a box: if it overlaps the truth by more than half), *gone* if the truth calls it
-hidden or absent, or if it is not near. A figure that is not defined, as the precision of nothing, is None.
+Counted are rows, one a frame and part, without those that the tracker was given. A row is *near* if its error is less
+than a sixth of the normalising length (a box: if its IoU is more than 1/2), *covered* if the ground truth calls it
+hidden or absent, *gone* if it is covered or not near.
 """
 
 from __future__ import annotations
@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from facetrack_cli.core.spans import spans
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.rows import Figure, Rows, column, share
+from facetrack_cli.evaluation.measure import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Value, mean, median, share
+from facetrack_cli.evaluation.rows import Rows, column
 
 BINS = 10
 ELLIPSE_50 = 2 * math.log(2)
@@ -26,36 +28,33 @@ ELLIPSE_90 = 2 * math.log(10)
 
 @dataclass(frozen=True)
 class LostMeasures:
-    """Status `lost` against the truth; shares are 0 to 1, delays frames.
+    """Status `lost` against the ground truth; shares are 0 to 1, delays frames.
 
-    precision        of the rows called lost, those hidden or absent
-    precision_gone   of the rows called lost, those gone
-    recall           of the hidden and absent rows, those called lost
-    recall_gone      of the rows gone, those called lost
+    rows, covered, called  rows with a status; of these the covered, and those called lost
+    precision        of the rows called lost, those covered; `precision_gone`: those gone
+    recall           of the covered rows, those called lost; `recall_gone`: of the rows gone
     false_alarms     of the rows visible and near, those called lost
     tracked_near     of the rows called tracked, those near
-    tracked_visible_near  of the rows called tracked and visible in truth, those near
-    delay_lost       from a part's being covered until it is called lost: median over the spans in which it is
+    tracked_visible_near  of the rows called tracked and visible in the ground truth, those near
+    spans            the stretches in which a part is covered; `spans_called`: those in which it is called lost at all
+    delay_lost       from the first covered row until a part is called lost: median over the spans in which it is
     delay_back       from a part's return until it is tracked and near: median over the spans after which it is
-
-    `rows` are those with a status, `covered` the hidden and absent of them, `called` those called lost; `spans` are the
-    stretches in which a part is covered, `spans_called` those in which it is called lost at all.
     """
 
-    rows: int
-    covered: int
-    called: int
-    precision: Figure
-    precision_gone: Figure
-    recall: Figure
-    recall_gone: Figure
-    false_alarms: Figure
-    tracked_near: Figure
-    tracked_visible_near: Figure
-    spans: int
-    spans_called: int
-    delay_lost: Figure
-    delay_back: Figure
+    rows: Annotated[int, Measure("rows\n", COUNT)]
+    covered: Annotated[int, Measure("covered\nrows", COUNT)]
+    called: Annotated[int, Measure("called\nlost", COUNT)]
+    precision: Annotated[Value, Measure("precision\ncovered %", PERCENT, "more")]
+    precision_gone: Annotated[Value, Measure("precision\ngone %", PERCENT, "more")]
+    recall: Annotated[Value, Measure("recall\ncovered %", PERCENT, "more")]
+    recall_gone: Annotated[Value, Measure("recall\ngone %", PERCENT, "more")]
+    false_alarms: Annotated[Value, Measure("false\nalarms %", PERCENT, "less")]
+    tracked_near: Annotated[Value, Measure("tracked:\nnear %", PERCENT, "more")]
+    tracked_visible_near: Annotated[Value, Measure("& visible:\nnear %", PERCENT, "more")]
+    spans: Annotated[int, Measure("", COUNT)]
+    spans_called: Annotated[int, Measure("", COUNT)]
+    delay_lost: Annotated[Value, Measure("delay lost\nframes", HALVES, "less")]
+    delay_back: Annotated[Value, Measure("delay back\nframes", HALVES, "less")]
 
 
 @dataclass(frozen=True)
@@ -65,74 +64,57 @@ class CalibrationBin:
     low: float
     high: float
     rows: int
-    mean_confidence: Figure
-    near: Figure
-    visible: Figure
+    mean_confidence: Value
+    near: Value
+    visible: Value
 
 
 @dataclass(frozen=True)
 class ConfidenceMeasures:
-    """What `confidence` is worth. It is no probability of being near; these say how far it behaves as one.
+    """How far `confidence` behaves as a probability of being near, which it is not.
 
-    near           share of the rows that are near, whatever their confidence
+    rows           rows with a confidence of which is known whether they are near; absent rows are not
+    near           share of them that are near, whatever their confidence
     auroc_near     chance that a near row has more confidence than one that is not near, ties counting half: 0.5 is
                    worthless, 1 tells them apart by some threshold (area under the ROC curve)
-    auroc_visible  the same of visible rows against hidden and absent ones
+    auroc_visible  the same of visible rows against covered ones
     ece            expected calibration error: mean over rows of |share near - mean confidence| of their bin
     brier          mean of (confidence - 1 if near else 0) squared
     bins           `BINS` bins of equal width
-
-    `rows` are those with a confidence of which is known whether they are near; absent rows are not.
     """
 
-    rows: int
-    near: Figure
-    auroc_near: Figure
-    auroc_visible: Figure
-    ece: Figure
-    brier: Figure
+    rows: Annotated[int, Measure("rows\n", COUNT)]
+    near: Annotated[Value, Measure("near\n%", PERCENT)]
+    auroc_near: Annotated[Value, Measure("AUROC\nnear", UNIT, "more")]
+    auroc_visible: Annotated[Value, Measure("AUROC\nvisible", UNIT, "more")]
+    ece: Annotated[Value, Measure("calibration\nerror", UNIT, "less")]
+    brier: Annotated[Value, Measure("Brier\n", UNIT, "less")]
     bins: tuple[CalibrationBin, ...]
 
 
 @dataclass(frozen=True)
 class CoverageMeasures:
-    """Whether the posterior's spread covers the error: visible rows with known truth, without the first frame's.
+    """Whether the posterior's spread covers the error: visible rows with a known true position, and with a std.
 
     within_50, within_90  share of rows whose true position lies within the 50 and the 90 % ellipse of a normal
-                          distribution with std_x and std_y along x and y: 0.5 and 0.9 were the spread right
+                          distribution with std_x and std_y along x and y; 0.5 and 0.9 for a correct spread
     factor                by which the std would have to be multiplied for the 50 % ellipse to hold half of the rows
-    rows                  rows counted; `zero_std` of them have no spread along x or y, and count as within only if
-                          they are exactly right there
+    zero_std              rows without spread along x or y, which are within only if they are exactly right there
     unknown_std           rows left out because they have no std
     """
 
-    rows: int
-    within_50: Figure
-    within_90: Figure
-    factor: Figure
-    zero_std: int
-    unknown_std: int
-
-
-@dataclass(frozen=True)
-class Trust:
-    """How far to trust what a tracker says of itself; None where it says nothing."""
-
-    lost: LostMeasures | None
-    confidence: ConfidenceMeasures | None
-    coverage: CoverageMeasures | None
-
-
-def measure_trust(parts: Sequence[Rows]) -> Trust:
-    """All rows of one or more parts together."""
-    later = [part.take(~part.init) for part in parts]
-    return Trust(measure_lost(parts), measure_confidence(later), measure_coverage(later))
+    rows: Annotated[int, Measure("rows\n", COUNT)]
+    within_50: Annotated[Value, Measure("in the 50 %\nellipse, %", PERCENT)]
+    within_90: Annotated[Value, Measure("in the 90 %\nellipse, %", PERCENT)]
+    factor: Annotated[Value, Measure("std would\nfit times", PX)]
+    zero_std: Annotated[int, Measure("without\nspread", COUNT, rare=True)]
+    unknown_std: Annotated[int, Measure("std not\nknown", COUNT, rare=True)]
 
 
 def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
-    """`lost` against the truth; None if no row has a status. Delays are of spans in which no correction helped."""
+    """`lost` against the ground truth; None if no row has a status. Delays: of spans in which no correction helped."""
     by_hand = [part.frame[part.by_hand] for part in parts]
-    parts = [part.take(part.told) for part in parts]
+    parts = [part.take(part.stated) for part in parts]
     lost, visible, covered, near, judged = (
         column(parts, name) for name in ("lost", "visible", "covered", "near", "judged")
     )
@@ -165,8 +147,8 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
         tracked_visible_near=share(~lost & judged & visible, near),
         spans=count,
         spans_called=len(until_lost),
-        delay_lost=float(np.median(until_lost)) if until_lost else None,
-        delay_back=float(np.median(until_back)) if until_back else None,
+        delay_lost=median(np.array(until_lost)),
+        delay_back=median(np.array(until_back)),
     )
 
 
@@ -176,20 +158,20 @@ def _any_within(frames: Whole, first: int, last: Whole) -> bool:
 
 
 def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
-    """What confidence is worth; None if no row has any."""
+    """None if no row has a confidence."""
     confidence, near, judged, visible = (column(parts, name) for name in ("confidence", "near", "judged", "visible"))
-    told = np.isfinite(confidence)
-    if not told.any():
+    known = np.isfinite(confidence)
+    if not known.any():
         return None
-    seen = auroc(confidence[told], visible[told])
-    rows = told & judged
+    seen = auroc(confidence[known], visible[known])
+    rows = known & judged
     confidence, near, visible = confidence[rows], near[rows], visible[rows]
     # scores of other tools need not lie between 0 and 1; then they rank rows, and that is all
     scaled = bool(len(confidence)) and bool(np.all((confidence >= 0) & (confidence <= 1)))
     bins = calibration(confidence, near, visible) if scaled else ()
     return ConfidenceMeasures(
         rows=len(confidence),
-        near=float(np.mean(near)) if len(near) else None,
+        near=mean(near),
         auroc_near=auroc(confidence, near),
         auroc_visible=seen,
         ece=_calibration_error(bins) if scaled else None,
@@ -199,7 +181,7 @@ def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
 
 
 def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
-    """Whether the spread covers the error, over visible rows; None if no row has a std."""
+    """None if no row has a std."""
     offset, std, visible, placed = (column(parts, name) for name in ("offset", "std", "visible", "placed"))
     counted = visible & placed & np.isfinite(offset).all(axis=1)
     known = np.isfinite(std).all(axis=1)
@@ -207,13 +189,14 @@ def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
         return None
     offset, spread = offset[counted & known], std[counted & known]
     squared = mahalanobis_squared(offset, spread)
-    some = len(squared) > 0
     # the middle row's own distance where their number is odd, as the 50 % ellipse would have to reach it
-    factor = math.sqrt(float(np.quantile(squared, 0.5, method="inverted_cdf")) / ELLIPSE_50) if some else math.inf
+    factor = (
+        math.sqrt(float(np.quantile(squared, 0.5, method="inverted_cdf")) / ELLIPSE_50) if len(squared) else math.inf
+    )
     return CoverageMeasures(
         rows=len(squared),
-        within_50=float(np.mean(squared <= ELLIPSE_50)) if some else None,
-        within_90=float(np.mean(squared <= ELLIPSE_90)) if some else None,
+        within_50=mean(squared <= ELLIPSE_50),
+        within_90=mean(squared <= ELLIPSE_90),
         factor=factor if math.isfinite(factor) else None,
         zero_std=int(np.sum((spread == 0).any(axis=1))),
         unknown_std=int(np.sum(counted & ~known)),
@@ -232,7 +215,7 @@ def mahalanobis_squared(offset: Array, std: Array) -> Array:
     return np.asarray(terms.sum(axis=1))
 
 
-def auroc(score: Array, positive: Mask) -> Figure:
+def auroc(score: Array, positive: Mask) -> Value:
     """Area under the ROC curve, exact: the chance that a positive scores above a negative, ties counting half.
 
     score (R,) finite, positive (R,). None if all rows are positive, or none is.

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
+from facetrack_cli.evaluation.measure import Value
 from facetrack_cli.evaluation.rows import NEAR_IOU
-from facetrack_cli.evaluation.summary import Evaluation, Value, figures
+from facetrack_cli.evaluation.summary import Evaluation
 from facetrack_cli.report.text import count, number, percent
 
 
@@ -52,9 +53,9 @@ _TRUST: Final = (
 
 def measures(evaluation: Evaluation) -> list[Measures]:
     """Tables of the errors of points, of boxes, and of how far the tracker can be trusted; empty ones are left out."""
-    whole = figures(evaluation.all, evaluation.recovery)
+    whole = evaluation.all.figures
     several = len({part.target for part in evaluation.parts}) > 1
-    rows = [(part.name if several else part.part, figures(part)) for part in evaluation.parts]
+    rows = [(part.name if several else part.part, part.figures) for part in evaluation.parts]
     if len(rows) > 1:
         rows.insert(0, ("all", whole))
     found = [
@@ -71,12 +72,8 @@ def measures(evaluation: Evaluation) -> list[Measures]:
 
 def about(evaluation: Evaluation) -> str:
     """What was compared, in a sentence or two."""
-    rows = [
-        f"{n:,} {word}"
-        for n, word in ((evaluation.visible, "visible"), (evaluation.hidden, "hidden"), (evaluation.absent, "absent"))
-        if n
-    ]
-    several = len(evaluation.units) > 1
+    rows = [f"{n:,} {word}" for word, n in evaluation.counts.items() if n]
+    several, frames = len(evaluation.units) > 1, evaluation.frames
     units = "; ".join(f"{text}{f' ({name})' if several else ''}" for name, text in evaluation.units.items())
     near = []
     if evaluation.all.points is not None:
@@ -85,8 +82,8 @@ def about(evaluation: Evaluation) -> str:
     if evaluation.all.boxes is not None:
         near.append(f"A box is near if it overlaps the truth by more than {NEAR_IOU:g}.")
     return (
-        f"{count(evaluation.frames, 'frame')} that the run and the truth share, {evaluation.first} to "
-        f"{evaluation.last}; rows in truth: {', '.join(rows) or 'none'}. Normalised errors are divided by {units}. "
+        f"{count(len(frames), 'frame')} that the run and the truth share, {frames[0]} to "
+        f"{frames[-1]}; rows in truth: {', '.join(rows) or 'none'}. Normalised errors are divided by {units}. "
         f"{' '.join(near)}"
     )
 

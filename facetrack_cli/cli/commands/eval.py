@@ -115,9 +115,8 @@ def command(
 
     from facetrack_cli.core.files import check_new
     from facetrack_cli.evaluation.match import match
+    from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
     from facetrack_cli.evaluation.summary import Options, evaluate
-    from facetrack_cli.evaluation.summary_data import About, to_csv, to_json
-    from facetrack_cli.evaluation.summary_table import to_text
     from facetrack_cli.evaluation.units import check_normalise
     from facetrack_cli.trajectory.formats.read import read_results, read_truth
     from facetrack_cli.trajectory.header import clip_of, picture_of
@@ -183,10 +182,10 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
     from facetrack_cli.report.figures.compare import calibration_figure
     from facetrack_cli.report.figures.style import render
 
-    confidence = evaluation.all.trust.confidence
+    confidence = evaluation.all.confidence
     if confidence is None or not confidence.bins:
         raise InputError(f"{path}: has no confidence from 0 to 1 in rows of known truth to draw; leave --plot out")
-    return render(calibration_figure(evaluation.all.trust))
+    return render(calibration_figure(confidence))
 
 
 def _write(trajectory: Path, whole: dict[str, bytes], files: dict[str, Path], overwrite: bool) -> None:

@@ -28,8 +28,8 @@ from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
 from facetrack_cli.evaluation.experiments.sheet import OVERRIDES
 from facetrack_cli.evaluation.match import match
-from facetrack_cli.evaluation.rows import Rows, column, rows_of
-from facetrack_cli.evaluation.summary import Evaluation, evaluate, higher_is_better, names, scalars, units_of
+from facetrack_cli.evaluation.rows import Rows, column
+from facetrack_cli.evaluation.summary import MEASURES, Evaluation, evaluate, scalars
 from facetrack_cli.runs.seeds import outline
 from facetrack_cli.trajectory.reader import MAX_FRAME
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
@@ -144,12 +144,12 @@ def kind_of(entries: Sequence[Entry]) -> str:
 
 
 def less_is_better(measure: str) -> bool:
-    return higher_is_better(measure) is False
+    return MEASURES[measure].better == "less"
 
 
 def check_measure(measure: str) -> str:
     """`measure`, if recipes can be ranked by it; UsageError with what there is otherwise."""
-    able = [name for name in names() if higher_is_better(name) is not None]
+    able = [name for name, one in MEASURES.items() if one.better is not None]
     if measure not in able:
         near = [name for name in able if measure.rpartition(".")[2] in name] or able
         raise UsageError(f"--rank-by {measure}: is nothing to rank by; there are {', '.join(near)}")
@@ -184,8 +184,7 @@ def score_run(run: SeedRun, truth: Trajectory, options: Options, note: Callable[
         note=note,
     )
     evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.parts)
-    units = units_of(pairs, reference=truth.parts)
-    rows = [rows_of(pair, units[pair.ours.target].at(pair.ours.frame)) for pair in pairs]
+    rows = evaluation.rows
     frame, error = error_by_frame(rows)
     boxes = evaluation.all.boxes
     return Score(
@@ -226,7 +225,7 @@ def kinds_of(plan: Plan, truth: Trajectory, options: Options, size: tuple[int, i
     frames = truth.frames[truth.frames > plan.start.frame]
     table = outline(plan, np.array([plan.start.frame, *frames]), size)
     pairs = match(table, within(truth, table, options), partial=True, select=options.select, check_shift=False)
-    return {pair.kind for pair in pairs}
+    return {"boxes" if pair.is_box else "points" for pair in pairs}
 
 
 def within(truth: Trajectory, trajectory: Trajectory, options: Options) -> Trajectory:

@@ -15,7 +15,7 @@ import numpy as np
 from facetrack_cli import __version__
 from facetrack_cli.evaluation.experiments.compare import Entry, Place, kind_of, less_is_better, rank
 from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name
-from facetrack_cli.evaluation.summary import names
+from facetrack_cli.evaluation.summary import MEASURES
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
@@ -164,7 +164,7 @@ def notes(comparison: Comparison) -> list[str]:
 
 def as_csv(comparison: Comparison) -> str:
     """A row a recipe and seed with every figure; a recipe that did not run has one row, which says why."""
-    measured = [name for name in names() if any(name in s.figures for e in comparison.entries for s in e.scores)]
+    measured = [name for name in MEASURES if any(name in s.figures for e in comparison.entries for s in e.scores)]
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["recipe", "seed", "failed", "frames_per_s", *measured, "error"])
@@ -210,8 +210,8 @@ def as_json(comparison: Comparison) -> str:
                 "warnings": list(entry.warnings),
                 "failures": entry.failures,
                 "frames_per_s": _rounded(entry.frames_per_s, 2),
-                "mean": {n: _rounded(m) for n in names() if (m := entry.mean(n)) is not None},
-                "std": {n: _rounded(s) for n in names() if (s := entry.spread(n)) is not None},
+                "mean": {n: _rounded(m) for n in MEASURES if (m := entry.mean(n)) is not None},
+                "std": {n: _rounded(s) for n in MEASURES if (s := entry.spread(n)) is not None},
                 "runs": [
                     {
                         "seed": score.seed,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.trust import Trust
+from facetrack_cli.evaluation.trust import ConfidenceMeasures
 from facetrack_cli.report.figures.data import envelope, quantiles, spans
 from facetrack_cli.report.figures.lines import columns_for, limit
 from facetrack_cli.report.figures.style import (
@@ -203,7 +203,7 @@ def spread_figure(
         return figure
 
 
-def calibration_figure(trust: Trust, *, title: str = "Confidence against the truth") -> Figure:
+def calibration_figure(measures: ConfidenceMeasures | None, *, title: str = "Confidence against the truth") -> Figure:
     """The shares of rows that are near the truth and visible in each bin of confidence, and how many rows there are.
 
     On the diagonal, confidence is the chance of being near. Bins without rows are left out.
@@ -211,7 +211,6 @@ def calibration_figure(trust: Trust, *, title: str = "Confidence against the tru
     with style():
         figure = new_figure(5.6, 5.8)
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.2, 1]})
-        measures = trust.confidence
         filled = [] if measures is None else [b for b in measures.bins if b.rows]
         mean = _known([b.mean_confidence for b in filled])
         near, visible = _known([b.near for b in filled]), _known([b.visible for b in filled])

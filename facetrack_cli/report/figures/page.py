@@ -13,7 +13,6 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array
-from facetrack_cli.evaluation.rows import is_box
 from facetrack_cli.report.figures.data import frames_of, quantiles
 from facetrack_cli.report.figures.diagnostics import adaptation, panels
 from facetrack_cli.report.figures.lines import CORRECTED, MANY, Line, Panel, Pen, columns_for, limit, lines_of, numbers
@@ -261,7 +260,7 @@ class _Page:
         found += panels(self.table, self.lines, self.pen)
         measured = any(np.isfinite(wrong).any() for wrong in self.errors)
         add(measured, "error (px)", [bands, *self._said_of_error()], 1.15, self._error)
-        boxes = [is_box(pair.ours, pair.truth) for pair in self.pairs]
+        boxes = [pair.is_box for pair in self.pairs]
         add(any(boxes), "overlap (IoU)", [bands, "with the true box"], 0.85, self._overlap)
         return found
 
@@ -350,7 +349,7 @@ class _Page:
         axes.set_ylim(-0.03, 1.06)
         axes.set_yticks([0, 0.5, 1])
         paired = ((line, line.pair) for line in self.lines if line.pair is not None)
-        self._strokes(axes, [(line, p.ours, overlap(p)) for line, p in paired if is_box(p.ours, p.truth)])
+        self._strokes(axes, [(line, p.ours, overlap(p)) for line, p in paired if p.is_box])
 
     def _belief(self) -> tuple[Line, Array] | None:
         """Of a single part with truth: its spread along one axis."""
