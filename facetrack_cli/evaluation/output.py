@@ -187,7 +187,12 @@ class _Tables:
             self._calibration()
 
     def _grid(
-        self, heads: Sequence[str], names: Sequence[str], cells: Sequence[Sequence[str]], bold: Sequence[bool] = (), left: int = 1
+        self,
+        heads: Sequence[str],
+        names: Sequence[str],
+        cells: Sequence[Sequence[str]],
+        bold: Sequence[bool] = (),
+        left: int = 1,
     ) -> None:
         table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
         for at, head in enumerate(heads):

@@ -1,0 +1,147 @@
+"""Names in the picture: of parts beside their windows, and of targets, with who they are, above or below them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from facetrack_cli.core.types import BOX, Array, Image, Mask
+from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.video.overlay.insets import Rect
+from facetrack_cli.video.overlay.marks import LOST, Colour
+from facetrack_cli.video.overlay.text import Font, stamp
+
+_MOST = 60  # boxes in the frame; with more there is no room for names of parts
+_DECIDED = 0.5  # an identity less probable than that is doubtful
+_DOUBTFUL: Colour = (190, 190, 190)
+_PLATE = 0.65  # opacity of the dark ground below the name of a target
+
+
+class Shape(NamedTuple):
+    """The K drawable parts of a target: centres, sizes (K, 2), corners (K, 4, 2), bounds (K, 4) as x0, y0, x1, y1."""
+
+    target: str
+    rows: Trajectory
+    parts: tuple[str, ...]
+    cloud: Array
+    insets: tuple[tuple[str, Image], ...]
+    centres: Array
+    sizes: Array
+    corners: Array
+    bounds: Array
+    lost: Mask
+    colour: Colour
+
+
+class Labels:
+    """Writes names on frames of `size`, below `top` rows, which are the status bar's; a name stays where it was."""
+
+    def __init__(self, size: tuple[int, int], top: int, line: int, font: Font) -> None:
+        self._size, self._top, self._line, self._font = size, top, line, font
+        self._sides: dict[tuple[str, str], int] = {}
+        self._low: set[str] = set()  # targets whose names stand below them
+
+    def draw(self, image: Image, shapes: Sequence[Shape], taken: Sequence[Rect]) -> None:
+        """Names on `image` in place, each where it covers nothing of `taken`, or nowhere."""
+        self._low &= {shape.target for shape in shapes}
+        tags = list(taken)
+        for shape in shapes:
+            tags += self._tag(image, shape, len(shapes) > 1, tags)
+        boxes = [(b[0], b[1], b[2], b[3]) for shape in shapes for b in shape.bounds.tolist()]
+        full = [(0, 0, self._size[0], self._top), *boxes, *tags]
+        sides: dict[tuple[str, str], int] = {}
+        for shape in shapes:
+            if shape.parts and len(full) <= _MOST:
+                self._parts(image, shape, full, sides)
+        self._sides = sides
+
+    def _parts(self, image: Image, shape: Shape, taken: list[Rect], sides: dict[tuple[str, str], int]) -> None:
+        """The names of parts whose windows are large enough, first at the sides that face away from the middle."""
+        middle = shape.centres.mean(axis=0)
+        columns = (shape.parts, shape.bounds.tolist(), shape.centres, shape.lost.tolist())
+        for part, bound, centre, lost in zip(*columns, strict=True):
+            small = min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * self._font.cap
+            if small or part in (shape.target, BOX):  # the latter say nothing more
+                continue
+            sprite = self._font.sprite(_short(part), LOST if lost else shape.colour, self._line)
+            places = _beside(bound, sprite.size, 2 * self._line)
+            key = (shape.target, part)
+            x, y = (centre - middle).tolist()
+            order = sorted(range(4), key=(x, y, -x, -y).__getitem__, reverse=True)
+            for side in [*([self._sides[key]] if key in self._sides else []), *order]:
+                left, top = places[side]
+                box = (left, top, left + sprite.size[0], top + sprite.size[1])
+                if self._free(box, taken):
+                    stamp(image, sprite, left, top)
+                    taken.append(box)
+                    sides[key] = side
+                    break
+
+    def _free(self, box: Rect, taken: Sequence[Rect], spare: int = 0) -> bool:
+        """Whether a box is in the frame, and `spare` pixels or more away from what is taken."""
+        x0, y0, x1, y1 = box
+        if x0 < 0 or y0 < 0 or x1 > self._size[0] or y1 > self._size[1]:
+            return False
+        x0, y0, x1, y1 = x0 - spare, y0 - spare, x1 + spare, y1 + spare
+        return not any(x0 < t[2] and t[0] < x1 and y0 < t[3] and t[1] < y1 for t in taken)
+
+    def _tag(self, image: Image, shape: Shape, named: bool, tags: Sequence[Rect]) -> list[Rect]:
+        """The identity of a target, or its name where there are several; the place that it takes, if any.
+
+        It stands above the target, or below where another's `tags` or the border are in the way.
+        """
+        text, colour = _name(shape, named) if shape.parts else ("", shape.colour)
+        low, high = shape.bounds[:, :2], shape.bounds[:, 2:]
+        if not text or (high.max(axis=0, initial=-np.inf) < 0).any() or (low.min(axis=0) > self._size).any():
+            return []
+        low, high = low.min(axis=0), high.max(axis=0)
+        sprite = self._font.sprite(text, colour, self._line)
+        width, height = sprite.size
+        left = int(min(max((low[0] + high[0] - width) / 2, 0), max(self._size[0] - width, 0)))
+        gap = 2 * self._line
+        above, below = int(low[1]) - height - gap, min(int(high[1]) + gap, self._size[1] - height)
+        tops = [above, below] if above >= self._top else [below]
+        boxes = [(left, top, left + width, top + height) for top in tops]
+        # back above only once there is room to spare, or it would flicker
+        spare = height if shape.target in self._low else 0
+        clear = [self._free(box, tags, spare if i == 0 else 0) for i, box in enumerate(boxes)]
+        chosen = boxes[clear.index(True)] if any(clear) else boxes[0]
+        top = chosen[1]
+        (self._low.add if len(tops) > 1 and top == below else self._low.discard)(shape.target)
+        plate = image[max(top, 0) : max(top + height, 0), max(left - self._line, 0) : max(left + width + self._line, 0)]
+        if plate.size:
+            cv2.convertScaleAbs(plate, plate, 1 - _PLATE)
+        stamp(image, sprite, left, top)
+        return [chosen]
+
+
+def _name(shape: Shape, named: bool) -> tuple[str, Colour]:
+    """Who a target is, with the probability, pale and with a question mark where that is low; else its name."""
+    who, sure = str(shape.rows.identity[0]), float(shape.rows.identity_prob[0])
+    if not who:
+        return (shape.target if named else ""), shape.colour
+    if not math.isfinite(sure):
+        return who, shape.colour
+    percent = " >99%" if sure >= 0.995 else f" {sure:.0%}"  # no posterior is certain
+    return (f"{who}?{percent}", _DOUBTFUL) if sure < _DECIDED else (f"{who}{percent}", shape.colour)
+
+
+def _short(name: str) -> str:
+    """A part's name as one says it: mouth_left is "mouth L"."""
+    return " ".join({"left": "L", "right": "R"}.get(word, word) for word in name.split("_"))
+
+
+def _beside(bound: Sequence[float], size: tuple[int, int], gap: int) -> list[tuple[int, int]]:
+    """Corners (left, top) for a label of `size` to the right of a window, below, to its left, and above."""
+    (x0, y0, x1, y1), (width, height) = bound, size
+    across, down = round((x0 + x1 - width) / 2), round((y0 + y1 - height) / 2)
+    return [
+        (math.ceil(x1) + 1 + gap, down),
+        (across, math.ceil(y1) + 1 + gap),
+        (math.floor(x0) - gap - width, down),
+        (across, math.floor(y0) - gap - height),
+    ]
