@@ -10,7 +10,6 @@ parts are hidden they return within so many frames.
 from __future__ import annotations
 
 import argparse
-import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -19,13 +18,14 @@ import numpy as np
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.evaluation.experiments.compare import Options, default_truth, within
 from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.measure import Value
 from facetrack_cli.evaluation.points import Occlusion, measure_recovery
 from facetrack_cli.evaluation.rows import Pair
-from facetrack_cli.evaluation.summary import Evaluation, Value, evaluate, figures
+from facetrack_cli.evaluation.summary import Evaluation, evaluate
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.plan import find_plan_start
-from facetrack_cli.runs.seeds import Failure, Plan, SeedRun, run_plans
+from facetrack_cli.runs.seeds import Plan, SeedRun, run_plans
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -34,7 +34,7 @@ WITHIN = 35
 
 def runs_of(
     clip: Path, recipes: Mapping[str, Recipe], seeds: int, jobs: int
-) -> Iterator[tuple[str, list[SeedRun], list[list[Pair]]]]:
+) -> Iterator[tuple[str, Sequence[SeedRun], list[list[Pair]]]]:
     """Of each recipe in turn its label and its runs, one a seed, each with its pairs with the clip's truth."""
     truth = read_truth(default_truth(clip))
     plans = [
@@ -46,20 +46,14 @@ def runs_of(
 
 def paired(
     plans: Sequence[Plan], truth: Trajectory, jobs: int, *, partial: bool = False
-) -> Iterator[tuple[str, list[SeedRun], list[list[Pair]]]]:
+) -> Iterator[tuple[str, Sequence[SeedRun], list[list[Pair]]]]:
     """Of each plan in turn its label and its runs, one a seed, each with its pairs with the truth."""
-    for label, group in itertools.groupby(run_plans(plans, jobs), key=lambda run: run.label):
-        runs: list[SeedRun] = []
-        for run in group:
-            if isinstance(run, Failure):
-                raise run.error
-            runs.append(run)
-        known = within(truth, runs[0].trajectory, Options())
-        yield (
-            label,
-            runs,
-            [match(run.trajectory, known, partial=partial, select=None, check_shift=False) for run in runs],
-        )
+    for ended in run_plans(plans, jobs):
+        if ended.error is not None:
+            raise ended.error
+        known = within(truth, ended.runs[0].trajectory, Options())
+        pairs = [match(run.trajectory, known, partial=partial, select=None, check_shift=False) for run in ended.runs]
+        yield ended.plan.label, ended.runs, pairs
 
 
 def back(occlusion: Occlusion) -> bool:
@@ -72,11 +66,11 @@ def mean(values: Iterable[Value], decimals: int) -> str:
 
 
 def row(label: str, runs: Sequence[SeedRun], each: Sequence[Evaluation]) -> str:
-    over_all = [figures(one.all) for one in each]
+    over_all = [one.all.figures for one in each]
     visible = [error for one in over_all if (error := one["points.mean_px"]) is not None]
     cells = [label, f"{np.mean(visible):.2f} ± {np.std(visible):.2f}" if visible else ""]
     for parts in zip(*(one.parts for one in each), strict=True):
-        cells.append(mean((figures(part)["points.mean_px"] for part in parts), 2))
+        cells.append(mean((part.figures["points.mean_px"] for part in parts), 2))
     cells.append(mean((one["points.hidden_mean_px"] for one in over_all), 1))
     cells.append(f"{sum(bool(one['points.lost_for_good']) for one in over_all)}/{len(each)}")
     recovery = measure_recovery([occlusion for one in each for occlusion in one.occlusions])
@@ -97,7 +91,7 @@ def heading(clip: Path, one: Evaluation, seeds: int) -> str:
         *(f"back within {WITHIN}", "frames to return, median / worst", "ms a frame"),
     )
     return (
-        f"\n{clip.stem}: {one.frames} frames; {', '.join(one.units.values())}; {seeds} seeds; hidden: {spans}\n\n"
+        f"\n{clip.stem}: {len(one.frames)} frames; {', '.join(one.units.values())}; {seeds} seeds; hidden: {spans}\n\n"
         f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|"
     )
 
@@ -115,7 +109,7 @@ def main() -> None:
         for i, (label, runs, pairs) in enumerate(runs_of(clip, recipes, given.seeds, given.jobs)):
             each = [evaluate(those) for those in pairs]
             if i == 0:
-                if all(figures(part)["points.mean_px"] is None for part in each[0].parts):
+                if all(part.figures["points.mean_px"] is None for part in each[0].parts):
                     raise SystemExit(f"{clip}: its truth has no points; of boxes: benchmarks/regions.py")
                 print(heading(clip, each[0], given.seeds))
             print(row(label, runs, each), flush=True)

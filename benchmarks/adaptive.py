@@ -87,8 +87,8 @@ def auc_table(found: Found, clips: Sequence[str], configs: Sequence[str], polygo
         cells, means = [], []
         for clip in clips:
             runs = found[clip, config]
-            auc = np.array([run.polygon_auc() if polygons else run.measures.auc for run in runs])
-            near = np.mean([run.measures.precision_20 for run in runs])
+            auc = np.array([run.polygon_auc() if polygons else run.auc for run in runs])
+            near = float(np.mean([run.measures.precision_20 or 0.0 for run in runs]))
             spread = f" ± {auc.std(ddof=1):.3f}" if len(auc) > 1 else ""
             lost = sum(run.ends_lost for run in runs)
             cells.append(f"{auc.mean():.3f}{spread} / {near:.2f}" + (f" ({lost})" if lost else ""))
@@ -108,9 +108,7 @@ def samples_table(found: Found, configs: Sequence[str]) -> None:
                 true = run.truth[:, 2] / run.truth[0, 2]
                 turn = (run.angle - run.true_angle + 180) % 360 - 180
                 off, follows = np.abs(run.scale / true - 1).mean(), np.corrcoef(run.scale, true)[0, 1]
-                rows.append(
-                    (run.measures.auc, run.polygon_auc(), follows, off, np.abs(turn).mean(), run.particles[1:].mean())
-                )
+                rows.append((run.auc, run.polygon_auc(), follows, off, np.abs(turn).mean(), run.particles[1:].mean()))
             auc, polygon, follows, off, turned, many = np.mean(rows, axis=0)
             spread = np.std([row[0] for row in rows], ddof=1) if len(rows) > 1 else 0.0
             print(
@@ -124,7 +122,7 @@ def ablation_table(found: Found, clips: Sequence[str], configs: Sequence[str]) -
     print(f"\n| | {' | '.join(clips)} | mean | particles | end lost |\n{'|---' * (len(clips) + 4)}|")
     for config in configs:
         runs = [found[clip, config] for clip in clips]
-        each = [np.mean([run.measures.auc for run in those]) for those in runs]
+        each = [np.mean([run.auc for run in those]) for those in runs]
         many = np.mean([np.mean([run.particles[1:].mean() for run in those]) for those in runs])
         lost = sum(run.ends_lost for those in runs for run in those)
         cells = [*(f"{auc:.3f}" for auc in each), f"**{np.mean(each):.3f}**", f"{many:.0f}"]

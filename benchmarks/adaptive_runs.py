@@ -48,6 +48,11 @@ class Run:
         return measure_boxes(self.boxes, self.truth)
 
     @property
+    def auc(self) -> float:
+        """The success AUC."""
+        return float(self.measures.success_auc or 0.0)
+
+    @property
     def ends_lost(self) -> bool:
         tail = tail_overlap(self.measures.overlap)
         return tail is not None and tail < TAIL_IOU

@@ -26,7 +26,8 @@ from pathlib import Path
 from accuracy import runs_of
 
 from facetrack_cli.core.errors import FacetrackError
-from facetrack_cli.evaluation.summary import Value, evaluate, figures
+from facetrack_cli.evaluation.measure import Value
+from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.recipe.load import load_recipe
 
 COLUMNS = (
@@ -77,10 +78,10 @@ def main() -> None:
             # the rows of all seeds count together, as those of several parts do
             together = evaluate([pair for those in pairs for pair in those])
             if i == 0:
-                rows, hidden = sum(len(pair.ours) for pair in pairs[0]), together.hidden // given.seeds
+                rows, hidden = sum(len(pair.ours) for pair in pairs[0]), together.counts["hidden"] // given.seeds
                 print(f"\n{clip.stem}: {rows} rows a run with the first frame, {hidden} hidden; {given.seeds} seeds\n")
                 print(f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|")
-            print(row(label, figures(together.all)), flush=True)
+            print(row(label, together.all.figures), flush=True)
 
 
 if __name__ == "__main__":

@@ -109,7 +109,7 @@ def row(name: str, clip: Path, start: Start | None, right: str, gallery: Path, g
     cells += [f"{100 * evidence(clip, runs[0], true_states(runs[0]), right, gallery)[0]:.0f} %" if known else ""]
     cells += [f"{frontal:.2f}"]
     if known:
-        cells.append(" / ".join(f"{np.mean([run.measures.auc for run in those]):.3f}" for those in (runs, plain)))
+        cells.append(" / ".join(f"{np.mean([run.auc for run in those]):.3f}" for those in (runs, plain)))
     else:
         cells.append("")
     cells.append(f"{np.mean([same(a, b) for a, b in zip(runs, plain, strict=True)]):.3f}")

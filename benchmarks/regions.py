@@ -87,7 +87,7 @@ def in_span(pair: Pair, span: Span | None) -> Pair:
     if span is None:
         return pair
     rows = (pair.ours.frame >= span[0]) & (pair.ours.frame <= span[1])
-    return Pair(pair.name, pair.ours.take(rows), pair.truth.take(rows))
+    return Pair(pair.ours.take(rows), pair.truth.take(rows))
 
 
 def measured(pairs: Sequence[Pair]) -> tuple[Array, Array, list[int], int]:
@@ -97,8 +97,8 @@ def measured(pairs: Sequence[Pair]) -> tuple[Array, Array, list[int], int]:
         ours, truth = pair.ours.boxes, pair.truth.boxes
         errors.append(np.nanmean(centre_errors(ours, truth)))
         seen = pair.truth.status != "hidden"
-        found = measure_boxes(ours, truth, valid=seen, first_is_init=bool(pair.ours.status[0] == "init"))
-        auc.append(found.auc)
+        found = measure_boxes(ours, truth, visible=seen, init=pair.ours.status == "init")
+        auc.append(found.success_auc)
         away = np.convolve(found.overlap < TAIL_IOU, np.ones(AWAY), "valid") == AWAY
         if away.any():
             off.append(int(pair.ours.frame[away.argmax()]))

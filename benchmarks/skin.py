@@ -77,8 +77,9 @@ def rate(targets: Sequence[Boxes]) -> Rate:
     """The means over some targets; away if one of them is."""
     each = []
     for one in targets:
-        every = measure_boxes(one.ours, one.truth, first_is_init=one.given)
-        visible = measure_boxes(one.ours, one.truth, valid=one.seen, first_is_init=one.given)
+        init = one.given & (np.arange(len(one.ours)) == 0)
+        every = measure_boxes(one.ours, one.truth, init=init)
+        visible = measure_boxes(one.ours, one.truth, visible=one.seen, init=init)
         last = within(one.ours, one.truth)[one.seen & np.isfinite(one.truth).all(axis=1)]
         away = last[-max(int(TAIL * len(last)), 1) :].mean() < 0.5
         each.append((every.good_rate, every.strict_rate, visible.good_rate, away))

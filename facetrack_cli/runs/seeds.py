@@ -1,12 +1,13 @@
-"""Recipes run over a clip with many seeds, for what compares, repeats and checks them.
+"""Recipes run over a clip with many seeds, for the commands that compare, repeat and check them.
 
 All seeds of a plan advance side by side over one decoding of the clip, so memory stays flat but for the results.
-Every tracker is given a frame of its own, and only what it does itself is timed. With several processes plans, and
-then their seeds, are shared out; what a seed yields does not depend on that.
+Every tracker is given a frame of its own, and only its own work is timed. Several processes share plans, and then their
+seeds; the results of a seed do not depend on that.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -29,7 +30,6 @@ from facetrack_cli.video.source import open_source
 
 Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
 
-Ended: TypeAlias = "Generator[SeedRun | Failure, None, None]"
 _ENDED = "a process of -j ended by itself (too little memory?); run without -j"
 
 
@@ -61,11 +61,12 @@ class SeedRun:
 
 
 @dataclass(frozen=True)
-class Failure:
-    """A plan that could not be run, and why."""
+class Ended:
+    """The runs of a plan in the order of its seeds, or the error that kept it from running."""
 
-    label: str
-    error: FacetrackError
+    plan: Plan
+    runs: tuple[SeedRun, ...] = ()
+    error: FacetrackError | None = None
 
 
 def run_plans(
@@ -75,23 +76,43 @@ def run_plans(
     report: Report = lambda done, total: None,
     *,
     partial: bool = False,
-) -> Ended:
-    """Run all plans, in `workers` processes: their runs in the order of plans and seeds, or one failure for a plan.
+) -> Generator[Ended, None, None]:
+    """Run all plans, in `workers` processes; each is yielded as it ends, in their order.
 
-    Once `stopped` says so, nothing more is yielded; with `partial` what the runs at work have so far still is.
+    Once `stopped` says so, nothing more is yielded; with `partial` the runs at work still are, up to the last frame.
     """
     stopped = stopped or Stop()
-    if workers == 1:
-        yield from _in_turn(plans, stopped, report, partial)
-    else:
-        yield from _in_processes(plans, workers, stopped, report, partial)
+    total = _total(plans)
+    pieces = -(-workers // max(len(plans), 1))  # of each plan, so that no process is idle
+    shares = [(number, share) for number, plan in enumerate(plans) for share in _shares(plan.seeds, pieces)]
+    tasks = [(plans[number], share, partial) for number, share in shares]
+    found: dict[int, object] = {}
+    threads = max(1, cores() // workers)
+    results = side_by_side(tasks, _work, workers, stopped, lambda done: report(done, total), threads=threads)
+    with contextlib.closing(results):
+        for number, plan in enumerate(plans):
+            mine = [i for i, share in enumerate(shares) if share[0] == number]
+            while not found.keys() >= {*mine} and (one := next(results, None)) is not None:
+                found[one[0]] = one[1]
+            if stopped() and not partial:
+                return
+            yield _ended(plan, [found.pop(i) for i in mine if i in found])
+
+
+def _ended(plan: Plan, results: Sequence[object]) -> Ended:
+    error = next((one for one in results if isinstance(one, Exception)), None)
+    if isinstance(error, DiedError):
+        error = FacetrackError(_ENDED)
+    if error is not None and not isinstance(error, FacetrackError):
+        raise error
+    return Ended(plan, tuple(run for runs in results if isinstance(runs, list) for run in runs), error)
 
 
 # --- one plan ------------------------------------------------------------------------------------------------------
 
 
 class _Feed:
-    """Hands each tracker the present frame, whenever it asks for its next."""
+    """Gives each tracker the present frame when it asks for its next."""
 
     def __init__(self) -> None:
         self.frame: Frame | None = None
@@ -101,14 +122,14 @@ class _Feed:
 
     def __next__(self) -> Frame:
         assert self.frame is not None
-        # pictures derived from a frame are kept in it: each tracker is to make, and be timed for, its own
+        # images derived from a frame are kept in it: each tracker makes its own, and is timed for it
         return Frame(self.frame.index, self.frame.time_s, self.frame.bgr)
 
 
 def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
-    """What is known of a run of this plan before it: the names of its rows, in these frames, and no place.
+    """What is known of a run before it: the names of its rows, in these frames, on frames of that (width, height).
 
-    Raises what the plan's recipe and start are refused for without a look at the picture of that (width, height).
+    Raises the errors of recipe and start that show before a frame is read.
     """
     tracker = tracker_for(plan.recipe, plan.start, size)
     one = np.ones(len(frames))  # every part of every tracker has a size
@@ -121,13 +142,9 @@ def _header(size: tuple[int, int]) -> dict[str, Any]:
     return {"source": {"size": list(size)}}
 
 
-def _run(
-    plan: Plan, seeds: Sequence[int], stopped: Callable[[], bool], tell: Callable[[int], None], partial: bool = False
-) -> list[SeedRun]:
-    """The runs of some seeds of a plan; none if it is stopped, or, with `partial`, those up to the frame before.
-
-    `tell` hears of each frame how many tracked it.
-    """
+def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:
+    """The runs of some seeds of a plan; none if it is stopped, or, with `partial`, those up to the frame before."""
+    plan, seeds, partial = task
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
         tracker = tracker_for(plan.recipe, plan.start, source.size)
         feed = _Feed()
@@ -137,7 +154,7 @@ def _run(
         count = 0
         notes: tuple[str, ...] = ()
         for frame in source:
-            if stopped():
+            if stop():
                 if partial and count:
                     break
                 return []
@@ -149,7 +166,7 @@ def _run(
                 logs[i].add(result.rows)
                 notes = notes or result.notes
             count += 1
-            tell(len(seeds))
+            report(count * len(seeds))
         if count == 0:
             raise InputError(f"{plan.clip}: frame {plan.start.frame}, where {plan.start.origin} begins, cannot be read")
     about = {"path": source.path, "header": _header(source.size)}
@@ -160,71 +177,8 @@ def _run(
     ]
 
 
-# --- all plans -----------------------------------------------------------------------------------------------------
-
-
-def _in_turn(plans: Sequence[Plan], stopped: Stop, report: Report, partial: bool) -> Ended:
-    done, total = 0, _total(plans)
-
-    def tell(frames: int) -> None:
-        nonlocal done
-        done += frames
-        report(done, total)
-
-    for plan in plans:
-        try:
-            found = _run(plan, plan.seeds, stopped, tell, partial)
-        except FacetrackError as e:
-            yield Failure(plan.label, e)
-            continue
-        if stopped() and not partial:
-            return
-        yield from found
-
-
-def _in_processes(plans: Sequence[Plan], workers: int, stopped: Stop, report: Report, partial: bool) -> Ended:
-    total = _total(plans)
-    pieces = -(-workers // max(len(plans), 1))  # of each plan, so that no process is idle
-    tasks = [(plan, share, partial) for plan in plans for share in _shares(plan.seeds, pieces)]
-    ends = list(itertools.accumulate(len(_shares(plan.seeds, pieces)) for plan in plans))
-    found: dict[int, object] = {}
-    threads = max(1, cores() // workers)
-    ended = side_by_side(tasks, _work, workers, stopped, lambda done: report(done, total), threads=threads)
-    try:
-        for plan, end in zip(plans, ends, strict=True):
-            shares = range(end - len(_shares(plan.seeds, pieces)), end)
-            while not found.keys() >= {*shares} and (one := next(ended, None)) is not None:
-                found[one[0]] = one[1]
-            if stopped() and not partial:
-                return
-            results = [found.pop(i) for i in shares if i in found]
-            error = next((one for one in results if isinstance(one, Exception)), None)
-            if isinstance(error, DiedError):
-                error = FacetrackError(_ENDED)
-            if isinstance(error, FacetrackError):
-                yield Failure(plan.label, error)
-            elif error is not None:
-                raise error
-            else:
-                yield from (run for runs in results if isinstance(runs, list) for run in runs)
-    finally:
-        ended.close()  # type: ignore[attr-defined]
-
-
-def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:
-    plan, seeds, partial = task
-    done = 0
-
-    def tell(frames: int) -> None:
-        nonlocal done
-        done += frames
-        report(done)
-
-    return _run(plan, seeds, stop, tell, partial)
-
-
 def _total(plans: Sequence[Plan]) -> int:
-    """Frames to track over all seeds, as far as the clips' own word for it goes; 0 if one says nothing."""
+    """Frames to track over all seeds, by the lengths that the clips state; 0 if one states none."""
     lengths: dict[tuple[Path, int, int | None], int] = {}
     for plan in plans:
         key = plan.clip, plan.start.frame, plan.stop
@@ -232,7 +186,7 @@ def _total(plans: Sequence[Plan]) -> int:
             try:
                 with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
                     lengths[key] = source.frames_hint or 0
-            except FacetrackError:  # its turn will come
+            except FacetrackError:  # reported when its plan runs
                 lengths[key] = 0
     each = [len(plan.seeds) * lengths[plan.clip, plan.start.frame, plan.stop] for plan in plans]
     return sum(each) if all(each) else 0

@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
 from multiprocessing.sharedctypes import Synchronized
@@ -36,12 +36,15 @@ def side_by_side(
     report: Callable[[int], None] = lambda frames: None,
     *,
     threads: int = 1,
-) -> Iterator[tuple[int, Any]]:
+) -> Generator[tuple[int, Any], None, None]:
     """Do `tasks`, `workers` at a time: the index and the result of each as it ends, or the exception that ended it.
 
     `report` hears how many frames are done in all, now and then. Once `stop` says so, those at work are told, and the
-    rest are not begun. Each process holds OpenCV to `threads` threads.
+    rest are not begun. Each process holds OpenCV to `threads` threads. One worker is this process.
     """
+    if workers == 1:
+        yield from _here(tasks, work, stop, report)
+        return
     with _starting():
         context = worker_context()
         ending: Ending = context.Value("i", 0)
@@ -68,6 +71,25 @@ def side_by_side(
         ending.value = ending.value or ExitCode.INTERRUPTED
         for worker in working:
             worker.process.join()
+
+
+def _here(tasks: Sequence[Any], work: Work, stop: Stop, report: Callable[[int], None]) -> Iterator[tuple[int, Any]]:
+    before = done = 0
+
+    def add(frames: int, total: int | None = None) -> None:
+        nonlocal done
+        done = frames
+        report(before + done)
+
+    for index, task in enumerate(tasks):
+        if stop():
+            return
+        try:
+            result = work(task, stop, add)
+        except Exception as e:
+            result = e
+        yield index, result
+        before, done = before + done, 0
 
 
 class _Worker:

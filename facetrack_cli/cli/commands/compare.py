@@ -195,7 +195,7 @@ def _run(
     from facetrack_cli.evaluation.experiments.compare import Entry, kinds_of, score_run, shifted
     from facetrack_cli.evaluation.experiments.sheet import clip_name
     from facetrack_cli.runs.plan import far_from_truth
-    from facetrack_cli.runs.seeds import Failure, SeedRun, run_plans
+    from facetrack_cli.runs.seeds import run_plans
 
     refused: dict[str, FacetrackError] = {}
     scores: dict[str, list[Score]] = {label: [] for label in named}
@@ -223,18 +223,20 @@ def _run(
     begins = {plan.label: f"{plan.start.origin}, frame {plan.start.frame}" for plan in plans}
     alike = len({(plan.start.frame, plan.recipe.points) for plan in plans}) == 1
     shown.begin(clip_name(begin.clip), "frames", None)
-    with contextlib.closing(run_plans(plans, workers, stop, lambda done, of: shown.update(done, of or None))) as runs:
-        for run in runs:
+    with contextlib.closing(run_plans(plans, workers, stop, lambda done, of: shown.update(done, of or None))) as found:
+        for ended in found:
+            label = ended.plan.label
             try:
-                if isinstance(run, Failure):
-                    raise run.error
-                warned[run.label] += run.warnings
-                scores[run.label].append(score_run(run, truth, settings, noted.append))
-                if check_shift and run.label not in moved:
-                    moved[run.label] = shifted(run, truth, settings)
+                if ended.error is not None:
+                    raise ended.error
+                for run in ended.runs:
+                    warned[label] += run.warnings
+                    scores[label].append(score_run(run, truth, settings, noted.append))
+                if check_shift and ended.runs:
+                    moved[label] = shifted(ended.runs[0], truth, settings)
             except FacetrackError as e:
-                refused[run.label] = e
-                if alike and isinstance(run, SeedRun) and not any(scores.values()):
+                refused[label] = e
+                if alike and ended.runs and not any(scores.values()):
                     break  # what is wrong with the truth is wrong for every other run too
     if refused and not any(scores.values()) and stop.code is None:
         first, *others = refused.items()

@@ -108,7 +108,7 @@ def command(
     from facetrack_cli.runs.batch import title
     from facetrack_cli.runs.plan import Begin, refuse_seed
     from facetrack_cli.runs.progress import progress
-    from facetrack_cli.runs.seeds import Failure, run_plans
+    from facetrack_cli.runs.seeds import run_plans
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.tracking.build.affine import check_gallery
     from facetrack_cli.trajectory.formats.read import read_truth
@@ -126,12 +126,10 @@ def command(
     ):
         plan = begin.plan(recipe.name, recipe, seeds, known, ending)
         shown.begin(clip_name(clip), "frames", None)
-        runs = []
-        told = run_plans([plan], workers, ending, lambda done, of: shown.update(done, of or None), partial=True)
-        for run in told:
-            if isinstance(run, Failure):
-                raise run.error
-            runs.append(run)
+        [ended] = run_plans([plan], workers, ending, lambda done, of: shown.update(done, of or None), partial=True)
+        if ended.error is not None:
+            raise ended.error
+        runs = ended.runs
         shown.close()
         warned = tuple(dict.fromkeys(line for run in runs for line in run.warnings))
         for line in warned:

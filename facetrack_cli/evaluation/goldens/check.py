@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ from facetrack_cli.recipe.gallery_option import put
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, Recipe, completed, to_dict
 from facetrack_cli.runs.plan import find_plan_start
-from facetrack_cli.runs.seeds import Failure, Plan, Report, SeedRun, run_plans
+from facetrack_cli.runs.seeds import Plan, Report, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.opencv import find as find_opencv
 from facetrack_cli.tracking.start import find_init
@@ -125,15 +124,12 @@ def check(
         if isinstance(one, Checked):
             yield one
             continue
-        found = list(itertools.islice(runs, 1))
-        if found and isinstance(found[0], SeedRun):
-            found += itertools.islice(runs, golden.tested - 1)
-        failures = [run for run in found if isinstance(run, Failure)]
-        if failures:
-            yield _checked(path, golden, "fails", str(failures[0].error))
-        elif len(found) == golden.tested:
-            yield _compare(path, golden, one, [run for run in found if isinstance(run, SeedRun)])
-    getattr(runs, "close", lambda: None)()
+        ended = next(runs, None)
+        if ended is not None and ended.error is not None:
+            yield _checked(path, golden, "fails", str(ended.error))
+        elif ended is not None:
+            yield _compare(path, golden, one, ended.runs)
+    runs.close()
 
 
 def _prepare(
@@ -294,14 +290,12 @@ def update(
         if isinstance(one, Updated):
             yield one
             continue
-        found = list(itertools.islice(runs, 1))
-        if found and isinstance(found[0], SeedRun):
-            found += itertools.islice(runs, len(one.seeds) - 1)
-        tables = [run.trajectory for run in found if isinstance(run, SeedRun)]
         name = one.recipe.name
-        if found and isinstance(found[0], Failure):
-            yield Updated(one.clip.name, name, None, str(found[0].error))
-        elif len(tables) == len(one.seeds):
+        ended = next(runs, None)
+        if ended is not None and ended.error is not None:
+            yield Updated(one.clip.name, name, None, str(ended.error))
+        elif ended is not None:
+            tables = [run.trajectory for run in ended.runs]
             golden = record(
                 tables,
                 clip=one.clip,
