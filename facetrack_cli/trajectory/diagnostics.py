@@ -9,11 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import Array, Whole
+
+if TYPE_CHECKING:
+    from facetrack_cli.trajectory.trajectory import Trajectory
 
 SURE: Final = 0.9
 """The probability at which an identity counts as recognised (Zhou et al. 2003, figure 2c)."""
@@ -109,8 +113,13 @@ class Diagnostics:
         if len({(*one.values, *one.labels.items()) for one in parts}) == 1:
             values = {key: np.concatenate([one.values[key] for one in parts]) for key in parts[0].values}
             return replace(parts[0], frame=np.concatenate([one.frame for one in parts]), values=values)
+        declared: dict[str, Diagnostic] = {}
+        # what is read from a file declares, in the tracker's order, only what is there
+        for part in sorted(parts, key=lambda part: -len(part.declared)):
+            for each in part.declared:
+                declared.setdefault(each.name, each)
         frames = [frame for one in parts for frame in one.frame.tolist()]
-        return cls.of(parts[0].declared, frames, [each for one in parts for each in one.records()])
+        return cls.of(tuple(declared.values()), frames, [each for one in parts for each in one.records()])
 
     def records(self) -> list[dict[str, Any]]:
         """What is known in each frame, by name, as `of` takes it."""
@@ -119,6 +128,19 @@ class Diagnostics:
             for each, value in zip(found, values.tolist(), strict=True):
                 each[name] = dict(zip(self.labels[name], value, strict=True)) if name in self.labels else value
         return found
+
+
+def outlines(rows: Trajectory) -> Array | None:
+    """(R, 4, 2) corners that follow from the affine maps that targets report; nan, or None, where there is none."""
+    found = np.full((len(rows), 4, 2), np.nan)
+    targets = np.array([target for target, _ in rows.names], dtype=np.str_)[rows.which]
+    for target, reported in rows.diagnostics.items():
+        if AFFINE.name in reported.values:
+            at = np.flatnonzero((targets == target) & np.isin(rows.frame, reported.frame))
+            affine = reported.values[AFFINE.name][np.searchsorted(reported.frame, rows.frame[at])]
+            centre, size = np.stack([rows.x, rows.y], axis=1)[at], np.stack([rows.w, rows.h], axis=1)[at]
+            found[at] = corners(affine, centre, size)
+    return found if np.isfinite(found).any() else None
 
 
 def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:

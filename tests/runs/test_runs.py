@@ -159,7 +159,9 @@ def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch):
 
 
 def truth(*parts, status=("visible", "visible"), target="face"):
-    made = [one_part(target, part, [4, 5], x=[10.0, 11.0], y=[20.0, 21.0], status=status, **more) for part, more in parts]
+    made = [
+        one_part(target, part, [4, 5], x=[10.0, 11.0], y=[20.0, 21.0], status=status, **more) for part, more in parts
+    ]
     return joined(made, path=Path("t.csv"))
 
 

@@ -71,7 +71,12 @@ def table(path, parts, header=None, diagnostics=None):
 
 def file_rows(path):
     """The rows of a file in its order, each with the columns of the CSV; None is what is not known."""
-    columns = read_trajectory(path).columns()
+    return row_objects(read_trajectory(path))
+
+
+def row_objects(rows):
+    """The rows of a trajectory, as `file_rows` gives those of a file."""
+    columns = rows.columns()
     lists = {name: column.tolist() for name, column in columns.items()}
     return [
         SimpleNamespace(**{name: None if value != value else value for name, value in zip(lists, row, strict=True)})
