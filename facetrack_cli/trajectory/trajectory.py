@@ -345,7 +345,7 @@ class FrameResult:
 
 
 def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
-    """The rows of one frame as what the tracker said of each target, for drawing: without particles and images.
+    """The rows and diagnostics of one frame as what the tracker said of each target: without particles and images.
 
     Of a target that reports its affine map the corners follow from that.
     """
@@ -353,11 +353,13 @@ def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
     for target in rows.targets:
         if not (parts := [one for one in rows.of_target(target) if len(one)]):
             continue
-        mine, found = joined(parts, diagnostics=rows.diagnostics), rows.diagnostics.get(target)
-        at = None if found is None or AFFINE.name not in found.values else found.row(frame)
-        if at is not None and found is not None and len(mine) == 1:
+        found = rows.diagnostics.get(target)
+        known = found is not None and found.row(frame) is not None
+        here = {target: found.between(frame, frame + 1)} if found is not None and known else {}
+        mine = joined(parts, diagnostics=here)
+        if here and AFFINE.name in here[target].values and len(mine) == 1:
             centre, size = np.array([[mine.x[0], mine.y[0]]]), np.array([[mine.w[0], mine.h[0]]])
-            mine = replace(mine, corners=corners(found.values[AFFINE.name][at : at + 1], centre, size))
+            mine = replace(mine, corners=corners(here[target].values[AFFINE.name], centre, size))
         targets.append(TargetResult(mine, np.empty((0, len(mine), 2))))
     return tuple(targets)
 
