@@ -160,4 +160,5 @@ _EXPECTED: Final = {
 def _fits(one: Diagnostic, value: Any) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
-    return bool(value != value or (abs(value) <= 1e300 and one.least <= value <= one.most))  # nan is not known
+    number = float(value) if not isinstance(value, int) or abs(value) < 10**300 else math.inf
+    return math.isnan(number) or (abs(number) <= 1e300 and one.least <= number <= one.most)

@@ -354,12 +354,11 @@ def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
         if not (parts := [one for one in rows.of_target(target) if len(one)]):
             continue
         found = rows.diagnostics.get(target)
-        known = found is not None and found.row(frame) is not None
-        here = {target: found.between(frame, frame + 1)} if found is not None and known else {}
-        mine = joined(parts, diagnostics=here)
-        if here and AFFINE.name in here[target].values and len(mine) == 1:
-            centre, size = np.array([[mine.x[0], mine.y[0]]]), np.array([[mine.w[0], mine.h[0]]])
-            mine = replace(mine, corners=corners(here[target].values[AFFINE.name], centre, size))
+        here = None if found is None or found.row(frame) is None else found.between(frame, frame + 1)
+        mine = joined(parts, diagnostics={} if here is None else {target: here})
+        if here is not None and AFFINE.name in here.values and len(mine) == 1:
+            centre, size = (np.stack(pair, axis=1) for pair in ((mine.x, mine.y), (mine.w, mine.h)))
+            mine = replace(mine, corners=corners(here.values[AFFINE.name], centre, size))
         targets.append(TargetResult(mine, np.empty((0, len(mine), 2))))
     return tuple(targets)
 
