@@ -310,7 +310,7 @@ def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
         raise InputError(f"{path}: is nested too deep for a trajectory") from e
     except json.JSONDecodeError as whole_error:
         header = {}
-        for number, line in enumerate(text.splitlines(), 1):
+        for number, line in enumerate(text.split("\n"), 1):
             if not line.strip():
                 continue
             try:

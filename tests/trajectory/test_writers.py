@@ -1,4 +1,4 @@
-"""The table of results: bytes that follow from the values, JSON that always closes, and a reader that says where."""
+"""Writing a trajectory: bytes that follow from the values, JSON that always closes, files that are whole."""
 
 from __future__ import annotations
 
@@ -7,29 +7,33 @@ import errno
 import io
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, settings
 
-from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink
-from facetrack_cli.core.types import Frame, PartResult, Result, TargetResult
-from facetrack_cli.trajectory.writers import COLUMNS, DECIMALS, FORMATS, WRITERS, Footer, Row, csv_lines, rows
-from tests.support.results import file_rows
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, FrameResult, Trajectory, one_part
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, as_written, csv_frames
+from tests.support import results, trajectories
+from tests.support.results import file_rows, part, rows_of, target
 
 HEADER = "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,particles,ess,identity,identity_prob"
 
 
-def result(index: int = 7, x: float = 1.25, *, status: str = "tracked", cov: float = 4.0) -> Result:
-    part = PartResult("nose", x, -2.0, 25, 13, status, 0.5, (cov, 0.0, 9.0), 61.25)  # type: ignore[arg-type]
-    other = PartResult("lip", 3.0, 4.0, 13, 13, "lost", 0.0, (0.0, 0.0, 0.0), 1.0, angle=-7.5)
-    frame = Frame(index, index / 25, np.zeros((4, 6, 3), np.uint8))
-    return Result(frame, (TargetResult("face", (part, other), 100, np.zeros((1, 2, 2))),))
+def result(index: int = 7, x: float = 1.25, *, status: str = "tracked", cov: float = 4.0) -> FrameResult:
+    nose = part("nose", x, -2.0, 25, 13, status, 0.5, (cov, 0.0, 9.0), 61.25)
+    lip = part("lip", 3.0, 4.0, 13, 13, "lost", 0.0, (0.0, 0.0, 0.0), 1.0, angle=-7.5)
+    return results.result(index, [target("face", [nose, lip], 100)])
+
+
+def lines(rows: Trajectory) -> str:
+    """The rows as CSV, without the header."""
+    return "".join(csv_frames(rows))
 
 
 class Disk(io.BytesIO):
@@ -53,24 +57,22 @@ class Disk(io.BytesIO):
         super().close()
 
 
-def write(path: Path, form: str, results: list[Result], footer: Footer | None = None) -> None:
+def write(path: Path, form: str, frames: list[FrameResult], footer: Footer | None = None) -> None:
     writer = WRITERS[form](FileSink(path), {"seed": 3})  # type: ignore[index]
-    for each in results:
-        writer.write(each)
+    for each in frames:
+        writer.write(each.rows)
     writer.close(footer or Footer())
 
 
-def corrected() -> Result:
-    """A frame in which a correction gave one part and said that another is not to be seen; a third is tracked on."""
-    nan = math.nan
-    parts = (
-        PartResult("nose", 1.25, -2.0, 25, 13, "init", 1.0, (4.0, 0.0, 9.0), 61.25, by_hand=True),
-        PartResult("lip", nan, nan, nan, nan, "absent", by_hand=True),
-        PartResult("chin", 3.0, 4.0, 13, 13, "tracked", 0.5),
-    )
-    frame = Frame(7, 7 / 25, np.zeros((4, 6, 3), np.uint8))
-    gone = TargetResult("hand", (replace(parts[1], by_hand=False),), None, np.zeros((0, 1, 2)))
-    return Result(frame, (TargetResult("face", parts, 100, np.zeros((1, 3, 2))), gone))
+def corrected() -> FrameResult:
+    """A frame in which a correction gave one part and said that another is not visible; a third is tracked on."""
+    parts = [
+        part("nose", 1.25, -2.0, 25, 13, "init", 1.0, (4.0, 0.0, 9.0), 61.25, by_hand=True),
+        part("lip", status="absent", by_hand=True),
+        part("chin", 3.0, 4.0, 13, 13, "tracked", 0.5),
+    ]
+    gone = target("hand", [part("lip", status="absent")])
+    return results.result(7, [target("face", parts, 100), gone])
 
 
 # --- rows and numbers ---
@@ -78,29 +80,31 @@ def corrected() -> Result:
 
 def test_columns_are_the_schema() -> None:
     assert ",".join(COLUMNS) == HEADER
-    assert ",".join(Row._fields) == f"{HEADER},by_hand", "JSON alone says what was given by hand"
+    fields = [name for name in COLUMNS if name not in ("target", "part")]
+    own = ["names", "which", *fields, "by_hand", "cov_xy", "corners", "header", "diagnostics", "path"]
+    assert sorted(Trajectory.__dataclass_fields__) == sorted(own)
 
 
 def test_a_row_for_each_part_also_when_lost() -> None:
-    nose, lip = rows(result())
+    nose, lip = rows_of(result().rows)
     assert (nose.frame, nose.time_s, nose.target, nose.part, nose.status) == (7, 0.28, "face", "nose", "tracked")
     assert (nose.std_x, nose.std_y, nose.particles) == (2.0, 3.0, 100)
     assert (lip.part, lip.status, lip.angle) == ("lip", "lost", -7.5)
 
 
 def test_csv_has_fixed_decimals() -> None:
-    first, second = csv_lines(rows(result())).splitlines()
+    first, second = lines(result().rows).splitlines()
     assert first == "7,0.2800,face,nose,1.250,-2.000,25.000,13.000,,0.5000,tracked,2.000,3.000,100,61.2,,"
     assert second == "7,0.2800,face,lip,3.000,4.000,13.000,13.000,-7.50,0.0000,lost,0.000,0.000,100,1.0,,"
 
 
 def test_an_absent_part_has_a_row_without_a_place() -> None:
-    _, lip, _, hand = rows(corrected())
+    _, lip, _, hand = rows_of(corrected().rows)
     assert (lip.x, lip.y, lip.w, lip.h, lip.status, lip.by_hand) == (None, None, None, None, "absent", True)
     assert (hand.particles, hand.by_hand) == (None, False)
-    lines = csv_lines(rows(corrected())).splitlines()
-    assert lines[1] == "7,0.2800,face,lip,,,,,,,absent,,,100,,,"
-    assert lines[3] == "7,0.2800,hand,lip,,,,,,,absent,,,,,,"
+    written = lines(corrected().rows).splitlines()
+    assert written[1] == "7,0.2800,face,lip,,,,,,,absent,,,100,,,"
+    assert written[3] == "7,0.2800,hand,lip,,,,,,,absent,,,,,,"
 
 
 @pytest.mark.parametrize("form", ["json", "jsonl"])
@@ -116,14 +120,15 @@ def test_json_says_what_was_given_by_hand(form: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [-0.0, -0.00004, np.float64(-1e-9), np.float32(-1e-5)])
 def test_no_negative_zero(value: float) -> None:
-    line = csv_lines([Row(0, value, "f", "p", value, value, angle=value)])
+    line = lines(one_part("f", "p", [0], time_s=[value], x=[value], y=[value], angle=[value]))
     assert "-" not in line
     assert line.startswith("0,0.0000,f,p,0.000,0.000,")
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_not_finite_is_left_empty(value: float, tmp_path: Path) -> None:
-    assert csv_lines([Row(0, 0.0, "f", "p", value, 1.0)]).startswith("0,0.0000,f,p,,1.000,")
+    row = one_part("f", "p", [0], time_s=[0.0], x=[value], y=[1.0])
+    assert lines(row).startswith("0,0.0000,f,p,,1.000,")
     write(tmp_path / "t.json", "json", [result(x=value)])
     part = json.loads((tmp_path / "t.json").read_text())["frames"][0]["targets"][0]["parts"][0]
     assert "x" not in part
@@ -131,49 +136,64 @@ def test_what_is_not_finite_is_left_empty(value: float, tmp_path: Path) -> None:
 
 
 def test_a_covariance_that_rounding_made_negative_has_no_spread() -> None:
-    assert next(rows(result(cov=-1e-15))).std_x == 0.0
+    assert result(cov=-1e-15).rows.std_x[0] == 0.0
 
 
-names = st.text(st.characters(blacklist_categories=["Cs", "Cc"]), min_size=1).filter(lambda s: s == s.strip())
-numbers = st.none() | st.floats(-1e6, 1e6)
+# --- what is written is read back ---
 
 
-@given(
-    st.lists(
-        st.builds(
-            Row,
-            frame=st.integers(0, 10**9),
-            time_s=numbers,
-            target=names,
-            part=names,
-            x=numbers,
-            y=numbers,
-            w=numbers,
-            h=numbers,
-            angle=numbers,
-            confidence=numbers,
-            status=st.sampled_from(["init", "visible", ""]),
-            std_x=numbers,
-            std_y=numbers,
-            particles=st.none() | st.integers(0, 10**6),
-            ess=numbers,
-            identity=names | st.just(""),
-            identity_prob=numbers,
-            by_hand=st.just(False),
-        )
+def plain(path: Path) -> list[dict[str, Any]]:
+    """The rows of a file by the csv and json of Python: known values alone, text as it stands there."""
+    if path.suffix == ".csv":
+        with path.open(encoding="utf-8", newline="") as file:
+            found = []
+            for line in csv.DictReader(file):
+                row: dict[str, Any] = {key: value for key, value in line.items() if value}
+                found.append(row | {name: float(row[name]) for name in ("frame", *FLOATS) if name in row})
+            return found
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".json":
+        frames = json.loads(text)["frames"]
+    else:
+        frames = [record for line in text.split("\n") if line and (record := json.loads(line))["type"] == "frame"]
+    found = []
+    for frame in frames:
+        for one in frame["targets"]:
+            for own in one["parts"]:
+                row = {**frame, **one, **own}
+                found.append({key: row[key] for key in (*COLUMNS, "by_hand") if row.get(key) is not None})
+    return found
+
+
+@pytest.mark.parametrize("form", FORMATS)
+@settings(deadline=None, max_examples=60)
+@given(given_rows=trajectories.trajectories())
+def test_what_is_written_is_read_back(
+    tmp_path_factory: pytest.TempPathFactory, form: str, given_rows: Trajectory
+) -> None:
+    path = trajectories.write(tmp_path_factory.getbasetemp() / f"round.{form}", given_rows)
+    expected = as_written(given_rows)
+    for name, decimals in DECIMALS.items():
+        values, kept = getattr(given_rows, name), getattr(expected, name)
+        np.testing.assert_allclose(kept, values, rtol=0, atol=0.5001 * 10**-decimals, err_msg=name)
+    rows = [vars(row) for row in rows_of(expected)]
+    kept_of = [name for name in (*COLUMNS, "by_hand") if form != "csv" or name != "by_hand"]
+    assert plain(path) == [
+        {name: row[name] for name in kept_of if row[name] not in ("", None) and row[name] is not False} for row in rows
+    ]
+    back = read_trajectory(path)
+    assert back.names == expected.names
+    for name in ("which", "frame", *FLOATS, "status", "identity", "cov_xy"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(expected, name), name)
+    np.testing.assert_array_equal(back.by_hand, expected.by_hand & (form != "csv"))
+    assert back.corners is expected.corners is None
+    diagnostics = {name: found for name, one in expected.diagnostics.items() if (found := trajectories.known(one))}
+    assert {name: trajectories.known(one) for name, one in back.diagnostics.items()} == (
+        {} if form == "csv" else diagnostics
     )
-)
-def test_what_is_written_is_read_back(tmp_path_factory: pytest.TempPathFactory, given_rows: list[Row]) -> None:
-    path = tmp_path_factory.getbasetemp() / "round.csv"
-    path.write_text(HEADER + "\n" + csv_lines(given_rows), encoding="utf-8", newline="")
-    back = file_rows(path)
-    for row, again in zip(given_rows, back, strict=True):
-        for name, value, read in zip(Row._fields, row, again, strict=True):
-            if isinstance(value, float):
-                assert read == pytest.approx(value, abs=0.5001 * 10 ** -DECIMALS[name]), name
-            else:
-                assert read == value, name
-    assert csv_lines(back) == csv_lines(given_rows)
+    assert lines(back) == lines(given_rows), "the same bytes again"
+    again = trajectories.write(path.with_stem("again"), back)
+    assert form == "csv" or again.read_bytes() == path.read_bytes()
 
 
 # --- JSON ---
@@ -226,7 +246,7 @@ def test_a_file_appears_when_it_is_whole(tmp_path: Path) -> None:
     path.write_text("old")
     sink = FileSink(path)
     writer = WRITERS["csv"](sink, {})
-    writer.write(result())
+    writer.write(result().rows)
     assert path.read_text() == "old"
     writer.close(Footer())
     assert path.read_text().startswith(HEADER)
@@ -257,7 +277,7 @@ def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.Monk
     writer = WRITERS[form](FileSink(path), {})  # type: ignore[index]
     with pytest.raises(OutputError, match="disk is full"):
         for i in range(3000):
-            writer.write(result(i))
+            writer.write(result(i).rows)
     with pytest.raises(OutputError, match="disk is full"):
         writer.close(Footer(complete=False, stopped="disk full"))
 
@@ -300,65 +320,6 @@ def test_a_reader_that_left_is_not_an_output_error() -> None:
         StreamSink(Closed()).write("x")
 
 
-# --- reading ---
-
-
-def saved(tmp_path: Path, text: str | bytes) -> Path:
-    path = tmp_path / "truth.csv"
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return path
-
-
-def test_optional_columns_may_be_missing_and_order_is_free(tmp_path: Path) -> None:
-    path = saved(tmp_path, "part,x,y,frame,target,mine\nnose,1.5,2,4,face,whatever\n")
-    assert file_rows(path) == [Row(4, None, "face", "nose", 1.5, 2.0)]
-
-
-def test_bom_crlf_and_blank_lines_are_fine(tmp_path: Path) -> None:
-    path = saved(tmp_path, "\ufeffframe,target,part,x,y,status\r\n0,face,nose,1,2,hidden\r\n\r\n")
-    assert file_rows(path) == [Row(0, None, "face", "nose", 1.0, 2.0, status="hidden")]
-
-
-def test_a_part_that_is_absent_has_no_place(tmp_path: Path) -> None:
-    path = saved(tmp_path, "frame,target,part,x,y,status\n0,face,nose,,,absent\n")
-    assert file_rows(path)[0].x is None
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", r"truth\.csv: is empty; .*header"),
-        ("\n", r"truth\.csv: is empty"),
-        ("a,b\n1,2\n", r"truth\.csv:1: the header has no column frame, target, part, x, y; it should read frame,"),
-        ("frame;target;part;x;y\n", r"truth\.csv:1: the header has no column"),
-        ("frame,target,part,x,y,x\n", r"truth\.csv:1: column x is there twice"),
-        ("frame,target,part,x,y\n0,f,p,1\n0,f,p,1,2\n", r"truth\.csv:2: 4 values under 5 columns; .*empty between"),
-        ("frame,target,part,x,y\n0,f,p,1\n", r"truth\.csv:2: is no whole line, and the last; .* remove this line"),
-        ("frame,target,part,x,y\n0,f,p,1_0,2\n", r"truth\.csv:2: column x: '1_0' is no finite number; "),
-        ("frame,target,part,x,y\n0,f,p,1,2\n1,f,p,1,two\n", r"truth\.csv:3: column y: 'two' is no finite number; "),
-        ("frame,target,part,x,y\n0,f,p,nan,2\n", r"truth\.csv:2: column x: 'nan' is no finite number; "),
-        ("frame,target,part,x,y\n0,f,p,1e999,2\n", r"truth\.csv:2: column x: '1e999' is no finite number; "),
-        ("frame,target,part,x,y\n1.5,f,p,1,2\n", r"truth\.csv:2: column frame: '1.5' is no whole number"),
-        ("frame,target,part,x,y\n-1,f,p,1,2\n", r"truth\.csv:2: column frame: '-1' is no whole number"),
-        ("frame,target,part,x,y\n,f,p,1,2\n", r"truth\.csv:2: column frame: '' is no whole number"),
-        ("frame,target,part,x,y\n0,f,,1,2\n", r"truth\.csv:2: column part is empty; name the part"),
-        (b"frame,target,part,x,y\n0,f,\xff,1,2\n", r"truth\.csv: byte 26 is not UTF-8"),
-        (b"\x00\x01\x02", r"truth\.csv:"),
-    ],
-)
-def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str | bytes, message: str) -> None:
-    with pytest.raises(InputError, match=message) as caught:
-        file_rows(saved(tmp_path, text))
-    assert "\n" not in str(caught.value)
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.csv: cannot be read: No such file"):
-        file_rows(tmp_path / "none.csv")
-    with pytest.raises(InputError, match="cannot be read: Is a directory"):
-        file_rows(tmp_path)
-
-
-def test_python_csv_agrees_with_ours(tmp_path: Path) -> None:
-    line = csv_lines([Row(0, 0.0, 'a "b", c', "p", 1.0, 2.0)])
+def test_python_csv_agrees_with_ours() -> None:
+    line = lines(one_part('a "b", c', "p", [0], time_s=[0.0], x=[1.0], y=[2.0]))
     assert next(csv.reader([line]))[2] == 'a "b", c'
