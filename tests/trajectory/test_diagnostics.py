@@ -389,7 +389,8 @@ def test_records_that_are_none_are_refused_as_before(tmp_path: Path, name: objec
 def test_a_csv_with_no_probability_says_where(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("frame,target,part,x,y,identity,identity_prob\n0,face,box,1,2,anna,0.5\n1,face,box,1,2,anna,1.5\n")
-    with pytest.raises(InputError, match=r"t\.csv: frame 1, face/box: identity_prob 1\.5 is no probability; "):
+    why = "t.csv: frame 1, face/box: identity_prob 1.5 is no probability; correct it"
+    with pytest.raises(InputError, match=re.escape(why)):
         read_trajectory(path)
 
 

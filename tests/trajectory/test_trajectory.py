@@ -1,0 +1,310 @@
+"""The type of all trajectories: its parts, rows and frames, and trajectories put together from others."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics
+from facetrack_cli.trajectory.trajectory import (
+    COLUMNS,
+    FLOATS,
+    TEXTS,
+    Collector,
+    Trajectory,
+    build,
+    by_frame,
+    joined,
+    one_part,
+    recorded,
+    successive,
+)
+from tests.support import results
+from tests.support.results import rows_of
+from tests.support.trajectories import known, trajectories
+
+ARRAYS = ("which", "frame", *FLOATS, *TEXTS, "by_hand", "cov_xy", "corners")
+NOSE, LIP, HAND = ("face", "nose"), ("face", "lip"), ("hand", "box")
+
+
+def some() -> Trajectory:
+    """Nose and lip in frames 2, 3 and 5, the lip not in 3; the hand in 3 and 4."""
+    return build(
+        [NOSE, LIP, HAND],
+        [0, 0, 0, 1, 1, 2, 2],
+        [2, 3, 5, 2, 5, 3, 4],
+        x=[20.0, 30, 50, 21, 51, 32, 42],
+        time_s=[0.2, math.nan, 0.5, 0.2, 0.5, 0.3, 0.4],
+        status=["init", "tracked", "lost", "init", "absent", "init", "tracked"],
+        header={"seed": 3},
+        diagnostics={"hand": Diagnostics.of((SCALE,), [3, 4], [{"scale": 1.0}, {"scale": 1.5}])},
+        path=Path("run"),
+    )
+
+
+def same(one: Trajectory, other: Trajectory) -> None:
+    """Asserts that they have the same rows under the same names, and the same diagnostics."""
+    assert one.names == other.names
+    for name in ARRAYS:
+        a, b = getattr(one, name), getattr(other, name)
+        assert (a is None) == (b is None), name
+        if a is not None:
+            np.testing.assert_array_equal(a, b, name)
+    assert {name: known(found) for name, found in one.diagnostics.items()} == {
+        name: known(found) for name, found in other.diagnostics.items()
+    }
+
+
+# --- building ---
+
+
+def test_rows_come_in_any_order_and_stand_by_part_and_frame() -> None:
+    rows = build([NOSE, LIP], [1, 0, 1, 0], [7, 9, 3, 4], x=[1, 2, 3, 4], status=["a", "b", "c", "d"])
+    assert rows.names == (NOSE, LIP)
+    assert (rows.which.tolist(), rows.frame.tolist()) == ([0, 0, 1, 1], [4, 9, 3, 7])
+    assert (rows.x.tolist(), rows.status.tolist()) == ([4, 2, 3, 1], ["d", "b", "c", "a"])
+    assert len(rows) == 4
+
+
+def test_what_is_not_given_is_not_known() -> None:
+    rows = one_part("face", "nose", [1, 2], x=None)
+    for name in (*FLOATS, "cov_xy"):
+        assert np.isnan(getattr(rows, name)).all() and getattr(rows, name).dtype == np.float64, name
+    assert rows.status.tolist() == rows.identity.tolist() == ["", ""] and rows.by_hand.tolist() == [False] * 2
+    assert rows.corners is None and rows.header == rows.diagnostics == {} and rows.path == Path()
+
+
+@pytest.mark.parametrize("frames", [[4, 4], [4, 2, 9, 4]])
+def test_two_rows_of_a_frame_target_and_part_are_refused(frames: list[int]) -> None:
+    with pytest.raises(InputError, match=r"t\.csv: frame 4 has two rows of face/lip; keep one row a frame, target and"):
+        build([NOSE, LIP], [1] * len(frames), frames, path=Path("t.csv"))
+    assert len(build([NOSE, LIP], range(len(frames)), [4] * len(frames))) if len(frames) == 2 else True
+
+
+def test_a_column_that_there_is_not_is_no_column() -> None:
+    with pytest.raises(TypeError, match="a trajectory has no colour, z"):
+        one_part("face", "nose", [1], colour=[1], z=[2])
+
+
+# --- names, parts and rows ---
+
+
+def test_names_are_those_of_targets_and_parts() -> None:
+    rows = some()
+    assert rows.targets == ("face", "hand")
+    assert (rows.target, rows.part, rows.name) == ("face", "nose", "face/nose")
+    assert [one.name for one in rows.parts] == ["face/nose", "face/lip", "hand/box"]
+    assert [one.name for one in rows.of_target("face")] == ["face/nose", "face/lip"]
+    assert rows.of_target("nobody") == () and rows.find("hand", "nose") is None
+    lip = rows.find("face", "lip")
+    assert lip is not None and lip.frame.tolist() == [2, 5] and lip.which.tolist() == [0, 0]
+    assert lip.parts == (lip,) and lip.header == {"seed": 3} and lip.path == Path("run")
+    same(lip.renamed("a", "b"), replace(lip, names=(("a", "b"),)))
+
+
+def test_a_part_without_rows_is_a_part() -> None:
+    rows = some().take(some().which == 1)
+    assert [len(one) for one in rows.parts] == [0, 2, 0] and rows.targets == ("face", "hand")
+    assert rows.find("hand", "box").frame.tolist() == []  # type: ignore[union-attr]
+
+
+def test_frames_and_rows_of_a_frame() -> None:
+    rows = some()
+    assert rows.frames.tolist() == [2, 3, 4, 5] and rows.times.tolist() == [0.2, 0.3, 0.4, 0.5]
+    assert [(frame, [rows.names[rows.which[i]] for i in at]) for frame, at in by_frame(rows)] == [
+        (2, [NOSE, LIP]), (3, [NOSE, HAND]), (4, [HAND]), (5, [NOSE, LIP]),
+    ]  # fmt: skip
+    there = rows.at(3)
+    assert there.names == rows.names and there.which.tolist() == [0, 2] and there.x.tolist() == [30, 32]
+    assert len(rows.at(1)) == len(rows.at(6)) == 0
+    nose = rows.parts[0]
+    assert [nose.row(frame) for frame in (1, 2, 3, 4, 5, 6)] == [None, 0, 1, None, 2, None]
+    assert np.isnan(nose.take(slice(1, 2)).times).all(), "no row of that frame says when"
+
+
+def test_between_keeps_names_and_what_is_reported_of_its_frames() -> None:
+    rows = some().between(3, 5)
+    assert rows.names == (NOSE, LIP, HAND)
+    assert (rows.which.tolist(), rows.frame.tolist()) == ([0, 2, 2], [3, 3, 4])
+    assert known(rows.diagnostics["hand"]) == {3: {"scale": 1.0}, 4: {"scale": 1.5}}
+    assert known(some().between(4, 9).diagnostics["hand"]) == {4: {"scale": 1.5}}
+    assert (rows.header, rows.path) == ({"seed": 3}, Path("run"))
+
+
+def test_rows_are_taken_by_mask_slice_or_index_with_all_their_columns() -> None:
+    corners = np.arange(56.0).reshape(7, 4, 2)
+    rows = replace(some(), corners=corners)
+    for chosen in (rows.frame > 3, slice(2, 5), np.array([0, 6])):
+        taken = rows.take(chosen, header={"seed": 4})
+        assert taken.header == {"seed": 4} and taken.names == rows.names
+        for name in ARRAYS:
+            np.testing.assert_array_equal(getattr(taken, name), getattr(rows, name)[chosen], name)
+
+
+@settings(deadline=None, max_examples=60)
+@given(rows=trajectories(), data=st.data())
+def test_parts_frames_and_stretches_hold_every_row_once(rows: Trajectory, data: st.DataObject) -> None:
+    rows = replace(rows, corners=np.arange(8.0 * len(rows)).reshape(-1, 4, 2))
+    same(joined(rows.parts, diagnostics=rows.diagnostics), rows)
+    frames = rows.frames.tolist()
+    assert sum(len(rows.at(frame)) for frame in frames) == len(rows)
+    for frame in frames:
+        np.testing.assert_array_equal(rows.at(frame).x, rows.x[rows.frame == frame])
+    cut = data.draw(st.sampled_from([*frames, frames[-1] + 1]))
+    pieces = [rows.between(0, cut), rows.between(cut, frames[-1] + 1)]
+    same(successive(pieces, like=rows), rows)
+    log = Collector()
+    for frame in frames:
+        log.add(rows.between(frame, frame + 1))
+    same(log.trajectory(), rows)
+
+
+# --- who it is, geometry, corrections ---
+
+
+def test_boxes_have_their_centre_between_the_first_and_the_last_pixel() -> None:
+    one = one_part("face", "box", [0, 1], x=[10.0, math.nan], y=[20.5, 1], w=[5.0, 2], h=[4.0, 2])
+    np.testing.assert_array_equal(one.boxes, [[8, 19, 5, 4], [math.nan, 0.5, 2, 2]])
+
+
+@pytest.mark.parametrize(
+    ("status", "by_hand", "expected"),
+    [
+        ("it", "", "00"),
+        ("itit", "", "0010"),
+        ("iaat", "", "0100"),
+        ("aait", "", "0010"),
+        ("vava", "", "0101"),
+        ("ttat", "1", "1010"),
+        ("taat", "   1", "0101"),
+    ],
+)
+def test_rows_that_corrections_gave(status: str, by_hand: str, expected: str) -> None:
+    words = {"i": "init", "t": "tracked", "a": "absent", "v": "visible"}
+    hand = [char == "1" for char in by_hand.ljust(len(status))]
+    one = one_part("face", "nose", range(len(status)), status=[words[char] for char in status], by_hand=hand)
+    assert "".join(str(int(flag)) for flag in one.corrected) == expected
+
+
+# --- for other libraries ---
+
+
+def test_columns_are_the_rows_in_the_order_of_the_file() -> None:
+    columns = some().columns()
+    assert tuple(columns) == COLUMNS
+    assert columns["frame"].tolist() == [2, 2, 3, 3, 4, 5, 5]
+    assert columns["target"].tolist() == ["face", "face", "face", "hand", "hand", "face", "face"]
+    assert columns["part"].tolist() == ["nose", "lip", "nose", "box", "box", "nose", "lip"]
+    assert columns["x"].tolist() == [20, 21, 30, 32, 42, 50, 51]
+    assert [row.x for row in rows_of(some())] == columns["x"].tolist()
+
+
+def test_a_data_frame_has_the_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[dict[str, Any]] = []
+    stub = ModuleType("pandas")
+    stub.DataFrame = lambda columns: given.append(columns) or "a data frame"  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "pandas", stub)
+    assert some().to_pandas() == "a data frame"
+    ((columns,), expected) = given, some().columns()
+    assert tuple(columns) == COLUMNS
+    for name in COLUMNS:
+        np.testing.assert_array_equal(columns[name], expected[name])
+
+
+def test_a_data_frame_of_pandas_itself() -> None:
+    pandas = pytest.importorskip("pandas")
+    table = some().to_pandas()
+    assert list(table.columns) == list(COLUMNS) and len(table) == 7
+    assert table[table.part == "lip"].x.tolist() == [21, 51] and pandas.isna(table.y).all()
+
+
+# --- put together ---
+
+
+def test_parts_are_joined_in_their_order_and_one_stays_as_it_is() -> None:
+    nose, hand = one_part(*NOSE, [1, 2], x=[1, 2]), one_part(*HAND, [2, 3], x=[3, 4], status=["tracked"] * 2)
+    whole = joined(
+        [hand, nose], path=Path("t.csv"), header={"seed": 1}, diagnostics={"hand": some().diagnostics["hand"]}
+    )
+    assert whole.names == (HAND, NOSE) and whole.x.tolist() == [3, 4, 1, 2] and whole.which.tolist() == [0, 0, 1, 1]
+    assert (whole.path, whole.header, set(whole.diagnostics)) == (Path("t.csv"), {"seed": 1}, {"hand"})
+    assert whole.status.tolist() == ["tracked", "tracked", "", ""]
+    same(joined([nose], path=Path("t.csv")), nose)
+    with pytest.raises(InputError, match="frame 1 has two rows of face/nose"):
+        joined([nose, hand, nose])
+
+
+def test_corners_of_some_are_not_known_of_others() -> None:
+    square = np.array([[(0, 0), (1, 0), (1, 1), (0, 1)]], float)
+    whole = joined([one_part(*NOSE, [1]), one_part(*HAND, [1], corners=square)])
+    assert whole.corners is not None and np.isnan(whole.corners[0]).all()
+    np.testing.assert_array_equal(whole.corners[1], square[0])
+
+
+def frame(index: int) -> Trajectory:
+    """A face, of which more is reported from frame 3 on, and a hand in every second frame."""
+    reported = {"scale": 1.0 + index} | ({"noise": 0.5, "posterior": {f"p{index}": 1.0}} if index > 2 else {})
+    face = results.target("face", [results.part("nose", index, 1), results.part("lip", index, 2)], reported=reported)
+    hand = results.target("hand", [results.part("box", index, 3)], reported={"scale": 9.0})
+    return results.result(index, [face, hand] if index % 2 else [face]).rows
+
+
+@pytest.mark.parametrize("count", [1, 499, 500, 501, 1203])
+def test_a_collector_gives_what_it_was_given(count: int) -> None:
+    log = Collector()
+    for index in range(1, count + 1):
+        log.add(frame(index))
+    rows = log.trajectory(header={"seed": 3}, path=Path("clip"))
+    assert rows.header == {"seed": 3} and rows.path == Path("clip") and rows.names == (NOSE, LIP, HAND)
+    every = np.arange(1, count + 1)
+    for part in rows.of_target("face"):
+        assert part.frame.tolist() == part.x.tolist() == every.tolist()
+    assert rows.of_target("hand")[0].frame.tolist() == every[::2].tolist()
+    face = rows.diagnostics["face"]
+    assert face.frame.tolist() == every.tolist() and face.get("scale").tolist() == (every + 1.0).tolist()
+    assert np.isnan(face.get("noise")[:2]).all() and (face.get("noise")[2:] == 0.5).all()
+    assert face.labels.get("posterior", ()) == tuple(f"p{index}" for index in range(3, count + 1))
+    same(log.trajectory(), rows)
+    log.add(frame(count + 1))
+    assert log.trajectory().frames.tolist() == [*every.tolist(), count + 1], "and it may go on"
+
+
+def test_pieces_of_a_run_have_the_names_of_the_run() -> None:
+    whole = successive([frame(index) for index in range(1, 6)])
+    like = replace(whole, header={"seed": 3}, path=Path("run"))
+    redone = replace(frame(4), x=frame(4).x + 100)
+    found = successive([redone, whole.between(5, 9), whole.between(0, 4)], like=like)
+    assert (found.names, found.header, found.path) == (whole.names, {"seed": 3}, Path("run"))
+    assert found.parts[0].x.tolist() == [1, 2, 3, 104, 5]
+
+
+def test_what_was_recorded_is_said_of_each_target_of_a_frame() -> None:
+    turned = (0.0, -1.0, 1.0, 0.0, 30.0, 40.0)  # a quarter turn
+    declared = (SCALE, AFFINE)
+    values: list[dict[str, Any]] = [{"scale": 1.0 + at, "affine": turned} for at in range(2)]
+    rows = joined(
+        [one_part(*NOSE, [2], x=[1], y=[1]), one_part(*LIP, [2, 3], x=[2, 2], y=[2, 2]),
+         one_part(*HAND, [2, 3, 4], x=[30.0] * 3, y=[40.0] * 3, w=[20.0] * 3, h=[10.0] * 3)],
+        diagnostics={"hand": Diagnostics.of(declared, [2, 3], values)},
+    )  # fmt: skip
+    face, hand = recorded(2, rows.at(2))
+    assert face.rows.names == (NOSE, LIP) and face.rows.corners is None and face.rows.diagnostics == {}
+    assert face.cloud.shape == (0, 2, 2) and face.insets == face.notes == ()
+    np.testing.assert_allclose(hand.rows.corners, [[(35, 30), (35, 50), (25, 50), (25, 30)]], atol=1e-9)
+    face, hand = recorded(3, rows.at(3))
+    assert face.rows.names == (LIP,) and known(hand.rows.diagnostics["hand"]) == {
+        3: {"scale": 2.0, "affine": list(turned)}
+    }, "what is reported of this frame alone"
+    (hand,) = recorded(4, rows.at(4))
+    assert hand.rows.diagnostics == {} and hand.rows.corners is None
+    assert recorded(9, rows.at(9)) == ()
