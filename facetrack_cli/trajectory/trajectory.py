@@ -288,8 +288,8 @@ def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:
 def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     """Trajectories of different parts, or of different frames, as one; `others` are header, diagnostics and path."""
     all_ = list(parts)
-    if len(all_) == 1:
-        return replace(all_[0], **others)
+    if len(all_) < 2:
+        return replace(all_[0] if all_ else build((), [], []), **others)
     numbers: dict[tuple[str, str], int] = {}
     for one in all_:
         for name in one.names:
