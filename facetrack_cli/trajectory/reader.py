@@ -211,7 +211,7 @@ def _read_json(path: Path) -> Trajectory:
             for target in record["targets"]:
                 name, parts = _text("target", target["target"]), target["parts"]
                 particles, sure = (_number(key, target.get(key)) for key in ("particles", "identity_prob"))
-                who = _text("identity", target.get("identity", ""), empty=True)
+                who = "" if target.get("identity") is None else _text("identity", target["identity"], empty=True)
                 shared = (frame, time_s, name, particles, who, sure)
                 for key, value in zip(_SHARED, shared, strict=True):
                     columns[key] += [value] * len(parts)
