@@ -288,8 +288,8 @@ def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:
 def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     """Trajectories of different parts, or of different frames, as one; `others` are header, diagnostics and path."""
     all_ = list(parts)
-    if len(all_) == 1:
-        return replace(all_[0], **others)
+    if len(all_) < 2:
+        return replace(all_[0] if all_ else build((), [], []), **others)
     numbers: dict[tuple[str, str], int] = {}
     for one in all_:
         for name in one.names:
@@ -345,9 +345,12 @@ class FrameResult:
 
 
 def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
-    """The rows of one frame as what the tracker said of each target, for drawing: without particles and images."""
+    """The rows and diagnostics of one frame as what the tracker said of each target: without particles and images.
+
+    Of a target that reports its affine map the corners follow from that.
+    """
     now = rows.between(frame, frame + 1)
-    now, targets = replace(now, corners=outlines(now)), []
+    now, targets = replace(now, corners=now.corners if (found := outlines(now)) is None else found), []
     for target in now.targets:
         if parts := [one for one in now.of_target(target) if len(one)]:
             diagnostics = {name: one for name, one in now.diagnostics.items() if name == target}

@@ -28,7 +28,7 @@ from facetrack_cli.trajectory.writers import csv_frames, json_frames
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
-from tests.support.results import row_objects
+from tests.support.results import rows_of as objects_of
 from tests.support.samples import FOLDER
 
 STOP = 24
@@ -115,7 +115,7 @@ def points(target, frame, **given):
 
 def now(fixer, frame, target):
     """The rows of a target in one frame."""
-    return row_objects(of_target(fixer.rows, frame, target))
+    return objects_of(of_target(fixer.rows, frame, target))
 
 
 def rows_of(folder, where):

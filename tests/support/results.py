@@ -69,16 +69,18 @@ def table(path, parts, header=None, diagnostics=None):
     return joined(parts, path=path, header=header or {}, diagnostics=diagnostics or {})
 
 
-def file_rows(path):
-    """The rows of a file in its order, each with the columns of the CSV; None is what is not known."""
-    return row_objects(read_trajectory(path))
-
-
-def row_objects(rows):
-    """The rows of a trajectory, as `file_rows` gives those of a file."""
-    columns = rows.columns()
+def rows_of(trajectory):
+    """The rows in the order of a file, each with the columns of the CSV and `by_hand`; None is what is not known."""
+    columns = trajectory.columns()
     lists = {name: column.tolist() for name, column in columns.items()}
+    order = np.lexsort((trajectory.which, trajectory.frame))
+    lists["by_hand"] = trajectory.by_hand[order].tolist()
     return [
         SimpleNamespace(**{name: None if value != value else value for name, value in zip(lists, row, strict=True)})
         for row in zip(*lists.values(), strict=True)
     ]
+
+
+def file_rows(path):
+    """The rows of a file, as `rows_of` has them."""
+    return rows_of(read_trajectory(path))
