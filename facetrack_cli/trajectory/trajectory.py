@@ -349,12 +349,13 @@ def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
 
     Of a target that reports its affine map the corners follow from that.
     """
-    now = rows.between(frame, frame + 1)
-    now, targets = replace(now, corners=now.corners if (found := outlines(now)) is None else found), []
+    now, targets = rows.between(frame, frame + 1), []
     for target in now.targets:
         if parts := [one for one in now.of_target(target) if len(one)]:
-            diagnostics = {name: one for name, one in now.diagnostics.items() if name == target}
-            targets.append(TargetResult(joined(parts, diagnostics=diagnostics), np.empty((0, len(parts), 2))))
+            mine = joined(parts, diagnostics={name: one for name, one in now.diagnostics.items() if name == target})
+            found = outlines(mine)
+            mine = mine if found is None else replace(mine, corners=found)
+            targets.append(TargetResult(mine, np.empty((0, len(mine), 2))))
     return tuple(targets)
 
 
