@@ -157,6 +157,10 @@ def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int])
         return np.array(cells, dtype=np.str_)
     convert = _frame if name == "frame" else _count if name == "particles" else _float
     try:
+        if convert is _float and "_" not in "".join(cells):  # as `_float` does, and faster
+            values = np.array([float(cell) if cell else math.nan for cell in cells])
+            if np.isfinite(values).sum() == len(cells) - cells.count(""):
+                return values
         return np.array([convert(cell) for cell in cells], dtype=np.int64 if name == "frame" else np.float64)
     except ValueError:
         at = next(i for i, cell in enumerate(cells) if _fails(convert, cell))
