@@ -12,7 +12,8 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.editor.retrack import Report, StoppedError
 from facetrack_cli.editor.run_folder import Run
-from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
+from facetrack_cli.trajectory.diagnostics import outlines
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, by_frame, recorded
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
@@ -52,16 +53,19 @@ def repaint(
         return tuple(video.warnings)
 
 
-def cells(rows: Trajectory, frame: int) -> list[list[Any]]:
-    """The rows of one frame as the page has them: x, y, w, h, angle, confidence, status, by hand, corners."""
-    found = []
-    for target in recorded(frame, rows.at(frame)):
-        one = target.rows
-        numbers = np.stack([getattr(one, name) for name in ("x", "y", "w", "h", "angle", "confidence")], axis=1)
-        outlines = [None] * len(one) if one.corners is None else np.round(one.corners, 2).tolist()
-        for values, status, by_hand, outline in zip(
-            numbers.tolist(), one.status.tolist(), one.by_hand.tolist(), outlines, strict=True
-        ):
-            known = [None if math.isnan(value) else value for value in values]
-            found.append([*known, status, by_hand, None if outline is None or math.isnan(outline[0][0]) else outline])
-    return found
+def cells(rows: Trajectory, first: int, stop: int) -> list[list[list[Any]]]:
+    """The rows of the frames from `first` to before `stop` as the page has them.
+
+    Of each frame and part: x, y, w, h, angle, confidence, status, whether it is by hand, corners.
+    """
+    some = rows.between(first, stop)
+    numbers = np.stack([getattr(some, name) for name in ("x", "y", "w", "h", "angle", "confidence")], axis=1).tolist()
+    found = outlines(some)
+    shapes: list[Any] = [None] * len(some)
+    if found is not None:
+        shapes = [None if math.isnan(shape[0][0]) else shape for shape in np.round(found, 2).tolist()]
+    lines = [
+        [*(None if math.isnan(value) else value for value in row), *others]
+        for row, *others in zip(numbers, some.status.tolist(), some.by_hand.tolist(), shapes, strict=True)
+    ]
+    return [[lines[i] for i in at] for _, at in by_frame(some)]

@@ -6,7 +6,9 @@ run.recipe, run.start, run.rows
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -37,6 +39,7 @@ from facetrack_cli.video.images import listing
 UNSAVED: Final = "unsaved.init.yaml"
 STATUS: Final = ("init", "tracked", "lost", "absent")
 _AGAIN: Final = "make the run again"
+_FRAME: Final = re.compile(rb'\{(?:"type":"frame",)?"frame":(\d{1,15}),')
 
 
 @dataclass(frozen=True)
@@ -78,18 +81,6 @@ class Run:
         path = self.folder / VIDEO
         return path if path.is_file() else None
 
-    @property
-    def head(self) -> dict[str, Any]:
-        """What stands before the rows in JSON."""
-        ends = {*Footer._fields, "frames_tracked", "type"}
-        return {key: value for key, value in self.rows.header.items() if key not in ends}
-
-    @property
-    def footer(self) -> Footer:
-        """What stands after them."""
-        known = {name: self.rows.header[name] for name in Footer._fields if name in self.rows.header}
-        return Footer(**{**known, "warnings": tuple(known.get("warnings", ()))})
-
 
 def open_run(folder: Path, clip: Path | None = None) -> Run:
     """Open the run that `facetrack run` wrote into a folder; `clip` is where its clip is now, if not where it was.
@@ -101,11 +92,7 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     main = trajectory_of(folder)
     files = {form: folder / f"trajectory.{form}" for form in FORMATS if (folder / f"trajectory.{form}").is_file()}
     stamped = {form: (path, stamp(path)) for form, path in files.items()}
-    rows = read_trajectory(main)
-    if "lost_frames" not in rows.header or "init" not in rows.header:
-        raise _not_ours(main)
-    check_dense(rows)
-    _check_main(rows)
+    rows = read_files(files)
     header = read_header(rows)
     path = Path(header.source.path) if clip is None else clip
     if clip is None and not _is_there(path):
@@ -114,9 +101,6 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     start = _start(main, header)
     fps = None if listing(path) is None else Fraction(header.source.fps).limit_denominator(1001)
     run = Run(folder, rows, header, recipe, start, path, fps, stamped)
-    for form, path in files.items():
-        if path != main:
-            _check_other(path, form, run)
     _check_rows(main, run)
     return run
 
@@ -130,29 +114,61 @@ def stamp(path: Path) -> object:
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def check_dense(rows: Trajectory) -> None:
+# --- the files -----------------------------------------------------------------------------------------------------
+
+
+def read_files(files: Mapping[Format, Path]) -> Trajectory:
+    """The rows that the trajectories of a run hold, each of them the same: those of its JSON, or else its JSON lines.
+
+    Raises InputError, with the line, for what is not byte for byte as a run writes it, and for a file that differs.
+    """
+    main = files["json"] if "json" in files else files["jsonl"]
+    _check_frames(main)
+    rows = read_trajectory(main)
+    if "lost_frames" not in rows.header or "init" not in rows.header:
+        raise _not_ours(main)
+    _check_dense(rows)
+    _check_main(rows)
+    for form, path in files.items():
+        if path != main:
+            _check_other(path, form, rows)
+    return rows
+
+
+def _check_frames(main: Path) -> None:
+    """InputError if the frames in a file do not follow each other."""
+    last = None
+    with contextlib.suppress(OSError), main.open("rb") as file:  # what cannot be read is refused next
+        for line, text in enumerate(file, 1):
+            if found := _FRAME.match(text):
+                if last is not None and int(found[1]) != last + 1:
+                    raise InputError(f"{main}:{line}: frame {int(found[1])} follows frame {last}; {_AGAIN}")
+                last = int(found[1])
+
+
+def _check_dense(rows: Trajectory) -> None:
     """InputError if a part has no row in some frame, or a status that no run writes."""
-    frames = np.arange(rows.frame.min(), rows.frame.max() + 1)
+    frames = rows.frames
     for one in rows.parts:
-        if not np.array_equal(one.frame, frames):
-            missing = np.setdiff1d(frames, one.frame)[0]
-            raise InputError(f"{rows.path}: frame {missing} has no row of {one.name}; {_AGAIN}")
-    if not np.isin(rows.status, STATUS).all():
-        raise _not_ours(rows.path)
+        if len(one) < len(frames):
+            missing = int(np.setdiff1d(frames, one.frame)[0])
+            raise InputError(f"{_place(rows, missing)}: frame {missing} has no row of {one.name}; {_AGAIN}")
+    strange = ~np.isin(rows.status, STATUS)
+    if strange.any():
+        raise _not_ours(_place(rows, int(rows.frame[strange].min())))
 
 
 def _check_main(rows: Trajectory) -> None:
     """InputError if the frames in the file of `rows` are not, byte by byte, what is written for them."""
     texts = (text.encode(errors="backslashreplace") for text in json_frames(rows))
-    line = 0
     with rows.path.open("rb") as file:
         for line, found in enumerate(file, 1):
-            if found.startswith((b'{"frame":', b'{"type":"frame",')):
-                expected = found[: found.index(b'"frame":')] + next(texts, b"") + b"}"
+            if begun := _FRAME.match(found):
+                expected = found[: begun.start(1) - len('"frame":')] + next(texts, b"") + b"}"
                 if found not in (expected + b"\n", expected + b",\n"):
-                    raise _not_ours(rows.path, line)
+                    raise _not_ours(f"{rows.path}:{line}")
     if next(texts, None) is not None:
-        raise _not_ours(rows.path, line)
+        raise _not_ours(rows.path)
 
 
 class _DiffersError(Exception):
@@ -179,23 +195,37 @@ class _Compared:
             raise _DiffersError(self._line)
 
 
-def _check_other(path: Path, form: Format, run: Run) -> None:
-    """InputError if a file is not what is written for the run's rows."""
+def _check_other(path: Path, form: Format, rows: Trajectory) -> None:
+    """InputError if a file is not what is written for the rows."""
     try:
         with path.open("rb") as file:
-            write_rows(form, _Compared(file), run, run.rows)
+            write_rows(form, _Compared(file), rows)
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable") from e
     except _DiffersError as e:
-        main = run.rows.path.name
+        main = rows.path.name
         raise InputError(
             f"{path}:{e.args[0]}: differs from {main}; remove it, {main} tells the same, or {_AGAIN}"
         ) from None
 
 
-def write_rows(
-    form: Format, sink: Sink, run: Run, rows: Trajectory, corrections: Sequence[Correction] | None = None
-) -> None:
-    """Write a run's file with these rows; with `corrections` in place of its own, if they are given."""
-    head, footer = run.head, run.footer
+def _place(rows: Trajectory, frame: int) -> str:
+    """The file of the rows, with the line on which a frame stands."""
+    with rows.path.open("rb") as file:
+        lines = (line for line, text in enumerate(file, 1) if (at := _FRAME.match(text)) and int(at[1]) == frame)
+        return ":".join(map(str, (rows.path, *lines)))
+
+
+def _not_ours(place: Path | str) -> InputError:
+    return InputError(f"{place}: is not as facetrack run writes it, was it edited? {_AGAIN}")
+
+
+def write_rows(form: Format, sink: Sink, rows: Trajectory, corrections: Sequence[Correction] | None = None) -> None:
+    """Write a file of a run with these rows; with `corrections` in place of those in its header, if they are given."""
+    ends = {*Footer._fields, "frames_tracked", "type"}
+    head = {key: value for key, value in rows.header.items() if key not in ends}
+    foot = {key: value for key, value in rows.header.items() if key in Footer._fields}
+    footer = Footer(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
     if corrections is not None:
         init = {key: value for key, value in head["init"].items() if key != "corrections"}
         head["init"] = {**init, **({"corrections": [record_of(one) for one in corrections]} if corrections else {})}
@@ -209,11 +239,6 @@ def lost_frames(rows: Trajectory) -> dict[str, int]:
     """How often each part is lost, in the order in which they first are, as a run counts them."""
     lost = {one.name: np.flatnonzero(one.status == "lost") for one in rows.parts}
     return {name: len(at) for name, at in sorted(lost.items(), key=lambda one: one[1][:1].tolist()) if len(at)}
-
-
-def _not_ours(path: Path, line: int | None = None) -> InputError:
-    place = path if line is None else f"{path}:{line}"
-    return InputError(f"{place}: is not as facetrack run writes it, was it edited? {_AGAIN}")
 
 
 def check_writable(run: Run) -> None:

@@ -68,7 +68,7 @@ def save(
             at = path
             files.append(at)
             with beside(at).open("wb") as file:
-                write_rows(form, _Plain(file), run, rows, fixer.corrections)
+                write_rows(form, _Plain(file), rows, fixer.corrections)
         at = run.folder / CORRECTED
         files.append(at)
         beside(at).write_bytes(as_yaml(fixer.start, run.clip.name).encode())

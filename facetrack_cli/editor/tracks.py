@@ -63,10 +63,11 @@ class Track:
     stop: int
     at: int | None = None
 
-    def rows(self, recorded: Trajectory, store: Store) -> Trajectory:
-        """The rows, of a run that recorded these."""
-        whole = choose(recorded, self.target) if self.at is None else store.read(self.at)
-        return whole.between(self.first, self.stop)
+    def rows(self, recorded: Trajectory, store: Store, stop: int | None = None) -> Trajectory:
+        """The rows up to before `stop`, of a run that recorded these."""
+        whole = recorded if self.at is None else store.read(self.at)
+        some = whole.between(self.first, self.stop if stop is None else stop)
+        return choose(some, self.target) if self.at is None else some
 
 
 def spliced(recorded: Trajectory, tracks: Mapping[str, Sequence[Track]], store: Store) -> Trajectory:
@@ -77,5 +78,5 @@ def spliced(recorded: Trajectory, tracks: Mapping[str, Sequence[Track]], store: 
     for those in tracks.values():
         stops = [*(track.first for track in those[1:]), those[-1].stop]
         for track, stop in zip(those, stops, strict=True):
-            pieces.append(track.rows(recorded, store).between(track.first, stop))
+            pieces.append(track.rows(recorded, store, stop))
     return successive(pieces, recorded)

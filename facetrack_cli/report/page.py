@@ -139,10 +139,11 @@ def _origin(header: Header) -> str:
 
 def _plots(content: Content) -> Html:
     wide, narrow = content.plot.wide, content.plot.narrow
+    reported = bool(content.table.diagnostics) or bool((content.table.identity != "").any())
     alt = (
         "Plots over time: position and size of each part, confidence with lost spans shaded, status, particles and "
         "effective sample size, spread"
-        + (", what the tracker told of identity, scale, noise and error" if content.table.diagnostics else "")
+        + (", what the tracker told of identity, scale, noise and error" if reported else "")
         + (", error against the truth." if content.truth else ".")
     )
     picture = tag(

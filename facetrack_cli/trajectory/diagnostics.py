@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import Array, Whole
+
+if TYPE_CHECKING:
+    from facetrack_cli.trajectory.trajectory import Trajectory
 
 SURE: Final = 0.9
 """The probability at which an identity counts as recognised (Zhou et al. 2003, figure 2c)."""
@@ -24,7 +28,8 @@ class Diagnostic:
     """A quantity that is reported of a target in every frame.
 
     `shape` () is a number, (n,) are n numbers, and None one number for each of some names. `least` and `most` bound
-    the values, `decimals` are those in JSON, one for all or one for each number, and `meaning` stands in plots.
+    the values, `decimals` are those in JSON, one for all or one for each number, and `meaning` stands in plots. Raises
+    ValueError for a shape or decimals that cannot be.
     """
 
     name: str
@@ -35,10 +40,16 @@ class Diagnostic:
     most: float = math.inf
     decimals: int | tuple[int, ...] = 4
 
+    def __post_init__(self) -> None:
+        if not self.name or (self.shape and (len(self.shape) > 1 or self.shape[0] < 1)):
+            raise ValueError(f"diagnostic {self.name!r} needs a name, and a shape of (), (n,) or None")
+        many = self.decimals if isinstance(self.decimals, tuple) else (self.decimals,)
+        if min(many, default=-1) < 0 or (many is self.decimals and self.shape != (len(many),)):
+            raise ValueError(f"diagnostic {self.name!r} needs decimals from 0 up, one for all or for each number")
+
     def record(self) -> dict[str, Any]:
-        """What the header of a JSON trajectory says of it."""
-        shape = None if self.shape is None else list(self.shape)
-        return {"name": self.name, "meaning": self.meaning, "unit": self.unit, "shape": shape}
+        """What the header of a JSON trajectory says of it; JSON has no infinite bounds."""
+        return {key: value for key, value in asdict(self).items() if value not in (-math.inf, math.inf)}
 
 
 POSTERIOR: Final = Diagnostic("posterior", "probability of each identity", shape=None, least=0, most=1)
@@ -77,7 +88,7 @@ class Diagnostics:
 
     def between(self, first: int, stop: int) -> Diagnostics:
         """Those of frames from `first` to before `stop`."""
-        rows = (self.frame >= first) & (self.frame < stop)
+        rows = slice(*np.searchsorted(self.frame, [first, stop]).tolist())
         return replace(self, frame=self.frame[rows], values={key: v[rows] for key, v in self.values.items()})
 
     @classmethod
@@ -109,8 +120,13 @@ class Diagnostics:
         if len({(*one.values, *one.labels.items()) for one in parts}) == 1:
             values = {key: np.concatenate([one.values[key] for one in parts]) for key in parts[0].values}
             return replace(parts[0], frame=np.concatenate([one.frame for one in parts]), values=values)
+        declared: dict[str, Diagnostic] = {}
+        # what is read from a file declares, in the tracker's order, only what is there
+        for part in sorted(parts, key=lambda part: -len(part.declared)):
+            for each in part.declared:
+                declared.setdefault(each.name, each)
         frames = [frame for one in parts for frame in one.frame.tolist()]
-        return cls.of(parts[0].declared, frames, [each for one in parts for each in one.records()])
+        return cls.of(tuple(declared.values()), frames, [each for one in parts for each in one.records()])
 
     def records(self) -> list[dict[str, Any]]:
         """What is known in each frame, by name, as `of` takes it."""
@@ -121,10 +137,23 @@ class Diagnostics:
         return found
 
 
+def outlines(rows: Trajectory) -> Array | None:
+    """(R, 4, 2) corners that follow from the affine maps that targets report; nan, or None, where there is none."""
+    found = np.full((len(rows), 4, 2), np.nan)
+    targets = np.array([target for target, _ in rows.names], dtype=np.str_)[rows.which]
+    for target, reported in rows.diagnostics.items():
+        if AFFINE.name in reported.values:
+            at = np.flatnonzero((targets == target) & np.isin(rows.frame, reported.frame))
+            affine = reported.values[AFFINE.name][np.searchsorted(reported.frame, rows.frame[at])]
+            centre, size = np.stack([rows.x, rows.y], axis=1)[at], np.stack([rows.w, rows.h], axis=1)[at]
+            found[at] = corners(affine, centre, size)
+    return found if np.isfinite(found).any() else None
+
+
 def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
     """The numbers of a value, nan where there are none."""
-    bounded = one.least > -math.inf
-    expected = "probability" if one.most == 1 else "number from 0 up" if bounded else "finite number"
+    bounds = one.least, one.most
+    expected = _EXPECTED.get(bounds) or "number from {:g} to {:g}".format(*bounds)
     if one.shape is None:
         if not isinstance(value, Mapping):
             raise ValueError(at, f"{one.name} is not an object of names and numbers")
@@ -133,7 +162,8 @@ def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> A
                 raise ValueError(at, f"{one.name} of {name!r}: {number!r} is no {expected}")
         return [float(value.get(name, math.nan)) for name in labels]
     if one.shape:
-        if not isinstance(value, Sequence) or len(value) != one.shape[0] or not all(_fits(one, v) for v in value):
+        listed = isinstance(value, Sequence | np.ndarray) and len(value) == one.shape[0]
+        if not listed or not all(_fits(one, v) for v in value):
             raise ValueError(at, f"{one.name} is not a list of {one.shape[0]} numbers")
         return [float(v) for v in value]
     if not _fits(one, value):
@@ -141,7 +171,15 @@ def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> A
     return float(value)
 
 
+_EXPECTED: Final = {
+    (0, 1): "probability",
+    (0, math.inf): "number from 0 up",
+    (-math.inf, math.inf): "finite number",
+}
+
+
 def _fits(one: Diagnostic, value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
-    return math.isnan(value) or (abs(value) <= 1e300 and one.least <= value <= one.most)
+    number = float(value) if not isinstance(value, int) or abs(value) < 10**300 else math.inf
+    return math.isnan(number) or (abs(number) <= 1e300 and one.least <= number <= one.most)

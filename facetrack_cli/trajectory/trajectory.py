@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Texts, Whole
-from facetrack_cli.trajectory.diagnostics import AFFINE, POSTERIOR, SURE, Diagnostics
+from facetrack_cli.trajectory.diagnostics import POSTERIOR, SURE, Diagnostics, outlines
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -167,9 +166,10 @@ class Trajectory:
         return self.take(order[slice(*np.searchsorted(frames, [frame, frame + 1]).tolist())])
 
     def between(self, first: int, stop: int) -> Trajectory:
-        """The rows of frames from `first` to before `stop`."""
+        """The rows of frames from `first` to before `stop`, with the diagnostics of those."""
         kept = self.take((self.frame >= first) & (self.frame < stop))
-        return replace(kept, diagnostics={name: one.between(first, stop) for name, one in self.diagnostics.items()})
+        found = {name: one.between(first, stop) for name, one in self.diagnostics.items()}
+        return replace(kept, diagnostics={name: one for name, one in found.items() if len(one.frame)})
 
     @property
     def times(self) -> Array:
@@ -288,8 +288,8 @@ def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:
 def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     """Trajectories of different parts, or of different frames, as one; `others` are header, diagnostics and path."""
     all_ = list(parts)
-    if len(all_) == 1:
-        return replace(all_[0], **others)
+    if len(all_) < 2:
+        return replace(all_[0] if all_ else build((), [], []), **others)
     numbers: dict[tuple[str, str], int] = {}
     for one in all_:
         for name in one.names:
@@ -345,20 +345,17 @@ class FrameResult:
 
 
 def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
-    """The rows of one frame as what the tracker said of each target, for drawing: without particles and images.
+    """The rows and diagnostics of one frame as what the tracker said of each target: without particles and images.
 
     Of a target that reports its affine map the corners follow from that.
     """
-    targets = []
-    for target in rows.targets:
-        if not (parts := [one for one in rows.of_target(target) if len(one)]):
-            continue
-        mine, found = joined(parts, diagnostics=rows.diagnostics), rows.diagnostics.get(target)
-        at = None if found is None or AFFINE.name not in found.values else found.row(frame)
-        if at is not None and found is not None and len(mine) == 1:
-            centre, size = np.array([[mine.x[0], mine.y[0]]]), np.array([[mine.w[0], mine.h[0]]])
-            mine = replace(mine, corners=corners(found.values[AFFINE.name][at : at + 1], centre, size))
-        targets.append(TargetResult(mine, np.empty((0, len(mine), 2))))
+    now, targets = rows.between(frame, frame + 1), []
+    for target in now.targets:
+        if parts := [one for one in now.of_target(target) if len(one)]:
+            mine = joined(parts, diagnostics={name: one for name, one in now.diagnostics.items() if name == target})
+            found = outlines(mine)
+            mine = mine if found is None else replace(mine, corners=found)
+            targets.append(TargetResult(mine, np.empty((0, len(mine), 2))))
     return tuple(targets)
 
 

@@ -7,7 +7,7 @@ footer (how the run ended). JSON lines are the header, a line a frame, and the f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby, islice
@@ -18,7 +18,7 @@ import numpy as np
 from facetrack_cli import __version__
 from facetrack_cli.core.numbers import dumps, fixed
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.diagnostics import Diagnostics
+from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, Trajectory, by_frame
 
 SCHEMA = "facetrack-trajectory"
@@ -26,6 +26,7 @@ VERSION = 1
 Format: TypeAlias = Literal["csv", "json", "jsonl"]
 FORMATS: tuple[Format, ...] = ("csv", "json", "jsonl")
 Header: TypeAlias = Mapping[str, Any]  # JSON-ready: source, recipe, seed, init
+_Form: TypeAlias = Callable[[list[Any]], list[str]]  # values to texts, "" for what is not known
 
 
 class Footer(NamedTuple):
@@ -146,22 +147,22 @@ def json_frames(rows: Trajectory) -> Iterator[str]:
     for frame, which, cells in _frames(rows, _JSON):
         targets = []
         for target, group in groupby(zip(which, cells, strict=True), key=lambda one: rows.names[one[0]][0]):
-            known = [dict(zip(_JSON, line, strict=True)) for _, line in group]
-            head = _members(known[0], _OF_TARGET)
+            lines = [line for _, line in group]
+            head = list(filter(None, lines[0][: len(_OF_TARGET)]))
             if target in rows.diagnostics:
                 head += _reported(rows.diagnostics[target], frame)
-            parts = ["{" + ",".join(_members(one, _OF_PART)) + "}" for one in known]
+            parts = ["{" + ",".join(filter(None, line[len(_OF_TARGET) : -1])) + "}" for line in lines]
             targets.append("{" + ",".join(head) + ',"parts":[' + ",".join(parts) + "]}")
-        time_s = cells[0][_TIME] or "null"
-        yield f'"frame":{frame},"time_s":{time_s},"targets":[{",".join(targets)}]'
+        time_s = cells[0][-1] or '"time_s":null'
+        yield f'"frame":{frame},{time_s},"targets":[{",".join(targets)}]'
 
 
 def as_written(rows: Trajectory) -> Trajectory:
     """The rows with the numbers that a file of them holds."""
 
     def rounded(values: Array, decimals: int) -> Array:
-        texts = map(_form(decimals), values.ravel().tolist())
-        return np.array([float(text) if text else np.nan for text in texts]).reshape(values.shape)
+        texts = _numbers(f".{decimals}f")(values.ravel().tolist())
+        return np.array([float(text or "nan") for text in texts]).reshape(values.shape)
 
     def reported(found: Diagnostics) -> Diagnostics:
         values = {}
@@ -178,21 +179,19 @@ def as_written(rows: Trajectory) -> Trajectory:
     return replace(rows, **columns, cov_xy=np.full(len(rows), np.nan), corners=None, diagnostics=diagnostics)
 
 
-def _frames(
-    rows: Trajectory, forms: Mapping[str, Callable[[Any], str]]
-) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
+def _frames(rows: Trajectory, forms: Mapping[str, _Form]) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
     """Each frame with its rows by part: the indices of their names, and their columns as text, "" if not known."""
-    texts = {name: [forms[name](pair[at]) for pair in rows.names] for at, name in enumerate(_NAMES)}
+    texts = {name: forms[name]([pair[at] for pair in rows.names]) for at, name in enumerate(("target", "part"))}
     frames = by_frame(rows)
     while block := list(islice(frames, _BLOCK)):
         some = rows.take(np.array([i for _, at in block for i in at], np.int64))
         which = some.which.tolist()
         columns = []
         for name, form in forms.items():
-            if name in _NAMES:
+            if name in texts:
                 columns.append([texts[name][i] for i in which])
             else:
-                columns.append([form(value) for value in getattr(some, name).tolist()])
+                columns.append(form(getattr(some, name).tolist()))
         lines, first = list(zip(*columns, strict=True)), 0
         for frame, at in block:
             rows_ = slice(first, first + len(at))
@@ -201,13 +200,13 @@ def _frames(
 
 
 def _reported(found: Diagnostics, frame: int) -> list[str]:
-    """`"name":value` of the diagnostics of one frame: those of some names, then numbers, then lists.
+    """`"name":value` of the diagnostics of one frame: those of some names, then numbers, then lists; known ones first.
 
     What is not finite is left out: of several names one, of a list all of it.
     """
     at = found.row(frame)
     members = []
-    for one in sorted(found.declared, key=lambda one: (one.shape is not None, bool(one.shape))):
+    for one in sorted(found.declared, key=_rank):
         if at is None or one.name not in found.values:
             continue
         value = found.values[one.name][at].tolist()
@@ -224,34 +223,42 @@ def _reported(found: Diagnostics, frame: int) -> list[str]:
     return members
 
 
-_form = lru_cache(fixed)
-_key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
-_OF_TARGET = ("target", "particles", "identity", "identity_prob")
-_OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", "std_x", "std_y", "ess")
+def _rank(one: Diagnostic) -> tuple[bool, bool, int]:
+    return one.shape is not None, bool(one.shape), _RANKS.get(one.name, len(_RANKS))
 
 
-def _members(known: Mapping[str, str], names: Iterable[str]) -> list[str]:
-    return [f'"{name}":{known[name]}' for name in names if known[name]]
+_RANKS = {name: at for at, name in enumerate(KNOWN)}
 
 
+def _numbers(spec: str, prefix: str = "") -> _Form:
+    """Writes numbers as `fixed` does, after a `prefix` where there is one."""
+    whole, zero, minus = f"{prefix}%{spec}\n", prefix + format(0, spec), prefix + format(-0.0, spec.replace("d", ".0f"))
+    odd = {**{f"{prefix}{text}": "" for text in ("nan", "inf", "-inf")}, minus: zero}
+
+    def texts(values: list[Any]) -> list[str]:
+        return [odd.get(text, text) for text in (whole * len(values) % tuple(values)).split("\n")[:-1]]
+
+    return texts
+
+
+def _texts(form: Callable[[Any], str], prefix: str = "") -> _Form:
+    """Writes what is known as `form` does, after a `prefix`."""
+    return lambda values: [prefix + form(value) if value else "" for value in values]
+
+
+@lru_cache(4096)
 def _quoted(text: str) -> str:
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text
 
 
-def _string(text: str) -> str:
-    return dumps(text) if text else ""
-
-
-_NUMBERS: Mapping[str, Callable[[Any], str]] = {
-    "frame": str,
-    "particles": fixed(0),
-    **{name: fixed(decimals) for name, decimals in DECIMALS.items()},
+_form = lru_cache(fixed)
+_key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
+_OF_TARGET = ("target", "particles", "identity", "identity_prob")
+_OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", "std_x", "std_y", "ess")
+_SPECS = {"frame": "d", "particles": ".0f", **{name: f".{decimals}f" for name, decimals in DECIMALS.items()}}
+_CSV = {name: _numbers(_SPECS[name]) if name in _SPECS else _texts(_quoted) for name in COLUMNS}
+_JSON = {
+    name: _numbers(_SPECS[name], f'"{name}":') if name in _SPECS else _texts(_key, f'"{name}":')
+    for name in (*_OF_TARGET, *_OF_PART, "time_s")
 }
-_CSV: Mapping[str, Callable[[Any], str]] = {name: _NUMBERS.get(name, _quoted) for name in COLUMNS}
-_JSON: Mapping[str, Callable[[Any], str]] = {
-    **{name: _NUMBERS.get(name, _string) for name in COLUMNS},
-    "by_hand": lambda value: "true" if value else "",
-}
-_TIME = COLUMNS.index("time_s")
-_NAMES = ("target", "part")
 _BLOCK = 1_000  # frames that become text at a time

@@ -21,7 +21,7 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.evaluation.boxes import measure_boxes
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import evaluate, figures, higher_is_better, names, pooled, scalars
-from facetrack_cli.trajectory.table import series
+from facetrack_cli.trajectory.trajectory import one_part
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 HEAD = "frame,target,part,x,y,w,h,confidence,status,std_x,std_y\n"
@@ -70,7 +70,7 @@ def pair(part="box", **columns):
     mine = {key.removeprefix("ours_"): value for key, value in columns.items() if key.startswith("ours_")}
     true = {key.removeprefix("true_"): value for key, value in columns.items() if key.startswith("true_")}
     target = columns.get("target", "head")
-    return Pair(f"{target}/{part}", series(target, part, frame, **mine), series(target, part, frame, **true))
+    return Pair(f"{target}/{part}", one_part(target, part, frame, **mine), one_part(target, part, frame, **true))
 
 
 # --- one value ---------------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from collections import namedtuple
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -18,11 +19,12 @@ from facetrack_cli.trajectory.formats.boxes import read_got10k, read_otb
 from facetrack_cli.trajectory.formats.mot import read_mot
 from facetrack_cli.trajectory.formats.vot import read_vot
 from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.select import by_target, enclose
-from facetrack_cli.trajectory.trajectory import series
-from facetrack_cli.trajectory.writers import COLUMNS, SCHEMA, Row, csv_lines
+from facetrack_cli.trajectory.select import enclose
+from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
+from facetrack_cli.trajectory.writers import SCHEMA
 
 FORMS = ("mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
+Row = namedtuple("Row", COLUMNS, defaults=[None] * 11)
 
 
 def rows(target="face", parts=("nose", "lip_upper"), frames=range(6), lost=(3, 4), size=(20.0, 10.0), **more):
@@ -41,9 +43,9 @@ def track(tmp_path):
 
     def write(*groups, header=None):
         given = [row for group in (groups or (rows(),)) for row in group]
-        text = ",".join(COLUMNS) + "\n" + csv_lines(given)
         path = tmp_path / "trajectory.csv"
-        path.write_text(text)
+        with path.open("w", newline="") as file:
+            csv.writer(file).writerows([COLUMNS, *given])
         if header is None:
             return path
         frames = {}
@@ -87,7 +89,7 @@ SOURCE = {"source": {"path": "clip.mp4", "size": [640, 480], "fps": 25.0}, "reci
 def test_boxes_come_back_as_they_were(track, form, read):
     path = track(rows(parts=("box",), size=(20.5, 10.0)))
     export(path, "--to", form)
-    ours, (found,) = read_trajectory(path).series[0], read(path.with_name(f"trajectory.{form}.txt")).series
+    ours, (found,) = read_trajectory(path).parts[0], read(path.with_name(f"trajectory.{form}.txt")).parts
     np.testing.assert_array_equal(found.frame, ours.frame)
     first = 1 if form == "vot" else 0  # VOT does not repeat the box that a track began with
     for name in ("x", "y", "w", "h"):
@@ -99,7 +101,7 @@ def test_boxes_come_back_as_they_were(track, form, read):
 def test_mot_numbers_targets_and_keeps_gaps(track):
     path = track(rows(), rows("hand", ("box",), frames=(2, 4)))
     export(path, "--to", "mot")
-    one, two = read_mot(path.with_name("trajectory.mot.txt"), results=True).series
+    one, two = read_mot(path.with_name("trajectory.mot.txt"), results=True).parts
     assert (one.target, two.target) == ("1", "2")
     assert one.frame.tolist() == [0, 1, 2, 3, 4, 5] and two.frame.tolist() == [2, 4]
 
@@ -116,7 +118,7 @@ def test_the_box_of_points_encloses_windows_or_points(track, box, ltwh):
 def test_the_enclosing_box_touches_what_it_encloses(parts, frames, seed):
     rng = np.random.default_rng(seed)
     made = [
-        series("t", f"p{k}", np.arange(frames), x=rng.uniform(0, 99, frames), y=rng.uniform(0, 99, frames),
+        one_part("t", f"p{k}", np.arange(frames), x=rng.uniform(0, 99, frames), y=rng.uniform(0, 99, frames),
                w=rng.uniform(1, 9, frames), h=rng.uniform(1, 9, frames))
         for k in range(parts)
     ]  # fmt: skip
@@ -129,7 +131,7 @@ def test_the_enclosing_box_touches_what_it_encloses(parts, frames, seed):
 def test_statuses_and_confidence_of_a_target_sum_up_its_parts():
     def one(name, status, confidence):
         t = len(status)
-        return series("t", name, np.arange(t), x=np.ones(t), y=np.ones(t), w=np.ones(t), h=np.ones(t), status=status,
+        return one_part("t", name, np.arange(t), x=np.ones(t), y=np.ones(t), w=np.ones(t), h=np.ones(t), status=status,
                       confidence=confidence)  # fmt: skip
 
     found = enclose([
@@ -290,7 +292,8 @@ def test_a_header_that_says_nothing_useful_is_as_none(track):
 
 
 def test_targets_keep_the_table_s_order():
-    found = [series(t, p, [0]) for t, p in (("b", "x"), ("a", "x"), ("b", "y"))]
-    grouped = [(name, [one.part for one in parts]) for name, parts in by_target(Table(Path("t"), tuple(found)))]
+    found = [one_part(t, p, [0]) for t, p in (("b", "x"), ("a", "x"), ("b", "y"))]
+    table = joined(found)
+    grouped = [(name, [one.part for one in table.of_target(name)]) for name in table.targets]
     assert grouped == [("b", ["x", "y"]), ("a", ["x"])]
     assert all(math.isnan(v) for v in enclose([found[0], found[2]], "points").x)

@@ -104,9 +104,9 @@ def test_truth_adds_the_error(capsys, run, truth, monkeypatch):
     assert facetrack(capsys, run, "--truth", truth)[0] == 0
     assert facetrack(capsys, run, "--truth", truth, "--target", "face/chin", "--overwrite")[0] == 0
     (table, pairs), (chosen, pair) = seen
-    assert [s.name for s in table.series] == ["face/nose", "face/chin"] == [p.name for p in pairs]
+    assert [s.name for s in table.parts] == ["face/nose", "face/chin"] == [p.name for p in pairs]
     assert (pairs[0].ours.x - pairs[0].truth.x).round(2).tolist() == [-1.0] * 30
-    assert [s.name for s in chosen.series] == ["face/chin"] == [p.name for p in pair]
+    assert [s.name for s in chosen.parts] == ["face/chin"] == [p.name for p in pair]
 
 
 def test_truth_that_does_not_belong_is_refused(capsys, run, truth, tmp_path):

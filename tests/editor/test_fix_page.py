@@ -12,7 +12,6 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.files.rows import Rows
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.retrack import Tracking
 from facetrack_cli.editor.run_folder import UNSAVED, open_run
@@ -87,7 +86,6 @@ class Page:
         self._serving.__exit__(None, None, None)
         self.fixer.close()
         self.frames.close()
-        self.run.index.close()
 
 
 @pytest.fixture
@@ -301,11 +299,11 @@ def test_what_is_wrong_is_said_in_one_line(facetrack, out, tmp_path):
 
 def test_interrupted_without_a_page_leaves_the_run_as_it_was(facetrack, out, monkeypatch):
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    write = Rows.write
+    write = saving.write_rows
 
-    def interrupted(self, *args):
+    def interrupted(*args):
         os.kill(os.getpid(), signal.SIGINT)
-        return write(self, *args)
+        return write(*args)
 
     track = Tracking.track
 
@@ -322,7 +320,7 @@ def test_interrupted_without_a_page_leaves_the_run_as_it_was(facetrack, out, mon
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     # once files are being written, they are all written
     monkeypatch.setattr(Tracking, "track", track)
-    monkeypatch.setattr(Rows, "write", interrupted)
+    monkeypatch.setattr(saving, "write_rows", interrupted)
     assert facetrack("fix", out, "--init", "c.yaml", "-q")[0] == 0
     assert (out / CORRECTED).is_file()
 

@@ -70,8 +70,7 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
         with pytest.raises(Killed):
             save(fixer)
     whole = moment > 1
-    with open_run(out) as opened:
-        assert [one.frame for one in opened.start.corrections] == ([4] if whole else [])
+    assert [one.frame for one in open_run(out).start.corrections] == ([4] if whole else [])
     assert (out / UNSAVED).exists() != whole
     if not whole:
         assert {name: files_of(out)[name] for name in before} == before

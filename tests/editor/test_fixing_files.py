@@ -1,6 +1,9 @@
-"""The files of a run that is put right: what they hold where, and that nothing but the rows changes."""
+"""The files of a run that is put right: they hold the same rows, and nothing but the rows changes."""
 
+import contextlib
+import itertools
 import json
+import re
 import shutil
 import tempfile
 from pathlib import Path
@@ -12,36 +15,48 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import FileSink
-from facetrack_cli.core.types import Correction, Frame, PartResult, Result, TargetResult, Told
-from facetrack_cli.editor.files.rows import Rows, recorded
-from facetrack_cli.editor.files.run_index import STATUS, UNKNOWN
-from facetrack_cli.editor.files.run_reader import read_index
-from facetrack_cli.editor.files.tracks import Recorder, Store
+from facetrack_cli.core.types import Correction
 from facetrack_cli.editor.overview import doubtful, overview
-from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer
+from facetrack_cli.editor.run_folder import STATUS, lost_frames, read_files, write_rows
+from facetrack_cli.editor.tracks import Store, Track, spliced
+from facetrack_cli.trajectory.trajectory import COLUMNS, Collector
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, as_written
+from tests.support.results import part, result, target
 
 PARTS = {"anna": ("nose", "lip"), "ben": ("box",)}
 FIRST, FRAMES = 3, 24
 WHO = ("", 'Zoë, "the\nsecond"', "Bo")  # what must be quoted, takes several bytes, and breaks lines
-_STILL = np.zeros((1, 1, 3), np.uint8)
 
 
-def result(target, frame, seed):
-    """What a tracker might say; the same for the same seed."""
-    rng = np.random.default_rng([frame, seed, len(target)])
+def said(name, frame, seed):
+    """What a tracker might say of a target; the same for the same seed."""
+    rng = np.random.default_rng([frame, seed, len(name)])
     parts = []
-    for name in PARTS[target]:
+    for one in PARTS[name]:
         status = STATUS[rng.integers(4)]
         gone = status == "absent"
-        x, y, w, h = (float("nan") if gone else float(v) for v in rng.uniform(-5, 2000, 4))
-        sure = None if gone or target == "ben" else float(rng.random())
-        cov = None if gone or rng.random() < 0.2 else (float(rng.random()), 0.0, 2.0)
-        parts.append(PartResult(name, x, y, w, h, status, sure, cov, by_hand=bool(rng.random() < 0.1)))
-    told = Told(scale=1.5, posterior={"Zoë": 0.25, "Bo": 0.75}, entropy=0.1) if target == "ben" else None
-    who = WHO[rng.integers(3)] if target == "ben" else ""
-    return TargetResult(
-        target, tuple(parts), None if rng.random() < 0.3 else 50, np.empty((0, 1, 2)), who or None, told=told
+        x, y, w, h = (float("nan") if gone else float(v) for v in rng.uniform((-5, -5, 0, 0), 2000))
+        sure = None if gone or name == "ben" else float(rng.random())
+        cov = None if gone or rng.random() < 0.2 else (float(rng.random()), 0.5, 2.0)
+        parts.append(part(one, x, y, w, h, status, sure, cov, by_hand=bool(rng.random() < 0.1)))
+    who = WHO[rng.integers(3)] if name == "ben" else ""
+    return target(
+        name, parts, None if rng.random() < 0.3 else 50, identity=who or None, reported=reported(rng, name, seed)
     )
+
+
+def reported(rng, name, seed):
+    """The diagnostics of a target: in some tracks of fewer kinds, and in some frames of none."""
+    if name != "ben" or rng.random() < 0.2:
+        return None
+    known = {"scale": float(rng.uniform(0.5, 2)), "posterior": {"Zoë": 0.25, "Bo": 0.75}, "entropy": 0.1}
+    if seed % 2:
+        known |= {
+            "affine": rng.uniform(-50, 50, 6).tolist(),
+            "error": 0.12345,
+            "posterior": {"Ida": float(rng.random())},
+        }
+    return known if seed % 3 else {"scale": known["scale"]}
 
 
 def write(folder, seeds, corrections=(), forms=FORMATS):
@@ -53,13 +68,12 @@ def write(folder, seeds, corrections=(), forms=FORMATS):
     header = {"source": {"path": "c.mp4", "size": [9, 9], "fps": 25.0}, "recipe": {"init": 1}, "seed": 0, "init": init}
     writers = [WRITERS[form](FileSink(folder / f"trajectory.{form}"), header) for form in forms]
     for frame in range(FIRST, FIRST + FRAMES):
-        found = tuple(result(target, frame, seeds(target, frame)) for target in PARTS)
+        found = result(frame, [said(name, frame, seeds(name, frame)) for name in PARTS])
         for writer in writers:
-            writer.write(Result(Frame(frame, frame / 25, _STILL), found))
-        for one in found:
-            for part in one.parts:
-                if part.status == "lost":
-                    lost[f"{one.name}/{part.name}"] = lost.get(f"{one.name}/{part.name}", 0) + 1
+            writer.write(found.rows)
+        for one in found.rows.parts:
+            if one.status[0] == "lost":
+                lost[one.name] = lost.get(one.name, 0) + 1
     for writer in writers:
         writer.close(Footer(True, None, ('wärning: "lost_frames"',), lost, False))
     return {form: folder / f"trajectory.{form}" for form in forms}
@@ -80,83 +94,95 @@ def pieces_of():
     )
 
 
-@given(pieces_of(), st.sampled_from([FORMATS, ("json",), ("jsonl",), ("csv", "jsonl")]))
+@given(
+    st.integers(0, 5),
+    pieces_of(),
+    st.sampled_from([FORMATS, ("json",), ("jsonl",), ("csv", "jsonl")]),
+)
 @settings(max_examples=25, deadline=None)
-def test_what_is_spliced_is_what_a_run_would_have_written(pieces, forms):
+def test_what_is_spliced_is_what_a_run_would_have_written(seed, pieces, forms):
     """Every byte, with as many pieces as there may be; so what is beside them is as it was."""
-    with tempfile.TemporaryDirectory() as one, tempfile.TemporaryDirectory() as other:
-        files = write(Path(one), lambda target, frame: 0, forms=forms)
-        index, store = read_index(files), Store()
-        begins = {name: [None] for name in PARTS}
-        tracks = recorded(index, begins)
-        for target, first, seed in sorted(pieces, key=lambda one: one[1]):
-            recorder = Recorder(store, target, Correction(first, target), first)
+    with (
+        tempfile.TemporaryDirectory() as one,
+        tempfile.TemporaryDirectory() as other,
+        contextlib.closing(Store()) as store,
+    ):
+        files = write(Path(one), lambda target, frame: seed, forms=forms)
+        recorded = read_files(files)
+        tracks = {name: [Track(name, None, FIRST, FIRST + FRAMES)] for name in PARTS}
+        for name, first, number in sorted(pieces, key=lambda one: one[1]):
+            collected = Collector()
             for frame in range(first, FIRST + FRAMES):
-                recorder.add(Frame(frame, frame / 25, _STILL), result(target, frame, seed))
-            tracks[target].append(recorder.track())
-        rows = Rows(index, tracks)
+                collected.add(result(frame, [said(name, frame, number)]).rows)
+            at = store.add(as_written(collected.trajectory()))
+            tracks[name].append(Track(name, Correction(first, name, absent=True), first, FIRST + FRAMES, at))
+        rows = spliced(recorded, tracks, store)
 
         def seeds(target, frame):
-            return max(((f, s) for t, f, s in pieces if t == target and f <= frame), default=(0, 0))[1]
+            return max(((f, s) for t, f, s in pieces if t == target and f <= frame), default=(0, seed))[1]
 
-        corrections = [{"frame": f, "target": t} for t, f, _ in pieces]
-        expected = write(Path(other), seeds, corrections, forms)
-        init = {**index.header["init"], **({"corrections": corrections} if corrections else {})}
-        for book in index.books:
-            out = Path(one) / "new"
-            with out.open("wb") as file:
-                rows.write(book, file, init)
-            assert out.read_bytes() == expected[book.form].read_bytes()
-        again = read_index(expected)
-        np.testing.assert_array_equal(rows.status, again.status)
-        np.testing.assert_array_equal(rows.confidence, again.confidence)
-        assert rows.lost_frames() == again.footer["lost_frames"]
-        for frame in (FIRST, FIRST + 11, FIRST + FRAMES - 1):
-            assert rows.targets(frame) == Rows(again, recorded(again, begins)).targets(frame)
-        store.close()
-        index.close()
-        again.close()
+        made = [Correction(f, t, absent=True) for t, f, _ in pieces]
+        expected = write(Path(other), seeds, [{"frame": f, "target": t, "absent": True} for t, f, _ in pieces], forms)
+        for form in forms:
+            sink = FileSink(Path(one) / "new")
+            write_rows(form, sink, rows, made)
+            assert (Path(one) / "new").read_bytes() == expected[form].read_bytes()
+        again = read_files(expected)
+        assert rows.names == again.names
+        for name in (*COLUMNS[:2], *COLUMNS[4:], "by_hand"):
+            np.testing.assert_array_equal(getattr(rows, name), getattr(again, name))
+        assert list(lost_frames(rows).items()) == list(again.header["lost_frames"].items())
+        for name, found in again.diagnostics.items():
+            ours = rows.diagnostics[name]
+            assert [_known(each) for each in ours.records()] == [_known(each) for each in found.records()]
+            assert ours.frame.tolist() == found.frame.tolist()
 
 
-def test_the_index_tells_of_the_run(run):
-    index = read_index(run)
-    assert (index.first, index.last, len(index)) == (FIRST, FIRST + FRAMES - 1, FRAMES)
-    assert dict(index.parts) == PARTS and index.main.form == "json"
-    assert index.columns("ben") == slice(2, 3) and index.time_of(5) == 0.32
-    assert set(index.confidence[:, 2].tolist()) == {UNKNOWN}
-    assert index.header["init"]["from"] == "ünit.yaml" and index.footer["complete"] is True
-    for row in (0, 7, FRAMES - 1):
-        texts = {book.form: [book.text(row, k) for k in range(2)] for book in index.books}
-        assert texts["json"] == texts["jsonl"]
-        assert json.loads(texts["json"][1])["target"] == "ben"
-        assert texts["csv"][0].startswith(f"{FIRST + row},".encode()) and texts["csv"][0].count(b"anna") == 2
-    index.close()
+def _known(record):
+    """What is not nan of what was reported in a frame."""
+    lists = {name: {k: v for k, v in value.items() if v == v} if isinstance(value, dict) else value
+             for name, value in record.items()}  # fmt: skip
+    return {name: value for name, value in lists.items() if value != {} and not np.isnan(_numbers(value)).any()}
+
+
+def _numbers(value):
+    return np.array(list(value.values()) if isinstance(value, dict) else value, float)
+
+
+def test_the_rows_tell_of_the_run(run):
+    rows = read_files(run)
+    assert (rows.frames[0], rows.frames[-1], len(rows.frames)) == (FIRST, FIRST + FRAMES - 1, FRAMES)
+    assert {name: tuple(one.part for one in rows.of_target(name)) for name in rows.targets} == PARTS
+    assert rows.path == run["json"] and rows.find("anna", "lip").time_s[5] == 0.32
+    assert np.isnan(rows.find("ben", "box").confidence).all()
+    assert rows.header["init"]["from"] == "ünit.yaml" and rows.header["complete"] is True
+    for forms in itertools.combinations(FORMATS, 2):
+        if forms[0] != "csv":
+            assert json.dumps(read_files({form: run[form] for form in forms}).header) == json.dumps(rows.header)
+    alone = read_files({form: run[form] for form in ("csv", "jsonl")})
+    assert {**alone.header, "type": None} == {**rows.header, "type": None} and alone.path == run["jsonl"]
 
 
 @pytest.mark.parametrize(
     ("form", "change", "said"),
     [
-        (
-            "csv",
-            lambda s: s.replace("\n7,", "\n7,0", 1),
-            "differs from trajectory.json in frame 7; remove the one that is wrong",
-        ),
-        ("csv", lambda s: s[: s.index("\n26,")] + "\n", "trajectory.csv:"),
-        ("csv", lambda s: s + "27,1,anna,nose,1,1\n", "goes on after the last frame of trajectory.json"),
-        ("csv", lambda s: s.replace("frame,time_s", "frame,time", 1), "has other columns"),
-        (
-            "jsonl",
-            lambda s: s.replace('"frame":9,', '"frame":8,'),
-            "trajectory.jsonl:8: differs from trajectory.json in",
-        ),
+        ("csv", lambda s: s.replace("\n7,", "\n7,0", 1), "differs from trajectory.json; remove it, trajectory.json"),
+        ("csv", lambda s: s[: s.index("\n26,")] + "\n", "differs from trajectory.json"),
+        ("csv", lambda s: s + "27,1,anna,nose,1,1\n", "differs from trajectory.json"),
+        ("csv", lambda s: s.replace("frame,time_s", "frame,time", 1), "differs from trajectory.json"),
+        ("jsonl", lambda s: s.replace('"frame":9,', '"frame":8,'), "differs from trajectory.json"),
+        ("jsonl", lambda s: s + "\n", "differs from trajectory.json"),
         ("json", lambda s: s.replace('{"frame":9,', '{"frame":10,'), "frame 10 follows frame 8"),
-        ("json", lambda s: s[: len(s) // 2], "ends before the run does, was it cut short?"),
-        ("json", lambda s: s.replace('"target":"ben"', '"target":"bea"', 2), "has not the same targets"),
-        ("json", lambda s: json.dumps(json.loads(s), indent=1), "is not as facetrack run writes it"),
+        ("json", lambda s: s[: len(s) // 2], "is not JSON: "),
+        ("json", lambda s: s.replace('"target":"ben"', '"target":"bea"', 2), "frame 5 has no row of bea/box"),
+        ("json", lambda s: s.replace('"part":"lip"', '"part":"lap"', 1), "frame 4 has no row of anna/lap"),
+        ("json", lambda s: s.replace('"x":', '"x": ', 1), "is not as facetrack run writes it, was it edited?"),
+        ("json", lambda s: s.replace('"x":', '"x":0', 1), "is not JSON: "),
+        ("json", lambda s: re.sub(r'("x":\d+\.\d\d)(\d)', r"\g<1>\g<2>0", s, count=1), "is not as facetrack run"),
         ("json", lambda s: s.replace('"status":"lost"', '"status":"gone"', 1), "is not as facetrack run writes it"),
-        ("json", lambda s: s.replace('"lost_frames"', '"lost"'), "is not as facetrack run writes it"),
+        ("json", lambda s: s.replace("\n", "\r\n"), "is not as facetrack run writes it"),
     ],
-)
+)  # fmt: skip
 def test_files_that_are_not_a_whole_run_are_refused_with_their_line(run, tmp_path, form, change, said):
     files = {name: tmp_path / f"trajectory.{name}" for name in dict.fromkeys(("json", form))}
     for name, path in files.items():
@@ -164,24 +190,43 @@ def test_files_that_are_not_a_whole_run_are_refused_with_their_line(run, tmp_pat
     text = files[form].read_text(encoding="utf-8")
     changed = change(text)
     assert changed != text
-    files[form].write_text(changed, encoding="utf-8")
+    files[form].write_text(changed, encoding="utf-8", newline="")
     with pytest.raises(InputError) as refused:
-        read_index(files)
+        read_files(files)
     line = str(refused.value)
-    assert said in line and line.startswith(f"{files[form]}") and "\n" not in line
+    place = re.match(rf"{re.escape(str(files[form]))}:(\d+): ", line)
+    assert said in line and place and "\n" not in line
+    # of lines that changed one by one, it is the first that did
+    before, after = text.split("\n"), changed.replace("\r", "").split("\n")
+    first = next((i for i, (a, b) in enumerate(zip(before, after, strict=False), 1) if a != b), len(before))
+    if "follows" in said or "row of" in said:
+        first = int(place[1])
+    assert int(place[1]) == first or changed.count("\r") or "JSON" in said
 
 
-def test_the_overview_tells_where_a_run_is_least_certain(tmp_path):
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda s: json.dumps(json.loads(s), indent=1),
+        lambda s: s.replace('"lost_frames"', '"lost"'),
+        lambda s: s.replace('\n"init":', '\n"begins":'),
+    ],
+)
+def test_what_is_laid_out_otherwise_or_lacks_something_is_refused(run, tmp_path, change):
+    path = tmp_path / "trajectory.json"
+    path.write_text(change(run["json"].read_text(encoding="utf-8")), encoding="utf-8")
+    with pytest.raises(InputError, match=rf"^{re.escape(str(path))}: is not as facetrack run writes it, was it edited"):
+        read_files({"json": path})
+
+
+def test_the_overview_tells_where_a_run_is_least_certain():
     sure = [0.9, 0.9, 0.4, 0.2, 0.9, 0.6, 0.1, None, 0.1, 0.3]
     status = ["init", *["tracked"] * 4, "lost", "tracked", "absent", "tracked", "tracked"]
-    header = {"init": {}, "source": {}}
-    writer = WRITERS["json"](FileSink(tmp_path / "t.json"), header)
+    collected = Collector()
     for frame, (one, how) in enumerate(zip(sure, status, strict=True)):
-        parts = PartResult("box", 1, 1, 1, 1, how, one), PartResult("odd", 1, 1, 1, 1, "tracked")
-        writer.write(Result(Frame(frame + 5, 0.0, _STILL), (TargetResult("a", parts, 1, np.empty((0, 2, 2))),)))
-    writer.close(Footer())
-    index = read_index({"json": tmp_path / "t.json"})
-    rows = Rows(index, recorded(index, {"a": [None]}))
+        parts = part("box", 1, 1, 1, 1, how, one), part("odd", 1, 1, 1, 1, "tracked")
+        collected.add(result(frame + 5, [target("a", parts, 1)]).rows)
+    rows = collected.trajectory()
     found = overview(rows, 5, (Correction(8, "a", absent=True),))
     assert (found["first"], found["last"], found["bins"]) == (5, 14, 5)
     first, second = found["parts"]
@@ -194,4 +239,4 @@ def test_the_overview_tells_where_a_run_is_least_certain(tmp_path):
     assert {one["part"] for one in found["doubtful"]} == {"box"}
     assert [one["frame"] for one in doubtful(rows, 0.15)] == [11, 13]
     assert overview(rows, 999)["bins"] == 10
-    index.close()
+    json.dumps(found)

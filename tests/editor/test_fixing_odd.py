@@ -2,12 +2,17 @@
 
 import contextlib
 import errno
+import gc
 import json
 import os
+import pickle
 import shutil
 import tempfile
+import weakref
+from types import FunctionType, ModuleType
 
 import cv2
+import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
@@ -21,6 +26,7 @@ from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import save
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
 from tests.support.samples import FOLDER
@@ -35,8 +41,8 @@ def run(*words):
 
 @contextlib.contextmanager
 def fixing(folder):
+    opened = open_run(folder)
     with (
-        open_run(folder) as opened,
         Frames(opened.clip, fps=opened.fps) as frames,
         contextlib.closing(Fixer(opened, frames.read)) as fixer,
     ):
@@ -134,7 +140,9 @@ def test_rows_before_a_correction_stay_though_its_frame_is_tracked_once_more(sho
     """To see where the parts are that the new one leaves open."""
     with fixing(copied(short, tmp_path / "out")) as fixer:
         fixer.apply((nose(5, 159, 140),))
-        assert [fixer.rows.track_at("face", frame).store is None for frame in (0, 4, 5)] == [True, True, False]
+        assert [(track.first, track.at is None) for track in fixer._step.tracks["face"]] == [(0, True), (5, False)]
+        recorded, now = ([*csv_frames(rows.between(0, 5))] for rows in (fixer.run.rows, fixer.rows))
+        assert now == recorded
         kept = fixer.run.start.corrections[0]
         assert kept.given != fixer.corrections[0].given and fixer.find(5, "face").kept["lip_lower"][1] > 160
 
@@ -186,12 +194,27 @@ def test_steps_that_can_be_taken_back_hold_nothing_of_every_frame(short, tmp_pat
         for frame in (8, 9, 10):
             before = fixer.rows
             overview(before, 5)
-            assert "status" in vars(before)
             fixer.put([nose(frame, 159, 140)])
-        assert not any({"status", "confidence"} & vars(rows).keys() for _, rows in fixer._past)
-        assert before not in [rows for _, rows in fixer._past]
+        gone = weakref.ref(fixer.rows)
+        assert len(fixer._past) == 3 and len(pickle.dumps(fixer._past)) < 5_000  # rows of 12 frames are 15,000 bytes
+        assert len(pickle.dumps(before)) > 10_000 and not _arrays(fixer._past)
         fixer.undo()
-        assert fixer.rows.status.tolist() == before.status.tolist()
+        gc.collect()
+        assert gone() is None  # it lies in the temporary file
+        assert [*csv_frames(fixer.rows)] == [*csv_frames(before)] != [*csv_frames(fixer.run.rows)]
+
+
+def _arrays(root):
+    """The arrays that can be reached from an object."""
+    found, seen, left = [], set(), [root]
+    while left:
+        one = left.pop()
+        if id(one) in seen or isinstance(one, type | ModuleType | FunctionType):
+            continue
+        seen.add(id(one))
+        found += [one] if isinstance(one, np.ndarray) else []
+        left += gc.get_referents(one)
+    return found
 
 
 def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_is_no_step(short, tmp_path):

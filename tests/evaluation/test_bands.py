@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from facetrack_cli.evaluation.goldens import bands, paths
 from facetrack_cli.evaluation.goldens import permutation_test as exchange
 from facetrack_cli.evaluation.goldens.bands import Statistic
-from facetrack_cli.trajectory.table import Table, series
+from facetrack_cli.trajectory.trajectory import joined, one_part
 
 PARTS = ("nose", "mouth_left")
 
@@ -32,13 +32,13 @@ def run(seed, frames=101, **change):
         if part in change.get("jump", ()):
             x = x + np.where((t >= 60) & (t < 70), 12.0, 0.0)
         found.append(
-            series(
+            one_part(
                 "face", part, t, x=x, y=80.0 + 10 * k + noise[1], w=np.full(frames, 25.0), h=np.full(frames, 25.0),
                 std_x=std[0], std_y=std[1], ess=np.exp(2 + 0.3 * rng.normal(size=frames)),
                 confidence=np.clip(0.8 + 0.1 * rng.normal(size=frames), 0, 1), status=status,
             )
         )  # fmt: skip
-    return Table(Path("made.csv"), tuple(found))
+    return joined(found, path=Path("made.csv"))
 
 
 RECORDED = [run(seed) for seed in range(1000, 1040)]
@@ -61,7 +61,7 @@ def test_statistics_cover_every_frame_but_the_first_once():
 
 def test_a_statistic_is_the_mean_in_its_unit():
     table = RECORDED[0]
-    nose = table.series[0]
+    nose = table.parts[0]
     row = dict(zip(STATISTICS, bands.measure([table], STATISTICS)[0], strict=True))
     assert row[Statistic("x", "face/nose", 1, 25)] == round(nose.x[1:26].mean() / 0.05)
     assert row[Statistic("std_y", "face/nose", 26, 50)] == round(np.log(nose.std_y[26:51] + 0.05).mean() / 0.01)
@@ -72,9 +72,8 @@ def test_a_statistic_is_the_mean_in_its_unit():
 
 def test_sizes_that_change_are_measured_and_what_is_never_told_is_not():
     t = np.arange(60)
-    boxes = [series("face", "box", t, x=t + s, y=t, w=20 + t / 10, h=np.full(60, 5.0)) for s in (0.0, 0.1)]
-    tables = [Table(Path("a"), (box,)) for box in boxes]
-    assert {s.quantity for s in bands.choose(tables)} == {"x", "y", "w", "step", "lost"}
+    boxes = [one_part("face", "box", t, x=t + s, y=t, w=20 + t / 10, h=np.full(60, 5.0)) for s in (0.0, 0.1)]
+    assert {s.quantity for s in bands.choose(boxes)} == {"x", "y", "w", "step", "lost"}
 
 
 @pytest.mark.parametrize(
@@ -104,7 +103,7 @@ def test_unseen_seeds_pass():
 
 def test_a_lost_run_among_the_tested_passes_when_recorded_ones_were_lost_too():
     def lost(table):
-        return Table(table.path, tuple(replace(s, x=s.x + 150 * (s.frame > 50)) for s in table.series))
+        return replace(table, x=table.x + 150 * (table.frame > 50))
 
     recorded = [lost(table) if i % 5 == 0 else table for i, table in enumerate(RECORDED)]
     values = bands.measure(recorded, STATISTICS)
@@ -209,7 +208,7 @@ def test_the_first_frame_off_the_path_is_told():
 
 def test_a_path_where_no_run_has_a_position_is_no_place_to_leave():
     t = np.arange(20)
-    gone = [Table(Path("a"), (series("face", "nose", t, x=np.where(t > 9, math.nan, t), y=t),)) for _ in range(3)]
+    gone = [one_part("face", "nose", t, x=np.where(t > 9, math.nan, t), y=t)] * 3
     recorded = paths.paths(gone)
     assert np.isnan(recorded[0].x[10:]).all() and np.isfinite(recorded[0].reach).all()
     assert paths.first_leave(recorded, gone) is None

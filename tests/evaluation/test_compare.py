@@ -31,7 +31,7 @@ from facetrack_cli.evaluation.experiments.compare import (
 )
 from facetrack_cli.evaluation.experiments.compare_text import Comparison, as_csv, as_json, sheet
 from facetrack_cli.evaluation.experiments.sheet import markdown
-from facetrack_cli.trajectory.table import Table, series
+from facetrack_cli.trajectory.trajectory import joined, one_part
 
 MEASURE = "points.mean_px"
 
@@ -132,17 +132,17 @@ def points(offset, frames=60, status="tracked"):
     frame = np.arange(frames)
     x = 50 + 3 * np.abs(np.sin(frame / 5))
     return tuple(
-        series("face", part, frame, x=x + dx, y=20 + np.broadcast_to(offset, frames), status=[status] * frames)
+        one_part("face", part, frame, x=x + dx, y=20 + np.broadcast_to(offset, frames), status=[status] * frames)
         for part, dx in (("nose", 0), ("chin", 40))
     )
 
 
 def run_of(made, seed=0):
-    return SimpleNamespace(label="r", seed=seed, table=Table(Path("run"), made), frames_per_s=50.0)
+    return SimpleNamespace(label="r", seed=seed, trajectory=joined(made, path=Path("run")), frames_per_s=50.0)
 
 
 def truth_of(made):
-    return Table(Path("clip.truth.csv"), made)
+    return joined(made, path=Path("clip.truth.csv"))
 
 
 def test_a_run_of_points_is_scored():
@@ -173,7 +173,7 @@ def test_the_truth_of_the_frames_asked_for_counts():
 def test_hidden_frames_are_known():
     made = points(0.0, status="visible")
     status = np.where((np.arange(60) >= 20) & (np.arange(60) < 30), "hidden", "visible")
-    truth = truth_of((series("face", "nose", made[0].frame, x=made[0].x, y=made[0].y, status=status), made[1]))
+    truth = truth_of((one_part("face", "nose", made[0].frame, x=made[0].x, y=made[0].y, status=status), made[1]))
     assert score_run(run_of(points(0.0)), truth, Options()).hidden.tolist() == list(range(20, 30))
 
 
@@ -181,7 +181,7 @@ def boxes(left, frames=40, size=20.0, status="tracked"):
     frame = np.arange(frames)
     x = np.broadcast_to(left, frames) + (size - 1) / 2
     both = np.full(frames, size)
-    return (series("face", "box", frame, x=x, y=np.full(frames, 30.0), w=both, h=both, status=[status] * frames),)
+    return (one_part("face", "box", frame, x=x, y=np.full(frames, 30.0), w=both, h=both, status=[status] * frames),)
 
 
 def test_a_run_of_boxes_is_scored():
@@ -209,7 +209,7 @@ def test_a_truth_of_other_frames_is_noticed():
 
     def face(ahead, status):
         x = 100 + 40 * np.sin((frame + ahead) / 6)
-        return (series("face", "nose", frame, x=x, y=path * 0 + 50, status=[status] * 80),)
+        return (one_part("face", "nose", frame, x=x, y=path * 0 + 50, status=[status] * 80),)
 
     truth = truth_of(face(0, "visible"))
     assert shifted(run_of(face(0, "tracked")), truth, Options()) is None

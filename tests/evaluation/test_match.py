@@ -15,7 +15,7 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.table import Series, Table, series
+from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 
@@ -31,27 +31,27 @@ def walk(frames: range, seed: int = 0, size: float = 30.0) -> dict[str, np.ndarr
     return {"x": x[at], "y": y[at], "w": full, "h": full}
 
 
-def box(frames: range, target: str = "head", part: str = "box", noise: float = 0.0, **columns: object) -> Series:
+def box(frames: range, target: str = "head", part: str = "box", noise: float = 0.0, **columns: object) -> Trajectory:
     path = walk(frames)
     rng = np.random.default_rng(5)
     path["x"] = path["x"] + rng.normal(0, noise, len(frames))
     path["y"] = path["y"] + rng.normal(0, noise, len(frames))
-    return series(target, part, frames, **{**path, **columns})
+    return one_part(target, part, frames, **{**path, **columns})
 
 
-def table(*those: Series, name: str = "run.csv", **header: object) -> Table:
-    return Table(Path(name), those, header)
+def table(*those: Trajectory, name: str = "run.csv", **header: object) -> Trajectory:
+    return joined(those, path=Path(name), header=header)
 
 
-def truth(frames: range, target: str = "", **columns: object) -> Table:
+def truth(frames: range, target: str = "", **columns: object) -> Trajectory:
     return table(box(frames, target, **columns), name="gt.txt")
 
 
-def pairs(ours: Table, theirs: Table, **given: object) -> list[Pair]:
+def pairs(ours: Trajectory, theirs: Trajectory, **given: object) -> list[Pair]:
     return match(ours, theirs, **{"partial": False, "select": None, "check_shift": True, **given})  # type: ignore[arg-type]
 
 
-def renumbered(one: Series, first: int) -> Series:
+def renumbered(one: Trajectory, first: int) -> Trajectory:
     return replace(one, frame=one.frame - one.frame[0] + first)
 
 
@@ -84,7 +84,7 @@ def test_truth_that_is_lost_all_along() -> None:
 
 
 def test_truth_without_names_goes_to_the_only_boxes() -> None:
-    point = series("head", "nose", range(50), x=np.arange(50), y=np.arange(50))
+    point = one_part("head", "nose", range(50), x=np.arange(50), y=np.arange(50))
     (pair,) = pairs(table(point, box(range(50))), truth(range(50)))
     assert (pair.name, pair.kind, len(pair.truth)) == ("head/box", "boxes", 50)
     assert np.array_equal(pair.ours.frame, pair.truth.frame)
@@ -108,7 +108,7 @@ def test_boxes_are_no_truth_of_points() -> None:
 
 
 def test_truth_without_names_and_no_boxes() -> None:
-    point = series("head", "nose", range(50), x=np.arange(50), y=np.arange(50))
+    point = one_part("head", "nose", range(50), x=np.arange(50), y=np.arange(50))
     with pytest.raises(InputError, match=r"no part of run\.csv has w and h"):
         pairs(table(point), truth(range(50)))
 
@@ -186,9 +186,9 @@ def test_a_frame_that_the_trajectory_lacks() -> None:
 
 @given(st.sets(st.integers(0, 60), min_size=1), st.sets(st.integers(0, 60), min_size=1))
 def test_partial_is_the_intersection(mine: set[int], others: set[int]) -> None:
-    def at(frames: set[int], target: str) -> Series:
+    def at(frames: set[int], target: str) -> Trajectory:
         f = sorted(frames)
-        return series(target, "box", f, x=np.array(f) * 2.0, y=np.array(f) * 3.0, w=np.full(len(f), 9), h=f)
+        return one_part(target, "box", f, x=np.array(f) * 2.0, y=np.array(f) * 3.0, w=np.full(len(f), 9), h=f)
 
     ours, theirs = table(at(mine, "head")), table(at(others, ""), name="gt.txt")
     if not mine & others:
@@ -204,7 +204,7 @@ def test_partial_is_the_intersection(mine: set[int], others: set[int]) -> None:
 # --- lags ---
 
 
-def cut(lag: int, noise: float, count: int = 250) -> tuple[Table, Table]:
+def cut(lag: int, noise: float, count: int = 250) -> tuple[Trajectory, Trajectory]:
     """A trajectory whose frame t is frame t + lag of the truth, both numbered from 0."""
     first = max(lag, 0)
     ours = renumbered(box(range(first, first + count), noise=noise), 0)
@@ -221,7 +221,7 @@ def test_rows_of_other_frames_are_noticed(lag: int, noise: float) -> None:
     (told,) = re.findall(r"--shift (-?\d+) --partial", str(said.value))
     assert int(told) == -lag
     assert len(pairs(ours, theirs, check_shift=False)[0].ours) == 250
-    moved = replace(theirs, series=tuple(replace(one, frame=one.frame - lag) for one in theirs.series))
+    moved = replace(theirs, frame=theirs.frame - lag)
     (pair,) = pairs(ours, moved, partial=True)  # the remedy is one
     assert np.median(np.hypot(pair.ours.x - pair.truth.x, pair.ours.y - pair.truth.y)) < 2 * noise
 
@@ -252,7 +252,7 @@ def trackers(x: np.ndarray) -> dict[str, np.ndarray]:
 
 def paths() -> dict[str, np.ndarray]:
     t = np.arange(240)
-    samples = read_truth(SAMPLES / "expressions.truth.csv").series[1]
+    samples = read_truth(SAMPLES / "expressions.truth.csv").parts[1]
     walked = walk(range(240))
     return {
         "walk": np.stack([walked["x"], walked["y"]], axis=1),
@@ -270,8 +270,8 @@ def test_bad_trackers_are_not_taken_for_a_cut(path: str, tracker: str) -> None:
     x = paths()[path]
     found = trackers(x)[tracker]
     frames, size = range(len(x)), np.full(len(x), 30.0)
-    theirs = series("", "box", frames, x=x[:, 0], y=x[:, 1], w=size, h=size)
-    ours = series("head", "box", frames, x=found[:, 0], y=found[:, 1], w=size, h=size)
+    theirs = one_part("", "box", frames, x=x[:, 0], y=x[:, 1], w=size, h=size)
+    ours = one_part("head", "box", frames, x=found[:, 0], y=found[:, 1], w=size, h=size)
     assert len(pairs(table(ours), table(theirs))) == 1
 
 
@@ -287,11 +287,11 @@ def test_a_cut_sample_is_noticed(clip: str, lag: int) -> None:
     rng = np.random.default_rng(0)
     first, count = max(lag, 0), len(known.frames) - abs(lag)
 
-    def part(one: Series, at: int, noise: float) -> Series:
+    def part(one: Trajectory, at: int, noise: float) -> Trajectory:
         return renumbered(replace(one, x=one.x + rng.normal(0, noise, len(one))).take(np.arange(at, at + count)), 0)
 
-    ours = table(*(part(one, first, 0.7) for one in known.series))
-    theirs = table(*(part(one, first - lag, 0.0) for one in known.series))
+    ours = table(*(part(one, first, 0.7) for one in known.parts))
+    theirs = table(*(part(one, first - lag, 0.0) for one in known.parts))
     assert len(pairs(ours, ours)) == 5
     with pytest.raises(InputError, match=rf"--shift {-lag} --partial"):
         pairs(ours, theirs)
@@ -299,10 +299,8 @@ def test_a_cut_sample_is_noticed(clip: str, lag: int) -> None:
 
 def test_hidden_and_lost_rows_do_not_speak_for_a_lag() -> None:
     ours, theirs = cut(15, 0.5)
-    hidden = replace(theirs.series[0], status=np.full(250, "hidden"))
-    assert pairs(ours, replace(theirs, series=(hidden,)))
-    lost = replace(ours.series[0], status=np.full(250, "lost"))
-    assert pairs(replace(ours, series=(lost,)), theirs)
+    assert pairs(ours, replace(theirs, status=np.full(250, "hidden")))
+    assert pairs(replace(ours, status=np.full(250, "lost")), theirs)
 
 
 # --- pictures ---
@@ -311,9 +309,9 @@ def test_hidden_and_lost_rows_do_not_speak_for_a_lag() -> None:
 def test_truth_outside_of_the_picture() -> None:
     frames, size = range(50), np.full(50, 20.0)
     ours = table(box(frames), source={"size": [320, 240]})
-    far = table(series("", "box", frames, x=np.arange(50) + 640, y=size, w=size, h=size), name="gt.txt")
+    far = table(one_part("", "box", frames, x=np.arange(50) + 640, y=size, w=size, h=size), name="gt.txt")
     with pytest.raises(InputError, match=r"50 of its 50 places are outside of the picture of 320x240"):
         pairs(ours, far)
     assert pairs(table(box(frames)), far)  # a CSV does not say how large its picture was
     absent = np.where(np.arange(50) < 40, "absent", "visible")
-    assert pairs(ours, replace(truth(frames), series=(replace(truth(frames).series[0], status=absent),)))
+    assert pairs(ours, replace(truth(frames), status=absent))

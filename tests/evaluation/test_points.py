@@ -13,7 +13,7 @@ from facetrack_cli.core.errors import UsageError
 from facetrack_cli.evaluation.points import auc, lost_for_good, measure_points, measure_recovery, occlusions
 from facetrack_cli.evaluation.rows import is_box, rows_of
 from facetrack_cli.evaluation.units import check_normalise, unit_of
-from facetrack_cli.trajectory.table import series
+from facetrack_cli.trajectory.trajectory import one_part
 
 UNIT = 12.0  # a sixth of it, within which a point is near, is 2; a quarter, beyond which it is lost for good, is 3
 
@@ -26,8 +26,8 @@ def rows(errors, status="", *, frame=None, target="face", part="nose", unit=UNIT
     words = {"v": "visible", "h": "hidden", "a": "absent"}
     truth_status = [words[letter] for letter in status] if status else [""] * count
     ours_status = [ours] * count if isinstance(ours, str) else ours
-    truth = series(target, part, frame, x=np.full(count, 50.0), y=np.full(count, 20.0), status=truth_status)
-    mine = series(target, part, frame, x=50.0 + errors, y=np.full(count, 20.0), status=ours_status, **columns)
+    truth = one_part(target, part, frame, x=np.full(count, 50.0), y=np.full(count, 20.0), status=truth_status)
+    mine = one_part(target, part, frame, x=50.0 + errors, y=np.full(count, 20.0), status=ours_status, **columns)
     return rows_of(SimpleNamespace(ours=mine, truth=truth), np.full(count, float(unit)))
 
 
@@ -132,7 +132,7 @@ def test_targets_recover_apart_and_frames_are_counted_not_rows():
 
 def points(part, xy, frame=(0, 1), status=None, **columns):
     x, y = zip(*xy, strict=True)
-    return series("face", part, frame, x=x, y=y, status=status or ["visible"] * len(xy), **columns)
+    return one_part("face", part, frame, x=x, y=y, status=status or ["visible"] * len(xy), **columns)
 
 
 TRUTH = [
@@ -185,8 +185,8 @@ def test_ways_to_normalise_that_are_none(how):
 
 def test_what_is_measured_as_a_box():
     size = {"w": [5.0], "h": [5.0]}
-    box, window = series("a", "box", [0], **size), series("a", "nose", [0], **size)
-    assert is_box(box, series("", "box", [0], **size))
+    box, window = one_part("a", "box", [0], **size), one_part("a", "nose", [0], **size)
+    assert is_box(box, one_part("", "box", [0], **size))
     assert not is_box(window, window), "the window of a point is no box to be measured"
-    assert not is_box(box, series("a", "box", [0], x=[1.0]))
-    assert not is_box(series("a", "box", [0]), box)
+    assert not is_box(box, one_part("a", "box", [0], x=[1.0]))
+    assert not is_box(one_part("a", "box", [0]), box)

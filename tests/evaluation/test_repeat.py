@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from facetrack_cli.evaluation.experiments.repeat import HOLD, spread_of, spreads, stretches, target_size
-from facetrack_cli.trajectory.table import Table, series
+from facetrack_cli.trajectory.trajectory import joined, one_part
 
 
 def runs(seeds=10, frames=60, noise=0.5, random=1):
@@ -118,8 +118,8 @@ def test_the_order_of_seeds_and_the_place_do_not_matter(random, order, shift):
 def table(x, w=None):
     frame = np.arange(x.shape[0])
     box = {} if w is None else {"w": np.full(len(x), w), "h": np.full(len(x), w)}
-    parts = [series("face", name, frame, x=x + dx, y=x * 0.0, **box) for name, dx in (("nose", 0), ("chin", 40))]
-    return Table(Path("run"), tuple(parts if w is None else parts[:1]))
+    parts = [one_part("face", name, frame, x=x + dx, y=x * 0.0, **box) for name, dx in (("nose", 0), ("chin", 40))]
+    return joined(parts if w is None else parts[:1], path=Path("run"))
 
 
 def test_lengths_are_the_targets_own():
@@ -132,7 +132,7 @@ def test_lengths_are_the_targets_own():
 
 def test_runs_of_unequal_length_count_as_far_as_all_go():
     tables = [table(np.zeros(30)), table(np.ones(20)), table(np.ones(25))]
-    truth = series("face", "chin", np.arange(10, 30), x=np.full(20, 40.0), y=np.zeros(20))
+    truth = one_part("face", "chin", np.arange(10, 30), x=np.full(20, 40.0), y=np.zeros(20))
     nose, chin = spreads([0, 1, 2], tables, truth=[truth])
     assert nose.frame.tolist() == list(range(20)) and nose.name == "face/nose"
     assert nose.std[:, 0] == pytest.approx(1 / np.sqrt(3))

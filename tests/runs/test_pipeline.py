@@ -9,8 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from facetrack_cli.core.types import Frame, Result
+from facetrack_cli.core.types import Frame
 from facetrack_cli.runs import pipeline
+from facetrack_cli.trajectory.trajectory import FrameResult
 
 both = pytest.mark.parametrize("threaded", [False, True], ids=["one-thread", "threads"])
 
@@ -28,13 +29,13 @@ def frames(n: int, fail_at: int | None = None, made: list[int] | None = None) ->
         yield Frame(i, i / 25, np.zeros((2, 2, 3), np.uint8))
 
 
-def track(given: Iterator[Frame]) -> Iterator[Result]:
+def track(given: Iterator[Frame]) -> Iterator[FrameResult]:
     for frame in given:
-        yield Result(frame, ())
+        yield FrameResult(frame, ())
 
 
 class Seen(list[int]):
-    def __call__(self, result: Result) -> None:
+    def __call__(self, result: FrameResult) -> None:
         self.append(result.frame.index)
 
 
@@ -73,7 +74,7 @@ def test_a_decoder_that_fails_keeps_what_came_before(threaded: bool) -> None:
 
 @both
 def test_a_tracker_that_fails_keeps_what_came_before(threaded: bool) -> None:
-    def failing(given: Iterator[Frame]) -> Iterator[Result]:
+    def failing(given: Iterator[Frame]) -> Iterator[FrameResult]:
         for result in track(given):
             if result.frame.index == 20:
                 raise BoomError("track")
@@ -87,7 +88,7 @@ def test_a_tracker_that_fails_keeps_what_came_before(threaded: bool) -> None:
 
 @both
 def test_a_record_that_fails_is_raised(threaded: bool) -> None:
-    def record(result: Result) -> None:
+    def record(result: FrameResult) -> None:
         if result.frame.index == 20:
             raise BoomError("record")
 
@@ -100,7 +101,7 @@ def test_a_record_that_fails_is_raised(threaded: bool) -> None:
 @both
 @pytest.mark.parametrize("at", [0, 3, 20])
 def test_a_painter_that_fails_ends_the_run_soon(threaded: bool, at: int) -> None:
-    def paint(result: Result) -> None:
+    def paint(result: FrameResult) -> None:
         if result.frame.index == at:
             raise BoomError("paint")
 
@@ -111,7 +112,7 @@ def test_a_painter_that_fails_ends_the_run_soon(threaded: bool, at: int) -> None
 
 
 def test_a_painter_that_fails_on_the_last_frames_is_raised() -> None:
-    def paint(result: Result) -> None:
+    def paint(result: FrameResult) -> None:
         time.sleep(0.05)
         if result.frame.index == 3:
             raise BoomError("late")
@@ -156,7 +157,7 @@ def test_queues_are_short() -> None:
     made: list[int] = []
     ahead: list[int] = []
 
-    def paint(result: Result) -> None:
+    def paint(result: FrameResult) -> None:
         time.sleep(0.002)
         ahead.append(len(made) - result.frame.index)
 
@@ -172,7 +173,7 @@ def test_stages_overlap() -> None:
             time.sleep(0.005)
             yield frame
 
-    def doze(result: Result) -> None:
+    def doze(result: FrameResult) -> None:
         time.sleep(0.005)
 
     began = time.perf_counter()

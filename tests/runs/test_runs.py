@@ -19,7 +19,7 @@ from facetrack_cli.runs.plan import find_plan_start, truth_start
 from facetrack_cli.runs.seeds import Failure, Plan, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.trajectory import series
+from facetrack_cli.trajectory.trajectory import joined, one_part
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 CLIP = SAMPLES / "expressions.mp4"
@@ -32,7 +32,7 @@ def plan(config="factorized", seeds=(0, 1), stop=10, overrides=(), clip=CLIP):
 
 def assert_same(a, b):
     assert (a.label, a.seed) == (b.label, b.seed)
-    for one, other in zip(a.table.series, b.table.series, strict=True):
+    for one, other in zip(a.trajectory.parts, b.trajectory.parts, strict=True):
         assert one.name == other.name
         for column in ("frame", "x", "y", "w", "confidence", "std_x", "ess", "status"):
             np.testing.assert_array_equal(getattr(one, column), getattr(other, column))
@@ -43,7 +43,7 @@ def test_a_run_is_the_one_that_facetrack_run_writes(tmp_path):
     outcome = run(Job(CLIP, load_recipe("factorized", ["seed=3"]), tmp_path / "out", video=False, stop=10), Stop())
     written = read_trajectory(tmp_path / "out" / "trajectory.csv")
     assert outcome.frames == 10 and ours.frames_per_s > 0
-    for one, other in zip(ours.table.series, written.series, strict=True):
+    for one, other in zip(ours.trajectory.parts, written.parts, strict=True):
         np.testing.assert_array_equal(one.frame, other.frame)
         np.testing.assert_allclose(one.x, other.x, atol=5.1e-4)
         np.testing.assert_allclose(one.ess, other.ess, atol=5.1e-2)
@@ -53,7 +53,7 @@ def test_a_run_is_the_one_that_facetrack_run_writes(tmp_path):
 def test_seeds_differ_and_do_not_disturb_each_other():
     together = list(run_plans([plan(seeds=(0, 1, 2))]))
     assert [one.seed for one in together] == [0, 1, 2]
-    assert not np.array_equal(together[0].table.series[0].x, together[1].table.series[0].x)
+    assert not np.array_equal(together[0].trajectory.parts[0].x, together[1].trajectory.parts[0].x)
     for one in together:
         [alone] = run_plans([plan(seeds=(one.seed,))])
         assert_same(one, alone)
@@ -113,9 +113,9 @@ def test_what_is_there_so_far_can_be_had(workers):
     found = list(run_plans([plan(stop=None), plan(stop=None)], workers, stop, report, partial=True))
     assert {run.seed for run in found} <= {0, 1} and len(found) >= 2
     [whole] = run_plans([plan(seeds=(0,), stop=60)])
-    x = found[0].table.series[0].x
+    x = found[0].trajectory.parts[0].x
     assert 1 < len(x) < 275
-    np.testing.assert_array_equal(x[:60], whole.table.series[0].x[: len(x)])
+    np.testing.assert_array_equal(x[:60], whole.trajectory.parts[0].x[: len(x)])
 
 
 def test_a_start_beyond_the_clip_is_told():
@@ -159,13 +159,16 @@ def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch):
 
 
 def truth(*parts, status=("visible", "visible"), target="face"):
-    made = [series(target, part, [4, 5], x=[10.0, 11.0], y=[20.0, 21.0], status=status, **more) for part, more in parts]
-    return Table(Path("t.csv"), tuple(made))
+    made = [
+        one_part(target, part, [4, 5], x=[10.0, 11.0], y=[20.0, 21.0], status=status, **more) for part, more in parts
+    ]
+    return joined(made, path=Path("t.csv"))
 
 
 def test_the_truth_starts_at_its_first_frame_with_all_points_visible():
     points = ("nose", "chin")
-    table = Table(Path("t.csv"), truth(("nose", {})).series + truth(("chin", {}), status=("hidden", "visible")).series)
+    made = [truth(("nose", {})), truth(("chin", {}), status=("hidden", "visible"))]
+    table = joined(made, path=Path("t.csv"))
     start = truth_start(table, points)
     assert (start.frame, start.origin) == (5, "t.csv")
     assert start.targets["face"].points == {"nose": (11.0, 21.0), "chin": (11.0, 21.0)}

@@ -17,7 +17,7 @@ from facetrack_cli.runs.plan import find_plan_start
 from facetrack_cli.runs.seeds import Plan, SeedRun, run_plans
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.table import Table
+from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.source import open_source
 
 CLIPS = Path(os.environ.get("FACETRACK_CLIPS", Path(__file__).parents[3] / "shared" / "clips"))
@@ -31,7 +31,7 @@ def clip_of(name: str) -> Path:
     return path
 
 
-def truth_of(clip: Path) -> Table:
+def truth_of(clip: Path) -> Trajectory:
     return read_truth(clip.parent / "groundtruth.csv")
 
 
@@ -40,10 +40,10 @@ def auc(clip: Path, config: str, stop: int) -> float:
     recipe, truth = load_recipe(config), truth_of(clip)
     start = find_plan_start(clip, recipe, truth=truth)
     found = []
-    (true,) = truth.series
+    (true,) = truth.parts
     for run in run_plans([Plan(config, clip, recipe, start, (0, 1), stop)]):
         assert isinstance(run, SeedRun)
-        (ours,) = run.table.series
+        (ours,) = run.trajectory.parts
         found.append(measure_boxes(ours.boxes, true.take(np.isin(true.frame, ours.frame)).boxes).auc)
     return float(np.mean(found))
 
@@ -68,7 +68,7 @@ def test_the_predicted_shift_points_to_the_true_place(name: str) -> None:
     start = find_plan_start(clip, recipe, truth=truth)
     (target,) = build_tracker(recipe, start)
     guide, model = target.guide, target.likelihood  # type: ignore[attr-defined]
-    (true,) = truth.series
+    (true,) = truth.parts
     box = dict(zip(true.frame.tolist(), true.boxes, strict=True))
     width, height = box[start.frame][2:]
 

@@ -298,7 +298,6 @@ def fix(served):
 
     def serve(folder, **more):
         run = open_run(folder)
-        served.callback(run.index.close)
         frames = served.enter_context(Frames(run.clip))
         fixer = Fixer(run, frames.read)
         served.callback(fixer.close)

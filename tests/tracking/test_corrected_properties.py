@@ -83,7 +83,7 @@ def test_what_is_said_holds_and_what_comes_before_stays(config, those):
         by_hand = {*said.given.points, *(gone if said.frame else ())}  # also what is still absent
         for name in PARTS:
             one = part(result, name)
-            assert (one.status == "absent") == (one.x != one.x) == (name in gone)
+            assert (one.status == "absent") == (one.x is None) == (name in gone)
             assert (one.status == "init") == (result.frame.index == 0 or name in said.given.points)
             assert one.by_hand == (name in by_hand)
             for places in (said.given.points, said.kept):

@@ -121,7 +121,7 @@ class FixSession(Session):
         return {
             "from": first,
             "parts": [[name, part] for name, parts in self._parts.items() for part in parts],
-            "frames": [cells(rows, frame) for frame in range(first, last + 1)],
+            "frames": cells(rows, first, last + 1),
         }
 
     def _overview(self, request: Request) -> Json:
