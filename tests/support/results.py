@@ -81,6 +81,14 @@ def rows_of(trajectory):
     ]
 
 
+def parts_of(found):
+    """The parts of a target's result, as `rows_of` has them, with `cov` as (xx, xy, yy), None if not known."""
+    rows = rows_of(found.rows)
+    for one, xy in zip(rows, found.rows.cov_xy.tolist(), strict=True):
+        one.cov = None if one.std_x is None else (one.std_x**2, xy, one.std_y**2)
+    return rows
+
+
 def file_rows(path):
     """The rows of a file, as `rows_of` has them."""
     return rows_of(read_trajectory(path))
