@@ -179,15 +179,14 @@ def _measured(target: str, part: str, pairs: Sequence[Pair], rows: Sequence[Rows
     every = list(zip(pairs, rows, strict=True))
     points = [one for pair, one in every if not pair.is_box]
     boxed = [(pair, one) for pair, one in every if pair.is_box]
-    later = [one.take(~one.init) for one in rows]
     return Measured(
         target=target,
         part=part,
         points=measure_points(points, options.failure) if points else None,
         boxes=_boxes(boxed, options.size) if boxed else None,
         lost=measure_lost(rows),
-        confidence=measure_confidence(later),
-        coverage=measure_coverage(later),
+        confidence=measure_confidence(rows),
+        coverage=measure_coverage(rows),
     )
 
 

@@ -159,6 +159,7 @@ def _any_within(frames: Whole, first: int, last: Whole) -> bool:
 
 def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
     """None if no row has a confidence."""
+    parts = [part.take(~part.init) for part in parts]
     confidence, near, judged, visible = (column(parts, name) for name in ("confidence", "near", "judged", "visible"))
     known = np.isfinite(confidence)
     if not known.any():
@@ -182,6 +183,7 @@ def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
 
 def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
     """None if no row has a std."""
+    parts = [part.take(~part.init) for part in parts]
     offset, std, visible, placed = (column(parts, name) for name in ("offset", "std", "visible", "placed"))
     counted = visible & placed & np.isfinite(offset).all(axis=1)
     known = np.isfinite(std).all(axis=1)

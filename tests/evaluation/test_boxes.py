@@ -1,6 +1,5 @@
 """The box measures: against their plain twins, their own laws, and a case worked out by hand."""
 
-import math
 
 import numpy as np
 import pytest
@@ -102,14 +101,14 @@ def example():
 
 def test_measures_of_an_example_worked_out_by_hand():
     ours, truth, valid = example()
-    found = measure_boxes(ours, truth, valid=valid)
-    assert (found.frames, found.missing) == (5, 1)
+    found = measure_boxes(ours, truth, visible=valid)
+    assert (found.rows, found.missing) == (5, 1)
     np.testing.assert_allclose(found.overlap, [1, 1, 3 / 13, 0, np.nan, np.nan, 0.5], rtol=1e-12)
     np.testing.assert_allclose(found.centre_error, [0, 0, 25, np.inf, np.nan, np.nan, 10])
     # strictly above: IoU 1 misses the last threshold, 0.5 the one at 0.5; 3/13 is above 0, .05, .1, .15, .2
     success = [4 / 5] * 5 + [3 / 5] * 5 + [2 / 5] * 10 + [0]
     np.testing.assert_allclose(found.success, success)
-    assert found.auc == pytest.approx(np.mean(success))
+    assert found.success_auc == pytest.approx(np.mean(success))
     precision = [2 / 5] * 10 + [3 / 5] * 15 + [4 / 5] * 26
     np.testing.assert_allclose(found.precision, precision)
     assert found.precision_20 == 3 / 5
@@ -117,7 +116,6 @@ def test_measures_of_an_example_worked_out_by_hand():
     np.testing.assert_allclose(found.normalised_precision, [2 / 5] * 25 + [3 / 5] * 26)
     assert found.normalised_auc == pytest.approx((25 * 2 + 26 * 3) / 5 / 51)
     assert found.normalised_20 == 2 / 5
-    assert found.got10k_frames == found.vot_frames == 4
     assert found.ao == pytest.approx((1 + 3 / 13 + 0 + 0.5) / 4)
     assert (found.sr50, found.sr75) == (1 / 4, 1 / 4)
     assert found.got10k_success[50] == 1 / 4 and found.got10k_success[49] == 2 / 4 and found.got10k_success[-1] == 0
@@ -127,38 +125,34 @@ def test_measures_of_an_example_worked_out_by_hand():
 
 def test_without_an_initial_row_the_first_counts_as_any():
     ours, truth, valid = example()
-    found = measure_boxes(ours, truth, valid=valid, first_is_init=False)
+    found = measure_boxes(ours, truth, visible=valid, init=np.zeros(7, bool))
     first = 38 / 42
     assert found.overlap[0] == pytest.approx(first)
     assert found.centre_error[0] == 2
-    assert found.got10k_frames == found.vot_frames == 5
     assert found.ao == found.vot_accuracy == pytest.approx((first + 1 + 3 / 13 + 0 + 0.5) / 5)
 
 
-def test_vot_can_leave_out_more_rows():
+def test_hidden_rows_are_measured_apart():
     ours, truth, valid = example()
-    late = measure_boxes(ours, truth, valid=valid, vot_burn_in=3)
-    assert (late.vot_frames, late.vot_accuracy) == (2, 0.25)
-    seen = measure_boxes(ours, truth, valid=valid, vot_skip_missing=True)
-    assert seen.vot_frames == 3
-    assert seen.vot_accuracy == pytest.approx((1 + 3 / 13 + 0.5) / 3)
+    found = measure_boxes(ours, truth, visible=valid, hidden=~valid)
+    assert (found.hidden_rows, found.hidden_overlap) == (1, pytest.approx(iou(ours, truth)[5]))
 
 
 @pytest.mark.parametrize("rows", [0, 1, 4])
-def test_nothing_to_measure_is_nan(rows):
+def test_nothing_to_measure_has_no_value(rows):
     found = measure_boxes(np.ones((rows, 4)), np.full((rows, 4), np.nan), size=(10, 10))
-    assert (found.frames, found.missing, found.got10k_frames, found.vot_frames) == (0, 0, 0, 0)
-    for name in ("auc", "precision_20", "normalised_auc", "ao", "sr50", "vot_accuracy", "good_rate", "strict_rate"):
-        assert math.isnan(getattr(found, name)), name
+    assert (found.rows, found.missing, found.hidden_rows) == (0, 0, 0)
+    for name in ("success_auc", "precision_20", "normalised_auc", "ao", "sr50", "vot_accuracy", "good_rate", "strict_rate"):
+        assert getattr(found, name) is None, name
     assert found.success.shape == (21,) and found.got10k_success.shape == (101,)
     assert np.isnan(found.precision).all() and found.overlap.shape == (rows,)
 
 
 def test_a_tracker_without_any_box_has_zeros():
     truth = np.tile([10.0, 20, 40, 20], (5, 1))
-    found = measure_boxes(np.full((5, 4), np.nan), truth, first_is_init=False)
-    assert (found.frames, found.missing) == (5, 5)
-    for name in ("auc", "precision_20", "normalised_auc", "ao", "sr75", "vot_accuracy", "good_rate", "strict_rate"):
+    found = measure_boxes(np.full((5, 4), np.nan), truth, init=np.zeros(5, bool))
+    assert (found.rows, found.missing) == (5, 5)
+    for name in ("success_auc", "precision_20", "normalised_auc", "ao", "sr75", "vot_accuracy", "good_rate", "strict_rate"):
         assert getattr(found, name) == 0.0, name
 
 
@@ -167,7 +161,7 @@ def test_measures_leave_their_arguments_alone():
     ours, truth, valid = example()
     ours[1, 0] = -5
     kept = [v.copy() for v in (ours, truth, valid)]
-    measure_boxes(ours, truth, valid=valid, size=(30, 30))
+    measure_boxes(ours, truth, visible=valid, size=(30, 30))
     iou(ours, truth, (30, 30))
     for before, after in zip(kept, (ours, truth, valid), strict=True):
         np.testing.assert_array_equal(before, after)
@@ -223,6 +217,6 @@ def test_accuracy_takes_polygons_where_there_are_some():
     ours, truth, valid = example()
     corners = np.tile([[10, 20], [49, 20], [49, 39], [10, 39.0]], (7, 1, 1))
     same = measure_boxes(ours, truth, valid=valid, true_corners=corners)
-    assert same.vot_accuracy == pytest.approx(measure_boxes(ours, truth, valid=valid).vot_accuracy)
+    assert same.vot_accuracy == pytest.approx(measure_boxes(ours, truth, visible=valid).vot_accuracy)
     corners[1] += 100
     assert measure_boxes(ours, truth, valid=valid, true_corners=corners).vot_accuracy == same.vot_accuracy - 1 / 4

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.evaluation.points import auc, lost_for_good, measure_points, measure_recovery, occlusions
-from facetrack_cli.evaluation.rows import is_box, rows_of
+from facetrack_cli.evaluation.rows import Pair, rows_of
 from facetrack_cli.evaluation.units import check_normalise, unit_of
 from facetrack_cli.trajectory.trajectory import one_part
 
@@ -28,7 +27,7 @@ def rows(errors, status="", *, frame=None, target="face", part="nose", unit=UNIT
     ours_status = [ours] * count if isinstance(ours, str) else ours
     truth = one_part(target, part, frame, x=np.full(count, 50.0), y=np.full(count, 20.0), status=truth_status)
     mine = one_part(target, part, frame, x=50.0 + errors, y=np.full(count, 20.0), status=ours_status, **columns)
-    return rows_of(SimpleNamespace(ours=mine, truth=truth), np.full(count, float(unit)))
+    return rows_of(Pair(mine, truth), np.full(count, float(unit)))
 
 
 def test_errors_in_pixels_and_normalised():
@@ -186,7 +185,7 @@ def test_ways_to_normalise_that_are_none(how):
 def test_what_is_measured_as_a_box():
     size = {"w": [5.0], "h": [5.0]}
     box, window = one_part("a", "box", [0], **size), one_part("a", "nose", [0], **size)
-    assert is_box(box, one_part("", "box", [0], **size))
-    assert not is_box(window, window), "the window of a point is no box to be measured"
-    assert not is_box(box, one_part("a", "box", [0], x=[1.0]))
-    assert not is_box(one_part("a", "box", [0]), box)
+    assert Pair(box, one_part("", "box", [0], **size)).is_box
+    assert not Pair(window, window).is_box, "the window of a point is no box to be measured"
+    assert not Pair(box, one_part("a", "box", [0], x=[1.0])).is_box
+    assert not Pair(one_part("a", "box", [0]), box).is_box

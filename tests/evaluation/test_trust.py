@@ -17,7 +17,6 @@ from facetrack_cli.evaluation.trust import (
     measure_confidence,
     measure_coverage,
     measure_lost,
-    measure_trust,
 )
 from tests.evaluation.test_points import rows
 
@@ -73,10 +72,10 @@ def test_a_row_of_unknown_place_counts_by_its_visibility_alone():
 
 def test_the_given_row_is_left_out():
     given_row = {"ours": statuses("itl"), "confidence": [1.0, 0.5, 0.5], "std_x": [0.0, 1, 1], "std_y": [0.0, 1, 1]}
-    found = measure_trust([rows([0, 0, 0], **given_row)])
-    assert found.lost.rows == found.confidence.rows == found.coverage.rows == 2 and found.coverage.zero_std == 0
-    silent = measure_trust([rows([0, 0, 0], ours="", confidence=[1.0, 0.5, 0.5])])  # one that tells no status
-    assert silent.lost is None and silent.coverage is None and silent.confidence.rows == 2
+    part, measures = rows([0, 0, 0], **given_row), (measure_lost, measure_confidence, measure_coverage)
+    assert [measure([part]).rows for measure in measures] == [2, 2, 2] and measure_coverage([part]).zero_std == 0
+    silent = [rows([0, 0, 0], ours="", confidence=[1.0, 0.5, 0.5])]  # without any status
+    assert measure_lost(silent) is measure_coverage(silent) is None and measure_confidence(silent).rows == 2
 
 
 def test_confidence_in_bins():

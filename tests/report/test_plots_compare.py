@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from facetrack_cli.evaluation.trust import ConfidenceMeasures, Trust, calibration
+from facetrack_cli.evaluation.trust import ConfidenceMeasures, calibration
 from facetrack_cli.report import figures as plots
 from tests.report.test_plots import drawn
 
@@ -80,13 +80,13 @@ def test_calibration_shows_share_and_count():
     near = np.r_[np.ones(24, bool), np.zeros(16, bool)]
     bins = calibration(confidence, near, confidence > 0.5)
     measures = ConfidenceMeasures(40, 0.6, None, None, 0.15, None, bins)
-    upper, lower = plots.calibration_figure(Trust(None, measures, None)).axes
+    upper, lower = plots.calibration_figure(measures).axes
     points = {line.get_label(): line.get_xydata() for line in upper.lines}
     assert np.allclose(points["near the truth"], [(0.15, 0), (0.95, 0.8)])
     assert np.allclose(points["visible in truth"], [(0.15, 0), (0.95, 1)])
     assert [bar.get_height() for bar in lower.patches] == [10, 30]
     assert "0.150" in panel_note(upper)
-    empty = plots.calibration_figure(Trust(None, None, None))
+    empty = plots.calibration_figure(None)
     assert "no row" in empty.axes[0].texts[0].get_text() and plots.render(empty)
 
 

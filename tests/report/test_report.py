@@ -17,7 +17,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
-from facetrack_cli.evaluation.summary import names
+from facetrack_cli.evaluation.summary import MEASURES
 from facetrack_cli.report import frames as report_frames
 from facetrack_cli.report import make as report
 from facetrack_cli.report import measures as report_measures
@@ -230,7 +230,7 @@ def test_many_spans_are_cut_with_a_note(tmp_path, monkeypatch):
 
 
 def test_all_figures_of_the_tables_exist():
-    known = set(names())
+    known = set(MEASURES)
     groups = {"points": report_measures._POINTS, "boxes": report_measures._BOXES}
     used = [f"{group}.{name}" for group, columns in groups.items() for _, name, _ in columns]
     used += [name for _, name, _ in report_measures._TRUST]

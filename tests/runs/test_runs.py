@@ -12,11 +12,11 @@ import pytest
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs import seeds as runs
+from facetrack_cli.runs import seeds, workers
 from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.plan import find_plan_start, truth_start
-from facetrack_cli.runs.seeds import Failure, Plan, SeedRun, run_plans
+from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, one_part
@@ -38,8 +38,13 @@ def assert_same(a, b):
             np.testing.assert_array_equal(getattr(one, column), getattr(other, column))
 
 
+def runs_of(one):
+    [ended] = run_plans([one])
+    return ended.runs
+
+
 def test_a_run_is_the_one_that_facetrack_run_writes(tmp_path):
-    [ours] = run_plans([plan(seeds=(3,))])
+    [ours] = runs_of(plan(seeds=(3,)))
     outcome = run(Job(CLIP, load_recipe("factorized", ["seed=3"]), tmp_path / "out", video=False, stop=10), Stop())
     written = read_trajectory(tmp_path / "out" / "trajectory.csv")
     assert outcome.frames == 10 and ours.frames_per_s > 0
@@ -51,11 +56,11 @@ def test_a_run_is_the_one_that_facetrack_run_writes(tmp_path):
 
 
 def test_seeds_differ_and_do_not_disturb_each_other():
-    together = list(run_plans([plan(seeds=(0, 1, 2))]))
+    together = runs_of(plan(seeds=(0, 1, 2)))
     assert [one.seed for one in together] == [0, 1, 2]
     assert not np.array_equal(together[0].trajectory.parts[0].x, together[1].trajectory.parts[0].x)
     for one in together:
-        [alone] = run_plans([plan(seeds=(one.seed,))])
+        [alone] = runs_of(plan(seeds=(one.seed,)))
         assert_same(one, alone)
 
 
@@ -63,8 +68,9 @@ def test_processes_change_nothing_but_the_time():
     plans = [plan(), plan("independent", (5,), overrides=["filter.particles=50"])]
     told = []
     shared = list(run_plans(plans, 2, None, lambda done, total: told.append((done, total))))
-    for one, other in zip(run_plans(plans), shared, strict=True):
-        assert_same(one, other)
+    for alone, ended in zip(run_plans(plans), shared, strict=True):
+        for one, other in zip(alone.runs, ended.runs, strict=True):
+            assert_same(one, other)
     assert told and {total for _, total in told} == {30} and max(done for done, _ in told) <= 30
 
 
@@ -80,8 +86,8 @@ def test_a_plan_that_cannot_run_says_why_and_the_others_go_on(tmp_path, workers)
     bad = Plan("bad", CLIP, load_recipe("factorized"), start, (0, 1))
     gone = Plan("gone", tmp_path / "none.mp4", load_recipe("factorized"), plan().start, (0,))
     ended = list(run_plans([bad, plan(seeds=(0,)), gone], workers))
-    assert [type(one) for one in ended] == [Failure, SeedRun, Failure]
-    assert ended[0].label == "bad" and "clip.init.yaml: no point for mouth_left" in str(ended[0].error)
+    assert [(len(one.runs), one.error is None) for one in ended] == [(0, False), (1, True), (0, False)]
+    assert ended[0].plan.label == "bad" and "clip.init.yaml: no point for mouth_left" in str(ended[0].error)
     assert "none.mp4" in str(ended[2].error)
 
 
@@ -110,9 +116,10 @@ def test_what_is_there_so_far_can_be_had(workers):
         if done >= 12:
             stop.code = ExitCode.INTERRUPTED
 
-    found = list(run_plans([plan(stop=None), plan(stop=None)], workers, stop, report, partial=True))
+    ended = run_plans([plan(stop=None), plan(stop=None)], workers, stop, report, partial=True)
+    found = [run for one in ended for run in one.runs]
     assert {run.seed for run in found} <= {0, 1} and len(found) >= 2
-    [whole] = run_plans([plan(seeds=(0,), stop=60)])
+    [whole] = runs_of(plan(seeds=(0,), stop=60))
     x = found[0].trajectory.parts[0].x
     assert 1 < len(x) < 275
     np.testing.assert_array_equal(x[:60], whole.trajectory.parts[0].x[: len(x)])
@@ -121,38 +128,41 @@ def test_what_is_there_so_far_can_be_had(workers):
 def test_a_start_beyond_the_clip_is_told():
     late = Start(9999, plan().start.targets, "late.yaml")
     [ended] = run_plans([Plan("late", CLIP, load_recipe("factorized"), late, (0,))])
-    assert isinstance(ended, Failure) and isinstance(ended.error, InputError)
+    assert not ended.runs and isinstance(ended.error, InputError)
 
 
-WORK = runs._work
+WORK = seeds._work
 
 
-def _ends_itself(plan, seeds, partial):
-    if plan.label == "late":  # once the others are done
-        while runs._Common.done.value < 30:
+def _ends_itself(task, stop, report):
+    label = task[0].label
+    if label.startswith("late"):
+        while not all(Path(label.partition(" ")[2], f"{i}").exists() for i in range(3)):
             time.sleep(0.05)
-        time.sleep(1)
-    if plan.label in ("late", "dead"):
+    if label.startswith(("late", "dead")):
         os._exit(9)
-    return WORK(plan, seeds, partial)
+    found = WORK(task, stop, report)
+    Path(label).touch()
+    return found
 
 
-def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch):
-    monkeypatch.setattr(runs, "_work", _ends_itself)
+def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch, tmp_path):
+    monkeypatch.setattr(seeds, "_work", _ends_itself)
     one, dead = plan(seeds=(0,)), replace(plan(), label="dead")
-    ended = list(run_plans([one, one, one, replace(dead, label="late")], 2))
-    assert [type(run) for run in ended] == [SeedRun, SeedRun, SeedRun, Failure]
+    alive = [replace(one, label=str(tmp_path / str(i))) for i in range(3)]
+    ended = list(run_plans([*alive, replace(dead, label=f"late {tmp_path}")], 2))
+    assert [len(one.runs) for one in ended] == [1, 1, 1, 0]
     assert "ended by itself" in str(ended[-1].error)
 
     stop = Stop()
-    monkeypatch.setattr(runs, "_LOOK_S", 0.5)
+    monkeypatch.setattr(workers, "LOOK_S", 0.5)
     signalled = threading.Timer(0.2, lambda: setattr(stop, "code", ExitCode.TERMINATED))
 
     def report(done, total):
         if not signalled.is_alive() and not signalled.finished.is_set():
             signalled.start()
 
-    assert all(isinstance(run, SeedRun) for run in run_plans([dead, dead], 2, stop, report))
+    assert list(run_plans([dead, dead], 2, stop, report)) == [], "a signal comes first"
 
 
 # where it begins

@@ -41,10 +41,10 @@ def auc(clip: Path, config: str, stop: int) -> float:
     start = find_plan_start(clip, recipe, truth=truth)
     found = []
     (true,) = truth.parts
-    for run in run_plans([Plan(config, clip, recipe, start, (0, 1), stop)]):
-        assert isinstance(run, SeedRun)
+    [ended] = run_plans([Plan(config, clip, recipe, start, (0, 1), stop)])
+    for run in ended.runs:
         (ours,) = run.trajectory.parts
-        found.append(measure_boxes(ours.boxes, true.take(np.isin(true.frame, ours.frame)).boxes).auc)
+        found.append(measure_boxes(ours.boxes, true.take(np.isin(true.frame, ours.frame)).boxes).success_auc)
     return float(np.mean(found))
 
 

@@ -19,7 +19,7 @@ from facetrack_cli.evaluation.goldens.goldens import read_golden, record, write_
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.points import measure_points, measure_recovery, occlusions
 from facetrack_cli.evaluation.summary import evaluate
-from facetrack_cli.evaluation.trust import measure_trust
+from facetrack_cli.evaluation.trust import measure_confidence, measure_coverage, measure_lost
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report import figures as plots
@@ -166,21 +166,21 @@ def test_a_place_given_by_hand_is_no_merit_but_in_the_first_frame():
     assert part.later.tolist() == [False, False, True, False]
     found = measure_points([part])
     assert found.rows == 3 and found.mean_px == 4
-    trust = measure_trust([replace(part, confidence=np.array([1.0, 0.2, 1.0, 0.2]), std=np.ones((4, 2)))])
-    assert trust.lost.rows == trust.confidence.rows == trust.coverage.rows == 2
+    part = replace(part, confidence=np.array([1.0, 0.2, 1.0, 0.2]), std=np.ones((4, 2)))
+    assert [measure([part]).rows for measure in (measure_lost, measure_confidence, measure_coverage)] == [2, 2, 2]
 
 
 def test_what_is_said_to_be_absent_is_not_what_the_tracker_says():
     part = rows([0, 0, NAN, NAN, 0, 0], "vvhhvv", ours=corrected("ittaat"))
-    found = measure_trust([part]).lost
+    found = measure_lost([part])
     assert (found.rows, found.covered, found.called) == (3, 1, 0), "neither called lost nor missed"
 
 
 @pytest.mark.parametrize("ours, delay", [("itttlltttt", 1), ("itttallttt", None), ("ittttllitt", 2)])
 def test_a_delay_is_measured_where_no_correction_came_before(ours, delay):
     part = rows(np.zeros(10), "vvvhhhvvvv", ours=corrected(ours))
-    assert measure_trust([part]).lost.delay_lost == delay
-    assert measure_trust([part]).lost.delay_back == (0 if delay == 1 else None)
+    assert measure_lost([part]).delay_lost == delay
+    assert measure_lost([part]).delay_back == (0 if delay == 1 else None)
 
 
 @pytest.mark.parametrize("ours", ["tttttltttttt", "tttttlitttttt"[:12], "tttaattttttt"])
@@ -208,15 +208,15 @@ def test_boxes_given_later_are_left_out_and_absent_ones_miss_where_there_is_some
     ours = replace(ours, w=np.where(np.isnan(ours.x), NAN, 20.0), h=np.where(np.isnan(ours.x), NAN, 20.0))
     found = evaluate(match(replace(ours, path=Path("t.json")), theirs, partial=False, select=None, check_shift=True))
     measured = found.parts[0]
-    assert (measured.boxes.frames, measured.boxes.missing) == (3, 1), "frame 4 was given by hand"
+    assert (measured.boxes.rows, measured.boxes.missing) == (3, 1), "frame 4 was given by hand"
     assert measured.boxes.ao == pytest.approx(0.5), "one of two after the first"
-    assert (measured.hidden_boxes.rows, measured.hidden_boxes.overlap) == (1, 1.0), "to call it absent is no miss"
+    assert (measured.boxes.hidden_rows, measured.boxes.hidden_overlap) == (1, 1.0), "to call it absent is no miss"
 
 
 def test_a_trajectory_with_absent_rows_may_be_measured_and_be_truth(table):
     other = replace(table, x=table.x + 1, header={}, path=Path("checked.csv"))
     found = evaluate(match(table, other, partial=False, select=None, check_shift=True))
-    assert found.absent == 9 and found.all.points.mean_px == pytest.approx(1.0)
+    assert found.counts["absent"] == 9 and found.all.points.mean_px == pytest.approx(1.0)
     truth = replace(table, status=np.full(26, "visible"), header={}, path=Path("truth.csv"))
     with pytest.raises(InputError, match="name them the other way round"):
         match(truth, table, partial=False, select=None, check_shift=True)
