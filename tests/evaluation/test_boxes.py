@@ -1,6 +1,8 @@
 """The box measures: against their plain twins, their own laws, and a case worked out by hand."""
 
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -330,7 +330,7 @@ def test_names_of_targets_do_not_lie_on_each_other() -> None:
         shapes = [overlay._shape(each, (255, 255, 255)) for each in (one, two)]
         image = np.zeros((240, 320, 3), np.uint8)
         for shape in shapes:
-            seen += overlay._tag(image, shape, True, seen)
+            seen += overlay._labels._tag(image, shape, True, seen)
         (a, b) = seen
         assert a[2] <= b[0] or b[1] >= a[3] or a[1] >= b[3], f"{apart} apart"
         assert [box[1] < 100 for box in seen] == [True, apart == 120], "above, where there is room"
