@@ -60,7 +60,7 @@ class Against(NamedTuple):
 def run(clip: str, recipe: str, *overrides: str, seeds: tuple[int, ...] = SEEDS, stop: int | None = None) -> Against:
     path, settings = FOLDER / f"{clip}.mp4", load_recipe(recipe, overrides)
     done = list(run_plans([Plan(recipe, path, settings, find_plan_start(path, settings), seeds, stop)]))
-    tables = tuple(one.table for one in done if isinstance(one, SeedRun))
+    tables = tuple(one.trajectory for one in done if isinstance(one, SeedRun))
     assert len(tables) == len(seeds), done
     boxes = [table.parts[0] for table in tables]
     truth = read_truth(FOLDER / f"{clip}.truth.csv").parts[0].take(boxes[0].frame)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from facetrack_cli.tracking.models.spaces import AffineSpace, estimate
 from facetrack_cli.tracking.models.velocity import Guide, Noise, Velocity
 from facetrack_cli.tracking.resampling import uniform
 from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
+from tests.support.results import parts_of
 from tests.tracking.test_patches import frame, smooth, state
 
 STATE, SHIFT = np.array([[10.0, 20.0, 1.0, 0.1, -0.1, 0.9]]), np.array([[3.0, -2.0, 0.05, 0.0, 0.0, 0.05]])

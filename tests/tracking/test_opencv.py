@@ -11,6 +11,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking import opencv
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
+from tests.support.results import file_rows, parts_of
 
 NAMES = ["mil", "csrt", "kcf", "mosse"]
 THERE = [name for name in NAMES if opencv.find(name) is not None]
@@ -131,6 +132,7 @@ def test_run_writes_boxes_and_draws_them(tmp_path):
     from click.testing import CliRunner
 
     from facetrack_cli.cli.app import cli
+
     clip = Path(__file__).parents[2] / "sample_videos" / "expressions.mp4"
     done = CliRunner().invoke(cli, ["run", str(clip), "--config", "mil", "--stop", "8", "-o", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output

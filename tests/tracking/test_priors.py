@@ -446,7 +446,7 @@ def test_fit_says_what_is_wrong(tmp_path):
         ([hidden], {}, InputError, "none of its 5 frames"),
         ([flat], {}, InputError, "frame 0.*no scale"),
         ([wild], {}, InputError, "wild.csv: a part moves"),
-        ([double], {}, InputError, "twice"),
+        ([double], {}, InputError, "frame 0 has two rows of face/nose"),
         ([empty], {}, InputError, "no row"),
         ([tmp_path / "absent.csv"], {}, InputError, "absent.csv"),
         ([good], {"parts": ["nose", "lip_upper"]}, UsageError, "no part mouth_left"),

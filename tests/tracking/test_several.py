@@ -15,6 +15,7 @@ from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
 from facetrack_cli.tracking.models.motion import FirstOrder
 from facetrack_cli.tracking.models.spaces import BoxSpace, CloudSpace, evenly
 from facetrack_cli.tracking.target import ParticleTarget, State
+from tests.support.results import target
 
 PICTURE = np.zeros((20, 30, 3), np.uint8)
 

@@ -10,6 +10,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
+from tests.support.results import rows_of
 
 SKIN, WALL = (120, 150, 205), (150, 120, 90)
 HEAD, LEFT, RIGHT = (130.0, 60.0, 22.0, 28.0), (60.0, 140.0, 14.0, 14.0), (200.0, 140.0, 14.0, 14.0)
