@@ -1,7 +1,69 @@
-"""Track faces, facial features, heads and hands in video with particle filters."""
+"""Track faces, facial features, heads and hands in video with particle filters.
+
+    import facetrack_cli as facetrack
+
+    nose = facetrack.track_video("clip.mp4", "factorized").find("face", "nose")
+    nose.frame, nose.x, nose.y, nose.confidence             # NumPy arrays, a row a frame
+    recipe = facetrack.load_recipe("sir", {"filter.particles": 500})
+    for result in facetrack.track_frames(images, recipe):   # any iterable of images, as a webcam
+        image = facetrack.draw(result)                      # a new image with what the tracker says
+    facetrack.read_trajectory("clip-sir").to_pandas()       # what `facetrack run` wrote
+
+docs/python.md has the whole of it.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from facetrack_cli.tracking.kernels.cache import provide_cache
 
+if TYPE_CHECKING:
+    from facetrack_cli.core.errors import FacetrackError, InputError, RecipeError
+    from facetrack_cli.core.types import Frame, Start, TargetStart
+    from facetrack_cli.recipe.load import load_recipe
+    from facetrack_cli.runs.api import draw, track_frames, track_video
+    from facetrack_cli.trajectory.formats.read import read_truth
+    from facetrack_cli.trajectory.reader import read_trajectory
+    from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+    from facetrack_cli.video.overlay.overlay import Overlay
+
 __version__ = "0.1.0"
+__all__ = [
+    "FacetrackError",
+    "Frame",
+    "FrameResult",
+    "InputError",
+    "Overlay",
+    "RecipeError",
+    "Start",
+    "TargetStart",
+    "Trajectory",
+    "draw",
+    "load_recipe",
+    "read_trajectory",
+    "read_truth",
+    "track_frames",
+    "track_video",
+]
+
+_PLACES = {
+    "core.errors": ("FacetrackError", "InputError", "RecipeError"),
+    "core.types": ("Frame", "Start", "TargetStart"),
+    "recipe.load": ("load_recipe",),
+    "runs.api": ("draw", "track_frames", "track_video"),
+    "trajectory.formats.read": ("read_truth",),
+    "trajectory.reader": ("read_trajectory",),
+    "trajectory.trajectory": ("FrameResult", "Trajectory"),
+    "video.overlay.overlay": ("Overlay",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """The public names, imported when they are first used: numba and OpenCV take half a second."""
+    for module, names in _PLACES.items():
+        if name in names:
+            return getattr(import_module(f"facetrack_cli.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 provide_cache()

@@ -14,12 +14,10 @@ from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.editor.run_folder import Run
 from facetrack_cli.editor.tracks import Store, Track
 from facetrack_cli.recipe.model import ParticlesRecipe
-from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.build.build import build_tracker, tracker_for
 from facetrack_cli.tracking.corrected import CorrectedTarget
 from facetrack_cli.tracking.exclusion import Cover
 from facetrack_cli.tracking.loop import Target
-from facetrack_cli.tracking.start import check_start
-from facetrack_cli.tracking.start.checks import check_windows
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory
 from facetrack_cli.trajectory.writers import as_written
 
@@ -54,9 +52,7 @@ class Tracking:
     def check(self, correction: Correction) -> None:
         """InputError if a correction does not fit the clip or the recipe."""
         start = replace(self._run.start, corrections=(correction,))
-        check_start(start, self._run.header.source.size, self._run.recipe.points)
-        tracker = build_tracker(self._run.recipe, start)
-        check_windows(self._run.recipe, tracker, self._run.header.source.size, start.origin)
+        tracker_for(self._run.recipe, start, self._run.header.source.size)
 
     def track(
         self,

@@ -9,8 +9,10 @@ The kinds of recipe (`model.py`) and their sections, in the files beside it, are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -20,11 +22,14 @@ from facetrack_cli.recipe.messages import problems, suggest
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, error_of, filters
 
 
-def load_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> Recipe:
-    """Read a recipe from a path, or by the name of a shipped one; `overrides` are `a.b=VALUE` of the command line.
+def load_recipe(name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] = ()) -> Recipe:
+    """Read a recipe from a path, or by the name of a shipped one.
 
+    `overrides` are values by key, as in `{"filter.particles": 200}`, or `filter.particles=200` of the command line.
     Raises RecipeError for the first thing that is wrong, and says how many more there are.
     """
+    if isinstance(overrides, Mapping):
+        overrides = [f"{key}={json.dumps(value)}" for key, value in overrides.items()]
     try:
         return _load(find_recipe(name_or_path), overrides)
     except YamlProblems as refused:

@@ -8,10 +8,9 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from facetrack_cli.runs.job import Job, Outcome, Report
-from facetrack_cli.runs.outputs import Outputs, check
+from facetrack_cli.runs.outputs import Outputs, Receiver, check
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import find_start, frames_of, open_clip, origin_of
-from facetrack_cli.tracking.start.checks import check_windows
 from facetrack_cli.trajectory.writers import Footer
 
 if TYPE_CHECKING:
@@ -22,28 +21,29 @@ if TYPE_CHECKING:
 
 
 def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
-    """Track one clip into its outputs. `stop` is asked between frames.
+    """Track one clip into its files. `stop` is asked between frames.
 
     Raises a FacetrackError when nothing was tracked, and leaves no file then; an error after the first frame is in
     the outcome, beside what was kept.
     """
     check(job)
-    from facetrack_cli.tracking.build.build import build_tracker
-    from facetrack_cli.tracking.start import check_start
-
     with Outputs(job) as outputs:
-        start = find_start(job, stop)
-        if start is None:
-            return Outcome(job.clip, stopped=stop.reason)
-        with open_clip(job, start.frame) as source:
-            check_start(start, source.size, job.recipe.points)
-            tracker = build_tracker(job.recipe, start)
-            check_windows(job.recipe, tracker, source.size, start.origin)
-            return _track(job, source, start, tracker, outputs, stop, report)
+        return track_clip(job, outputs, stop, report)
+
+
+def track_clip(job: Job, outputs: Receiver, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
+    """Track one clip; its results go to `outputs`. Raises and stops as `run`."""
+    start = find_start(job, stop)
+    if start is None:
+        return Outcome(job.clip, stopped=stop.reason)
+    from facetrack_cli.tracking.build.build import tracker_for
+
+    with open_clip(job, start.frame) as source:
+        return _track(job, source, start, tracker_for(job.recipe, start, source.size), outputs, stop, report)
 
 
 def _track(
-    job: Job, source: Source, start: Start, tracker: Tracker, outputs: Outputs, stop: Stop, report: Report
+    job: Job, source: Source, start: Start, tracker: Tracker, outputs: Receiver, stop: Stop, report: Report
 ) -> Outcome:
     from facetrack_cli.runs import pipeline
     from facetrack_cli.tracking.loop import track
@@ -54,8 +54,7 @@ def _track(
     def record(result: FrameResult) -> None:
         if tally.frames == 0:
             outputs.begin(source, start, result.rows)
-        for writer in outputs.writers:
-            writer.write(result.rows)
+        outputs.write(result.rows)
         tally.count(result)
         report(tally.frames, total)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 from facetrack_cli.trajectory.writers import Format
 
 if TYPE_CHECKING:
-    from facetrack_cli.core.types import Box
+    from facetrack_cli.core.types import Box, Start
     from facetrack_cli.recipe.model import Recipe
 
 
@@ -26,7 +26,8 @@ Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames i
 class Job:
     """What is asked of one clip. `out` None streams the one format to standard output.
 
-    `init` is an init file, "haar" to look for a face whatever lies beside the clip, or None for the usual order.
+    `init` is an init file, "haar" to look for a face whatever lies beside the clip, a start, or None for the usual
+    order.
     """
 
     clip: Path
@@ -34,7 +35,7 @@ class Job:
     out: Path | None
     formats: tuple[Format, ...] = ("csv", "json")
     video: bool = True
-    init: Path | Literal["haar"] | None = None
+    init: Path | Literal["haar"] | Start | None = None
     box: Box | None = None
     init_frame: int | None = None
     start: int = 0

@@ -6,14 +6,15 @@ import contextlib
 import os
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import FileSink, StreamSink, refused
-from facetrack_cli.trajectory.writers import WRITERS, Footer, Header, Writer
+from facetrack_cli.trajectory.trajectory import Collector
+from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Header, Writer
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Start
@@ -64,6 +65,52 @@ def _same(one: Path, other: Path) -> bool:
     return one.exists() and other.exists() and one.samefile(other)
 
 
+class Receiver(Protocol):
+    """Where the results of one clip go, a frame at a time."""
+
+    @property
+    def written(self) -> Sequence[Path]:
+        """The files that are there after `close`."""
+
+    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
+        """Before anything else; `rows` are those of the first frame."""
+
+    def write(self, rows: Trajectory) -> None:
+        """The rows of the next frame."""
+
+    def paint(self, result: FrameResult) -> None:
+        """Draw the next frame; called after `write`, perhaps in another thread."""
+
+    def close(self, footer: Footer) -> Footer:
+        """The end; returns the footer with what is to be added to it."""
+
+
+class Memory:
+    """Results collected into a `trajectory`, whose header says what a JSON file says of its run."""
+
+    written: Sequence[Path] = ()
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._collected = Collector()
+        self._header: Header = {}
+        self.trajectory: Trajectory | None = None
+
+    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
+        self._header = {"schema": SCHEMA, "version": VERSION, **_header(self._job, source, start, rows)}
+
+    def write(self, rows: Trajectory) -> None:
+        self._collected.add(rows)
+
+    def paint(self, result: FrameResult) -> None:
+        raise AssertionError("there is no video in memory")
+
+    def close(self, footer: Footer) -> Footer:
+        header = {**self._header, **footer._asdict()}
+        self.trajectory = self._collected.trajectory(header=header, path=self._job.clip)
+        return footer
+
+
 class Outputs:
     """The files of one job: they appear when the job closes them; one that fails before its first frame leaves none."""
 
@@ -73,7 +120,7 @@ class Outputs:
         self._made: list[Path] = []
         self._video: VideoWriter | None = None
         self._overlay: Overlay | None = None
-        self.writers: list[Writer] = []
+        self._writers: list[Writer] = []
         self.written: list[Path] = []
 
     def __enter__(self) -> Outputs:
@@ -99,7 +146,7 @@ class Outputs:
         """Write the headers and start the encoder; `rows` are those of the first frame."""
         header = _header(self._job, source, start, rows)
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
-            self.writers.append(WRITERS[form](sink, header))
+            self._writers.append(WRITERS[form](sink, header))
         if self._job.out is not None and self._job.video:
             from facetrack_cli.video.overlay.overlay import Overlay
             from facetrack_cli.video.writer import VideoWriter
@@ -107,6 +154,11 @@ class Outputs:
             self._overlay = Overlay(source.size, fps=float(source.fps), title=self._job.recipe.name)
             sound = source.path if source.is_video else None
             self._video = VideoWriter(self._job.out / VIDEO, source.size, source.fps, audio_from=sound)
+
+    def write(self, rows: Trajectory) -> None:
+        """Write the rows of one frame."""
+        for writer in self._writers:
+            writer.write(rows)
 
     def paint(self, result: FrameResult) -> None:
         """Draw one result and pass it to the encoder."""
@@ -123,7 +175,7 @@ class Outputs:
         if self._video is not None:
             self._finish(self._video, self._video.close, errors)
             footer = footer._replace(warnings=(*footer.warnings, *self._video.warnings))
-        for writer, sink in zip(self.writers, self._sinks, strict=True):
+        for writer, sink in zip(self._writers, self._sinks, strict=True):
             self._finish(sink, partial(writer.close, footer), errors)
         if errors:
             raise errors[0]

@@ -7,18 +7,11 @@ then their seeds, are shared out; what a seed yields does not depend on that.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
-import multiprocessing
-import signal
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures import TimeoutError as NotYet
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from fractions import Fraction
-from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -27,21 +20,17 @@ import numpy as np
 from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.types import Frame, Start, Whole
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.batch import cores, use_threads, worker_context
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.runs.workers import DiedError, cores, side_by_side
+from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start import check_start
-from facetrack_cli.tracking.start.checks import check_windows
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, one_part
 from facetrack_cli.video.source import open_source
 
 Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
 
 Ended: TypeAlias = "Generator[SeedRun | Failure, None, None]"
-_Shared: TypeAlias = "Synchronized[int]"
 _ENDED = "a process of -j ended by itself (too little memory?); run without -j"
-_LOOK_S = 0.2  # between two looks at the signals and at how far the processes are
 
 
 @dataclass(frozen=True)
@@ -95,7 +84,7 @@ def run_plans(
     if workers == 1:
         yield from _in_turn(plans, stopped, report, partial)
     else:
-        yield from _side_by_side(plans, workers, stopped, report, partial)
+        yield from _in_processes(plans, workers, stopped, report, partial)
 
 
 # --- one plan ------------------------------------------------------------------------------------------------------
@@ -121,9 +110,7 @@ def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
 
     Raises what the plan's recipe and start are refused for without a look at the picture of that (width, height).
     """
-    check_start(plan.start, size, plan.recipe.points)
-    tracker = build_tracker(plan.recipe, plan.start)
-    check_windows(plan.recipe, tracker, size, plan.start.origin)
+    tracker = tracker_for(plan.recipe, plan.start, size)
     one = np.ones(len(frames))  # every part of every tracker has a size
     rows = [one_part(target.name, part, frames, w=one, h=one) for target in tracker for part in target.parts]
     return joined(rows, path=plan.clip, header=_header(size))
@@ -142,9 +129,7 @@ def _run(
     `tell` hears of each frame how many tracked it.
     """
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
-        check_start(plan.start, source.size, plan.recipe.points)
-        tracker = build_tracker(plan.recipe, plan.start)
-        check_windows(plan.recipe, tracker, source.size, plan.start.origin)
+        tracker = tracker_for(plan.recipe, plan.start, source.size)
         feed = _Feed()
         runs = [track(tracker, iter(feed), seed, clip=str(plan.clip)) for seed in seeds]
         logs = [Collector() for _ in seeds]
@@ -197,37 +182,45 @@ def _in_turn(plans: Sequence[Plan], stopped: Stop, report: Report, partial: bool
         yield from found
 
 
-def _side_by_side(plans: Sequence[Plan], workers: int, stopped: Stop, report: Report, partial: bool) -> Ended:
+def _in_processes(plans: Sequence[Plan], workers: int, stopped: Stop, report: Report, partial: bool) -> Ended:
     total = _total(plans)
-
-    def tell() -> None:
-        report(done.value, total)
-
     pieces = -(-workers // max(len(plans), 1))  # of each plan, so that no process is idle
-    context = worker_context()
-    ending, done = context.Value("i", 0), context.Value("q", 0)
+    tasks = [(plan, share, partial) for plan in plans for share in _shares(plan.seeds, pieces)]
+    ends = list(itertools.accumulate(len(_shares(plan.seeds, pieces)) for plan in plans))
+    found: dict[int, object] = {}
     threads = max(1, cores() // workers)
-    pool = ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(ending, done, threads))
+    ended = side_by_side(tasks, _work, workers, stopped, lambda done: report(done, total), threads=threads)
     try:
-        futures = [[_submit(pool, plan, share, partial) for share in _shares(plan.seeds, pieces)] for plan in plans]
-        for plan, shares in zip(plans, futures, strict=True):
-            try:
-                found = [run for share in shares for run in _await(share, ending, stopped, tell, partial)]
-            except FacetrackError as e:
-                yield Failure(plan.label, e)
-                continue
-            except BrokenProcessPool:
-                time.sleep(_LOOK_S)  # a signal to the whole group ends the processes too, perhaps before we hear of it
-                if stopped():
-                    return
-                yield Failure(plan.label, FacetrackError(_ENDED))  # what is whole already is kept
-                continue
+        for plan, end in zip(plans, ends, strict=True):
+            shares = range(end - len(_shares(plan.seeds, pieces)), end)
+            while not found.keys() >= {*shares} and (one := next(ended, None)) is not None:
+                found[one[0]] = one[1]
             if stopped() and not partial:
                 return
-            yield from found
+            results = [found.pop(i) for i in shares if i in found]
+            error = next((one for one in results if isinstance(one, Exception)), None)
+            if isinstance(error, DiedError):
+                error = FacetrackError(_ENDED)
+            if isinstance(error, FacetrackError):
+                yield Failure(plan.label, error)
+            elif error is not None:
+                raise error
+            else:
+                yield from (run for runs in results if isinstance(runs, list) for run in runs)
     finally:
-        ending.value = 1
-        pool.shutdown(cancel_futures=True)
+        ended.close()  # type: ignore[attr-defined]
+
+
+def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:
+    plan, seeds, partial = task
+    done = 0
+
+    def tell(frames: int) -> None:
+        nonlocal done
+        done += frames
+        report(done)
+
+    return _run(plan, seeds, stop, tell, partial)
 
 
 def _total(plans: Sequence[Plan]) -> int:
@@ -250,52 +243,3 @@ def _shares(seeds: Sequence[int], pieces: int) -> list[tuple[int, ...]]:
     pieces = min(pieces, len(seeds))
     edges = [round(i * len(seeds) / pieces) for i in range(pieces + 1)]
     return [tuple(seeds[a:b]) for a, b in itertools.pairwise(edges)]
-
-
-def _submit(pool: ProcessPoolExecutor, plan: Plan, share: tuple[int, ...], partial: bool) -> Future[list[SeedRun]]:
-    """What a share of a plan will come to, also where a process has ended already and none will take it."""
-    try:
-        return pool.submit(_work, plan, share, partial)
-    except BrokenProcessPool as e:
-        broken: Future[list[SeedRun]] = Future()
-        broken.set_exception(e)
-        return broken
-
-
-def _await(
-    share: Future[list[SeedRun]], ending: _Shared, stopped: Stop, tell: Callable[[], None], partial: bool
-) -> list[SeedRun]:
-    while True:
-        if stopped():
-            ending.value = 1
-            return share.result() if partial and not share.cancel() else []
-        tell()
-        with contextlib.suppress(NotYet):
-            return share.result(timeout=_LOOK_S)
-
-
-class _Common:
-    """What a process shares with the one that started it."""
-
-    ending: _Shared
-    done: _Shared
-
-
-def _begin(ending: _Shared, done: _Shared, threads: int) -> None:
-    # Ctrl-C reaches every process of a terminal; the parent alone acts on it
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _Common.ending, _Common.done = ending, done
-    use_threads(threads)
-
-
-def _work(plan: Plan, seeds: tuple[int, ...], partial: bool) -> list[SeedRun]:
-    parent = multiprocessing.parent_process()
-
-    def tell(frames: int) -> None:
-        with _Common.done.get_lock():
-            _Common.done.value += frames
-
-    def stopped() -> bool:
-        return bool(_Common.ending.value) or (parent is not None and not parent.is_alive())
-
-    return _run(plan, seeds, stopped, tell, partial)

@@ -13,6 +13,7 @@ from facetrack_cli.runs.signals import Stop
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Frame, Start
+    from facetrack_cli.recipe.model import Recipe
     from facetrack_cli.video.source import Source
 
 
@@ -44,6 +45,8 @@ def find_start(job: Job, stop: Stop) -> Start | None:
     from facetrack_cli.core.types import Start, TargetStart
     from facetrack_cli.tracking import start as starts
 
+    if isinstance(job.init, Start):
+        return place_start(job, job.init)
     if job.box is not None:
         first = job.start if job.init_frame is None else job.init_frame
         return place_start(job, Start(first, {"face": TargetStart(box=job.box)}, "--box"))
@@ -55,19 +58,12 @@ def find_start(job: Job, stop: Stop) -> Start | None:
 
 
 def _look(job: Job, stop: Stop) -> Start | None:
-    from facetrack_cli.tracking.start import haar_start
-
     origin = "the search" if job.init_frame is None else "--init-frame"
     first = job.start if job.init_frame is None else job.init_frame
     _check_frame(job, first, origin)
     with open_clip(job, first) as source:
         try:
-            return haar_start(
-                frames_of(source, first, origin, stop),
-                job.recipe.points,
-                clip=str(job.clip),
-                complete=lambda frame, start: _named(job, start, frame),
-            )
+            return search(job.recipe, frames_of(source, first, origin, stop), str(job.clip))
         except InputError:
             if stop():
                 return None
@@ -76,33 +72,41 @@ def _look(job: Job, stop: Stop) -> Start | None:
 
 def place_start(job: Job, start: Start) -> Start:
     """The start with what it does not say: points of a target that is a box alone, targets that the recipe names."""
-    from facetrack_cli.tracking.start import box_start, check_start
-
     _check_frame(job, start.frame, origin_of(job, start))
-    names = list(start.targets)
-    if job.recipe.followed:
-        if set(job.recipe.followed) <= set(names):
-            return _named(job, start, None)
+
+    def first() -> Frame:
         with open_clip(job, start.frame) as source:
-            frame = next(frames_of(source, start.frame, origin_of(job, start)))
-        check_start(start, frame.size, ())
-        return _named(job, start, frame)
+            return next(frames_of(source, start.frame, origin_of(job, start)))
+
+    return completed(job.recipe, start, first, str(job.clip), said_in=str(job.clip) if job.box else start.origin)
+
+
+def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: str, *, said_in: str) -> Start:
+    """The start with what it does not say; `first` gives its frame, `said_in` is who gave the box."""
+    from facetrack_cli.tracking.start import box_start, check_start, name_targets
+
+    names = list(start.targets)
+    if recipe.followed:
+        frame = None
+        if not set(recipe.followed) <= set(names):
+            frame = first()
+            check_start(start, frame.size, ())
+        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
     given = start.targets[names[0]]
-    if len(names) > 1 or given.points or given.box is None or not job.recipe.points:
+    if len(names) > 1 or given.points or given.box is None or not recipe.points:
         return start
-    with open_clip(job, start.frame) as source:
-        frame = next(frames_of(source, start.frame, origin_of(job, start)))
-    said_in = str(job.clip) if job.box is not None else start.origin
-    placed = box_start(frame, given.box, job.recipe.points, clip=said_in)
-    [found] = placed.targets.values()
+    [found] = box_start(first(), given.box, recipe.points, clip=said_in).targets.values()
     return replace(start, targets={names[0]: replace(found, windows=given.windows)})
 
 
-def _named(job: Job, start: Start, frame: Frame | None) -> Start:
-    """The start with the targets that the recipe names, if it names any."""
-    from facetrack_cli.tracking.start import name_targets
+def search(recipe: Recipe, frames: Iterator[Frame], clip: str) -> Start:
+    """The start at the first face that is found in `frames`. Raises InputError if there is none."""
+    from facetrack_cli.tracking.start import haar_start, name_targets
 
-    return name_targets(start, job.recipe.followed, frame, left_out=job.recipe.left_out, clip=str(job.clip))
+    def complete(frame: Frame, start: Start) -> Start:
+        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
+
+    return haar_start(frames, recipe.points, clip=clip, complete=complete)
 
 
 def origin_of(job: Job, start: Start) -> str:

@@ -25,13 +25,13 @@ _DIGITS: Final = 18  # of a whole number: more do not fit into 64 bits
 _BLOCK: Final = 1_000  # lines that become columns at a time: few enough to stay in the processor's cache
 
 
-def read_trajectory(path: Path) -> Trajectory:
+def read_trajectory(path: Path | str) -> Trajectory:
     """A trajectory or ground-truth file of facetrack, or the folder of a run; CSV and JSON are told apart by content.
 
     Columns of a CSV may stand in any order; frame, target, part, x and y are required, columns of other tools are
     passed over. Raises InputError, with the line where there is one, for a file that is none of them.
     """
-    path, first = _begins(path)
+    path, first = _begins(Path(path))
     return _read_json(path) if first == b"{" else _read_csv(path)
 
 

@@ -114,10 +114,11 @@ def command(
     """
     from facetrack_cli.recipe.gallery_option import with_gallery
     from facetrack_cli.recipe.load import load_recipe
-    from facetrack_cli.runs.batch import absolute, cores
+    from facetrack_cli.runs.batch import absolute
     from facetrack_cli.runs.job import HAAR, Job
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.runs.workers import cores
     from facetrack_cli.tracking.build.affine import check_gallery
 
     if init is not None and box is not None:
@@ -187,9 +188,9 @@ def _places(
 
 def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
     """Run one clip; its error is the command's."""
-    from facetrack_cli.runs.batch import use_threads
     from facetrack_cli.runs.clip import run
     from facetrack_cli.runs.outputs import check
+    from facetrack_cli.runs.workers import use_threads
 
     check(job)
     use_threads(job.threads)
@@ -208,7 +209,8 @@ def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
 
 def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
-    from facetrack_cli.runs.batch import check_all, run_batch, use_threads
+    from facetrack_cli.runs.batch import check_all, run_batch
+    from facetrack_cli.runs.workers import use_threads
 
     if workers == 1:
         use_threads(jobs[0].threads)

@@ -17,7 +17,7 @@ from facetrack_cli.tracking.exclusion import Exclusion
 from facetrack_cli.tracking.loop import Tracker
 from facetrack_cli.tracking.opencv import OpenCvTarget
 from facetrack_cli.tracking.opencv import check as check_opencv
-from facetrack_cli.tracking.start.checks import box_of
+from facetrack_cli.tracking.start.checks import box_of, check_start, check_windows
 from facetrack_cli.tracking.target import ParticleTarget
 
 
@@ -68,3 +68,15 @@ def _opencv(recipe_: OpenCvRecipe, start: Start) -> Tracker:
     except RecipeError as e:
         raise recipe_.error("tracker", str(e)) from None
     return tuple(OpenCvTarget(name, box_of(start, name), recipe_.tracker, start.origin) for name in start.targets)
+
+
+def tracker_for(recipe_: Recipe, start: Start, size: tuple[int, int]) -> Tracker:
+    """The tracker of a recipe for a clip of this (width, height) that begins at `start`.
+
+    Raises InputError or RecipeError where the start does not fit the clip or lacks what the recipe needs, or a window
+    is larger than the image.
+    """
+    check_start(start, size, recipe_.points)
+    tracker = build_tracker(recipe_, start)
+    check_windows(recipe_, tracker, size, start.origin)
+    return tracker

@@ -51,13 +51,14 @@ _READERS: Final[dict[str, _Reader]] = {
 }
 
 
-def read_truth(path: Path, form: str = "auto", *, shift: int = 0) -> Trajectory:
+def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Trajectory:
     """The truth in a file or folder, read as `form`, one of FORMATS; `auto` goes by the shape.
 
     `shift` is added to every frame number. Of the table, `header["read_as"]` says in words how it was read, and
     `header["shift"]` is the shift. Raises InputError, one line with file and line, for a file that is broken or of no
     known shape; UsageError for a shift that no clip is long enough for.
     """
+    path = Path(path)
     if abs(shift) > MAX_FRAME:
         raise UsageError(f"--shift {shift}: no clip has so many frames; correct it")
     with _looking_at(path):

@@ -1,0 +1,147 @@
+"""The Python interface: track a video or any images, by the same functions as the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from fractions import Fraction
+from itertools import chain, islice
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import cv2
+import numpy as np
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.clip import track_clip
+from facetrack_cli.runs.job import HAAR, Job
+from facetrack_cli.runs.outputs import Memory
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.start import completed, search
+from facetrack_cli.tracking.build.build import tracker_for
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.start import read_init
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+from facetrack_cli.video.overlay.overlay import Overlay
+
+Init: TypeAlias = str | Path | Start | Box
+IMAGES = "the images"
+
+
+def track_video(
+    path: str | Path,
+    recipe: str | Path | Recipe = "factorized",
+    *,
+    init: Init | None = None,
+    seed: int | None = None,
+    start: int = 0,
+    stop: int | None = None,
+    fps: float | None = None,
+    report: Callable[[int, int | None], None] = lambda done, total: None,
+) -> Trajectory:
+    """Track a video file, or a folder of images, from its start to its end; what `facetrack run` does, in memory.
+
+    `recipe` is a recipe, the name of a shipped one, or a file. `init` says where the track starts: an init file; "haar"
+    to look for a face; a box (left, top, width, height) in pixels; a `Start`. None: the init file beside the clip, else
+    a face. `start` and `stop` are the first frame and the frame to stop before, `fps` the rate of a folder of images.
+    `report` is called with the frames done and the frames in all, if that is known.
+
+    The trajectory's `header` says what a trajectory.json says: source, recipe, seed, init, warnings, `complete`.
+    Raises a FacetrackError (RecipeError, InputError) as the command line would print it; what is wrong after the first
+    frame ends the trajectory there, with `complete` False and the reason in `stopped`.
+    """
+    job = Job(
+        Path(path),
+        _recipe(recipe, seed),
+        None,
+        video=False,
+        init=_init(init, start),
+        start=start,
+        stop=stop,
+        fps=None if fps is None else Fraction(fps).limit_denominator(1001),
+    )
+    memory = Memory(job)
+    track_clip(job, memory, Stop(), report)
+    assert memory.trajectory is not None
+    return memory.trajectory
+
+
+def track_frames(
+    images: Iterable[Image],
+    recipe: str | Path | Recipe = "factorized",
+    *,
+    init: Init | None = None,
+    seed: int | None = None,
+    fps: float = 25.0,
+) -> Iterator[FrameResult]:
+    """Track images as they come: from a webcam, a list, an array (T, H, W, 3); a result for each, from the start on.
+
+    Images are (H, W, 3) uint8 in OpenCV's order, blue first, or (H, W) grey, all of one size. `recipe` and `init` are
+    those of `track_video`, but there is nothing beside the images: None looks for a face, in at most 250 images.
+    Raises InputError for images that are none, or no start in them.
+    """
+    chosen = _recipe(recipe, seed)
+    frames = _frames(images, fps)
+    begin = _init(init, 0)
+    if begin is None or begin == HAAR:
+        seen: list[Frame] = []
+
+        def remembered() -> Iterator[Frame]:
+            for frame in frames:
+                seen.append(frame)
+                yield frame
+
+        begin = search(chosen, remembered(), IMAGES)
+        first, *later = seen[begin.frame - seen[0].index :]
+        del seen
+    else:
+        begin, later = begin if isinstance(begin, Start) else read_init(begin), []
+        found = next(islice(frames, begin.frame, None), None)
+        if found is None:
+            raise InputError(f"{IMAGES}: there is no frame {begin.frame}, where {begin.origin} begins")
+        first = found
+        begin = completed(chosen, begin, lambda: first, IMAGES, said_in=begin.origin)
+    tracker = tracker_for(chosen, begin, first.size)
+    yield from track(tracker, chain([first], later, frames), chosen.seed, clip=IMAGES)
+
+
+def draw(result: FrameResult, overlay: Overlay | None = None) -> Image:
+    """A new image (H, W, 3) with what the tracker says drawn on its frame; trails need one `overlay` for all frames."""
+    return (overlay or Overlay(result.frame.size)).draw(result)
+
+
+def _recipe(recipe: str | Path | Recipe, seed: int | None) -> Recipe:
+    if not isinstance(recipe, Recipe):
+        recipe = load_recipe(str(recipe))
+    return recipe if seed is None else recipe.model_copy(update={"seed": seed})
+
+
+def _init(init: Init | None, start: int) -> Path | Literal["haar"] | Start | None:
+    if init is None or isinstance(init, Start):
+        return init
+    if isinstance(init, str | Path):
+        return HAAR if init == HAAR else Path(init)
+    try:
+        left, top, width, height = (float(side) for side in init)
+    except (TypeError, ValueError):
+        raise InputError(f"init {init!r} is neither a file, a box (left, top, width, height), nor a Start") from None
+    return Start(start, {"face": TargetStart(box=(left, top, width, height))}, "init")
+
+
+def _frames(images: Iterable[Image], fps: float) -> Iterator[Frame]:
+    size: tuple[int, int] | None = None
+    for index, given in enumerate(images):
+        image = np.asarray(given)
+        if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+            raise InputError(
+                f"image {index}: is {image.dtype} {image.shape}; give (height, width, 3) uint8, blue first, or grey"
+            )
+        if image.ndim == 2:
+            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+        frame = Frame(index, index / fps, image)
+        size = frame.size if size is None else size
+        if frame.size != size:
+            raise InputError(f"image {index}: is {frame.size[0]}x{frame.size[1]}, not {size[0]}x{size[1]} as the first")
+        yield frame
