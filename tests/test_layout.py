@@ -11,8 +11,8 @@ NUMERICS = {"numpy", "numba", "cv2", "scipy", "imageio", "imageio_ffmpeg"}
 ROOMS = {
     "core": "",
     "recipe": "core",
-    "video": "core",
     "trajectory": "core",
+    "video": "core trajectory",
     "tracking": "core recipe video trajectory",
     "runs": "core recipe video trajectory tracking",
     "evaluation": "core recipe video trajectory tracking runs",

@@ -8,7 +8,7 @@ import tempfile
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import BinaryIO
+from typing import Any, TypeAlias
 
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.types import Correction
@@ -16,34 +16,43 @@ from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 
 
+Place: TypeAlias = tuple[int, int]  # the first byte, and how many
+
+
 class Store:
     """Rows in a temporary file, so that undo over many corrections takes no memory. Serves several threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
+        self._end = 0
         try:
-            self._file: BinaryIO = tempfile.TemporaryFile(prefix="facetrack-fix-")  # noqa: SIM115
+            # without a buffer: what does not fit is forgotten
+            self._file: Any = tempfile.TemporaryFile(prefix="facetrack-fix-", buffering=0)  # noqa: SIM115
         except OSError as e:
             raise OutputError(f"no temporary file can be made: {e.strerror or e}; set TMPDIR to a folder") from e
 
-    def add(self, rows: Trajectory) -> int:
+    def add(self, rows: Trajectory) -> Place:
         """Where they stand from now on."""
+        data = pickle.dumps(rows)
         with self._lock:
+            at, written = self._end, 0
             try:
-                at = self._file.seek(0, 2)
-                pickle.dump(rows, self._file)
-                self._file.flush()
+                self._file.seek(at)
+                while written < len(data):
+                    written += self._file.write(data[written:])
             except OSError as e:
                 raise OutputError(
                     f"{tempfile.gettempdir()}: cannot be written: {e.strerror or e}; free some space, or set TMPDIR"
                 ) from e
-            return at
+            self._end += len(data)
+            return at, len(data)
 
-    def read(self, at: int) -> Trajectory:
+    def read(self, place: Place) -> Trajectory:
         with self._lock:
-            self._file.seek(at)
-            found: Trajectory = pickle.load(self._file)
-            return found
+            self._file.seek(place[0])
+            data = self._file.read(place[1])
+        found: Trajectory = pickle.loads(data)
+        return found
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
@@ -61,7 +70,7 @@ class Track:
     begin: Correction | None
     first: int
     stop: int
-    at: int | None = None
+    at: Place | None = None
 
     def rows(self, recorded: Trajectory, store: Store, stop: int | None = None) -> Trajectory:
         """The rows up to before `stop`, of a run that recorded these."""

@@ -173,7 +173,7 @@ def test_the_rows_tell_of_the_run(run):
         ("jsonl", lambda s: s.replace('"frame":9,', '"frame":8,'), "differs from trajectory.json"),
         ("jsonl", lambda s: s + "\n", "differs from trajectory.json"),
         ("json", lambda s: s.replace('{"frame":9,', '{"frame":10,'), "frame 10 follows frame 8"),
-        ("json", lambda s: s[: len(s) // 2], "is not JSON: "),
+        ("json", lambda s: s[: len(s) // 2], "was the run cut short?"),
         ("json", lambda s: s.replace('"target":"ben"', '"target":"bea"', 2), "frame 5 has no row of bea/box"),
         ("json", lambda s: s.replace('"part":"lip"', '"part":"lap"', 1), "frame 4 has no row of anna/lap"),
         ("json", lambda s: s.replace('"x":', '"x": ', 1), "is not as facetrack run writes it, was it edited?"),
@@ -196,12 +196,13 @@ def test_files_that_are_not_a_whole_run_are_refused_with_their_line(run, tmp_pat
     line = str(refused.value)
     place = re.match(rf"{re.escape(str(files[form]))}:(\d+): ", line)
     assert said in line and place and "\n" not in line
-    # of lines that changed one by one, it is the first that did
-    before, after = text.split("\n"), changed.replace("\r", "").split("\n")
-    first = next((i for i, (a, b) in enumerate(zip(before, after, strict=False), 1) if a != b), len(before))
-    if "follows" in said or "row of" in said:
-        first = int(place[1])
-    assert int(place[1]) == first or changed.count("\r") or "JSON" in said
+    before, lines = text.split("\n"), changed.split("\n")
+    first = next((i for i, (a, b) in enumerate(zip(before, lines, strict=False)) if a != b), len(before) - 1)
+    if found := re.match(r"frame (\d+) has no row", said):
+        first = next(i for i, one in enumerate(lines) if f'"frame":{found[1]},' in one)
+    elif "\r" in changed:
+        first = next(i for i, one in enumerate(lines) if one.startswith('{"frame":'))
+    assert int(place[1]) == first + 1
 
 
 @pytest.mark.parametrize(

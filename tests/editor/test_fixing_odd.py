@@ -316,6 +316,37 @@ def test_without_any_place_for_a_while_it_is_said_so(short, tmp_path, monkeypatc
         put(out)
 
 
+def test_a_disk_that_is_full_for_a_while_leaves_the_rows_as_they_were(short, tmp_path):
+    with fixing(copied(short, tmp_path / "out")) as fixer:
+        fixer.put([nose(8, 159, 140)])
+        before, file = [*csv_frames(fixer.rows)], fixer._store._file
+
+        class Full:
+            """It takes some bytes, and no more."""
+
+            def __init__(self):
+                self.left = 1000
+
+            def write(self, data):
+                if not self.left:
+                    raise OSError(errno.ENOSPC, "No space left on device")
+                self.left -= (written := file.write(data[: self.left]))
+                return written
+
+            def __getattr__(self, name):
+                return getattr(file, name)
+
+        fixer._store._file = Full()
+        with pytest.raises(OutputError, match="No space left on device; free some space, or set TMPDIR"):
+            fixer.put([nose(9, 159, 140)])
+        assert [*csv_frames(fixer.rows)] == before and [one.frame for one in fixer.corrections] == [5, 8, 31]
+        fixer._store._file = file
+        fixer.put([nose(9, 159, 140)])
+        assert [*csv_frames(fixer.rows)][:9] == before[:9] and [*csv_frames(fixer.rows)] != before
+        fixer.undo()
+        assert [*csv_frames(fixer.rows)] == before
+
+
 def test_a_report_that_is_there_is_said_to_be_of_before(short, tmp_path):
     out = copied(short, tmp_path / "out")
     (out / "report.html").write_text("x")
