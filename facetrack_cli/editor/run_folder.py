@@ -29,9 +29,9 @@ from facetrack_cli.report.make import trajectory_of
 from facetrack_cli.runs.outputs import VIDEO
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import check_start
-from facetrack_cli.tracking.start.init_writer import record_of
 from facetrack_cli.trajectory.header import Header, read_header
 from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.start import corrections_record
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, Sink, json_frames
 from facetrack_cli.video.images import listing
@@ -228,7 +228,7 @@ def write_rows(form: Format, sink: Sink, rows: Trajectory, corrections: Sequence
     footer = Footer(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
     if corrections is not None:
         init = {key: value for key, value in head["init"].items() if key != "corrections"}
-        head["init"] = {**init, **({"corrections": [record_of(one) for one in corrections]} if corrections else {})}
+        head["init"] = {**init, **corrections_record(corrections)}
         footer = footer._replace(lost_frames=lost_frames(rows))
     writer = WRITERS[form](sink, head)
     writer.write(rows)

@@ -18,7 +18,8 @@ from facetrack_cli.report.frames import Pictures
 from facetrack_cli.report.html import Html, Image, join, page, pairs, section, table, tag, void
 from facetrack_cli.report.measures import Measures
 from facetrack_cli.report.text import count, ended, lasting, names, number, percent, rate, sentences, why
-from facetrack_cli.trajectory.header import CORRECTED, Header, TargetHeader
+from facetrack_cli.trajectory.header import CORRECTED, Header
+from facetrack_cli.trajectory.start import TargetRecord
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 MOST_SPANS = 100  # rows of the table of lost spans
@@ -247,7 +248,7 @@ def _init_file(header: Header) -> Iterator[Html]:
     yield tag("pre", text, tabindex="0", role="region", aria_label="The init file as YAML")
 
 
-def _places(targets: Mapping[str, TargetHeader]) -> Iterator[tuple[str, str]]:
+def _places(targets: Mapping[str, TargetRecord]) -> Iterator[tuple[str, str]]:
     for name, target in targets.items():
         of = f" of {name}" if len(targets) > 1 else ""
         if target.box:

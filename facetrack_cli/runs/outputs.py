@@ -219,8 +219,8 @@ def _versions() -> dict[str, str]:
 
 def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
     from facetrack_cli.recipe.model import to_dict
-    from facetrack_cli.tracking.start.init_writer import record_of
     from facetrack_cli.trajectory.diagnostics import KNOWN
+    from facetrack_cli.trajectory.start import to_record
 
     # those that every facetrack knows are not declared
     declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
@@ -233,18 +233,6 @@ def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
         },
         "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
         "seed": job.recipe.seed,
-        "init": {
-            "from": start.origin,
-            "frame": start.frame,
-            "targets": {
-                name: {
-                    **({"box": list(target.box)} if target.box else {}),
-                    **({"points": {key: list(xy) for key, xy in target.points.items()}} if target.points else {}),
-                    **({"windows": {key: list(wh) for key, wh in target.windows.items()}} if target.windows else {}),
-                }
-                for name, target in start.targets.items()
-            },
-            **({"corrections": [record_of(one) for one in start.corrections]} if start.corrections else {}),
-        },
+        "init": {"from": start.origin, **to_record(start)},
         **({"diagnostics": [one.record() for one in declared.values()]} if declared else {}),
     }

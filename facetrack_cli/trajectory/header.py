@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, Field, ValidationError
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Box, Correction, Point, Start, TargetStart
+from facetrack_cli.core.types import Start
+from facetrack_cli.trajectory.start import StartRecord
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 CORRECTED: Final = "corrected.init.yaml"
@@ -23,37 +24,12 @@ class ClipHeader(BaseModel):
     fps: Annotated[float, Field(gt=0, le=1e6)]
 
 
-class TargetHeader(BaseModel):
-    box: Box | None = None
-    points: dict[str, Point] = {}
-    windows: dict[str, Point] = {}
-
-
-class CorrectionHeader(BaseModel):
-    frame: int
-    target: str
-    box: Box | None = None
-    points: dict[str, Point] = {}
-    kept: dict[str, Point] = {}
-    absent: Literal[True] | tuple[str, ...] = ()
-    learn: bool | None = None
-
-    @property
-    def correction(self) -> Correction:
-        given = TargetStart(self.box, self.points)
-        return Correction(self.frame, self.target, given, self.kept, self.absent, self.learn)
-
-
-class InitHeader(BaseModel):
+class InitHeader(StartRecord):
     origin: Annotated[str, Field(alias="from")]
-    frame: int
-    targets: dict[str, TargetHeader]
-    corrections: tuple[CorrectionHeader, ...] = ()
 
     @property
     def start(self) -> Start:
-        targets = {name: TargetStart(one.box, one.points, one.windows) for name, one in self.targets.items()}
-        return Start(self.frame, targets, self.origin, tuple(one.correction for one in self.corrections))
+        return self.start_from(self.origin)
 
 
 class Header(BaseModel):

@@ -83,9 +83,9 @@ def test_of_two_targets_the_grey_one_is_named(facetrack, clips):
     [
         ("100,60,1,40", "--box: the box of face is smaller than 6x6 pixels; give a larger one"),
         ("100,60,5.9,6", "smaller than 6x6 pixels"),
-        ("0,0,261,200", "the box of face, 261x200 pixels, is larger than the picture of 260x200; make it smaller"),
-        ("-400000,-400000,800000,800000", "is larger than the picture of 260x200"),
-        ("-31,-31,60,60", "the centre of the box [-31, -31, 60, 60] of face is outside the picture of 260x200 pixels"),
+        ("0,0,261,200", "the box of face, 261x200 pixels, is larger than the frame of 260x200; make it smaller"),
+        ("-400000,-400000,800000,800000", "is larger than the frame of 260x200"),
+        ("-31,-31,60,60", "the centre of the box [-31, -31, 60, 60] of face is outside the frame of 260x200 pixels"),
     ],
 )
 @pytest.mark.parametrize("by", ["--box", "--init"])
@@ -117,7 +117,7 @@ def test_a_batch_says_of_which_clip_it_speaks(facetrack, clips):
         "run", "IN/head", "IN/grey", "--config", "contour", "--box", "0,0,261,200", "-q", "-o", "o"
     )
     assert code == 5
-    told = [line for line in err.splitlines() if "larger than the picture" in line]
+    told = [line for line in err.splitlines() if "larger than the frame" in line]
     assert [line.split(": --box: ")[0] for line in told] == [
         f"facetrack: error: {clips}/head",
         f"facetrack: error: {clips}/grey",

@@ -106,7 +106,7 @@ def test_a_target_set_to_null_is_passed_over_in_the_init_file(facetrack):
         ({"head": HEAD, "foot": LEFT}, "has foot, which the recipe does not know; it follows head, left_hand, right_"),
         (
             {"head": HEAD, "left_hand": "[-80, 138, 48, 57]", "right_hand": RIGHT},
-            "of left_hand is outside the picture of",
+            "of left_hand is outside the frame of",
         ),
         ({"head": "[-500, 44, 50, 50]"}, "here.yaml: the centre of the box [-500, 44, 50, 50] of head is outside"),
         ({"head": "[155, 60, 3, 3]"}, "here.yaml: the box of head is smaller than 6x6 pixels"),
@@ -116,7 +116,7 @@ def test_a_target_set_to_null_is_passed_over_in_the_init_file(facetrack):
         ),
         (
             {"head": "[0, 0, 330, 240]", "left_hand": LEFT, "right_hand": RIGHT},
-            "330x240 pixels, is larger than the picture",
+            "330x240 pixels, is larger than the frame",
         ),
         ({"head": "[155, 60, 6, 6]"}, "sign: frame 0 shows no region of skin beside the head"),
     ],

@@ -199,7 +199,7 @@ def test_the_same_frame_is_never_looked_at_twice_at_once(clips, monkeypatch):
         ("factorized", {"face": {"points": {part: [100, 100] for part in PARTS}}}, "in one place"),
         ("contour_histogram", {"face": {"points": POINTS}}, "still to choose: the box of face"),
         ("contour_histogram", {"face": {"box": [-900, 79, 98, 98]}}, "the centre of the box [-900, 79, 98, 98] of"),
-        ("contour_histogram", {"face": {"box": [-90, 0, 400, 200]}}, "400x200 pixels, is larger than the picture"),
+        ("contour_histogram", {"face": {"box": [-90, 0, 400, 200]}}, "400x200 pixels, is larger than the frame"),
         ("head_hands", {}, "nothing is chosen yet; choose the box"),
         ("head_hands", {"head": HANDS["head"]}, "still to choose: the box of left_hand; the box of right_hand"),
         ("head_hands", {**HANDS, "foot": FACE}, "the recipe follows head, left_hand, right_hand, and no foot; "),
@@ -306,7 +306,7 @@ def test_a_box_to_begin_with_has_its_points(clips):
         assert session.unsaved() is not None
     with picking(clips / "sign", config="head_hands", frame=0, box=(135, 44, 50, 50)) as (client, _):
         assert set(client.get("api/state").json["draft"]["targets"]) == set(HANDS)
-    with pytest.raises(InputError, match="not in the picture"), picking(clips / "face", box=(900, 79, 98, 98)):
+    with pytest.raises(InputError, match="not in the frame"), picking(clips / "face", box=(900, 79, 98, 98)):
         pass
 
 
@@ -469,7 +469,7 @@ def test_without_overwrite_nothing_is_served(clips, tmp_path, monkeypatch, facet
         (["--pick", "--port", "99999"], 2, "--port"),
         (["--pick", "--init-frame", "3"], 3, "frame 3"),
         (["--pick", "--config", "nothing"], 2, "nothing"),
-        (["--pick", "--box", "900,5,10,10"], 3, "not in the picture"),
+        (["--pick", "--box", "900,5,10,10"], 3, "not in the frame"),
         (["--pick", "-o", "a.txt"], 2, ".yaml"),
     ],
 )
@@ -513,7 +513,7 @@ def test_overwrite_begins_with_the_file(clips, tmp_path, monkeypatch, facetrack)
     assert read_init(out).targets["face"].windows == {"nose": (9, 9)}
     out.write_text("frame: x\n")
     code, printed, err = facetrack("init", "IN/face", "--pick", "--open", "--overwrite", "--init-frame", 1, "-o", out)
-    assert code == 0 and "warning" in err and "is no frame" in err and "begins without it" in err
+    assert code == 0 and "warning" in err and "frame must be a whole number" in err and "begins without it" in err
     assert seen[1] == {"frame": 1, "targets": {}}
 
 

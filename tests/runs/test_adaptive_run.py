@@ -259,8 +259,8 @@ def test_clips_and_boxes_of_every_kind(facetrack, config):
     assert "one grey level" in refused(track("dark", "79,80,66,66"), 3)
     assert "more than half of the box lies outside" in refused(track("zoom", "-32,-32,66,66"), 3)
     assert "smaller than 6x6" in refused(track("zoom", "79,80,5,66"), 3)
-    assert "outside the picture" in refused(track("zoom", "500,80,66,66"), 3)
-    assert "larger than the picture" in refused(track("zoom", "0,0,640,240"), 3)
+    assert "outside the frame" in refused(track("zoom", "500,80,66,66"), 3)
+    assert "larger than the frame" in refused(track("zoom", "0,0,640,240"), 3)
 
 
 def test_a_face_that_is_lost_is_known_still_and_told_by_the_exit_code(facetrack):

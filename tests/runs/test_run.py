@@ -286,8 +286,8 @@ def test_an_init_file_with_a_box_alone_is_enough(run: Runner) -> None:
         (["--init-frame", "30"], 3, "frame 30 is past the end, the clip has 30 frames"),
         (["--init", "haar", "--start", "99"], 3, "frame 99 is past the end"),
         (["--init", "haar"], 3, "no face found in frames 0 to 29"),
-        (["--box", "500,500,10,10"], 3, "not in the picture"),
-        (["--config", "independent", "--init", "outside.yaml"], 3, "outside the picture of 128x96"),
+        (["--box", "500,500,10,10"], 3, "not in the frame"),
+        (["--config", "independent", "--init", "outside.yaml"], 3, "outside the frame of 128x96"),
     ],
 )
 def test_what_cannot_be_meant_is_one_line(run: Runner, clip: Path, args: list[str], code: int, message: str) -> None:
@@ -728,7 +728,7 @@ def test_the_header_is_the_schema(run: Runner, clip: Path) -> None:
     ("args", "code", "message"),
     [
         (["--set", "filter.particles=10000", "--config", "factorized_transition"], 2, "2,000 at most, not 10,000"),
-        (["--set", "target.windows=1000px"], 2, "larger than the picture of 128x96; make it smaller"),
+        (["--set", "target.windows=1000px"], 2, "larger than the frame of 128x96; make it smaller"),
         (["--set", "target.windows=1e299px"], 2, "no more than a million"),
         (["--set", "motion.sigma=1e299px"], 2, "no more than a million"),
         (["--set", "prior.sigma=0.001"], 2, "prior.sigma must be at least 0.005, not 0.001"),
@@ -738,8 +738,8 @@ def test_the_header_is_the_schema(run: Runner, clip: Path) -> None:
         (["--init", ""], 2, "--init is empty"),
         (["--config", ""], 2, '"" is neither a file nor a shipped recipe'),
         (["-o", "o" * 300], 2, "cannot be written: File name too long"),
-        (["--box", "60,-400000,2,800000"], 3, "far larger than the picture of 128x96 pixels"),
-        (["--box", "-400000,-400000,800000,800000"], 3, "far larger than the picture of 128x96 pixels"),
+        (["--box", "60,-400000,2,800000"], 3, "far larger than the frame of 128x96 pixels"),
+        (["--box", "-400000,-400000,800000,800000"], 3, "far larger than the frame of 128x96 pixels"),
         (["--init-frame", "500"], 3, "(frame 500 is where --init-frame begins)"),
     ],
 )

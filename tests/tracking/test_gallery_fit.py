@@ -140,7 +140,7 @@ def test_an_init_file_says_where_the_face_is(people):
     ("text", "said"),
     [
         ("frame: 0\na: {box: [40, 40, 60, 60]}\nb: {box: [40, 40, 60, 60]}", "2 targets, a, b"),
-        ("frame: 0\nbox: [900, 40, 60, 60]", "outside the picture"),
+        ("frame: 0\nbox: [900, 40, 60, 60]", "outside the frame"),
         ("frame: 0\nbox: [40, 40, 3, 3]", "smaller than"),
         ("frame: 3\nbox: [40, 40, 60, 60]", "is a picture; write frame: 0"),
         ("frame: 0\npoints: {nose: [50, 50]}", "no box of face"),

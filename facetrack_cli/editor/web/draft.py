@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal, TypeAlias
 
 from facetrack_cli.core.types import Box, Point, TargetStart
-from facetrack_cli.tracking.start.init_values import MAX_FRAME, MAX_PIXELS, NAME
+from facetrack_cli.tracking.start.init_file import NAME
+from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
 
 MOST_TARGETS: Final = 20
 MOST_POINTS: Final = 500

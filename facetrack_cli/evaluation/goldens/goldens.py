@@ -28,12 +28,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import write_new
-from facetrack_cli.core.types import Array, Start, TargetStart
+from facetrack_cli.core.types import Array, Start
 from facetrack_cli.evaluation.goldens import bands, paths
 from facetrack_cli.evaluation.goldens.bands import QUANTITIES, Name, Statistic
 from facetrack_cli.evaluation.goldens.identities import names
-from facetrack_cli.tracking.start.init_writer import record_of
-from facetrack_cli.trajectory.header import CorrectionHeader
+from facetrack_cli.trajectory.start import StartRecord, TargetRecord, to_record
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.images import listing
 
@@ -203,22 +202,7 @@ def _text(golden: Golden) -> str:
         "settings": golden.settings,
         **({} if golden.gallery is None else {"gallery": golden.gallery._asdict()}),
         **({"names": golden.names} if golden.names else {}),
-        "start": {
-            "frame": golden.start.frame,
-            "targets": {
-                name: {
-                    **({"box": list(target.box)} if target.box else {}),
-                    **({"points": {key: list(xy) for key, xy in target.points.items()}} if target.points else {}),
-                    **({"windows": {key: list(wh) for key, wh in target.windows.items()}} if target.windows else {}),
-                }
-                for name, target in golden.start.targets.items()
-            },
-            **(
-                {"corrections": [record_of(one) for one in golden.start.corrections]}
-                if golden.start.corrections
-                else {}
-            ),
-        },
+        "start": to_record(golden.start),
         "stop": golden.stop,
         "seeds": {"first": FIRST_SEED, "recorded": len(golden.recorded), "tested": golden.tested},
         "versions": golden.versions,
@@ -263,16 +247,8 @@ class _Gallery(_Strict):
     sha256: str
 
 
-class _Target(_Strict):
-    box: tuple[float, float, float, float] | None = None
-    points: dict[str, tuple[float, float]] = {}
-    windows: dict[str, tuple[float, float]] = {}
-
-
-class _Start(_Strict):
-    frame: int = Field(ge=0)
-    targets: dict[str, _Target] = Field(min_length=1)
-    corrections: tuple[CorrectionHeader, ...] = ()
+class _Start(StartRecord):
+    targets: dict[str, TargetRecord] = Field(min_length=1)
 
 
 class _Seeds(_Strict):
@@ -332,12 +308,7 @@ def read_golden(path: Path) -> Golden:
         sha256=file.clip.sha256,
         recipe=file.recipe,
         settings=file.settings,
-        start=Start(
-            file.start.frame,
-            {name: TargetStart(t.box, t.points, t.windows) for name, t in file.start.targets.items()},
-            str(path),
-            tuple(one.correction for one in file.start.corrections),
-        ),
+        start=file.start.start_from(str(path)),
         stop=file.stop,
         tested=file.seeds.tested,
         versions=file.versions,

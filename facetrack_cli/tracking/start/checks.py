@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre_inside, inside
-from facetrack_cli.core.types import Box, Point, Start
+from facetrack_cli.core.types import Box, Start, TargetStart
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
     from facetrack_cli.tracking.loop import Tracker
 
 
+LEAST_WINDOW: Final = 3.0  # pixels; windows are not made smaller
+LEAST_BOX: Final = 6  # pixels of a side; in less there is nothing to see
+
+
 def box_of(start: Start, name: str) -> Box:
+    """The target's box; InputError if it has none."""
     box = start.targets[name].box
     if box is None:
         points = ", or follow its points, by a recipe such as factorized" if start.targets[name].points else ""
@@ -41,11 +46,8 @@ def size_of_box(start: Start, name: str) -> float:
     return float(np.sqrt(box[2] * box[3]))
 
 
-LEAST_WINDOW: Final = 3.0  # pixels; windows are not made smaller
-
-
 def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origin: str) -> None:
-    """Refuse windows and boxes beyond the picture: hardly anything but its border, and memory without end.
+    """Refuse windows and boxes larger than the frame (width, height), which would take memory without bound.
 
     `origin` says who gave the boxes.
     """
@@ -53,13 +55,10 @@ def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origi
         for part, (w, h) in target.windows.items():
             if max(w / size[0], h / size[1]) <= 1 or max(w, h) <= LEAST_WINDOW:
                 continue
-            picture = f"larger than the picture of {size[0]}x{size[1]}; make it smaller"
+            larger = f"larger than the frame of {size[0]}x{size[1]}; make it smaller"
             if not recipe.points:
-                raise InputError(f"{origin}: the box of {target.name}, {w:g}x{h:g} pixels, is {picture}")
-            raise recipe.error("target.windows", f"the window of {part} would be {w:.0f}x{h:.0f} pixels, {picture}")
-
-
-LEAST_BOX: Final = 6  # pixels of a side; in less there is nothing to see
+                raise InputError(f"{origin}: the box of {target.name}, {w:g}x{h:g} pixels, is {larger}")
+            raise recipe.error("target.windows", f"the window of {part} would be {w:.0f}x{h:.0f} pixels, {larger}")
 
 
 def check_size(origin: str, name: str, box: Box) -> None:
@@ -72,51 +71,44 @@ def check_size(origin: str, name: str, box: Box) -> None:
 def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frames: int | None = None) -> None:
     """InputError if the start does not fit the clip of that (width, height) in pixels, or the recipe's parts.
 
-    `parts` are the points that the recipe follows in every target, `frames` the clip's number of them where it is known
+    `parts` are the points that the recipe follows in every target, `frames` the clip's number of frames if it is known
     for certain.
     """
-    picture = f"the picture of {size[0]}x{size[1]} pixels"
+    origin, larger = start.origin, f"is larger than the frame of {size[0]}x{size[1]} pixels; make it smaller"
     if frames is not None and start.frame >= frames:
-        raise InputError(
-            f"{start.origin}: starts at frame {start.frame}, but the clip ends with frame {frames - 1}; "
-            "choose one that it has"
-        )
+        last = f"the clip ends with frame {frames - 1}"
+        raise InputError(f"{origin}: starts at frame {start.frame}, but {last}; choose one that it has")
     for name, target in start.targets.items():
         missing = [part for part in parts if part not in target.points]
         if missing:
             boxes = ", or follow its box by a recipe of regions, as contour_histogram" if target.box is not None else ""
             raise InputError(
-                f"{start.origin}: no point for {', '.join(missing)} of {name}, which the recipe follows; "
+                f"{origin}: no point for {', '.join(missing)} of {name}, which the recipe follows; "
                 f"add it, or have all points placed with --box X,Y,W,H{boxes}"
             )
-        _check_places(start.origin, name, target.box, target.points, size)
+        _check_places(origin, name, target, size)
         for part, (w, h) in target.windows.items():
             if w > size[0] or h > size[1]:
-                raise InputError(
-                    f"{start.origin}: the window of {part} of {name}, {w:g}x{h:g}, is larger than {picture}; shrink it"
-                )
+                raise InputError(f"{origin}: the window of {part} of {name}, {w:g}x{h:g}, {larger}")
     for one in start.corrections:
         if one.frame <= start.frame:
             raise InputError(
-                f"{start.origin}: corrects {one.target} at frame {one.frame}, but the track begins at frame "
-                f"{start.frame}; remove that correction, or begin earlier"
+                f"{origin}: corrects {one.target} at frame {one.frame}, but the track begins at frame {start.frame}; "
+                "remove that correction, or begin earlier"
             )
-        name, box = f"{one.target} at frame {one.frame}", one.given.box
         # what is kept is where the tracker saw it, which may be beyond the border
-        _check_places(start.origin, name, box, one.given.points, size)
-        if box is not None and max(box[2] / size[0], box[3] / size[1]) > 1:
-            raise InputError(
-                f"{start.origin}: the box of {name}, {box[2]:g}x{box[3]:g} pixels, is larger than {picture}; make it "
-                "smaller"
-            )
+        name, box = f"{one.target} at frame {one.frame}", one.given.box
+        _check_places(origin, name, one.given, size)
+        if box is not None and (box[2] > size[0] or box[3] > size[1]):
+            raise InputError(f"{origin}: the box of {name}, {box[2]:g}x{box[3]:g} pixels, {larger}")
 
 
-def _check_places(origin: str, name: str, box: Box | None, points: Mapping[str, Point], size: tuple[int, int]) -> None:
-    """InputError if the box's centre, or a point, is outside of a picture of that (width, height)."""
-    picture = f"the picture of {size[0]}x{size[1]} pixels"
-    if box is not None and not centre_inside(box, size):
-        numbers = ", ".join(f"{value:g}" for value in box)
-        raise InputError(f"{origin}: the centre of the box [{numbers}] of {name} is outside {picture}; correct it")
-    for part, (x, y) in points.items():
+def _check_places(origin: str, name: str, target: TargetStart, size: tuple[int, int]) -> None:
+    """InputError if the box's centre, or a point, is outside of a frame of that (width, height)."""
+    outside = f"is outside the frame of {size[0]}x{size[1]} pixels; correct it"
+    if target.box is not None and not centre_inside(target.box, size):
+        numbers = ", ".join(f"{value:g}" for value in target.box)
+        raise InputError(f"{origin}: the centre of the box [{numbers}] of {name} {outside}")
+    for part, (x, y) in target.points.items():
         if not inside((x, y), size):
-            raise InputError(f"{origin}: {part} of {name} at [{x:g}, {y:g}] is outside {picture}; correct it")
+            raise InputError(f"{origin}: {part} of {name} at [{x:g}, {y:g}] {outside}")

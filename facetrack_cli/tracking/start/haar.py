@@ -1,13 +1,14 @@
-"""Where a track begins when nobody said so: the first face that OpenCV's frontal cascades agree on.
+"""The default start of a track: the first face that OpenCV's frontal cascades agree on.
 
-One cascade proposes, on a picture brought to a fixed size, so that a frame of 4K costs no more than one of 640 pixels;
-a face counts if one of two others sees it in the same place, which leaves hardly a spurious one. Of several faces the
-largest is taken; one in the dark only if none in a better light follows. Nothing here is random.
+One cascade proposes faces in an image of bounded size, so that a 4K frame takes no longer than one of 640 pixels. Each
+must be confirmed by one of two others, which leaves few false detections. Of several faces the largest is taken, and a
+dark one only if no better lit one follows. Nothing here is random.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import islice
 from math import isfinite
 from typing import Final
 
@@ -20,15 +21,15 @@ from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStar
 from facetrack_cli.tracking.start.points import cascade, place
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
-"""What can be placed; left and right as seen in the picture."""
+"""What can be placed; left and right as seen in the image."""
 
 BOUND: Final = 250
-"""Frames looked at before giving up: ten seconds of most clips."""
+"""Most frames that are searched: ten seconds of most clips."""
 
-LONGEST, SHORTEST = 640, 320  # a picture is searched with its longer side brought between these
-SMALLEST: Final = 0.06  # of the picture's shorter side: smaller faces have no features to follow
-CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usual clips, 12 where one can just guess it
-TARGET: Final = "face"
+LONGEST, SHORTEST = 640, 320  # bounds in pixels of the longer side of the image that is searched
+SMALLEST: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
+CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usual clips, 12 if hardly visible
+_ALL_OF_IT: Final = "draw it from the brows to the chin"
 
 
 class NotHereError(InputError):
@@ -45,44 +46,42 @@ def haar_start(
 ) -> Start:
     """The start at the first of the frames that shows a face: its box, and the parts placed in it (pixels, to 0.01).
 
-    Looks at no more than `bound` frames, on past faces too dark to follow; if all are, at the one of most contrast.
-    `complete` adds what else the frame must show; where it raises NotHereError the next frame is tried.
-    Raises InputError, naming the `clip`, if none of the frames shows a face whose parts are all in the picture, or that
-    of `complete`; UsageError if a part is asked for that is none of the five.
+    At most `bound` frames are searched, and faces too dark to track are passed over; if all are, the one of most
+    contrast is taken. `complete` adds what else the frame must show; where it raises NotHereError the next is tried.
+    Raises InputError, naming the `clip`, if none of the frames shows a face whose parts are all in the frame, or that
+    of `complete`; UsageError for a part that is none of the five.
     """
     check_parts(parts)
-    first = last = None
+    looked: list[int] = []
     lacking: NotHereError | None = None
-    dim: tuple[float, Start] | None = None
-    for count, frame in enumerate(frames, start=1):
-        first = frame.index if first is None else first
-        last = frame.index
+    best: tuple[float, Start] | None = None
+    for frame in islice(frames, bound):
+        looked.append(frame.index)
         for box in find_faces(frame.bgr):
-            contrast = _contrast(frame.bgr, box)
-            if dim is not None and contrast <= dim[0]:
+            x, y, w, h = map(int, box)
+            contrast = float(cv2.cvtColor(frame.bgr[y : y + h, x : x + w], cv2.COLOR_BGR2GRAY).std())
+            if best is not None and contrast <= best[0]:
                 continue
             points = place(frame.bgr, box)
             if not all(inside(points[part], frame.size) for part in parts):
                 continue
             try:
-                dim = contrast, complete(frame, _start(frame, box, points, parts, "haar"))
+                best = contrast, complete(frame, _start(frame, box, points, parts, "haar"))
             except NotHereError as e:
                 lacking = lacking or e
                 continue
             if contrast >= CONTRAST:
-                return dim[1]
-        if count >= bound:
-            break
-    if dim is not None:
-        return dim[1]
-    if first is None:
+                return best[1]
+    if best is not None:
+        return best[1]
+    if not looked:
         raise InputError(f"{clip}: no frame to look for a face in; ask for frames that the clip has")
+    first, last = looked[0], looked[-1]
     if lacking is not None:
-        later = "" if last == first else f"; no frame to {last} shows more"
-        raise InputError(f"{lacking}{later}")
-    looked = f"frame {first}" if first == last else f"frames {first} to {last}"
+        raise InputError(f"{lacking}{'' if last == first else f'; no frame to {last} shows more'}")
+    searched = f"frame {first}" if first == last else f"frames {first} to {last}"
     raise InputError(
-        f"{clip}: no face found in {looked}; give its box with --box X,Y,W,H, an init file with --init FILE, "
+        f"{clip}: no face found in {searched}; give its box with --box X,Y,W,H, an init file with --init FILE, "
         "or a later frame with --init-frame N"
     )
 
@@ -90,31 +89,26 @@ def haar_start(
 def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str = "the clip") -> Start:
     """The start in a frame where the face's box (left, top, width, height; pixels) is known.
 
-    Where a cascade sees the face in the box, the parts are placed by what it sees, else by the box itself. Raises
-    InputError if the box has no area or is not in the picture, or a part would be outside; UsageError as `haar_start`.
+    The parts are placed in the face that a cascade sees in the box, else in the box itself. Raises InputError if the
+    box has no area or is not in the frame, or a part would be outside; UsageError as `haar_start`.
     """
     check_parts(parts)
-    width, height = frame.size
-    if not all(map(isfinite, box)) or box[2] <= 0 or box[3] <= 0:
-        raise InputError(f"{clip}: the box {_text(box)} has no area; give left, top, width and height in pixels")
-    if min(box[2:]) < 2 or max(box[2] / width, box[3] / height) > 2:
-        wrong = (
-            "smaller than 2 pixels" if min(box[2:]) < 2 else f"far larger than the picture of {width}x{height} pixels"
-        )
-        raise InputError(f"{clip}: the box {_text(box)} is {wrong}; draw it from the brows to the chin")
-    if not centre_inside(box, frame.size):
-        raise InputError(
-            f"{clip}: the box {_text(box)} is not in the picture of {width}x{height} pixels; "
-            "give left, top, width and height in pixels of the frame"
-        )
-    points = place(frame.bgr, _face_in(frame.bgr, box) or box)
-    outside = [part for part in parts if not inside(points[part], frame.size)]
-    if outside:
-        raise InputError(
-            f"{clip}: with the box {_text(box)}, {', '.join(outside)} would be outside the picture; "
-            "draw the box from the brows to the chin, or give the points in an init file with --init FILE"
-        )
-    return _start(frame, box, points, parts, "--box")
+    size = f"the frame of {frame.size[0]}x{frame.size[1]} pixels"
+    if not all(map(isfinite, box)) or min(box[2:]) <= 0:
+        wrong = "has no area; give left, top, width and height in pixels"
+    elif min(box[2:]) < 2:
+        wrong = f"is smaller than 2 pixels; {_ALL_OF_IT}"
+    elif max(box[2] / frame.size[0], box[3] / frame.size[1]) > 2:
+        wrong = f"is far larger than {size}; {_ALL_OF_IT}"
+    elif not centre_inside(box, frame.size):
+        wrong = f"is not in {size}; give left, top, width and height in pixels of the frame"
+    else:
+        points = place(frame.bgr, _face_in(frame.bgr, box) or box)
+        outside = [part for part in parts if not inside(points[part], frame.size)]
+        if not outside:
+            return _start(frame, box, points, parts, "--box")
+        wrong = f"would put {', '.join(outside)} outside the frame; {_ALL_OF_IT}, or give the points with --init FILE"
+    raise InputError(f"{clip}: the box {','.join(f'{value:g}' for value in box)} {wrong}")
 
 
 def check_parts(parts: Sequence[str]) -> None:
@@ -128,7 +122,7 @@ def check_parts(parts: Sequence[str]) -> None:
 
 
 def find_faces(image: Image) -> list[Box]:
-    """Boxes of the frontal faces in a picture (BGR), the largest first, in whole pixels."""
+    """Boxes of the frontal faces in an image (BGR), the largest first, in whole pixels."""
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     height, width = grey.shape
     zoom = float(np.clip(1.0, SHORTEST / max(width, height), LONGEST / max(width, height)))
@@ -139,17 +133,12 @@ def find_faces(image: Image) -> list[Box]:
     smallest = max(20, round(SMALLEST * min(seen.shape)))
     faces = []
     for box in _detect("frontalface_alt2", seen, 3, smallest, max(seen.shape)):
-        seconded = sum(_seconded(name, seen, box) for name in ("frontalface_default", "frontalface_alt"))
-        if seconded:
+        confirmed = sum(_confirmed(name, seen, box) for name in ("frontalface_default", "frontalface_alt"))
+        if confirmed:
             # one that all three see is taken before a slightly larger one that two see
-            faces.append((box[2] * (2 + seconded), box))
+            faces.append((box[2] * (2 + confirmed), box))
     faces.sort(key=lambda face: (-face[0], face[1]))
     return [(round(x / zoom), round(y / zoom), round(w / zoom), round(h / zoom)) for _, (x, y, w, h) in faces]
-
-
-def _contrast(image: Image, box: Box) -> float:
-    x, y, w, h = map(int, box)
-    return float(cv2.cvtColor(image[y : y + h, x : x + w], cv2.COLOR_BGR2GRAY).std())
 
 
 def _detect(name: str, grey: Image, neighbours: int, smallest: int, largest: int) -> list[tuple[int, int, int, int]]:
@@ -157,8 +146,8 @@ def _detect(name: str, grey: Image, neighbours: int, smallest: int, largest: int
     return [(int(x), int(y), int(w), int(h)) for x, y, w, h in found]
 
 
-def _seconded(name: str, grey: Image, box: tuple[int, int, int, int]) -> bool:
-    """Whether another cascade sees a face in the same place."""
+def _confirmed(name: str, grey: Image, box: tuple[int, int, int, int]) -> bool:
+    """Whether the cascade of that name sees a face in the same place."""
     x, y, w, h = box
     margin = round(0.35 * w)
     left, top = max(x - margin, 0), max(y - margin, 0)
@@ -169,10 +158,9 @@ def _seconded(name: str, grey: Image, box: tuple[int, int, int, int]) -> bool:
 
 def _face_in(image: Image, box: Box) -> Box | None:
     """The face that fits a hand-drawn box best, if a cascade sees one."""
-    height, width = image.shape[:2]
     x, y, w, h = box
     left, top = max(int(x - 0.4 * w), 0), max(int(y - 0.4 * h), 0)
-    patch = image[top : min(int(y + 1.4 * h) + 1, height), left : min(int(x + 1.4 * w) + 1, width)]
+    patch = image[top : int(y + 1.4 * h) + 1, left : int(x + 1.4 * w) + 1]
     zoom = min(1.0 if min(w, h) >= 40 else 80 / min(w, h), LONGEST / max(patch.shape[:2]), 200 / min(w, h))
     size = max(round(patch.shape[1] * zoom), 1), max(round(patch.shape[0] * zoom), 1)
     grey = cv2.cvtColor(cv2.resize(patch, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
@@ -192,10 +180,6 @@ def _overlap(a: Box, b: Box) -> float:
 
 
 def _start(frame: Frame, box: Box, points: dict[str, Point], parts: Sequence[str], origin: str) -> Start:
-    # to 0.01 px, as in an init file: a run from that file begins where a run without it does
+    # to 0.01 px, as in an init file: a run from that file begins in the same place
     placed = {part: (round(points[part][0], 2), round(points[part][1], 2)) for part in parts}
-    return Start(frame.index, {TARGET: TargetStart(box=box, points=placed)}, origin)
-
-
-def _text(box: Box) -> str:
-    return ",".join(f"{value:g}" for value in box)
+    return Start(frame.index, {"face": TargetStart(box=box, points=placed)}, origin)

@@ -1,55 +1,58 @@
-"""Init files: where a track begins, as a YAML or JSON file that people edit.
+"""Init files: where a track begins, and its corrections, as a YAML or JSON file that people edit.
 
     frame: 0
     face:
-      box: [100, 60, 80, 80]                   # left, top, width, height
-      points: {nose: [141.0, 112.5], mouth_left: [120, 140]}
-      windows: {nose: [25, 25]}                # optional, pixels
+      box: [100, 60, 80, 80]                     # left, top, width, height
+      points: {nose: [141.0, 112.5], mouth_left: [120, 140], lip_upper: [131, 133]}
+      windows: {nose: [25, 25]}                  # optional, pixels
+    corrections:                                 # optional, frames in any order
+    - frame: 31
+      face:
+        points: {mouth_left: [137.2, 153.9]}     # by hand
+        kept: {nose: [160, 138.4]}               # where other parts were; optional
+        absent: [lip_upper]                      # not visible from there on; or true: all of the target
+        learn: true                              # the appearance is learned anew; optional
 
-There may be several targets. With a single one `box`, `points` and `windows` may stand at the top level; the target is
-then called `face`. What was put right by hand in later frames follows as `corrections` (corrections.py).
+There may be several targets, also in a correction. With a single target its keys may stand at the top level, then it is
+called `face`, and beside the `frame` of a correction.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Final, TextIO
+from typing import Final, NoReturn, TextIO, TypeAlias, TypeVar
+
+from pydantic import BaseModel, ValidationError
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import write_new
-from facetrack_cli.core.types import Start, TargetStart
-from facetrack_cli.core.yaml_tree import Node, Source, YamlProblems, parse, read_source
-from facetrack_cli.tracking.start.corrections import read_corrections
-from facetrack_cli.tracking.start.init_values import (
-    NAME,
-    Branch,
-    area,
-    box_of,
-    frame_number,
-    mapping,
-    named,
-    nearest,
-    numbers,
-    points_of,
-    refuse,
-)
+from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
+from facetrack_cli.core.yaml_tree import Node, Problem, Source, YamlProblems, parse, read_source
+from facetrack_cli.recipe.messages import locate, problems, suggest
 from facetrack_cli.tracking.start.init_writer import as_json, as_yaml
+from facetrack_cli.trajectory.reader import MAX_FRAME
+from facetrack_cli.trajectory.start import CorrectedTarget, TargetRecord
 
 SUFFIXES: Final = (".yaml", ".yml", ".json")
-
-
 TARGET: Final = "face"
-
-
-KEYS: Final = ("box", "points", "windows")
-
-
+KEYS: Final = tuple(TargetRecord.model_fields)
+OF_CORRECTIONS: Final = tuple(key for key in CorrectedTarget.model_fields if key not in KEYS)
+NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 MAX_BYTES: Final = 10**6  # some thousand corrections, which take seconds to read
-
-
-OF_CORRECTIONS: Final = ("kept", "absent", "learn")
+_FORMS: Final = {
+    "box": "[left, top, width, height] in pixels",
+    "points": "{nose: [x, y]} in pixels",
+    "windows": "{nose: [width, height]} in pixels",
+    "kept": "{nose: [x, y]} in pixels",
+    "absent": "[nose], or absent: true",
+    "learn": "true or learn: false",
+}
+_KEYS: TypeAlias = "dict[str, Node]"
+_Record = TypeVar("_Record", bound=BaseModel)
 
 
 def find_init(clip: Path) -> Path | None:
@@ -65,81 +68,6 @@ def default_path(clip: Path, suffix: str = ".yaml") -> Path:
     return clip.parent / f"{clip.stem}.init{suffix}"
 
 
-def read_init(path: Path) -> Start:
-    """The start that an init file describes.
-
-    Raises InputError, one line with file, line and column, for whatever cannot be meant: a key that is unknown or
-    repeated, no frame, no number where one belongs, no area, neither box nor points, and what YAML itself refuses.
-    """
-    name = str(path)
-    try:
-        source = read_source(path, name, MAX_BYTES)
-        if path.suffix.lower() == ".json":  # JSON may be indented by tabs, YAML may not
-            source = replace(source, text=source.text.replace("\t", " "))
-        root = parse(source)
-    except FileNotFoundError:
-        raise InputError(f"{name}: no such init file; correct the name, or make one with facetrack init") from None
-    except IsADirectoryError:
-        raise InputError(f"{name}: is a folder; name the init file, as in clip.init.yaml") from None
-    except OSError as e:
-        raise InputError(f"{name}: cannot be read: {e.strerror or e}; make it readable, or name another") from None
-    except YamlProblems as refused:
-        more = f" (and {len(refused.problems) - 1} more)" if len(refused.problems) > 1 else ""
-        raise InputError(f"{refused.problems[0]}{more}") from None
-    if root is None:
-        raise InputError(f"{name}:1: the init file is empty; make one with facetrack init")
-    return _start(root, source)
-
-
-def _start(root: Node, source: Source) -> Start:
-    top = mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
-    if "frame" not in top:
-        refuse(root, 'the key "frame" is missing; add frame: N, counted from 0')
-    frame = frame_number(top["frame"])
-    rest = {key: node for key, node in top.items() if key not in ("frame", "corrections")}
-    if not rest:
-        refuse(root, "neither a box nor points are given; add box: [left, top, width, height] or points:")
-    targets = _targets(rest, root)
-    found = read_corrections(top["corrections"], frame, targets) if "corrections" in top else ()
-    return Start(frame, targets, source.name, found)
-
-
-def _targets(rest: Branch, root: Node) -> dict[str, TargetStart]:
-    if any(key in KEYS for key in rest):
-        return {TARGET: _target(rest, root, "")}
-    targets = {}
-    for key, node in rest.items():
-        if key in OF_CORRECTIONS:
-            refuse(node, f'"{key}" cannot name a target; it is a key of corrections', at_key=True)
-        near = get_close_matches(key, ("frame", "corrections", *KEYS), n=1, cutoff=0.7)
-        if not isinstance(node.value, dict) or near or not NAME.fullmatch(key):
-            meant = f'did you mean "{near[0]}"?' if near else "a target holds box: and points:, indented below its name"
-            refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
-        targets[key] = _target(node.value, node, f" of {key}")
-    return targets
-
-
-def _target(found: Branch, node: Node, of: str) -> TargetStart:
-    for key, child in found.items():
-        if key not in KEYS:
-            keys = f"keys{of} are {', '.join(KEYS)}"
-            meant = "only corrections have it" if key in OF_CORRECTIONS else nearest(key, (*KEYS, "frame"), keys)
-            refuse(child, f'unknown key "{key}"{of}; {meant}', at_key=True)
-    if "box" not in found and "points" not in found:
-        refuse(node, f"neither a box nor points{of} are given; add box: [left, top, width, height] or points:")
-    box = box_of(found["box"], f"the box{of}") if "box" in found else None
-    points = points_of(found["points"], "points", "point", of) if "points" in found else {}
-    windows: dict[str, tuple[float, float]] = {}
-    if "windows" in found:
-        for name, child in named(found["windows"], f"windows{of}", "nose: [width, height]").items():
-            if "points" in found and name not in points:
-                meant = nearest(name, points, "give the point, or remove the window")
-                refuse(child, f'a window for "{name}"{of}, which has no point; {meant}', at_key=True)
-            w, h = numbers(child, f"the window of {name}{of}", ("width", "height"))
-            windows[name] = area((w, h), child, f"the window of {name}{of}")
-    return TargetStart(box, points, windows)
-
-
 def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bool = False) -> None:
     """Write an init file that `read_init` reads back as it was: JSON if `to` ends in .json, else YAML with comments.
 
@@ -150,3 +78,166 @@ def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bo
         return
     text = as_json(start) if to.suffix.lower() == ".json" else as_yaml(start, clip)
     write_new(to, text.encode(), overwrite=overwrite)
+
+
+def read_init(path: Path) -> Start:
+    """The start and the corrections that an init file describes, the corrections by their frames.
+
+    Raises InputError, one line with file, line and column, for whatever is not valid: what YAML or `trajectory.start`
+    refuses, an unknown key, a missing frame, a target without box and points, a correction of a frame that is not after
+    the first, of a target or part that the start does not have, or of the same part twice.
+    """
+    name = str(path)
+    try:
+        source = read_source(path, name, MAX_BYTES)
+        if path.suffix.lower() == ".json":  # JSON may be indented by tabs, YAML may not
+            source = replace(source, text=source.text.replace("\t", " "))
+        root = parse(source)
+        if root is None:
+            raise InputError(f"{name}:1: the init file is empty; make one with facetrack init")
+        return _start(root, source)
+    except FileNotFoundError:
+        raise InputError(f"{name}: no such init file; correct the name, or make one with facetrack init") from None
+    except IsADirectoryError:
+        raise InputError(f"{name}: is a folder; name the init file, as in clip.init.yaml") from None
+    except OSError as e:
+        raise InputError(f"{name}: cannot be read: {e.strerror or e}; make it readable, or name another") from None
+    except YamlProblems as refused:
+        more = f" (and {len(refused.problems) - 1} more)" if len(refused.problems) > 1 else ""
+        raise InputError(f"{refused.problems[0]}{more}") from None
+
+
+def _start(root: Node, source: Source) -> Start:
+    keys = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
+    frame, corrections = _frame(keys, root), keys.pop("corrections", None)
+    targets = _targets(keys, root)
+    return Start(frame, targets, source.name, _corrections(corrections, frame, targets) if corrections else ())
+
+
+def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
+    if not keys:
+        _refuse(root, "neither a box nor points are given; add box: [left, top, width, height] or points:")
+    alone = any(key in KEYS for key in keys)
+    for key, node in keys.items():
+        if key in OF_CORRECTIONS:
+            _refuse(node, f'"{key}" is a key of corrections; move it below corrections:', at_key=True)
+        near = get_close_matches(key, ("frame", "corrections", *KEYS), n=1, cutoff=0.7)
+        odd = key not in KEYS if alone else near or not isinstance(node.value, dict) or not NAME.fullmatch(key)
+        if odd:
+            form = f"keys are {', '.join(KEYS)}" if alone else "a target holds box: and points:, below its name"
+            meant = f'did you mean "{near[0]}"?' if near else form
+            _refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
+    return {name: _target(name, node) for name, node in ({TARGET: Node(root.span, keys)} if alone else keys).items()}
+
+
+def _target(name: str, node: Node) -> TargetStart:
+    target = _read(TargetRecord, node, name)
+    if target.box is None and not target.points:
+        _refuse(node, f"neither a box nor points of {name} are given; add box: [left, top, width, height] or points:")
+    for part in target.windows:
+        _check_part(locate(node, ("windows", part))[0], "windows", part, tuple(target.points))
+    return target.target()
+
+
+def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> tuple[Correction, ...]:
+    if not isinstance(node.value, list):
+        _refuse(node, "corrections is a list; write - frame: 31 and, below it, what is corrected, or remove the key")
+    found: dict[tuple[int, str], tuple[Correction, int]] = {}
+    for entry in node.value:
+        keys = _mapping(entry, "a correction", "- frame: 31 and, below it, what is corrected")
+        at, frame = keys.get("frame", entry), _frame(keys, entry)
+        if frame <= first:
+            _refuse(at, f"corrects frame {frame}, but the track begins in frame {first}; corrections come after it")
+        for name, below in _corrected(keys, entry, targets).items():
+            line = (below.key or below.span).line + 1
+            if (frame, name) in found:
+                known = f"{name} has a correction of frame {frame} in line {found[frame, name][1]} already"
+                _refuse(below, f"{known}; join them", at_key=True)
+            found[frame, name] = _correction(frame, name, below, targets[name]), line
+    return tuple(one for one, _ in sorted(found.values(), key=lambda pair: pair[0].frame))
+
+
+def _corrected(keys: _KEYS, entry: Node, targets: Mapping[str, TargetStart]) -> _KEYS:
+    """What one entry says of each of its targets."""
+    if any(key in (*KEYS, *OF_CORRECTIONS) for key in keys):
+        if len(targets) > 1:
+            _refuse(entry, f"which target is corrected? Indent the keys below its name: {', '.join(targets)}")
+        return {name: Node(entry.span, keys) for name in targets}
+    if not keys:
+        _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
+    for key, node in keys.items():
+        if key not in targets:
+            known = suggest(key, (*targets, *CorrectedTarget.model_fields), "there are the start's targets, and keys")
+            _refuse(node, f'unknown key "{key}"; {known}', at_key=True)
+    return keys
+
+
+def _correction(frame: int, name: str, node: Node, start: TargetStart) -> Correction:
+    keys = _mapping(node, f"the correction of {name}", "points: or absent: below the name")
+    if "windows" in keys:
+        _refuse(keys["windows"], "windows stay as the start has them; remove them from the correction", at_key=True)
+    found = _read(CorrectedTarget, node, f"{name} in frame {frame}")
+    if not keys.keys() & {"box", "points", "absent"}:
+        _refuse(node, f"nothing of {name} is corrected; add points: or box: by hand, or absent: true, or remove it")
+    if found.absent is True and len(keys) > 1:
+        other = next(key for key in keys if key != "absent")
+        _refuse(keys[other], f"all of {name} is absent; remove {other}, or list the absent parts", at_key=True)
+    if found.box is not None and found.kept:
+        _refuse(keys["kept"], f"kept beside the box of {name}: a box has no other parts; remove kept", at_key=True)
+    # a start of a box alone leaves the parts to the recipe
+    parts = (*start.points, *((BOX,) if start.box is not None else ())) if start.points else ()
+    known = {BOX: "box"} if found.box is not None else {}
+    for key, names in (("points", found.points), ("kept", found.kept), ("absent", found.absent)):
+        for at, part in enumerate(() if names is True else names):
+            child, _, _ = locate(node, (key, at if key == "absent" else part))
+            if part in known:
+                _refuse(child, f"{part} is in {known[part]} already; leave it in one place", at_key=True)
+            _check_part(child, key, part, parts)
+            known[part] = key
+    return found.correction(frame, name)
+
+
+def _check_part(node: Node, key: str, part: str, parts: Sequence[str]) -> None:
+    if parts and part not in parts:
+        meant = suggest(part, parts, "it has")
+        _refuse(node, f'{key} names "{part}", which the start does not have; {meant}', at_key=True)
+
+
+def _read(model: type[_Record], node: Node, whose: str) -> _Record:
+    for path, child in node.walk():
+        if path and child.value in (None, [], {}):
+            _refuse(child, "nothing is given here; write a value, or remove the key", at_key=True)
+        if len(path) == 2 and isinstance(path[1], str) and not NAME.fullmatch(path[1]):
+            _refuse(child, f'"{path[1]}" cannot name a part; use letters, digits, _ and -', at_key=True)
+    try:
+        return model.model_validate(node.plain())
+    except ValidationError as error:
+        found = []
+        for one in problems(error, model, node):
+            key = next((key for key in _FORMS if re.match(rf"{key}\b", one.message)), None)
+            form = f"; write {key}: {_FORMS[key]}" if key is not None else ""
+            found.append(Problem(one.span, f"{whose}: {one.message}{form}"))
+        raise YamlProblems(found) from None
+
+
+def _mapping(node: Node, what: str, example: str) -> _KEYS:
+    """A copy of the mapping that a node is."""
+    if not isinstance(node.value, dict):
+        _refuse(node, f"{what} is a mapping of keys; write {example}")
+    return dict(node.value)
+
+
+def _frame(keys: _KEYS, node: Node) -> int:
+    """The frame number, which is taken out of the keys."""
+    if "frame" not in keys:
+        _refuse(node, 'the key "frame" is missing; add frame: N, counted from 0')
+    at = keys.pop("frame")
+    if isinstance(at.value, bool) or not isinstance(at.value, int) or not 0 <= at.value <= MAX_FRAME:
+        _refuse(at, f"frame must be a whole number, from 0 to {MAX_FRAME}")
+    return at.value
+
+
+def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
+    """Refuse what stands at a node; what is empty has no place of its own, its key has."""
+    span = node.key if (at_key or node.value is None) and node.key is not None else node.span
+    raise YamlProblems([Problem(span, message)])

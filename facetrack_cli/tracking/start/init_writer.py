@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import groupby
 from typing import Any, Final
 
-from facetrack_cli.core.types import Correction, Point, Start, TargetStart
+from facetrack_cli.core.types import Point, Start, TargetStart
+from facetrack_cli.trajectory.start import corrected, whole
 
-_HOW: Final = {
-    "haar": ", found by Haar cascades",
-    "--box": ", placed in the box given",
-    "the page": ", picked on the page",
-}
+_HOW: Final = {"haar": "found by Haar cascades", "--box": "placed in the box given", "the page": "picked on the page"}
 WHAT_PARTS_ARE: Final = {
     "nose": "the tip of the nose",
     "mouth_left": "the corner of the mouth on the picture's left",
@@ -21,53 +18,34 @@ WHAT_PARTS_ARE: Final = {
     "lip_upper": "the middle of the upper lip, at its upper edge",
     "lip_lower": "the middle of the lower lip, at its lower edge",
 }
-_WIDE: Final = 88  # characters of a line, beyond which points stand on lines of their own
+_WIDE: Final = 88  # characters of a line; longer ones are split, a point on each
 
 
 def as_json(start: Start) -> str:
     """As JSON: a line a part of the start, and a line a target of a correction."""
     members = [f'"frame": {start.frame}']
     for name, target in start.targets.items():
-        keys = [] if target.box is None else [f'"box": {_list(target.box)}']
+        keys = [] if target.box is None else [f'"box": {_flow(target.box)}']
         for key, pairs in (("points", target.points), ("windows", target.windows)):
             if pairs:
-                rows = ",\n".join(f'      "{part}": {_list(pair)}' for part, pair in pairs.items())
+                rows = ",\n".join(f'      "{part}": {_flow(pair)}' for part, pair in pairs.items())
                 keys.append(f'"{key}": {{\n{rows}\n    }}')
         members.append(f'"{name}": {{\n    ' + ",\n    ".join(keys) + "\n  }")
     if start.corrections:
         entries = []
         for frame, group in groupby(start.corrections, key=lambda one: one.frame):
-            targets = "".join(f',\n     "{one.target}": {json.dumps(members_of(one))}' for one in group)
+            targets = "".join(f',\n     "{one.target}": {json.dumps(corrected(one))}' for one in group)
             entries.append(f'    {{"frame": {frame}{targets}}}')
         members.append('"corrections": [\n' + ",\n".join(entries) + "\n  ]")
     return "{\n  " + ",\n  ".join(members) + "\n}\n"
 
 
-def members_of(correction: Correction) -> dict[str, Any]:
-    """What a correction says of its target, by the keys of init files and of a trajectory's header."""
-    found: dict[str, Any] = {}
-    if correction.given.box is not None:
-        found["box"] = [_number(value) for value in correction.given.box]
-    for key, points in (("points", correction.given.points), ("kept", correction.kept)):
-        if points:
-            found[key] = {part: [_number(value) for value in point] for part, point in points.items()}
-    if correction.absent:
-        found["absent"] = True if correction.absent is True else list(correction.absent)
-    if correction.learn is not None:
-        found["learn"] = correction.learn
-    return found
-
-
-def record_of(correction: Correction) -> dict[str, Any]:
-    """A correction as the header of a trajectory and a golden have it: its frame, its target, and what it says."""
-    return {"frame": correction.frame, "target": correction.target, **members_of(correction)}
-
-
 def as_yaml(start: Start, clip: str = "") -> str:
-    """As YAML that says what is what; `clip` is named at the top."""
-    how = _HOW.get(start.origin, "")
+    """As YAML with comments; `clip` is named at the top."""
+    how = f", {_HOW[start.origin]}" if start.origin in _HOW else ""
+    of = f" of {''.join(char if char.isprintable() else '?' for char in clip)}" if clip else ""
     lines = [
-        f"# Where the track{f' of {_comment(clip)}' if clip else ''} begins{how}.",
+        f"# Where the track{of} begins{how}.",
         "# Edit the numbers: pixels of this frame, x to the right, y down; the centre of the first pixel is 0, 0.",
         f"frame: {start.frame}  # counted from 0",
     ]
@@ -83,67 +61,45 @@ def as_yaml(start: Start, clip: str = "") -> str:
     for frame, group in groupby(start.corrections, key=lambda one: one.frame):
         lines.append(f"- frame: {frame}")
         for one in group:
-            lines += [f"  {_key(one.target)}:", *_correction(one)]
+            lines.append(f"  {_key(one.target)}:")
+            for key, value in corrected(one).items():
+                line = f"    {key}: {_flow(value)}"
+                split = isinstance(value, dict) and len(line) > _WIDE
+                lines += [f"    {key}:", *_below(value, 6)] if split else [line]
     return "\n".join(lines) + "\n"
 
 
 def _target(target: TargetStart) -> list[str]:
-    lines = []
-    if target.box is not None:
-        lines.append(f"  box: {_list(target.box)}  # left, top, width, height")
-    lines += _pairs("points", "x, y of each part; left and right as seen in the picture", target.points)
+    lines = [] if target.box is None else [f"  box: {_flow(target.box)}  # left, top, width, height"]
+    if target.points:
+        rows = list(zip(_below(target.points, 4), map(WHAT_PARTS_ARE.get, target.points), strict=True))
+        wide = max(len(row) for row, _ in rows)
+        lines.append("  points:  # x, y of each part; left and right as seen in the picture")
+        lines += [f"{row:<{wide}}  # {what}" if what else row for row, what in rows]
     if target.windows:
-        lines += _pairs("windows", "width, height of the window that is compared", target.windows)
+        lines += ["  windows:  # width, height of the window that is compared", *_below(target.windows, 4)]
     elif target.points:
-        example = next(iter(target.points))
         lines += [
             "  # To compare a larger or smaller window than the recipe's, give its width and height:",
-            f"  # windows: {{{_key(example)}: [25, 25]}}",
+            f"  # windows: {_flow({next(iter(target.points)): (25, 25)})}",
         ]
     return lines
 
 
-def _correction(one: Correction) -> list[str]:
-    lines = [] if one.given.box is None else [f"    box: {_list(one.given.box)}"]
-    lines += [*_points("points", one.given.points), *_points("kept", one.kept)]
-    if one.absent is True:
-        lines.append("    absent: true")
-    elif one.absent:
-        lines.append(f"    absent: [{', '.join(map(_key, one.absent))}]")
-    if one.learn is not None:
-        lines.append(f"    learn: {'true' if one.learn else 'false'}")
-    return lines
+def _below(pairs: Mapping[str, Point], indent: int) -> list[str]:
+    return [f"{' ' * indent}{_key(name)}: {_flow(pair)}" for name, pair in pairs.items()]
 
 
-def _points(key: str, points: Mapping[str, Point]) -> list[str]:
-    """Points of a correction on one line, if they fit."""
-    if not points:
-        return []
-    each = [f"{_key(name)}: {_list(point)}" for name, point in points.items()]
-    line = f"    {key}: {{{', '.join(each)}}}"
-    return [line] if len(line) <= _WIDE else [f"    {key}:", *(f"      {one}" for one in each)]
-
-
-def _pairs(key: str, about: str, pairs: Mapping[str, tuple[float, float]]) -> list[str]:
-    if not pairs:
-        return []
-    rows = [(f"    {_key(name)}: {_list(pair)}", WHAT_PARTS_ARE.get(name, "")) for name, pair in pairs.items()]
-    wide = max(len(row) for row, _ in rows)
-    told = [f"{row:<{wide}}  # {what}" if what and key == "points" else row for row, what in rows]
-    return [f"  {key}:  # {about}", *told]
-
-
-def _list(values: Sequence[float]) -> str:
-    return f"[{', '.join(repr(_number(value)) for value in values)}]"
-
-
-def _number(value: float) -> float | int:
-    return int(value) if value == int(value) else float(value)
+def _flow(value: Any) -> str:
+    """Numbers, names, lists and mappings on one line."""
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{_key(name)}: {_flow(one)}' for name, one in value.items())}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_flow, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _key(value) if isinstance(value, str) else repr(whole(value))
 
 
 def _key(name: str) -> str:
     return f'"{name}"' if name.lower() in ("null", "true", "false", "yes", "no", "on", "off", "y", "n") else name
-
-
-def _comment(text: str) -> str:
-    return "".join(char if char.isprintable() else "?" for char in text)

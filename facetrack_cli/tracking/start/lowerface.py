@@ -1,9 +1,9 @@
-"""Nose and mouth, read off a straightened picture of the lower face.
+"""Nose and mouth, found in a rectified image of the lower face.
 
-The dark lines are the evidence: the one between the lips, from corner to corner, and the shade under the nose. They are
-there in nearly every face, in colour and in grey, and hardly move with the light. All lengths are in the *eye frame*:
-the origin is half-way between the eyes, x runs from the left eye (as seen in the picture) to the right one, y down the
-face, and the distance between the eyes is 1. What the picture does not show is left to the mean proportions.
+The evidence is two dark lines: between the lips, from corner to corner, and the shade under the nose. Nearly every face
+has them, in colour and in grey, and they hardly depend on the light. All lengths are in the *eye frame*: the origin is
+midway between the eyes, x runs from the left eye (as seen in the image) to the right one, y down the face, and the
+distance between the eyes is 1. What the image does not show is left to the mean proportions.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from facetrack_cli.core.types import Array, Image, Point
 
 Index: TypeAlias = NDArray[np.int64]
 
-UNIT: Final = 64  # pixels of the straightened picture for a length of 1
+UNIT: Final = 64  # pixels of the rectified image for a length of 1
 LEFT, RIGHT, TOP, BOTTOM = -0.75, 0.75, 0.25, 1.75  # what it shows
 WIDTH, HEIGHT = round((RIGHT - LEFT) * UNIT), round((BOTTOM - TOP) * UNIT)
+xs: Final[Array] = LEFT + (np.arange(WIDTH) + 0.5) / UNIT  # of its columns
+ys: Final[Array] = TOP + (np.arange(HEIGHT) + 0.5) / UNIT  # of its rows
 
-# Mean and spread: from 1,502 frontal faces with 68 landmarks (corners at y 1.03 there) and 26 pictures from clips and
+# Mean and spread: from 1,502 frontal faces with 68 landmarks (corners at y 1.03 there) and 26 images from clips and
 # portraits (1.14; in many of the clips pixels are wider than high, so that faces look long). The means lie between.
 MOUTH_Y: Final = (1.12, 0.10)
 SHADE_Y: Final = (0.72, 0.06)  # the dark line under the nose
@@ -35,12 +37,16 @@ TIP_ABOVE_SHADE: Final = 0.15
 CLEAR: Final = 0.1  # a valley this deep (in log grey) is a line beyond doubt
 BEND: Final = 0.05  # price of a row up or down from one column to the next
 CORNER: Final = 0.55  # beyond a corner the line has less than this share of its depth in the middle
-EDGE: Final = 15.0  # weight of a lip's edge, per log grey and pixel of the straightened picture
+EDGE: Final = 15.0  # weight of a lip's edge, per log grey and pixel of the rectified image
 
 
-def read_points(picture: Image) -> dict[str, Point]:
-    """The five points of a straightened lower face (HEIGHT, WIDTH, 3), in the eye frame."""
-    grey, red = _log_grey(picture), _log_red(picture)
+def read_points(image: Image) -> dict[str, Point]:
+    """The five points of a rectified lower face (HEIGHT, WIDTH, 3), in the eye frame."""
+    # logarithms: a factor on the light is a constant, which differences drop
+    grey = np.log(image.astype(np.float64) @ (0.114, 0.587, 0.299) + 8)
+    # red over green: lips stand out, shades do not; zero everywhere in a grey image
+    soft = cv2.GaussianBlur(image, (0, 0), 1.5).astype(np.float64)
+    red = np.log((soft[..., 2] + 8) / (soft[..., 1] + 8))
     valley = _valleys(grey)
     line = np.minimum(valley / CLEAR, 1)
     shade_y, mouth_y = _dark_lines(line)
@@ -54,25 +60,6 @@ def read_points(picture: Image) -> dict[str, Point]:
         "lip_upper": upper,
         "lip_lower": lower,
     }
-
-
-def _columns() -> Array:
-    return LEFT + (np.arange(WIDTH) + 0.5) / UNIT
-
-
-def _rows() -> Array:
-    return TOP + (np.arange(HEIGHT) + 0.5) / UNIT
-
-
-def _log_grey(picture: Image) -> Array:
-    """Log of the grey value: a factor on the light is a constant that differences drop."""
-    return np.log(picture.astype(np.float64) @ (0.114, 0.587, 0.299) + 8)
-
-
-def _log_red(picture: Image) -> Array:
-    """Log of red over green: lips stand out, shades do not; zero everywhere in a grey picture."""
-    soft = cv2.GaussianBlur(picture, (0, 0), 1.5).astype(np.float64)
-    return np.asarray(np.log((soft[..., 2] + 8) / (soft[..., 1] + 8)))
 
 
 def _valleys(grey: Array) -> Array:
@@ -93,7 +80,6 @@ def _off(value: Array, norm: tuple[float, float]) -> Array:
 
 def _dark_lines(line: Array) -> tuple[float, float]:
     """Heights of the shade under the nose and of the line between the lips: the pair that fits picture and means."""
-    xs, ys = _columns(), _rows()
     near = np.flatnonzero(np.abs(xs) <= 0.3)
     middle = WIDTH // 2
     strength = (_outwards(line, near[near >= middle]) + _outwards(line, near[near < middle][::-1])) / near.size
@@ -115,7 +101,6 @@ def _outwards(line: Array, columns: Index) -> Array:
 
 def _follow(line: Array, mouth_y: float) -> Index:
     """The row of the line between the lips in every column (WIDTH,), by dynamic programming around `mouth_y`."""
-    xs, ys = _columns(), _rows()
     away = np.abs(ys[:, None] - mouth_y)
     # without a line to follow, straight on
     gain = np.where(away <= 0.08 + 0.2 * np.abs(xs), line - 0.01 * away, -1.0)
@@ -137,7 +122,6 @@ def _follow(line: Array, mouth_y: float) -> Index:
 
 def _corners(valley: Array, path: Index) -> tuple[Point, Point]:
     """Where the line between the lips ends on either side: its depth inside against its depth beyond."""
-    xs, ys = _columns(), _rows()
     depth = valley[path, np.arange(WIDTH)]
     inside = float(np.median(depth[np.abs(xs) < 0.25]))
     # a line that can hardly be seen says little about where it ends
@@ -154,7 +138,6 @@ def _corners(valley: Array, path: Index) -> tuple[Point, Point]:
 def _lips(grey: Array, red: Array, left: Point, right: Point, path: Index) -> tuple[Point, Point]:
     """The lips' outer edges below and above the middle between the corners."""
     x, y = (left[0] + right[0]) / 2, (left[1] + right[1]) / 2
-    xs, ys = _columns(), _rows()
     band = np.abs(xs - x) <= 0.08
     darker = -_slope(grey[:, band].mean(axis=1))
     redder = _slope(red[:, band].mean(axis=1))
@@ -174,7 +157,6 @@ def _slope(profile: Array) -> Array:
 
 def _nose_x(grey: Array, valley: Array, shade_y: float) -> float:
     """Where the nose is across: the middle of the shade under it, drawn to the bright ridge above (weights: a fit)."""
-    xs, ys = _columns(), _rows()
     shade = np.where(np.abs(xs) <= 0.35, valley[np.abs(ys - shade_y) <= 0.06].mean(axis=0), 0.0) ** 0.5
     total = float(shade.sum())
     middle = float(shade @ xs) / total if total > 0 else 0.0

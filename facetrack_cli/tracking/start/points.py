@@ -1,8 +1,7 @@
-"""The five points of a face, placed from its box by mean proportions and corrected by what the picture shows.
+"""The five points of a face, placed from its box by mean proportions and corrected by what the image shows.
 
-All lengths are in the *eye frame*: the origin is half-way between the eyes, x runs from the left eye (as seen in the
-picture) to the right one, y down the face, and the distance between the eyes is 1. Where a step finds no evidence, or
-evidence too far from the mean, the mean proportions stand. Nothing here is random.
+Lengths are in the eye frame of `lowerface.py`. Where a step finds no evidence, or evidence too far from the mean, the
+mean proportions stand. Nothing here is random.
 """
 
 from __future__ import annotations
@@ -19,11 +18,9 @@ import numpy as np
 from facetrack_cli.core.types import Box, Image, Point
 from facetrack_cli.tracking.start.lowerface import HEIGHT, LEFT, TOP, UNIT, WIDTH, read_points
 
-# Fractions of a Haar box (x, y): the mean over 26 pictures, from 15 clips and two portraits; standard deviation 0.02.
+# Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
 EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))
-
-EYE_PICTURE: Final = 200  # width in pixels to which a face is brought before its eyes are searched
-
+EYE_WIDTH: Final = 200  # pixels to which a face is brought before its eyes are searched
 # Each cascade with the offset of its window's centre from the eye's centre, in face widths.
 _EYE_CASCADES: Final = (
     ("eye", 0.0, 0.001),
@@ -34,24 +31,23 @@ _EYE_CASCADES: Final = (
 
 
 def cascade(name: str) -> cv2.CascadeClassifier:
-    """OpenCV's own cascade of that name, loaded once for each thread: it keeps the picture it looks at."""
+    """OpenCV's own cascade of that name, loaded once for each thread, since it holds the image that it searches."""
     return _load(name, get_ident())
 
 
 @lru_cache(maxsize=64)
 def _load(name: str, thread: int) -> cv2.CascadeClassifier:
-    folder = Path(cv2.__file__).parent / "data"
-    return cv2.CascadeClassifier(str(folder / f"haarcascade_{name}.xml"))
+    return cv2.CascadeClassifier(str(Path(cv2.__file__).parent / "data" / f"haarcascade_{name}.xml"))
 
 
-def blur(image: Image, spread: float) -> Image:
-    """Gaussian blur, against aliasing before a picture is made smaller."""
+def _blur(image: Image, spread: float) -> Image:
+    """Gaussian blur, against aliasing before an image is reduced."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), spread), np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
 class EyeFrame:
-    """The eye frame in the picture: its origin in pixels, the unit vector along x, the length of 1 in pixels."""
+    """The eye frame in the image: its origin in pixels, the unit vector along x, the length of 1 in pixels."""
 
     origin: Point
     along: Point
@@ -63,46 +59,31 @@ class EyeFrame:
         scale = float(np.hypot(dx, dy))
         return cls(((left[0] + right[0]) / 2, (left[1] + right[1]) / 2), (dx / scale, dy / scale), scale)
 
-    def to_picture(self, x: float, y: float) -> Point:
+    def to_image(self, x: float, y: float) -> Point:
         (ox, oy), (ux, uy) = self.origin, self.along
         return float(ox + self.scale * (x * ux - y * uy)), float(oy + self.scale * (x * uy + y * ux))
 
-    def straighten(self, image: Image) -> Image:
+    def rectify(self, image: Image) -> Image:
         """The lower face, upright and at UNIT pixels to a length of 1: rows TOP..BOTTOM, columns LEFT..RIGHT."""
         shrink = self.scale / UNIT
         (ux, uy), step = self.along, 1 / UNIT
-        corner = self.to_picture(LEFT + step / 2, TOP + step / 2)
+        corner = self.to_image(LEFT + step / 2, TOP + step / 2)
         matrix = np.array([[ux * shrink, -uy * shrink, corner[0]], [uy * shrink, ux * shrink, corner[1]]])
         if shrink > 1:
-            image = blur(image, 0.5 * shrink)
-        return np.asarray(
-            cv2.warpAffine(
-                image,
-                matrix,
-                (WIDTH, HEIGHT),
-                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-                borderMode=cv2.BORDER_REPLICATE,
-            ),
-            np.uint8,
-        )
+            image = _blur(image, 0.5 * shrink)
+        how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        lower = cv2.warpAffine(image, matrix, (WIDTH, HEIGHT), flags=how, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(lower, np.uint8)
 
 
 def place(image: Image, box: Box) -> dict[str, Point]:
     """All five points of the face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR)."""
-    image, (left, top) = _cut_out(image, box)
-    local = (box[0] - left, box[1] - top, box[2], box[3])
-    eyes = find_eyes(image, local)
-    picture = eyes.straighten(image)
-    points = {name: eyes.to_picture(*at) for name, at in read_points(picture).items()}
-    return {name: (x + left, y + top) for name, (x, y) in points.items()}
-
-
-def _cut_out(image: Image, box: Box) -> tuple[Image, tuple[int, int]]:
-    """The part of the picture around the box, so that a face in a 4K frame costs what the face costs."""
-    height, width = image.shape[:2]
+    # the part of the image around the box, so that the time does not depend on the size of the frame
     x0, y0 = max(int(box[0] - 0.5 * box[2]), 0), max(int(box[1] - 0.5 * box[3]), 0)
-    x1, y1 = min(int(box[0] + 1.5 * box[2]) + 1, width), min(int(box[1] + 1.6 * box[3]) + 1, height)
-    return image[y0:y1, x0:x1], (x0, y0)
+    image = image[y0 : int(box[1] + 1.6 * box[3]) + 1, x0 : int(box[0] + 1.5 * box[2]) + 1]
+    eyes = find_eyes(image, (box[0] - x0, box[1] - y0, box[2], box[3]))
+    points = {name: eyes.to_image(*at) for name, at in read_points(eyes.rectify(image)).items()}
+    return {name: (x + x0, y + y0) for name, (x, y) in points.items()}
 
 
 def mean_eyes(box: Box) -> tuple[Point, Point]:
@@ -115,26 +96,26 @@ def mean_eyes(box: Box) -> tuple[Point, Point]:
 def find_eyes(image: Image, box: Box) -> EyeFrame:
     """The eye frame of the face in `box`: each eye the median of what four cascades say, else its mean place."""
     x, y, w, h = box
-    zoom = EYE_PICTURE / w
+    zoom = EYE_WIDTH / w
     top = y + 0.1 * h
     matrix = np.array([[zoom, 0, -(x - 0.5) * zoom - 0.5], [0, zoom, -(top - 0.5) * zoom - 0.5]])
     if zoom < 1:
-        image = blur(image, 0.5 / zoom)
-    size = (EYE_PICTURE, round(0.55 * h * zoom))
+        image = _blur(image, 0.5 / zoom)
+    size = (EYE_WIDTH, round(0.55 * h * zoom))
     patch = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     grey = cv2.equalizeHist(cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY))
     found: tuple[list[Point], list[Point]] = ([], [])
     means = mean_eyes(box)
-    smallest, largest = (round(0.15 * EYE_PICTURE),) * 2, (round(0.45 * EYE_PICTURE),) * 2
+    smallest, largest = (round(0.15 * EYE_WIDTH),) * 2, (round(0.45 * EYE_WIDTH),) * 2
     for name, dx, dy in _EYE_CASCADES:
         for ex, ey, ew, eh in cascade(name).detectMultiScale(grey, 1.05, 2, 0, smallest, largest):
             at = (x - 0.5 + (ex + ew / 2) / zoom - dx * w, top - 0.5 + (ey + eh / 2) / zoom - dy * w)
             for side, mean in enumerate(means):
                 if abs(at[0] - mean[0]) < 0.08 * w and abs(at[1] - mean[1]) < 0.09 * h:
                     found[side].append(at)
-    eyes: list[Point] = []
-    for mean, seen in zip(means, found, strict=True):
-        # the mean place has one vote, so that a single wrong detection cannot pull an eye all the way
-        middle = np.median(np.array([mean, *seen] if len(seen) < 3 else seen), axis=0)
-        eyes.append((float(middle[0]), float(middle[1])))
-    return EyeFrame.from_eyes(eyes[0], eyes[1])
+    # of few detections the mean place is one more, so that a single wrong one cannot pull an eye all the way
+    (left, right) = (
+        np.median([mean, *seen] if len(seen) < 3 else seen, axis=0).tolist()
+        for mean, seen in zip(means, found, strict=True)
+    )
+    return EyeFrame.from_eyes(left, right)

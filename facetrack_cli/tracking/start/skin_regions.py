@@ -14,34 +14,33 @@ from facetrack_cli.core.types import Array, Box, Frame, factor_for
 from facetrack_cli.tracking.kernels.skin import skin_map
 from facetrack_cli.tracking.models.skin_colour import SkinModel
 
-LONGEST: Final = 400  # pixels of the picture's longer side, at most, when it is searched
+LONGEST: Final = 400  # pixels of the longer side, at most, of the image that is searched
 LEAST_P: Final = 0.2  # of a region's pixels, smoothed over a tenth of the face
-# what is not a hand: the face's box, widened to the ears, the hair and the chin, and the neck; in sizes of the box
+# no hand is sought there: the face's box, widened to ears, hair and chin, and the neck; in sizes of the box
 FACE: Final = (-0.3, -0.6, 1.3, 1.25)  # left, top, right, bottom
 NECK: Final = (0.0, 1.25, 1.0, 1.6)
 LEAST, MOST = 0.12, 5.0  # skin of a hand, with its arm, over that of the face
-NEAR: Final = 0.3  # of the smaller box's area: a region that shares as much with a target that is known is that target
+NEAR: Final = 0.3  # of the smaller box's area: a region that shares as much with a known target is that target
 ARM: Final = 5.0  # sizes of the face's box: hands are no farther from the face's middle
 
 
 def hand_regions(
     frame: Frame, face: Box, model: SkinModel, count: int, taken: Sequence[Box] = (), least: float = 0.0
 ) -> list[Box]:
-    """The `count` largest connected regions of skin colour apart from the face and its neck, from left to right.
+    """The `count` largest connected regions of skin colour beside the face and its neck, from left to right.
 
-    Those that are in one of the boxes `taken`, or have a side of less than `least` pixels, are passed over.
-
-    Boxes are (left, top, width, height) in pixels of the picture, within it, each side at most about the face's; of a
-    larger region, such as a bare arm, the box holds as much skin as it can. Fewer if there are not so many of a hand's
-    size within an arm's reach.
+    Boxes are (left, top, width, height) in pixels of the frame, within it, each side at most about the face's; in a
+    larger region, such as a bare arm, the box is where most skin is. There are fewer than `count` if not as many of a
+    hand's size are within an arm's reach. Those that overlap a box of `taken`, or have a side of less than `least`
+    pixels, are passed over.
     """
     factor = factor_for(max(frame.size), LONGEST)
-    picture, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
-    height, width = picture.shape[:2]
+    image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
+    height, width = image.shape[:2]
     w, h = face[2] / factor, face[3] / factor
     left, top = (face[0] + 0.5) / factor - 0.5, (face[1] + 0.5) / factor - 0.5
 
-    p = skin_map(picture, model.table) / 255.0
+    p = skin_map(image, model.table) / 255.0
     p = np.asarray(cv2.blur(p, (_odd(w / 10), _odd(h / 10)), borderType=cv2.BORDER_REPLICATE), np.float64)
     its_skin = float(_cut(p, left, top, left + w, top + h).sum())
     for x0, y0, x1, y1 in (FACE, NECK):
@@ -59,7 +58,7 @@ def hand_regions(
             middle = x + dx + across / 2, y + dy + down / 2
             if math.dist(middle, (left + w / 2, top + h / 2)) <= ARM * max(w, h):
                 found.append((-skin, (x + dx, y + dy, across, down)))
-    # by what a box holds, or a ceiling of nearly skin colour would be more of a hand than hands are
+    # by the skin in the box, or a large ceiling of nearly skin colour would come before the hands
     boxes: list[Box] = [
         (float(x * factor), float(y * factor), float(across * factor), float(down * factor))
         for _, (x, y, across, down) in sorted(found)

@@ -1,8 +1,8 @@
-"""From a start to the targets that a recipe names: a head, which may be all that is known, and hands.
+"""From a start to the targets that a recipe names: a head, and hands.
 
-The first target of the recipe is the head, and its box is needed: a face that was found, `--box`, an init file. Hands
-of which nobody said where they are begin as the largest regions of the head's skin colour apart from the face, named
-from left to right in the picture.
+The first target of the recipe is the head, and its box is needed: a face that was found, `--box`, an init file. Other
+targets that are not given begin as the largest regions of the head's skin colour beside the face, named from left to
+right.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Box, Frame, Start, TargetStart
+from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.tracking.models.skin_colour import learn_skin
 from facetrack_cli.tracking.start.checks import LEAST_BOX, check_size
 from facetrack_cli.tracking.start.haar import NotHereError
@@ -24,10 +24,10 @@ def name_targets(
 ) -> Start:
     """The start with all targets `names`, in their order; without names, as it is.
 
-    A single target called `face`, or by no name that the recipe knows, is the first one; its corrections go with it.
-    Those in `left_out` are known and not wanted. `frame` is the start's, and may be None if nothing is lacking. Raises
-    InputError if there are targets that the recipe does not know, the first one is lacking, or the picture is grey;
-    NotHereError if there are not as many regions of skin as hands.
+    A single target, or one called `face`, takes the first name if the recipe does not know its own; so do its
+    corrections. Targets in `left_out` are dropped. `frame` is the start's, and may be None if no target is missing.
+    Raises InputError if there are targets that the recipe does not know, the first one is missing, or the frame is
+    grey; NotHereError if there are not as many regions of skin as hands.
     """
     if not names:
         return start
@@ -55,8 +55,9 @@ def name_targets(
     missing = [name for name in names if name not in given]
     if missing:
         assert frame is not None
+        taken = [one.box for name, one in given.items() if name != names[0] and one.box is not None]
         try:
-            found = _others(frame, given, names[0], len(missing))
+            found = hand_regions(frame, head, learn_skin(frame, head), len(missing), taken, LEAST_BOX)
         except InputError as e:
             raise InputError(f"{clip}: {names[0]}, {e}") from None
         if len(found) < len(missing):
@@ -68,11 +69,3 @@ def name_targets(
             )
         given |= {name: TargetStart(box=box) for name, box in zip(missing, found, strict=True)}
     return replace(start, targets={name: given[name] for name in names}, corrections=tuple(corrections))
-
-
-def _others(frame: Frame, given: dict[str, TargetStart], head: str, count: int) -> list[Box]:
-    """At most `count` regions of the head's skin colour that are no target yet, from left to right."""
-    face = given[head].box
-    assert face is not None
-    taken = [target.box for name, target in given.items() if name != head and target.box is not None]
-    return hand_regions(frame, face, learn_skin(frame, face), count, taken, LEAST_BOX)
