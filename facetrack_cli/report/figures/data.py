@@ -1,4 +1,4 @@
-"""Columns made ready for drawing: gaps, envelopes of long ones, spans, limits. Arrays alone, nothing of matplotlib."""
+"""Columns made ready for drawing: gaps, envelopes of long ones, spans, quantiles. Arrays alone, without matplotlib."""
 
 from __future__ import annotations
 
@@ -12,38 +12,35 @@ from facetrack_cli.core.types import Array, Mask, Whole
 Span = tuple[float, float]
 
 
-def frames_of(series: Sequence[Whole]) -> Whole:
-    """All frames of any series, increasing; quick where all have the same, as they nearly always do."""
-    first = series[0]
-    if all(frame is first or np.array_equal(frame, first) for frame in series):
-        return first
-    return np.unique(np.concatenate(series))
-
-
-def usual_step(frame: Whole) -> int:
-    """The step between the rows of a series: 1, or that of a series with every n-th frame."""
-    return int(np.median(np.diff(frame))) if len(frame) > 1 else 1
+def stacked(series: Sequence[tuple[Whole, Array | Mask]]) -> tuple[Whole, Array]:
+    """All (T,) frames of K series, increasing, and their values (K, T), nan where a series does not have the frame."""
+    frame = series[0][0]
+    if not all(f is frame or np.array_equal(f, frame) for f, _ in series):  # nearly always they are all the same
+        frame = np.unique(np.concatenate([f for f, _ in series]))
+    values = np.full((len(series), len(frame)), np.nan)
+    for row, (f, value) in zip(values, series, strict=True):
+        row[slice(None) if len(f) == len(frame) else np.searchsorted(frame, f)] = value
+    return frame, values
 
 
 class Drawn(NamedTuple):
-    """A line to draw: (x, y) with nan wherever it is broken, and if it was thinned its means (x, y) beside."""
+    """A line to draw: (x, y) with nan wherever it is broken; if it was thinned, the (x, y) of its means too."""
 
     x: Array
     y: Array
-    mean_x: Array | None = None
-    mean_y: Array | None = None
+    means: tuple[Array, Array] | None = None
 
 
 def envelope(frame: Whole, value: Array, bins: int) -> Drawn:
     """A line through (T,) values, broken where a value is not known and where frames are missing.
 
-    A series with more rows than two to a bin is thinned: drawn by the least and the greatest value in each of `bins`
+    A series with more than two rows to a bin is thinned: drawn by the least and the greatest value in each of `bins`
     equal spans of frames, so that no peak is lost, and by their means.
     """
     known = np.flatnonzero(np.isfinite(value))
     if not known.size:
         return Drawn(np.full(1, np.nan), np.full(1, np.nan))
-    reach = 1.5 * usual_step(frame)
+    reach = 1.5 * _step(frame)
     f, v = frame[known].astype(np.float64), value[known].astype(np.float64)
     if len(frame) <= 2 * bins:
         return Drawn(*_broken(f, v, np.flatnonzero(np.diff(f) > reach) + 1))
@@ -57,20 +54,22 @@ def envelope(frame: Whole, value: Array, bins: int) -> Drawn:
     x = np.stack([f[first], f[last]], axis=1).ravel()
     gaps = np.flatnonzero(f[first[1:]] - f[last[:-1]] > reach) + 1
     means = _broken((f[first] + f[last]) / 2, np.add.reduceat(v, first) / (last - first + 1), gaps)
-    return Drawn(*_broken(x, y, 2 * gaps), *means)
+    return Drawn(*_broken(x, y, 2 * gaps), means)
 
 
 def _broken(x: Array, y: Array, before: Whole) -> tuple[Array, Array]:
     return np.insert(x, before, np.nan), np.insert(y, before, np.nan)
 
 
+def _step(frame: Whole) -> int:
+    """The usual step between rows: 1, or n of a series with every n-th frame."""
+    return int(np.median(np.diff(frame))) if len(frame) > 1 else 1
+
+
 def alone(y: Array) -> Mask:
-    """Points of a line that have no neighbour: nothing of them would show without a mark."""
-    known = np.isfinite(y)
-    beside = np.zeros(len(y), dtype=np.bool_)
-    beside[1:] |= known[:-1]
-    beside[:-1] |= known[1:]
-    lonely: Mask = known & ~beside
+    """(T,) the points of a line that have no neighbour: they need a mark to be seen."""
+    known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
+    lonely: Mask = known[1:-1] & ~known[:-2] & ~known[2:]
     return lonely
 
 
@@ -82,32 +81,24 @@ def spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[Span]:
     """
     if not mask.any():
         return []
-    step = usual_step(frame)
-    f = frame[mask].astype(np.float64)
+    step, f = _step(frame), frame[mask].astype(np.float64)
     # a stretch ends where the mask does, and where frames are missing
-    rows = np.flatnonzero(mask)
-    ends = np.flatnonzero((np.diff(rows) > 1) | (np.diff(f) > 1.5 * step))
-    starts = f[np.append(0, ends + 1)] - step / 2
-    stops = f[np.append(ends, len(f) - 1)] + step / 2
+    ends = np.flatnonzero((np.diff(np.flatnonzero(mask)) > 1) | (np.diff(f) > 1.5 * step))
+    starts, stops = f[np.append(0, ends + 1)] - step / 2, f[np.append(ends, len(f) - 1)] + step / 2
     wide = np.maximum(least - (stops - starts), 0) / 2
-    return union(zip((starts - wide).tolist(), (stops + wide).tolist(), strict=True), least)
-
-
-def union(found: Iterable[Span], least: float = 0.0) -> list[Span]:
-    """Spans joined where they overlap or are less than `least` apart, in their order."""
-    out: list[Span] = []
-    for start, end in sorted(found):
-        if out and start - out[-1][1] <= least * (1 - 1e-9):
-            out[-1] = (out[-1][0], max(out[-1][1], end))
+    found: list[Span] = []
+    for start, end in zip((starts - wide).tolist(), (stops + wide).tolist(), strict=True):
+        if found and start - found[-1][1] <= least * (1 - 1e-9):
+            found[-1] = (found[-1][0], end)
         else:
-            out.append((start, end))
-    return out
+            found.append((start, end))
+    return found
 
 
 def quantiles(values: Array, shares: Iterable[float]) -> list[Array]:
-    """Quantiles of (K, T) along K, of those that are known: (T,) for each share; nan where none is.
+    """Quantiles of (K, T) along K, of the values that are known: (T,) for each share; nan where none is.
 
-    As numpy.nanquantile, which takes minutes where this takes a second.
+    As numpy.nanquantile, which is a hundred times slower.
     """
     ordered = np.sort(values, axis=0)  # nan goes to the end
     count = np.isfinite(ordered).sum(axis=0)
@@ -120,31 +111,3 @@ def quantiles(values: Array, shares: Iterable[float]) -> list[Array]:
         below, above = ordered[low, columns], ordered[high, columns]
         found.append(np.asarray(below + (at - low) * (above - below), dtype=np.float64))
     return found
-
-
-def limits(values: Iterable[Array], *, floor: float | None = None, least: float = 1.0) -> tuple[float, float] | None:
-    """Limits of an axis that holds `values`, a little wider; at least `least` apart. None where nothing is known.
-
-    A few rows far outside, such as those of a part that ran away for a moment, do not press all others flat: where the
-    whole is more than eight times as tall as the middle 98 % of the rows, the limits follow the middle.
-    """
-    every = np.concatenate([v[np.isfinite(v)] for v in values] or [np.empty(0)])
-    if not every.size:
-        return None
-    low, high = float(every.min()), float(every.max())
-    middle = np.quantile(every[:: max(1, len(every) // 500_000)], (0.01, 0.99))
-    tall = max(float(middle[1] - middle[0]), least)
-    if high - low > 8 * tall:
-        low, high = max(low, float(middle[0]) - tall), min(high, float(middle[1]) + tall)
-    if floor is not None:
-        low = floor
-    short = max(least - (high - low), 0) / 2
-    low, high = (low - short, high + short) if floor is None else (low, high + 2 * short)
-    margin = 0.06 * (high - low)
-    return (low - margin if floor is None else low), high + margin
-
-
-def beyond(y: Array, low: float, high: float) -> tuple[Mask, Mask]:
-    """Points of a line (below `low`, above `high`): where the axis ends before them."""
-    with np.errstate(invalid="ignore"):
-        return y < low, y > high
