@@ -29,7 +29,8 @@ class Clock:
     def __init__(self, table: Trajectory, fps: float) -> None:
         self.frames: Whole = table.frames
         self._period = 1 / fps
-        self.times: Array = np.where(np.isfinite(table.times), table.times, self.frames * self._period)
+        times = table.times
+        self.times: Array = np.where(np.isfinite(times), times, self.frames * self._period)
 
     def at(self, frame: int) -> float:
         """Seconds from the clip's first frame to this one, which must be a frame of the run."""

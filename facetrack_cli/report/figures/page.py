@@ -159,8 +159,8 @@ class _Page:
 
     def _fitting(self, panel: Panel) -> str:
         """As many of a panel's notes as there is room for."""
-        notes, room = list(filter(None, panel.notes)), (self.width - 1.0) / 0.062 - 1.3 * len(panel.title)
-        while notes and len("; ".join(notes)) > room:
+        notes = "; ".join(filter(None, panel.notes)).split("; ")
+        while notes and len("; ".join(notes)) > (self.width - 1.0) / 0.062 - 1.3 * len(panel.title):
             notes.pop()
         return "; ".join(notes)
 
