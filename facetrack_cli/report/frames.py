@@ -156,7 +156,9 @@ class _Maker:
             std_y=rows.std_y * zoom,
             status=np.where(rows.status == "", "tracked", rows.status),
         )
-        return FrameResult(frame, recorded(frame.index, shown))
+        # without diagnostics: their numbers stand in the plots
+        targets = (one._replace(rows=replace(one.rows, diagnostics={})) for one in recorded(frame.index, shown))
+        return FrameResult(frame, tuple(targets))
 
     def _typical(self) -> float:
         """The size of the targets where nothing else says it: the median span of their windows."""

@@ -147,7 +147,7 @@ def _values(content: Content) -> dict[str, Any]:
             for key in content.keys
             if key.frame in found
         ],
-        "reported": bool(content.table.diagnostics),
+        "reported": bool(content.table.diagnostics) or bool((content.table.identity != "").any()),
         "started_by": long.get(origin, origin),
         "versions": ", ".join(f"{key} {v}" for key, v in {"facetrack": header.facetrack, **header.versions}.items()),
         "recipe": recipe_yaml(header.recipe),

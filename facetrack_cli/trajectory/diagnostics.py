@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -24,7 +24,8 @@ class Diagnostic:
     """A quantity that is reported of a target in every frame.
 
     `shape` () is a number, (n,) are n numbers, and None one number for each of some names. `least` and `most` bound
-    the values, `decimals` are those in JSON, one for all or one for each number, and `meaning` stands in plots.
+    the values, `decimals` are those in JSON, one for all or one for each number, and `meaning` stands in plots. Raises
+    ValueError for a shape or decimals that cannot be.
     """
 
     name: str
@@ -35,10 +36,16 @@ class Diagnostic:
     most: float = math.inf
     decimals: int | tuple[int, ...] = 4
 
+    def __post_init__(self) -> None:
+        if not self.name or (self.shape and (len(self.shape) > 1 or self.shape[0] < 1)):
+            raise ValueError(f"diagnostic {self.name!r} needs a name, and a shape of (), (n,) or None")
+        many = self.decimals if isinstance(self.decimals, tuple) else (self.decimals,)
+        if min(many, default=-1) < 0 or (many is self.decimals and self.shape != (len(many),)):
+            raise ValueError(f"diagnostic {self.name!r} needs decimals from 0 up, one for all or for each number")
+
     def record(self) -> dict[str, Any]:
-        """What the header of a JSON trajectory says of it."""
-        shape = None if self.shape is None else list(self.shape)
-        return {"name": self.name, "meaning": self.meaning, "unit": self.unit, "shape": shape}
+        """What the header of a JSON trajectory says of it; JSON has no infinite bounds."""
+        return {key: value for key, value in asdict(self).items() if value not in (-math.inf, math.inf)}
 
 
 POSTERIOR: Final = Diagnostic("posterior", "probability of each identity", shape=None, least=0, most=1)
@@ -77,7 +84,7 @@ class Diagnostics:
 
     def between(self, first: int, stop: int) -> Diagnostics:
         """Those of frames from `first` to before `stop`."""
-        rows = (self.frame >= first) & (self.frame < stop)
+        rows = slice(*np.searchsorted(self.frame, [first, stop]).tolist())
         return replace(self, frame=self.frame[rows], values={key: v[rows] for key, v in self.values.items()})
 
     @classmethod
@@ -109,8 +116,9 @@ class Diagnostics:
         if len({(*one.values, *one.labels.items()) for one in parts}) == 1:
             values = {key: np.concatenate([one.values[key] for one in parts]) for key in parts[0].values}
             return replace(parts[0], frame=np.concatenate([one.frame for one in parts]), values=values)
+        declared = {each.name: each for one in reversed(parts) for each in one.declared}
         frames = [frame for one in parts for frame in one.frame.tolist()]
-        return cls.of(parts[0].declared, frames, [each for one in parts for each in one.records()])
+        return cls.of(tuple(declared.values()), frames, [each for one in parts for each in one.records()])
 
     def records(self) -> list[dict[str, Any]]:
         """What is known in each frame, by name, as `of` takes it."""
@@ -123,8 +131,8 @@ class Diagnostics:
 
 def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
     """The numbers of a value, nan where there are none."""
-    bounded = one.least > -math.inf
-    expected = "probability" if one.most == 1 else "number from 0 up" if bounded else "finite number"
+    bounds = one.least, one.most
+    expected = _EXPECTED.get(bounds) or "number from {:g} to {:g}".format(*bounds)
     if one.shape is None:
         if not isinstance(value, Mapping):
             raise ValueError(at, f"{one.name} is not an object of names and numbers")
@@ -133,7 +141,8 @@ def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> A
                 raise ValueError(at, f"{one.name} of {name!r}: {number!r} is no {expected}")
         return [float(value.get(name, math.nan)) for name in labels]
     if one.shape:
-        if not isinstance(value, Sequence) or len(value) != one.shape[0] or not all(_fits(one, v) for v in value):
+        listed = isinstance(value, Sequence | np.ndarray) and len(value) == one.shape[0]
+        if not listed or not all(_fits(one, v) for v in value):
             raise ValueError(at, f"{one.name} is not a list of {one.shape[0]} numbers")
         return [float(v) for v in value]
     if not _fits(one, value):
@@ -141,7 +150,15 @@ def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> A
     return float(value)
 
 
+_EXPECTED: Final = {
+    (0, 1): "probability",
+    (0, math.inf): "number from 0 up",
+    (-math.inf, math.inf): "finite number",
+}
+
+
 def _fits(one: Diagnostic, value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
-    return math.isnan(value) or (abs(value) <= 1e300 and one.least <= value <= one.most)
+    number = float(value) if not isinstance(value, int) or abs(value) < 10**300 else math.inf
+    return math.isnan(number) or (abs(number) <= 1e300 and one.least <= number <= one.most)

@@ -99,12 +99,13 @@ def _read_csv(path: Path) -> Trajectory:
                 for block, numbers in _blocks(path, lines, len(header)):
                     cells = dict(zip(header, zip(*block, strict=True), strict=True))
                     columns = {name: list(map(str.strip, cells.get(name, [""] * len(block)))) for name in COLUMNS}
-                    targets += columns.pop("target")
-                    parts += columns.pop("part")
-                    if "" in targets or "" in parts:
-                        name, those = ("target", targets) if "" in targets else ("part", parts)
-                        at = numbers[those.index("") - len(those)]
-                        raise InputError(f"{path}:{at}: column {name} is empty; name the {name}")
+                    for name, those in (("target", targets), ("part", parts)):
+                        named = columns.pop(name)
+                        if "" in named:
+                            raise InputError(
+                                f"{path}:{numbers[named.index('')]}: column {name} is empty; name the {name}"
+                            )
+                        those += named
                     blocks.append({name: _column(path, name, cells, numbers) for name, cells in columns.items()})
             except csv.Error as e:
                 raise InputError(f"{path}:{lines.line_num}: is not CSV: {e}") from e
@@ -203,14 +204,14 @@ def _read_json(path: Path) -> Trajectory:
     header, records = _records(path)
     columns: dict[str, list[Any]] = {name: [] for name in (*_SHARED, *_OWN)}
     reported: dict[str, dict[int, Mapping[str, Any]]] = {}
-    declared = {**KNOWN, **_declared(header)}
+    declared = _declared(path, header)
     for at, record in enumerate(records):
         try:
             frame, time_s = _whole("frame", record["frame"]), _number("time_s", record.get("time_s"))
             for target in record["targets"]:
                 name, parts = _text("target", target["target"]), target["parts"]
                 particles, sure = (_number(key, target.get(key)) for key in ("particles", "identity_prob"))
-                who = _text("identity", target.get("identity", ""), empty=True)
+                who = "" if target.get("identity") is None else _text("identity", target["identity"], empty=True)
                 shared = (frame, time_s, name, particles, who, sure)
                 for key, value in zip(_SHARED, shared, strict=True):
                     columns[key] += [value] * len(parts)
@@ -262,15 +263,21 @@ def _flag(name: str, value: Any) -> bool:
     return value
 
 
-def _declared(header: Mapping[str, Any]) -> dict[str, Diagnostic]:
-    """The diagnostics that a header declares, beside those that every version knows."""
-    found = {}
-    for one in header.get("diagnostics", ()):
-        if isinstance(one, dict) and isinstance(one.get("name"), str):
-            shape = one.get("shape")
-            meaning, unit = (str(one.get(key, "")) for key in ("meaning", "unit"))
-            found[one["name"]] = Diagnostic(one["name"], meaning, unit, None if shape is None else tuple(shape))
-    return found
+def _declared(path: Path, header: Mapping[str, Any]) -> dict[str, Diagnostic]:
+    """The diagnostics that every version knows, then those that a header declares."""
+    if "diagnostics" not in header:
+        return dict(KNOWN)
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        listed = TypeAdapter(list[Diagnostic]).validate_python(header["diagnostics"])
+    except ValidationError as e:
+        first = e.errors()[0]
+        key = ".".join(map(str, ("diagnostics", *first["loc"])))
+        raise InputError(
+            f"{path}: {key} is not as facetrack run writes it ({first['msg'].lower()}); make the run again"
+        ) from None
+    return {**KNOWN, **{one.name: one for one in listed if one.name not in KNOWN}}
 
 
 def _diagnostics(
@@ -303,7 +310,7 @@ def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
         raise InputError(f"{path}: is nested too deep for a trajectory") from e
     except json.JSONDecodeError as whole_error:
         header = {}
-        for number, line in enumerate(text.splitlines(), 1):
+        for number, line in enumerate(text.split("\n"), 1):
             if not line.strip():
                 continue
             try:

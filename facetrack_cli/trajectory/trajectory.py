@@ -288,8 +288,8 @@ def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:
 def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     """Trajectories of different parts, or of different frames, as one; `others` are header, diagnostics and path."""
     all_ = list(parts)
-    if len(all_) == 1:
-        return replace(all_[0], **others)
+    if len(all_) < 2:
+        return replace(all_[0] if all_ else build((), [], []), **others)
     numbers: dict[tuple[str, str], int] = {}
     for one in all_:
         for name in one.names:
@@ -345,7 +345,7 @@ class FrameResult:
 
 
 def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
-    """The rows of one frame as what the tracker said of each target, for drawing: without particles and images.
+    """The rows and diagnostics of one frame as what the tracker said of each target: without particles and images.
 
     Of a target that reports its affine map the corners follow from that.
     """
@@ -353,11 +353,12 @@ def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
     for target in rows.targets:
         if not (parts := [one for one in rows.of_target(target) if len(one)]):
             continue
-        mine, found = joined(parts, diagnostics=rows.diagnostics), rows.diagnostics.get(target)
-        at = None if found is None or AFFINE.name not in found.values else found.row(frame)
-        if at is not None and found is not None and len(mine) == 1:
-            centre, size = np.array([[mine.x[0], mine.y[0]]]), np.array([[mine.w[0], mine.h[0]]])
-            mine = replace(mine, corners=corners(found.values[AFFINE.name][at : at + 1], centre, size))
+        found = rows.diagnostics.get(target)
+        here = None if found is None or found.row(frame) is None else found.between(frame, frame + 1)
+        mine = joined(parts, diagnostics={} if here is None else {target: here})
+        if here is not None and AFFINE.name in here.values and len(mine) == 1:
+            centre, size = (np.stack(pair, axis=1) for pair in ((mine.x, mine.y), (mine.w, mine.h)))
+            mine = replace(mine, corners=corners(here.values[AFFINE.name], centre, size))
         targets.append(TargetResult(mine, np.empty((0, len(mine), 2))))
     return tuple(targets)
 

@@ -18,7 +18,7 @@ import numpy as np
 from facetrack_cli import __version__
 from facetrack_cli.core.numbers import dumps, fixed
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.diagnostics import Diagnostics
+from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, Trajectory, by_frame
 
 SCHEMA = "facetrack-trajectory"
@@ -201,13 +201,13 @@ def _frames(
 
 
 def _reported(found: Diagnostics, frame: int) -> list[str]:
-    """`"name":value` of the diagnostics of one frame: those of some names, then numbers, then lists.
+    """`"name":value` of the diagnostics of one frame: those of some names, then numbers, then lists; known ones first.
 
     What is not finite is left out: of several names one, of a list all of it.
     """
     at = found.row(frame)
     members = []
-    for one in sorted(found.declared, key=lambda one: (one.shape is not None, bool(one.shape))):
+    for one in sorted(found.declared, key=_rank):
         if at is None or one.name not in found.values:
             continue
         value = found.values[one.name][at].tolist()
@@ -224,6 +224,11 @@ def _reported(found: Diagnostics, frame: int) -> list[str]:
     return members
 
 
+def _rank(one: Diagnostic) -> tuple[bool, bool, int]:
+    return one.shape is not None, bool(one.shape), _RANKS.get(one.name, len(_RANKS))
+
+
+_RANKS = {name: at for at, name in enumerate(KNOWN)}
 _form = lru_cache(fixed)
 _key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
 _OF_TARGET = ("target", "particles", "identity", "identity_prob")

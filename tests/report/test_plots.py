@@ -16,15 +16,15 @@ from facetrack_cli.report.figures import data as plot_data
 from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.figures import timeline as plot_time
 from facetrack_cli.report.figures.lines import MANY, columns_for, lines_of, numbers, shares
-from facetrack_cli.trajectory.table import Series, Table, series
+from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
 
 
 class Pair(NamedTuple):
     name: str
-    ours: Series
-    truth: Series
+    ours: Trajectory
+    truth: Trajectory
 
 
 def track(frames=60, parts=3, targets=("face",), fps=25.0, **columns):
@@ -46,13 +46,13 @@ def track(frames=60, parts=3, targets=("face",), fps=25.0, **columns):
             "particles": np.full(frames, 80),
             "ess": rng.uniform(5, 50, frames),
         } | columns
-        found.append(series(target, f"part_{k}", t, **{key: v for key, v in known.items() if v is not None}))
-    return Table(Path("runs/clip-sir/trajectory.csv"), tuple(found))
+        found.append(one_part(target, f"part_{k}", t, **{key: v for key, v in known.items() if v is not None}))
+    return joined(found, path=Path("runs/clip-sir/trajectory.csv"))
 
 
 def pairs_of(table, off=(3.0, 4.0), status="visible"):
-    truths = [replace(s, x=s.x - off[0], y=s.y - off[1], status=np.full(len(s), status)) for s in table.series]
-    return [Pair(s.name, s, truth) for s, truth in zip(table.series, truths, strict=True)]
+    truths = [replace(s, x=s.x - off[0], y=s.y - off[1], status=np.full(len(s), status)) for s in table.parts]
+    return [Pair(s.name, s, truth) for s, truth in zip(table.parts, truths, strict=True)]
 
 
 def panels(figure):
@@ -182,7 +182,7 @@ def test_legends_stand_in_the_page(names):
     columns, rows = columns_for(labels, 10.0)
     assert 1 < rows <= 4 and columns * rows >= len(labels)
     table = track(4, names)
-    figure = plots.page_figure(replace(table, series=table.series[:MANY]), pairs_of(table, status="hidden"))
+    figure = plots.page_figure(joined(table.parts[:MANY], path=table.path), pairs_of(table, status="hidden"))
     plots.render(figure, dpi=50)
     head = figure.subfigs[0]
     box = head.legends[0].get_window_extent()
@@ -213,8 +213,8 @@ def test_page_draws_the_values():
     table = track()
     found = panels(plots.page_figure(table, pairs_of(table)))
     x = drawn(found["x"])
-    assert np.allclose(x[1], np.stack([table.series[1].frame, table.series[1].x], axis=1))
-    assert np.allclose(x[3][:, 1], table.series[0].x - 3), "truth comes after ours"
+    assert np.allclose(x[1], np.stack([table.parts[1].frame, table.parts[1].x], axis=1))
+    assert np.allclose(x[3][:, 1], table.parts[0].x - 3), "truth comes after ours"
     assert np.allclose(drawn(found["size"])[0][:, 1], np.sqrt(12 * 14))
     assert np.allclose(drawn(found["spread"])[0][:, 1], np.sqrt(5))
     assert np.allclose(drawn(found["error"])[0][:, 1], 5)
@@ -225,7 +225,7 @@ def test_page_draws_the_values():
 
 def test_boxes_have_their_overlap_with_the_truth():
     table = track(parts=1)
-    table = replace(table, series=(replace(table.series[0], part="box"),))
+    table = table.renamed("face", "box")
     found = panels(plots.page_figure(table, pairs_of(table, off=(6.0, 0.0))))
     assert list(found)[-2:] == ["error", "overlap"]
     assert np.allclose(drawn(found["overlap"])[0][:, 1], 6 / 18)
@@ -234,8 +234,8 @@ def test_boxes_have_their_overlap_with_the_truth():
 def test_page_shades_what_is_lost_and_hidden():
     status = np.where(np.isin(np.arange(60), range(20, 30)), "lost", "tracked")
     table = track(status=status)
-    tracked = replace(table.series[2], status=np.where(np.arange(60) < 25, "tracked", status))
-    table = replace(table, series=(*table.series[:2], tracked))
+    tracked = replace(table.parts[2], status=np.where(np.arange(60) < 25, "tracked", status))
+    table = joined([*table.parts[:2], tracked])
     pairs = pairs_of(table)
     pairs[0] = pairs[0]._replace(truth=replace(pairs[0].truth, status=np.where(np.arange(60) < 5, "hidden", "visible")))
     figure = plots.page_figure(table, pairs)
@@ -293,7 +293,7 @@ def test_many_parts_are_drawn_as_bands():
     found = panels(figure)
     assert len(drawn(found["x"])) == 20
     assert len(found["confidence"].collections) == 2
-    values = np.stack([s.confidence for s in table.series])
+    values = np.stack([s.confidence for s in table.parts])
     assert np.allclose(drawn(found["confidence"])[0][:, 1], np.median(values, axis=0))
     assert said(figure)[1] == ["20 parts, part_0 to part_19"]
     crowd = plots.page_figure(track(9, 1, [f"person{n}" for n in range(20)]))

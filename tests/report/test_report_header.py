@@ -14,6 +14,7 @@ from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.command_line import command, recipe_yaml
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import joined
 
 SAMPLE = Path(__file__).parents[2] / "sample_videos" / "occlusion.mp4"
 
@@ -60,7 +61,7 @@ def test_folders_are_repeated_at_their_rate_and_init_files_from_their_frame(exis
         "init": {"from": str(tmp_path / "x.init.yaml"), "frame": 4, "targets": {}},
     }
     (tmp_path / "x.init.yaml").write_text("frame: 2\nbox: [1, 2, 3, 4]\n")
-    table = Table(tmp_path / "trajectory.json", (), header)
+    table = joined([], path=tmp_path / "trajectory.json", header=header)
     words = shlex.split(command(read_header(table), 30))
     assert words[words.index("--fps") + 1] == "30000/1001"
     assert words[words.index("--init-frame") + 1] == "4"

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.files import FileSink
-from facetrack_cli.core.types import Frame, PartResult, Result, TargetResult
+from facetrack_cli.core.types import Frame
 from facetrack_cli.trajectory.writers import Footer, JsonWriter
 from tests.support.media import SIZE
+from tests.support.results import part, result, target
 
 # part a is lost in frames 8 to 11, part b from 14 to the end
 LOST = {"a": range(8, 12), "b": range(14, 99)}
@@ -35,10 +36,9 @@ def write_run(
             lost = index in LOST[name]
             status = "init" if index == start else "lost" if lost else "tracked"
             sure = 0.05 + k / 100 if lost else 0.75
-            found.append(PartResult(name, 12.0 + 30 * k, 44.0, 4.0, 4.0, status, sure, (0.01, 0.0, 0.01), 5.0))
+            found.append(part(name, 12.0 + 30 * k, 44.0, 4.0, 4.0, status, sure, (0.01, 0.0, 0.01), 5.0))
         time_s = index / 25 if times is None else times[index]
-        cloud = np.empty((0, 2, 2))
-        shown = [TargetResult(t, tuple(found), 10, cloud) for t in targets]
-        writer.write(Result(Frame(index, time_s, still), tuple(shown)))
+        shown = [target(t, found, 10) for t in targets]
+        writer.write(result(Frame(index, time_s, still), shown).rows)
     writer.close(footer or Footer())
     return out

@@ -69,11 +69,26 @@ def table(path, parts, header=None, diagnostics=None):
     return joined(parts, path=path, header=header or {}, diagnostics=diagnostics or {})
 
 
-def file_rows(path):
-    """The rows of a file in its order, each with the columns of the CSV; None is what is not known."""
-    columns = read_trajectory(path).columns()
+def rows_of(trajectory):
+    """The rows in the order of a file, each with the columns of the CSV and `by_hand`; None is what is not known."""
+    columns = trajectory.columns()
     lists = {name: column.tolist() for name, column in columns.items()}
+    order = np.lexsort((trajectory.which, trajectory.frame))
+    lists["by_hand"] = trajectory.by_hand[order].tolist()
     return [
         SimpleNamespace(**{name: None if value != value else value for name, value in zip(lists, row, strict=True)})
         for row in zip(*lists.values(), strict=True)
     ]
+
+
+def parts_of(found):
+    """The parts of a target's result, as `rows_of` has them, with `cov` as (xx, xy, yy), None if not known."""
+    rows = rows_of(found.rows)
+    for one, xy in zip(rows, found.rows.cov_xy.tolist(), strict=True):
+        one.cov = None if one.std_x is None else (one.std_x**2, xy, one.std_y**2)
+    return rows
+
+
+def file_rows(path):
+    """The rows of a file, as `rows_of` has them."""
+    return rows_of(read_trajectory(path))

@@ -29,7 +29,8 @@ from facetrack_cli.runs.plan import find_plan_start
 from facetrack_cli.runs.seeds import Plan, SeedRun, run_plans
 from facetrack_cli.tracking.identity.gallery import NONE, Gallery, load_gallery
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.table import Series, Table, read_trajectory
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory
 from tests.support.samples import FOLDER
 
 SHOWN = {"zoom": "hopper", "lamp": "collins"}
@@ -40,7 +41,7 @@ SEEDS = (0, 1)
 class Against(NamedTuple):
     """Runs of a recipe on a clip, seeds first: scale (S, T) and the true one (T,), overlap (S, T), particles (S, T)."""
 
-    tables: tuple[Table, ...]
+    tables: tuple[Trajectory, ...]
     scale: np.ndarray
     true_scale: np.ndarray
     overlap: np.ndarray
@@ -59,10 +60,10 @@ class Against(NamedTuple):
 def run(clip: str, recipe: str, *overrides: str, seeds: tuple[int, ...] = SEEDS, stop: int | None = None) -> Against:
     path, settings = FOLDER / f"{clip}.mp4", load_recipe(recipe, overrides)
     done = list(run_plans([Plan(recipe, path, settings, find_plan_start(path, settings), seeds, stop)]))
-    tables = tuple(one.table for one in done if isinstance(one, SeedRun))
+    tables = tuple(one.trajectory for one in done if isinstance(one, SeedRun))
     assert len(tables) == len(seeds), done
-    boxes = [table.series[0] for table in tables]
-    truth = read_truth(FOLDER / f"{clip}.truth.csv").series[0].take(boxes[0].frame)
+    boxes = [table.parts[0] for table in tables]
+    truth = read_truth(FOLDER / f"{clip}.truth.csv").parts[0].take(boxes[0].frame)
     side = np.sqrt(truth.w * truth.h)
     return Against(
         tables,
@@ -73,7 +74,7 @@ def run(clip: str, recipe: str, *overrides: str, seeds: tuple[int, ...] = SEEDS,
     )
 
 
-def scale(one: Series) -> np.ndarray:
+def scale(one: Trajectory) -> np.ndarray:
     """sqrt((a1^2 + a2^2 + a3^2 + a4^2) / 2), from the sides of the parallelogram."""
     return np.sqrt(((one.w / one.w[0]) ** 2 + (one.h / one.h[0]) ** 2) / 2)
 
@@ -115,7 +116,7 @@ def test_fewer_particles_than_a_fixed_number_do_as_well(adaptive: dict[str, Agai
         assert (fixed.particles == 100).all()
         assert one.particles.mean() < 85 and np.ptp(one.particles) > 10  # 78, 66
         assert one.overlap.mean() > fixed.overlap.mean() - 0.07  # .904 for .926 in the mean, .889 for .906
-        assert not np.isin("lost", one.tables[0].series[0].status)
+        assert not np.isin("lost", one.tables[0].parts[0].status)
 
 
 # --- who it is -----------------------------------------------------------------------------------------------------
@@ -124,12 +125,13 @@ def test_fewer_particles_than_a_fixed_number_do_as_well(adaptive: dict[str, Agai
 def test_the_right_person_is_known_within_ten_frames_and_stays_known(recognised: dict[str, Against]) -> None:
     for clip, one in recognised.items():
         for table in one.tables:
-            (told,) = table.told
-            passed = told.passed(SHOWN[clip])
+            (target,), (face,) = table.targets, table.parts
+            passed = table.recognised(target, SHOWN[clip])
             assert passed is not None and passed <= 10  # 2
-            later = told.frame >= 10
-            assert (told.identity[later] == SHOWN[clip]).all() and told.identity_prob[later].min() > 0.9
-            assert told.frame[0] == 1, "in the first frame all are equally likely, and nobody is named"
+            later = face.frame >= 10
+            assert (face.identity[later] == SHOWN[clip]).all() and face.identity_prob[later].min() > 0.9
+            assert face.identity[0] == "", "in the first frame all are equally likely, and nobody is named"
+            assert (face.identity[1:] != "").all() and table.diagnostics[target].frame.tolist() == face.frame.tolist()
         assert one.overlap.mean(axis=1).min() > 0.75  # .839, .864
         assert one.particles.mean() < 80  # 64, 60
 
@@ -150,15 +152,15 @@ def without(name: str, folder: Path) -> Path:
 
 def test_a_stranger_is_called_by_somebody_elses_name_unless_it_may_be_none_of_them(tmp_path: Path) -> None:
     gallery = f"recognition.gallery={without('hopper', tmp_path)}"
-    (called,) = run("zoom", "adaptive_recognition", gallery, seeds=(0,), stop=30).tables[0].told
+    called = run("zoom", "adaptive_recognition", gallery, seeds=(0,), stop=30).tables[0]
     assert called.identity[-1] in ("collins", "ines", "marta", "otto", "viktor") and called.identity_prob[-1] > 0.9
     may = "recognition.none=true"
-    (nobody,) = run("zoom", "adaptive_recognition", gallery, may, seeds=(0,), stop=30).tables[0].told
-    assert nobody.passed(NONE) is not None and nobody.identity[-1] == NONE
+    nobody = run("zoom", "adaptive_recognition", gallery, may, seeds=(0,), stop=30).tables[0]
+    assert nobody.recognised(nobody.target, NONE) is not None and nobody.identity[-1] == NONE
     for clip, name in SHOWN.items():
         known = f"recognition.gallery={PEOPLE}"
-        (told,) = run(clip, "adaptive_recognition", known, may, seeds=(0,), stop=30).tables[0].told
-        assert told.identity[-1] == name and told.identity_prob[-1] > 0.9, "who is there is not taken for nobody"
+        face = run(clip, "adaptive_recognition", known, may, seeds=(0,), stop=30).tables[0]
+        assert face.identity[-1] == name and face.identity_prob[-1] > 0.9, "who is there is not taken for nobody"
 
 
 def test_the_gallery_beside_the_clips_is_what_gallery_fit_makes_of_the_pictures(tmp_path: Path) -> None:
@@ -204,8 +206,10 @@ def test_a_run_writes_who_it_is_into_table_json_and_video(tmp_path: Path) -> Non
     assert (part["x"], part["y"]) == pytest.approx((x, y), abs=1e-3)
     assert all(0.5 <= one["noise"] <= 2 and one["error"] > 0 for one in targets[1:])
 
-    (told,) = read_trajectory(tmp_path / "out").told
-    assert told.names == ("collins", "hopper", "ines", "marta", "otto", "viktor") and told.posterior.shape == (30, 6)
+    (found,) = read_trajectory(tmp_path / "out").diagnostics.values()
+    assert found.labels["posterior"] == ("collins", "hopper", "ines", "marta", "otto", "viktor")
+    assert found.get("posterior").shape == (30, 6) and found.get("affine").shape == (30, 6)
+    assert "diagnostics" not in whole, "every version knows these"
 
     video, plain = cv2.VideoCapture(str(tmp_path / "out" / "annotated.mp4")), cv2.VideoCapture(str(clip))
     frames = [(video.read()[1], plain.read()[1]) for _ in range(30)]

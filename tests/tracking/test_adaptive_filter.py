@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from facetrack_cli.tracking.models.spaces import AffineSpace, estimate
 from facetrack_cli.tracking.models.velocity import Guide, Noise, Velocity
 from facetrack_cli.tracking.resampling import uniform
 from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
+from tests.support.results import parts_of
 from tests.tracking.test_patches import frame, smooth, state
 
 STATE, SHIFT = np.array([[10.0, 20.0, 1.0, 0.1, -0.1, 0.9]]), np.array([[3.0, -2.0, 0.05, 0.0, 0.0, 0.05]])
@@ -153,6 +156,7 @@ class Watching:
     """The appearance, which says that somebody is recognised with these entropies."""
 
     appearance: Appearance
+    diagnostics: ClassVar = (POSTERIOR, ENTROPY)
 
     def init(self, frame, x0):
         return self.appearance.init(frame, x0), 0
@@ -172,10 +176,11 @@ class Watching:
     def distances(self, learned, frame, x):
         return self.appearance.distances(learned[0], frame, x)
 
-    def tell(self, learned):
-        told = self.appearance.tell(learned[0])
-        posterior = dict(zip("ab", POSTERIORS[learned[1]], strict=True))
-        return replace(told, posterior=posterior, entropy=ENTROPIES[learned[1]])
+    def insets(self, learned):
+        return self.appearance.insets(learned[0])
+
+    def diagnose(self, learned):
+        return {"posterior": dict(zip("ab", POSTERIORS[learned[1]], strict=True)), "entropy": ENTROPIES[learned[1]]}
 
 
 BOX = (50.0, 56.0)
@@ -204,22 +209,30 @@ def followed(made, frames=6):
     return list(zip(*states, strict=True))
 
 
+def reported(result):
+    """The diagnostics of the one frame of a result."""
+    ((name, found),) = result.rows.diagnostics.items()
+    assert (name, found.frame.tolist()) == ("face", result.rows.frame.tolist())
+    (record,) = found.records()
+    return record
+
+
 def test_the_number_follows_the_entropy_of_the_last_frame_and_the_one_before():
     states, results = followed(target())
     assert [one.ahead.entropy_fell for one in states[1:]] == [True, False, True, True, False]
     # at the start and where it stays the same it did not rise
-    assert [one.particles for one in results] == [100, 80, 120, 80, 80, 120]
+    assert [parts_of(one)[0].particles for one in results] == [100, 80, 120, 80, 80, 120]
     unknown = followed(target(likelihood=target().likelihood.appearance))[0]
     assert {one.ahead.entropy_fell for one in unknown[1:]} == {None}
 
 
 def test_who_it_is_is_said_where_one_is_likelier_than_all_others():
     results = followed(target())[1]
-    assert [one.identity for one in results] == [None, None, "b", "a", None, "a"]
-    assert [one.identity_prob for one in results] == [None, None, 0.8, 0.9, None, 1.0]
-    assert [one.told.entropy for one in results] == list(ENTROPIES)
-    assert [tuple(one.told.posterior.values()) for one in results] == list(POSTERIORS)
-    assert all([name for name, _ in one.told.insets] == ["S", "W"] for one in results)
+    assert [parts_of(one)[0].identity for one in results] == ["", "", "b", "a", "", "a"]
+    assert [parts_of(one)[0].identity_prob for one in results] == [None, None, 0.8, 0.9, None, 1.0]
+    assert [reported(one)["entropy"] for one in results] == list(ENTROPIES)
+    assert [tuple(reported(one)["posterior"].values()) for one in results] == list(POSTERIORS)
+    assert all([name for name, _ in one.insets] == ["S", "W"] for one in results)
 
 
 @pytest.mark.parametrize("best", [False, True])
@@ -237,13 +250,13 @@ def test_what_is_predicted_is_where_the_picture_went(best):
         off = after.particles.x[:, 0] - (after.ahead.state + after.ahead.shift)
         assert np.abs(off[:, :2].mean(axis=0)).max() < 4 * 2.0 * after.ahead.noise / math.sqrt(len(off))
         assert off[:, :2].std() == pytest.approx(2.0 * after.ahead.noise, rel=0.35)
-        told = result.told
-        assert (told.error, told.noise) == (after.ahead.error, noise.eta(after.ahead.error))
+        said = reported(result)
+        assert (said["error"], said["noise"]) == (after.ahead.error, noise.eta(after.ahead.error))
         cx, cy, *a = after.estimated.state[0]
-        assert told.affine == (*a, cx, cy) and told.scale == pytest.approx(math.sqrt(np.square(a).sum() / 2))
+        assert said["affine"] == [*a, cx, cy] and said["scale"] == pytest.approx(math.sqrt(np.square(a).sum() / 2))
     middle = states[-1].estimated.state[0, :2]
     assert np.hypot(*(middle - (110, 95) - 5 * np.array(JUMP))) < 1.5
-    assert results[0].told.error is None and results[0].told.noise is None
+    assert not {"error", "noise"} & reported(results[0]).keys()
 
 
 def test_without_a_guide_nothing_is_predicted():
@@ -252,4 +265,4 @@ def test_without_a_guide_nothing_is_predicted():
     ahead = still.predict(first, frame(PICTURE))
     np.testing.assert_array_equal(ahead.state, first.estimated.state)
     assert not ahead.shift.any() and ahead.noise == 1.0 and second.flow is None
-    assert results[1].particles == 100 and results[1].told.error is None
+    assert parts_of(results[1])[0].particles == 100 and "error" not in reported(results[1])

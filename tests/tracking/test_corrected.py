@@ -12,7 +12,9 @@ from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.corrected import CorrectedTarget
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.models.spaces import AffineSpace, BoxSpace, CloudSpace, Estimate, PointSpace
-from facetrack_cli.trajectory.writers import csv_lines, rows
+from facetrack_cli.trajectory.trajectory import joined
+from facetrack_cli.trajectory.writers import csv_frames
+from tests.support.results import parts_of
 from tests.support.samples import TrackClip
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
@@ -52,11 +54,11 @@ def run(config, clip, *corrections, seed=0, overrides=(), start=None):
 
 
 def lines(results, first=0):
-    return [csv_lines(rows(result)) for result in results if result.frame.index >= first]
+    return ["".join(csv_frames(result.rows)) for result in results if result.frame.index >= first]
 
 
 def part(result, name, target=0):
-    return next(one for one in result.targets[target].parts if one.name == name)
+    return next(one for one in parts_of(result.targets[target]) if one.part == name)
 
 
 def given(frame, target="face", **said):
@@ -76,7 +78,7 @@ def test_what_is_given_stands_where_it_says_and_the_others_where_they_were(face)
             here, there = part(put[20], name), part(plain[20], name)
             assert (here.x, here.y) == (round(there.x, 3), round(there.y, 3))
             assert (here.status, here.by_hand) == ("tracked", False)
-    assert not any(one.by_hand for result in put for one in result.targets[0].parts if result.frame.index != 20)
+    assert not any(one.by_hand for result in put for one in parts_of(result.targets[0]) if result.frame.index != 20)
 
 
 @pytest.mark.parametrize("config", ["sir", "auxiliary_prior", "factorized", "factorized_robust"])
@@ -127,7 +129,7 @@ def test_only_the_corrected_target_changes_and_it_keeps_its_own_numbers(face):
     put = run("factorized", face, given(12, "ben", points=face.points(12)), start=two)
 
     def of(results, target):
-        return [csv_lines(row for row in rows(result) if row.target == target) for result in results]
+        return ["".join(csv_frames(joined(result.rows.of_target(target)))) for result in results]
 
     assert of(put, "anna") == of(plain, "anna")
     assert of(put, "ben")[:12] == of(plain, "ben")[:12]
@@ -165,7 +167,7 @@ def test_absent_parts_have_no_place_and_the_others_go_on(face):
     nose = [part(result, "nose") for result in hidden]
     assert [one.status for one in nose[9:11]] == ["tracked", "absent"]
     assert {one.status for one in nose[10:30]} == {"absent"}
-    assert all(np.isnan([one.x, one.y, one.w, one.h]).all() and one.confidence is None for one in nose[10:30])
+    assert {(one.x, one.y, one.w, one.h, one.confidence) for one in nose[10:30]} == {(None,) * 5}
     assert (nose[10].by_hand, nose[11].by_hand) == (True, False)
     assert (nose[30].status, nose[31].status) == ("init", "tracked")
     assert "10,0.4000,face,nose,,,,,,,absent,,,100,,," in lines(hidden)[10]
@@ -183,16 +185,16 @@ def test_absent_parts_have_no_place_and_the_others_go_on(face):
 def test_every_filter_leaves_out_what_is_absent(config, face):
     results = run(config, face, given(5, absent=("lip_upper", "nose")))
     for result in results[5:]:
-        assert [one.status == "absent" for one in result.targets[0].parts] == [True, False, False, True, False]
+        assert [one.status == "absent" for one in parts_of(result.targets[0])] == [True, False, False, True, False]
         assert np.isfinite(result.targets[0].cloud).all()
 
 
 def test_a_target_may_be_gone_and_come_back(face, head):
     gone = run("factorized", face, given(8, absent=True), given(20, points=face.points(20, PARTS[:3])))
-    assert {one.status for result in gone[8:20] for one in result.targets[0].parts} == {"absent"}
+    assert {one.status for result in gone[8:20] for one in parts_of(result.targets[0])} == {"absent"}
     assert gone[10].targets[0].cloud.shape == (0, 5, 2)
-    assert gone[10].targets[0].particles is None
-    assert [one.status for one in gone[20].targets[0].parts] == ["init"] * 3 + ["absent"] * 2
+    assert {one.particles for one in parts_of(gone[10].targets[0])} == {None}
+    assert [one.status for one in parts_of(gone[20].targets[0])] == ["init"] * 3 + ["absent"] * 2
     [name] = head.start.targets
     away = run("histogram", head, given(4, name, absent=("box",)), given(12, name, box=head.box(12)))
     assert [part(r, "box").status for r in away[3:14]] == ["tracked"] + ["absent"] * 8 + ["init", "tracked"]
@@ -297,4 +299,4 @@ def test_a_part_learned_anew_is_judged_by_what_it_looks_like_now(face):
 def test_what_is_kept_and_learned_anew_is_still_where_the_tracker_was(face):
     said = {"points": face.points(30, PARTS[:2]), "kept": face.points(30, PARTS[2:])}
     put = run("factorized", face, given(30, **said, learn=True))
-    assert [one.status for one in put[30].targets[0].parts] == ["init"] * 2 + ["tracked"] * 3
+    assert [one.status for one in parts_of(put[30].targets[0])] == ["init"] * 2 + ["tracked"] * 3

@@ -11,6 +11,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.corrected import is_complete
 from facetrack_cli.tracking.loop import track
+from tests.support.results import parts_of
 from tests.tracking.test_corrected import PARTS, Clip, given, lines, part, run
 
 REST = PARTS[1:]
@@ -27,7 +28,7 @@ def box(face):
 
 
 def statuses(result):
-    return [one.status for one in result.targets[0].parts]
+    return [one.status for one in parts_of(result.targets[0])]
 
 
 def test_a_box_places_what_is_there_and_leaves_out_what_is_absent(face, box):
@@ -35,7 +36,7 @@ def test_a_box_places_what_is_there_and_leaves_out_what_is_absent(face, box):
     assert statuses(put[15]) == ["init", "init", "init", "absent", "init"]
     assert [one.status for one in (part(r, "lip_upper") for r in put[15:])] == ["absent"] * 11
     hidden = part(put[15], "lip_upper")
-    assert np.isnan([hidden.x, hidden.y, hidden.w, hidden.h]).all() and hidden.confidence is None and hidden.by_hand
+    assert (hidden.x, hidden.y, hidden.w, hidden.h, hidden.confidence) == (None,) * 5 and hidden.by_hand
     whole = run("factorized", face, given(15, box=box))
     for name in ("nose", "lip_lower"):
         assert (part(put[15], name).x, part(put[15], name).y) == (part(whole[15], name).x, part(whole[15], name).y)

@@ -83,7 +83,7 @@ def test_what_is_said_holds_and_what_comes_before_stays(config, those):
         by_hand = {*said.given.points, *(gone if said.frame else ())}  # also what is still absent
         for name in PARTS:
             one = part(result, name)
-            assert (one.status == "absent") == (one.x != one.x) == (name in gone)
+            assert (one.status == "absent") == (one.x is None) == (name in gone)
             assert (one.status == "init") == (result.frame.index == 0 or name in said.given.points)
             assert one.by_hand == (name in by_hand)
             for places in (said.given.points, said.kept):
@@ -123,23 +123,21 @@ def test_a_run_put_right_is_a_whole_run_from_the_init_file_that_is_written(made,
             (folder / file.name).write_bytes(file.read_bytes())
         shuffled = list(those)
         order.shuffle(shuffled)
-        with open_run(folder) as opened:
-            fixer = Fixer(opened, lambda index: CLIP.frames[index])
-            for one in shuffled:
-                fixer.put([one])
-            whole = all(is_complete(one, PARTS) for one in those)
-            assert not whole or fixer.corrections == those
-            save(fixer)
-            fixer.close()
-            wanted = fixer.corrections
+        fixer = Fixer(open_run(folder), lambda index: CLIP.frames[index])
+        for one in shuffled:
+            fixer.put([one])
+        whole = all(is_complete(one, PARTS) for one in those)
+        assert not whole or fixer.corrections == those
+        save(fixer)
+        fixer.close()
+        wanted = fixer.corrections
         if not those:
             return
         start = read_init(folder / CORRECTED)
         assert start.corrections == wanted
         again = list(track(build_tracker(load_recipe("factorized", FEW), start), iter(CLIP.frames), 0))
         assert (folder / "trajectory.csv").read_text().split("\n", 1)[1] == "".join(lines(again))
-        with open_run(folder) as opened:
-            assert opened.start.corrections == wanted
+        assert open_run(folder).start.corrections == wanted
 
 
 @given(corrections(most=4))

@@ -8,6 +8,7 @@ from facetrack_cli.core.types import Frame, Start
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
+from tests.support.results import parts_of
 from tests.tracking.test_corrected import PARTS, Clip, given
 
 CLIP = Clip("expressions", 1)
@@ -27,7 +28,7 @@ def ways():
         found = {"anna": [], "ben": []}
         for result in track(tracker, still, 0):
             for target in result.targets:
-                found[target.name].append([(part.x, part.y) for part in target.parts])
+                found[target.rows.target].append([(part.x, part.y) for part in parts_of(target)])
         return found
 
     return follow
@@ -61,5 +62,5 @@ def test_windows_stay_as_the_start_has_them(learn):
     start = replace(CLIP.start, corrections=(given(2, points=wide, learn=learn),))
     still = (Frame(i, i / 25, CLIP.frames[0].bgr) for i in range(5))
     results = list(track(build_tracker(load_recipe("sir", ("filter.particles=5",)), start), still, 0))
-    sides = [[(part.w, part.h) for part in result.targets[0].parts] for result in results]
+    sides = [[(part.w, part.h) for part in parts_of(result.targets[0])] for result in results]
     assert all(one == sides[0] for one in sides) and len(sides[0]) == len(PARTS)

@@ -13,7 +13,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import FileSink
-from facetrack_cli.core.types import Correction, Frame, PartResult, Result, Start, TargetResult, TargetStart
+from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.evaluation.experiments.repeat import spread_of
 from facetrack_cli.evaluation.goldens.goldens import read_golden, record, write_golden
 from facetrack_cli.evaluation.match import match
@@ -28,9 +28,7 @@ from facetrack_cli.report.command_line import command, init_yaml
 from facetrack_cli.report.events import Clock, key_frames, tell
 from facetrack_cli.report.html import Image
 from facetrack_cli.report.page import Plot
-from facetrack_cli.runs.seeds import _Log
 from facetrack_cli.tracking.start import read_init
-from facetrack_cli.trajectory import table as module
 from facetrack_cli.trajectory.formats.boxes import write_otb
 from facetrack_cli.trajectory.formats.coco import write_coco
 from facetrack_cli.trajectory.formats.dlc import write_dlc
@@ -40,11 +38,12 @@ from facetrack_cli.trajectory.formats.vot import write_vot
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import enclose
-from facetrack_cli.trajectory.trajectory import series
+from facetrack_cli.trajectory.trajectory import Collector, joined, one_part
 from facetrack_cli.trajectory.writers import WRITERS, Footer
 from tests.evaluation.test_bands import RECORDED
 from tests.evaluation.test_points import rows
 from tests.evaluation.test_trust import statuses
+from tests.support import results
 
 SAMPLE = Path(__file__).parents[2] / "sample_videos" / "occlusion.mp4"
 NAN = math.nan
@@ -75,13 +74,11 @@ def result(index):
         said = {"nose": "init" if index == 0 else "tracked", "lip": "init"}
     parts = []
     for name, x in (("nose", 10.0), ("lip", 30.0)):
-        place = (NAN,) * 4 if said[name] == "absent" else (x + 0.5 * index, 20.0, 8.0, 6.0)
+        place = (None,) * 4 if said[name] == "absent" else (x + 0.5 * index, 20.0, 8.0, 6.0)
         known = {} if said[name] == "absent" else {"confidence": 0.8, "cov": (1.0, 0.0, 1.0), "ess": 9.0}
-        parts.append(PartResult(name, *place, said[name], **known, by_hand=by_hand[name]))
+        parts.append(results.part(name, *place, said[name], **known, by_hand=by_hand[name]))
     gone = all(status == "absent" for status in said.values())
-    cloud = np.zeros((0, 2, 2))
-    frame = Frame(index, index / 25, np.zeros((1, 1, 3), np.uint8))
-    return Result(frame, (TargetResult("face", tuple(parts), None if gone else 10, cloud),))
+    return results.result(index, [results.target("face", parts, None if gone else 10)]).rows
 
 
 @pytest.fixture
@@ -103,13 +100,9 @@ def table(run):
 # --- tables ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("quick", [True, False])
 @pytest.mark.parametrize("form", ["csv", "json", "jsonl"])
-def test_absent_rows_and_what_was_given_by_hand_are_read_back(run, monkeypatch, form, quick):
-    if not quick:
-        monkeypatch.setattr(module, "_csv_columns", lambda _: None)
-        monkeypatch.setattr(module, "_json_columns", lambda _: None)
-    nose, lip = read_trajectory(run / f"trajectory.{form}").series
+def test_absent_rows_and_what_was_given_by_hand_are_read_back(run, form):
+    nose, lip = read_trajectory(run / f"trajectory.{form}").parts
     absent = [5, 6, 7, 10, 11, 12]
     assert np.flatnonzero(lip.status == "absent").tolist() == absent
     for name in ("x", "y", "w", "h", "confidence", "std_x", "ess"):
@@ -131,24 +124,24 @@ def test_by_hand_is_true_or_false(run, value):
 
 
 def test_a_correction_in_the_first_row_is_told_by_json_alone():
-    one = series("face", "nose", [4, 5], status=["init", "tracked"], by_hand=[True, False])
+    one = one_part("face", "nose", [4, 5], status=["init", "tracked"], by_hand=[True, False])
     assert one.corrected.tolist() == [True, False]
     assert not replace(one, by_hand=np.zeros(2, bool)).corrected.any(), "it is the start"
 
 
 def test_runs_side_by_side_keep_what_was_given_by_hand():
-    log = _Log()
+    log = Collector()
     for index in range(13):
         log.add(result(index))
-    lip = log.table(type("Source", (), {"path": Path("x"), "size": (64, 48)})()).series[1]
+    lip = log.trajectory(path=Path("x")).parts[1]
     assert np.flatnonzero(lip.by_hand).tolist() == [5, 8, 10] and np.isnan(lip.x[5])
 
 
 def test_a_box_around_parts_leaves_out_what_is_absent(table):
-    box = enclose(table.series)
+    box = enclose(table.parts)
     assert box.w[2] == 28.0 and box.w[5] == 8.0 and np.isnan(box.w[10])
     assert box.status[5] == "tracked" and box.status[10] == "absent"
-    nose, lip = table.series
+    nose, lip = table.parts
     assert enclose([replace(nose, status=np.full(13, "lost")), lip]).status[5] == "lost"
     assert np.flatnonzero(box.by_hand).tolist() == [5, 8, 10]
 
@@ -203,17 +196,17 @@ def test_what_comes_back_by_a_correction_is_not_decided(ours):
 def boxes(status, x, frames=6, **more):
     """A target of 20 by 20 pixels."""
     full = np.full(frames, 20.0)
-    return series("hand", "box", range(frames), x=x, y=np.full(frames, 50.0), w=full, h=full, status=status, **more)
+    return one_part("hand", "box", range(frames), x=x, y=np.full(frames, 50.0), w=full, h=full, status=status, **more)
 
 
 def test_boxes_given_later_are_left_out_and_absent_ones_miss_where_there_is_something_to_see():
     x = np.full(6, 50.0)
     seen = ["visible", "visible", "hidden", "hidden", "visible", "visible"]
-    theirs = Table(Path("truth.csv"), (boxes(seen, x),))
+    theirs = replace(boxes(seen, x), path=Path("truth.csv"))
     gone = [NAN if letter == "a" else 50.0 for letter in "iaatit"]
     ours = boxes(corrected("iaatit"), gone)
     ours = replace(ours, w=np.where(np.isnan(ours.x), NAN, 20.0), h=np.where(np.isnan(ours.x), NAN, 20.0))
-    found = evaluate(match(Table(Path("t.json"), (ours,)), theirs, partial=False, select=None, check_shift=True))
+    found = evaluate(match(replace(ours, path=Path("t.json")), theirs, partial=False, select=None, check_shift=True))
     measured = found.parts[0]
     assert (measured.boxes.frames, measured.boxes.missing) == (3, 1), "frame 4 was given by hand"
     assert measured.boxes.ao == pytest.approx(0.5), "one of two after the first"
@@ -221,10 +214,10 @@ def test_boxes_given_later_are_left_out_and_absent_ones_miss_where_there_is_some
 
 
 def test_a_trajectory_with_absent_rows_may_be_measured_and_be_truth(table):
-    other = Table(Path("checked.csv"), tuple(replace(one, x=one.x + 1) for one in table.series))
+    other = replace(table, x=table.x + 1, header={}, path=Path("checked.csv"))
     found = evaluate(match(table, other, partial=False, select=None, check_shift=True))
     assert found.absent == 9 and found.all.points.mean_px == pytest.approx(1.0)
-    truth = Table(Path("truth.csv"), tuple(replace(one, status=np.full(13, "visible")) for one in table.series))
+    truth = replace(table, status=np.full(26, "visible"), header={}, path=Path("truth.csv"))
     with pytest.raises(InputError, match="name them the other way round"):
         match(truth, table, partial=False, select=None, check_shift=True)
 
@@ -261,7 +254,7 @@ def test_a_golden_remembers_the_corrections(tmp_path):
 
 
 def test_what_is_absent_has_no_row_or_no_place_in_other_formats(table):
-    lip = table.series[1]
+    lip = table.parts[1]
     assert [int(line.split(",")[0]) - 1 for line in write_mot([lip]).splitlines()] == [0, 1, 2, 3, 4, 8, 9]
     assert write_vot(lip).splitlines()[5] == "2"
     assert write_otb(lip).splitlines()[5] == "nan,nan,nan,nan"
@@ -273,8 +266,8 @@ def test_what_is_absent_has_no_row_or_no_place_in_other_formats(table):
 
 
 def test_elan_gets_a_tier_of_what_is_absent(table):
-    assert spans_of(table.series, "absent") == [(5, 7, "lip"), (10, 12, "nose, lip")]
-    assert spans_of(table.series) == [(3, 4, "lip")]
+    assert spans_of(table.parts, "absent") == [(5, 7, "lip"), (10, 12, "nose, lip")]
+    assert spans_of(table.parts) == [(3, 4, "lip")]
 
 
 # --- plots and reports -------------------------------------------------------------------------------------------
@@ -289,7 +282,7 @@ def test_the_plots_shade_what_is_absent_and_mark_what_was_put_right(table):
     assert {"absent", "put right by hand"} <= set(labels)
     marks = [line for axes in figure.axes for line in axes.lines if line.get_marker() == "^"]
     assert [line.get_xdata().tolist() for line in marks] == [[5, 8, 10]]
-    plain = replace(table, series=tuple(one.take(one.frame < 5) for one in table.series))
+    plain = table.between(0, 5)
     assert not {"absent", "put right by hand"} & {
         t.get_text() for t in plots.page_figure(plain).subfigs[0].legends[0].texts
     }
@@ -314,10 +307,10 @@ def test_a_report_tells_what_was_put_right(table):
 
 
 def test_a_lost_part_that_is_given_is_not_tracked_again_by_itself(table):
-    nose, lip = table.series
+    nose, lip = table.parts
     status = lip.status.copy()
     status[5:8] = "lost"
-    story = tell(replace(table, series=(nose, replace(lip, status=status))), Clock(table, 25.0))
+    story = tell(joined([nose, replace(lip, status=status)], header=table.header), Clock(table, 25.0))
     assert [(span.back, span.by_hand) for span in story.parts[1].spans] == [(8, True)]
     assert "back" not in {kind for _, kind in story.events}
 

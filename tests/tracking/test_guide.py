@@ -350,8 +350,9 @@ picture = np.clip(128 + 45 * noise / noise.std(), 0, 255).astype(np.uint8)
 recipe = load_recipe("adaptive", ["filter.particles=200", "motion.velocity.samples=null"])
 tracker = build_tracker(recipe, Start(0, {"face": TargetStart(box=(100, 80, 90, 100))}, "test"))
 frames = (Frame(t, 0.0, np.roll(picture, (2 * t, -3 * t), axis=(0, 1))) for t in range(5))
-told = [(one.targets[0].told.affine, one.targets[0].told.error) for one in track(tracker, frames, 0)]
-print(hashlib.sha256(repr(told).encode()).hexdigest())
+found = [one.rows.diagnostics["face"] for one in track(tracker, frames, 0)]
+values = [[one.get(name).tolist() for name in ("affine", "error")] for one in found]
+print(hashlib.sha256(repr(values).encode()).hexdigest())
 """
 
 

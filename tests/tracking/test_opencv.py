@@ -11,6 +11,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking import opencv
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
+from tests.support.results import file_rows, parts_of
 
 NAMES = ["mil", "csrt", "kcf", "mosse"]
 THERE = [name for name in NAMES if opencv.find(name) is not None]
@@ -38,7 +39,7 @@ def run(name, pictures, box=(30.0, 40.0, 32.0, 32.0), seed=0, target="face"):
 @pytest.mark.parametrize("name", THERE)
 def test_a_box_is_followed(name):
     results = run(name, frames(20, step=(1.0, 0.5)))
-    first, last = results[0].parts[0], results[-1].parts[0]
+    first, last = parts_of(results[0])[0], parts_of(results[-1])[0]
     assert (first.status, last.status) == ("init", "tracked")
     assert (first.x, first.y, first.w, first.h) == (45.5, 55.5, 32, 32)
     assert abs(last.x - (45.5 + 19)) < 7 and abs(last.y - (55.5 + 9.5)) < 7
@@ -46,15 +47,15 @@ def test_a_box_is_followed(name):
 
 def test_what_it_cannot_tell_is_left_out():
     target = run("mil", frames(3), target="head")[-1]
-    [part] = target.parts
-    assert (target.name, part.name, target.particles) == ("head", "box", None)
+    [part] = parts_of(target)
+    assert (part.target, part.part, part.particles) == ("head", "box", None)
     assert (part.confidence, part.cov, part.ess) == (None, None, None)
     assert target.cloud.shape == (0, 1, 2)
 
 
 def test_mil_gives_the_same_track_for_the_same_seed_also_beside_another():
     def places(results):
-        return [(t.parts[0].x, t.parts[0].y) for t in results]
+        return [(t.rows.x[0], t.rows.y[0]) for t in results]
 
     pictures = list(frames(12, step=(4.0, 2.0)))
     alone = [places(run("mil", pictures, seed=seed)) for seed in (1, 2, 3, 1)]
@@ -64,7 +65,7 @@ def test_mil_gives_the_same_track_for_the_same_seed_also_beside_another():
     tracker = build_tracker(load_recipe("mil"), start)
     beside = [track(tracker, iter(pictures), seed) for seed in (1, 2)]
     both = list(zip(*beside, strict=True))
-    assert [[(r[i].targets[0].parts[0].x, r[i].targets[0].parts[0].y) for r in both] for i in (0, 1)] == alone[:2]
+    assert [[(r[i].rows.x[0], r[i].rows.y[0]) for r in both] for i in (0, 1)] == alone[:2]
 
 
 class _Stub:
@@ -85,7 +86,7 @@ class _Stub:
 
 def test_a_lost_box_stays_where_it_was(monkeypatch):
     monkeypatch.setattr(opencv, "find", lambda tracker: _Stub)
-    parts = [target.parts[0] for target in run("kcf", frames(5))]
+    parts = [parts_of(target)[0] for target in run("kcf", frames(5))]
     assert [part.status for part in parts] == ["init", "tracked", "lost", "lost", "lost"]
     assert {(part.x, part.y, part.w, part.h) for part in parts[1:]} == {(46.5, 56.5, 32, 32)}
 
@@ -100,11 +101,11 @@ def test_boxes_at_the_edge_run_or_are_refused(name, box):
     except InputError as e:
         assert "\n" not in str(e) and str(e).startswith("clip.init.yaml: ")
         return
-    assert len(results) == 6 and all(np.isfinite([t.parts[0].x, t.parts[0].w]).all() for t in results)
+    assert len(results) == 6 and all(np.isfinite([t.rows.x[0], t.rows.w[0]]).all() for t in results)
 
 
 def test_a_square_between_pixels_stays_a_square():
-    [first] = run("mil", frames(1), (30.5, 41.5, 31.0, 31.0))[0].parts
+    [first] = parts_of(run("mil", frames(1), (30.5, 41.5, 31.0, 31.0))[0])
     assert (first.w, first.h) == (31, 31)
 
 
@@ -131,7 +132,6 @@ def test_run_writes_boxes_and_draws_them(tmp_path):
     from click.testing import CliRunner
 
     from facetrack_cli.cli.app import cli
-    from tests.support.results import file_rows
 
     clip = Path(__file__).parents[2] / "sample_videos" / "expressions.mp4"
     done = CliRunner().invoke(cli, ["run", str(clip), "--config", "mil", "--stop", "8", "-o", str(tmp_path / "out")])

@@ -15,7 +15,8 @@ from facetrack_cli.report.figures.shape_prior import draw_prior
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.tracking.models.shape_prior import ShapePrior, bind, default_prior_path, load_prior
 from facetrack_cli.tracking.models.shape_prior_fit import fit_prior
-from facetrack_cli.trajectory.writers import COLUMNS, Row, csv_lines
+from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
+from facetrack_cli.trajectory.writers import csv_frames
 from tests.twins import shape as naive_shape
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -351,14 +352,14 @@ def test_damaged_files_are_refused(tmp_path):
 
 def write_truth(path, frames, status=None, parts=PARTS, target="face", first_frame=0):
     """frames (T, K, 2); status {(frame, part): word}."""
-    rows = []
-    for t, points in enumerate(frames):
-        for name, (x, y) in zip(parts, points, strict=True):
-            word = (status or {}).get((t, name), "visible")
-            rows.append(Row(t + first_frame, t / 25, target, name, float(x), float(y), status=word))
+    t = np.arange(len(frames))
+    found = []
+    for name, (x, y) in zip(parts, np.moveaxis(np.asarray(frames), 0, 2), strict=True):
+        words = [(status or {}).get((int(at), name), "visible") for at in t]
+        found.append(one_part(target, name, t + first_frame, time_s=t / 25, x=x, y=y, status=words))
     text = "" if path.exists() else ",".join(COLUMNS) + "\n"
     with path.open("a") as file:
-        file.write(text + csv_lines(rows))
+        file.write(text + "".join(csv_frames(joined(found))))
     return path
 
 
@@ -445,7 +446,7 @@ def test_fit_says_what_is_wrong(tmp_path):
         ([hidden], {}, InputError, "none of its 5 frames"),
         ([flat], {}, InputError, "frame 0.*no scale"),
         ([wild], {}, InputError, "wild.csv: a part moves"),
-        ([double], {}, InputError, "twice"),
+        ([double], {}, InputError, "frame 0 has two rows of face/nose"),
         ([empty], {}, InputError, "no row"),
         ([tmp_path / "absent.csv"], {}, InputError, "absent.csv"),
         ([good], {"parts": ["nose", "lip_upper"]}, UsageError, "no part mouth_left"),

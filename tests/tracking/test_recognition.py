@@ -187,13 +187,17 @@ def test_particles_without_weight_say_nothing(shown, gallery):
     assert list(both.posterior.values()) == pytest.approx(list(alone.posterior.values()))
 
 
-def test_it_tells_what_the_appearance_tells_and_who_it_is(shown, gallery):
+def test_it_reports_what_the_appearance_shows_and_who_it_is(shown, gallery):
     x, _ = shown
     model = recognition(gallery)
     learned = watch(model, x[5:10])[-1]
-    told = model.tell(learned)
-    assert told.posterior == learned.posterior and told.entropy == learned.entropy
-    assert [name for name, _ in told.insets] == [name for name, _ in model.appearance.tell(learned.appearance).insets]
+    assert model.diagnose(learned) == {"posterior": learned.posterior, "entropy": learned.entropy}
+    assert [one.name for one in model.diagnostics] == ["posterior", "entropy"]
+    for (name, inset), (other, expected) in zip(
+        model.insets(learned), model.appearance.insets(learned.appearance), strict=True
+    ):
+        assert name == other
+        np.testing.assert_array_equal(inset, expected)
     frame = picture(x[6], 9)
     at = X0[None]
     patches = model.appearance.patches.read(frame, at, 1)

@@ -17,6 +17,7 @@ from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
+from tests.support.results import parts_of
 
 SAMPLE = Path(__file__).parents[2] / "sample_videos" / "hands.mp4"
 SHIPPED = [load_recipe(path.stem) for path in shipped_recipes()]
@@ -66,7 +67,7 @@ def run(config, frames, seed=0, overrides=(), begin=None):
 
 
 def boxes(results, target=0):
-    parts = [r.targets[target].parts[0] for r in results]
+    parts = [parts_of(r.targets[target])[0] for r in results]
     return np.array([(p.x - (p.w - 1) / 2, p.y - (p.h - 1) / 2, p.w, p.h) for p in parts])
 
 
@@ -87,14 +88,14 @@ def test_every_recipe_follows_a_head_that_moves_and_grows(config, coloured):
     assert overlap[0] == pytest.approx(1.0)
     assert overlap.mean() > 0.6 and overlap[-5:].mean() > 0.5
     first = results[0].targets[0]
-    assert [(p.name, p.status, p.confidence) for p in first.parts] == [("box", "init", 1.0)]
+    assert [(p.part, p.status, p.confidence) for p in parts_of(first)] == [("box", "init", 1.0)]
     assert first.cloud.shape == (200, 1, 2)
     for result in results[1:]:
-        [part] = result.targets[0].parts
+        [part] = parts_of(result.targets[0])
         assert part.status in ("tracked", "lost") and 0.0 <= part.confidence <= 1.0
         assert part.cov[0] * part.cov[2] >= part.cov[1] ** 2 * (1 - 1e-9) and part.cov[0] >= 0
         assert 1 - 1e-9 <= part.ess <= 200 + 1e-6
-    assert np.mean([r.targets[0].parts[0].status == "tracked" for r in results[1:]]) > 0.9
+    assert np.mean([parts_of(r.targets[0])[0].status == "tracked" for r in results[1:]]) > 0.9
 
 
 @pytest.mark.parametrize("config", RECIPES)
@@ -121,7 +122,7 @@ def test_a_colour_recipe_says_of_a_grey_clip_that_it_cannot_know_colours(config,
 @pytest.mark.parametrize("config", ["contour", "contour_histogram", "contour_histogram_correlation"])
 def test_the_posterior_mean_is_unbiased(config, coloured):
     """In the mean over 20 seeds, though the head changes its speed all the time: less than half a pixel, 3 % of s."""
-    parts = [[r.targets[0].parts[0] for r in run(config, coloured, seed)] for seed in range(20)]
+    parts = [[parts_of(r.targets[0])[0] for r in run(config, coloured, seed)] for seed in range(20)]
     off = np.array([[(p.x - x, p.y - y, p.w / W - s) for p, (x, y, s) in zip(row, map(path, range(45)), strict=True)]
                     for row in parts])  # fmt: skip
     assert np.all(np.abs(off.mean(axis=(0, 1))) < (0.5, 0.5, 0.03))
@@ -131,7 +132,7 @@ def test_correlation_alone_follows_what_moves_and_does_not_judge(coloured):
     overrides = ["likelihood={type: product, correlation: {sigma: 60}}", "filter.particles=400"]
     results = run("histogram", coloured[:25], overrides=overrides)
     assert iou(boxes(results), truth(25)).mean() > 0.5
-    statuses = [(r.targets[0].parts[0].status, r.targets[0].parts[0].confidence) for r in results]
+    statuses = [(parts_of(r.targets[0])[0].status, parts_of(r.targets[0])[0].confidence) for r in results]
     assert statuses == [("init", None)] + [("tracked", None)] * 24
 
 
@@ -141,14 +142,14 @@ def test_flat_pictures_go_on_and_say_lost(config, level, coloured):
     flat = [Frame(i, i / 25, np.full_like(coloured[0].bgr, level)) for i in range(1, 8)]
     results = run(config, [coloured[0], *flat])
     assert np.isfinite(boxes(results)).all()
-    assert results[-1].targets[0].parts[0].status == "lost"
+    assert parts_of(results[-1].targets[0])[0].status == "lost"
 
 
 def test_a_head_that_goes_is_lost_and_found_when_it_is_back(coloured):
     gone = [Frame(n, n / 25, scene(-500.0, 0.0, 1.0)) for n in range(10, 18)]
     back = [Frame(n, n / 25, scene(*path(9))) for n in range(18, 30)]
     results = run("contour_histogram", [*coloured[:10], *gone, *back])
-    statuses = [r.targets[0].parts[0].status for r in results]
+    statuses = [parts_of(r.targets[0])[0].status for r in results]
     assert "lost" not in statuses[:10]
     assert statuses[17] == "lost" and statuses[-1] == "tracked"
 
@@ -171,7 +172,7 @@ def test_the_picture_that_is_drawn_is_not_the_one_that_the_next_frame_is_compare
 def test_targets_of_one_run_are_followed_each_by_itself(coloured):
     begin = Start(0, {"head": TargetStart(box=START), "ground": TargetStart(box=(20, 130, 40, 40))}, "two.yaml")
     results = run("contour_histogram", coloured[:20], begin=begin)
-    assert [t.name for t in results[-1].targets] == ["head", "ground"]
+    assert [t.rows.target for t in results[-1].targets] == ["head", "ground"]
     assert iou(boxes(results, 0), truth(20)).mean() > 0.6
 
 

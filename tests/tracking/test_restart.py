@@ -112,25 +112,32 @@ def test_what_is_carried_from_frame_to_frame_is_carried_from_the_correction(conf
     assert place == pytest.approx([left + (w - 1) / 2, top + (h - 1) / 2]) and particles is state.particles
 
 
-def test_a_guide_and_what_is_told_begin_in_the_frame_of_the_correction(zoom):
+def scale_of(result):
+    (scale,) = result.rows.diagnostics["face"].get("scale")
+    return scale
+
+
+def test_a_guide_and_the_insets_begin_in_the_frame_of_the_correction(zoom):
     place = TargetStart(box=zoom.box(10))
     target, first, state, result = restarted("adaptive_velocity", zoom, place)
     again = target.guide.begin(np.random.default_rng(9), zoom.frames[10], state.estimated.state, target.motion)
     np.testing.assert_array_equal(state.flow.patch, again.patch)
     assert (state.flow.patch != first.flow.patch).any()
-    for told, told_of in ((state.told, state), (first.told, first)):
-        expected = target.likelihood.tell(told_of.learned)
-        for (_, picture), (_, wanted) in zip(told.insets, expected.insets, strict=True):
-            np.testing.assert_array_equal(picture, wanted)
-    assert result.told.scale == pytest.approx(np.sqrt(zoom.box(10)[2] * zoom.box(10)[3]) / zoom.box(0)[2], rel=1e-3)
+    expected = target.likelihood.insets(state.learned)
+    for (name, picture), (other, wanted) in zip(result.insets, expected, strict=True):
+        assert name == other
+        np.testing.assert_array_equal(picture, wanted)
+    before = target.likelihood.insets(first.learned)
+    assert any((a != b).any() for (_, a), (_, b) in zip(result.insets, before, strict=True))
+    assert scale_of(result) == pytest.approx(np.sqrt(zoom.box(10)[2] * zoom.box(10)[3]) / zoom.box(0)[2], rel=1e-3)
 
 
 def test_a_cloud_fills_the_box_that_is_given():
     clip = Clip("signing", 8)
     few = [f"targets.{name}.filter.particles=60" for name in ("head", "left_hand", "right_hand")]
     put = run("head_hands_cloud", clip, given(5, "left_hand", box=(80.0, 120.0, 33.0, 71.0)), overrides=few)
-    [hand] = [one for one in put[5].targets if one.name == "left_hand"]
-    assert (hand.parts[0].w, hand.parts[0].h) == pytest.approx((33, 71))
+    [hand] = [one for one in put[5].targets if one.rows.target == "left_hand"]
+    assert (hand.rows.w[0], hand.rows.h[0]) == pytest.approx((33, 71))
     assert np.ptp(hand.cloud[:, 0, 0]) <= 33 and np.ptp(hand.cloud[:, 0, 1]) > 50
 
 
@@ -145,7 +152,7 @@ def test_a_box_of_another_shape_is_the_unit_from_there_on(head):
 def test_a_face_under_affine_maps_is_learned_anew_unless_it_is_said_otherwise(zoom, learn, scale):
     left, top, w, h = zoom.box(0)
     put = run("adaptive_velocity", zoom, given(5, box=(left, top, 1.5 * w, 1.5 * h), learn=learn))
-    assert put[5].targets[0].told.scale == pytest.approx(scale, rel=1e-3)
+    assert scale_of(put[5].targets[0]) == pytest.approx(scale, rel=1e-3)
 
 
 def test_colours_are_not_learned_anew():

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from facetrack_cli.core.types import Frame, Info, Particles, Start, TargetResult, TargetStart
+from facetrack_cli.core.types import Frame, Info, Particles, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.exclusion import Cover, Exclusion
@@ -15,6 +15,7 @@ from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
 from facetrack_cli.tracking.models.motion import FirstOrder
 from facetrack_cli.tracking.models.spaces import BoxSpace, CloudSpace, evenly
 from facetrack_cli.tracking.target import ParticleTarget, State
+from tests.support.results import target
 
 PICTURE = np.zeros((20, 30, 3), np.uint8)
 
@@ -42,7 +43,7 @@ class Turn:
         return Cover(self.name, state + 0.5 * ahead)
 
     def _result(self):
-        return TargetResult(self.name, (), None, np.zeros((0, 0, 2)))
+        return target(self.name, [])
 
 
 def turns(*names, seed=0):
@@ -93,8 +94,8 @@ def state_of(target):
 
 @pytest.mark.parametrize(("space", "half"), [(BoxSpace((12.0, 8.0)), (9.0, 6.0)), (CloudSpace(), (4.0, 2.0))])
 def test_what_a_target_covers_is_its_box_where_it_is_or_will_be(space, half):
-    target = moving(space)
-    now, next_ = (target.cover(state_of(target), ahead=ahead) for ahead in (False, True))
+    one = moving(space)
+    now, next_ = (one.cover(state_of(one), ahead=ahead) for ahead in (False, True))
     np.testing.assert_allclose([now.centre, next_.centre], [(10, 20), (13, 18)])
     np.testing.assert_allclose([now.half, next_.half], [half, half])
 
@@ -114,11 +115,11 @@ def test_notes_of_the_start_are_said_in_the_first_frame_alone():
 
 
 def test_what_is_learned_is_learned_at_the_new_estimate():
-    target = moving(BoxSpace((12.0, 8.0)))
-    state, result = target.advance(np.random.default_rng(0), state_of(target), Frame(1, 0.0, PICTURE))
+    one, frame = moving(BoxSpace((12.0, 8.0))), Frame(1, 0.0, PICTURE)
+    state, result = one.advance(np.random.default_rng(0), state_of(one), frame)
     assert state.learned == pytest.approx((13.0,))
-    assert (result.parts[0].x, result.parts[0].y) == pytest.approx((13.0, 18.0))
-    assert target._result(state, Info(np.ones(1)), "tracked").particles == 4
+    assert (result.rows.x[0], result.rows.y[0]) == pytest.approx((13.0, 18.0))
+    assert one._result(state, frame, Info(np.ones(1)), "tracked").rows.particles.tolist() == [4]
 
 
 # --- from a recipe to its targets

@@ -10,6 +10,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
+from tests.support.results import rows_of
 
 SKIN, WALL = (120, 150, 205), (150, 120, 90)
 HEAD, LEFT, RIGHT = (130.0, 60.0, 22.0, 28.0), (60.0, 140.0, 14.0, 14.0), (200.0, 140.0, 14.0, 14.0)
@@ -51,7 +52,7 @@ def run(config, clip, begin, seed=0, overrides=()):
 
 def places(results):
     """(T, targets, 4): x, y, w, h."""
-    return np.array([[(p.x, p.y, p.w, p.h) for target in r.targets for p in target.parts] for r in results])
+    return np.array([[(p.x, p.y, p.w, p.h) for p in rows_of(r.rows)] for r in results])
 
 
 def moved(ellipse, dx, dy):
@@ -75,11 +76,11 @@ def test_head_and_hands_are_followed_and_keep_their_names(config):
     results = run(config, frames(clip), start(*ALL))
     true = np.array([[ellipse[:2] for ellipse in row] for row in clip])
     found = places(results)
-    assert [target.name for target in results[0].targets] == list(ALL)
+    assert [target.rows.target for target in results[0].targets] == list(ALL)
     off = np.hypot(*np.moveaxis(found[..., :2] - true, 2, 0))
     assert off.mean(axis=0).max() < 6 and np.quantile(off, 0.95) < 14
-    assert {p.status for target in results[0].targets for p in target.parts} == {"init"}
-    assert all(p.status == "tracked" for r in results[1:] for target in r.targets for p in target.parts)
+    assert {p.status for p in rows_of(results[0].rows)} == {"init"}
+    assert all(p.status == "tracked" for r in results[1:] for p in rows_of(r.rows))
 
 
 def test_the_size_of_a_cloud_is_that_of_the_skin():
@@ -125,7 +126,7 @@ def test_flat_pictures_go_on_and_say_lost(level):
     flat = [Frame(i, i / 25, np.full((200, 260, 3), level, np.uint8)) for i in range(1, 8)]
     results = run("head_hands", [*frames([(HEAD, LEFT, RIGHT)]), *flat], start(*ALL))
     assert np.isfinite(places(results)).all()
-    assert all(p.status == "lost" for target in results[-1].targets for p in target.parts)
+    assert all(p.status == "lost" for p in rows_of(results[-1].rows))
 
 
 def test_a_pixel_weighs_what_its_colour_says_and_the_floor_elsewhere():

@@ -9,6 +9,7 @@ from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
+from tests.support.results import parts_of
 from tests.support.samples import TrackClip
 
 RECIPES = [path.stem for path in shipped_recipes() if load_recipe(path.stem).points]
@@ -42,7 +43,7 @@ def run(config, clip, seed=0, frames=None, overrides=()):
 
 
 def places(results):
-    return np.array([[(p.x, p.y) for p in result.targets[0].parts] for result in results])
+    return np.array([[(p.x, p.y) for p in parts_of(result.targets[0])] for result in results])
 
 
 def errors(results, clip):
@@ -53,18 +54,18 @@ def errors(results, clip):
 def test_every_recipe_follows_the_face_of_a_sample_clip(config, expressions):
     results = run(config, expressions)
     assert [r.frame.index for r in results] == list(range(60))
-    assert {p.status for p in results[0].targets[0].parts} == {"init"}
+    assert {p.status for p in parts_of(results[0].targets[0])} == {"init"}
     off = errors(results, expressions)
     # bounds from the measured tables, with room; the filters over the joint state are the ones that wander
     assert off.mean() < {"sir": 8.0, "auxiliary_prior": 5.5}.get(config, 3.0)
     assert off[:, 0].mean() < 4.0
     for result in results[1:]:
-        for part in result.targets[0].parts:
+        for part in parts_of(result.targets[0]):
             assert part.status in ("tracked", "lost")
             assert 0.0 <= part.confidence <= 1.0
             assert part.cov[0] >= 0
             assert part.cov[0] * part.cov[2] >= part.cov[1] ** 2 * (1 - 1e-9)
-            assert 1 - 1e-9 <= part.ess <= result.targets[0].particles + 1e-6
+            assert 1 - 1e-9 <= part.ess <= part.particles + 1e-6
 
 
 @pytest.mark.parametrize("config", RECIPES)
@@ -88,7 +89,7 @@ def test_every_robust_function_tracks(robust, expressions):
 
 def test_covered_parts_are_called_lost_and_found_again(occlusion):
     results = run("factorized_robust", occlusion)
-    lost = np.array([[p.status == "lost" for p in r.targets[0].parts] for r in results])
+    lost = np.array([[p.status == "lost" for p in parts_of(r.targets[0])] for r in results])
     covered = slice(60, 100)
     hidden = ~occlusion.visible[covered]
     assert hidden.any()
@@ -131,7 +132,7 @@ def test_flat_pictures_go_on_and_say_lost(config, level, expressions):
     results = run(config, expressions, frames=[expressions.frames[0], *flat])
     assert len(results) == 9
     assert np.isfinite(places(results)).all()
-    assert {p.status for p in results[-1].targets[0].parts} == {"lost"}
+    assert {p.status for p in parts_of(results[-1].targets[0])} == {"lost"}
 
 
 def test_a_clip_of_one_frame_gives_one_result(expressions):

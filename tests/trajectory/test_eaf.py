@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory.formats.eaf import VOCABULARIES, spans_of, write_eaf
 from facetrack_cli.trajectory.formats.head_motion import KINDS, LABELS
-from facetrack_cli.trajectory.table import Table, series
+from facetrack_cli.trajectory.trajectory import joined, one_part
 
 WRITTEN = datetime(2020, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
 
@@ -24,7 +24,7 @@ def part(name, status, target="face", time_s=None, frames=None, **columns):
     frames = np.arange(t) if frames is None else frames
     time_s = np.asarray(frames) / 25 if time_s is None else time_s
     columns = {"x": np.full(t, 50.0), "y": np.full(t, 60.0), **columns}
-    return series(target, name, frames, time_s=time_s, status=status, **columns)
+    return one_part(target, name, frames, time_s=time_s, status=status, **columns)
 
 
 def states(text):
@@ -33,7 +33,7 @@ def states(text):
 
 
 def eaf(*parts, media=Path("/videos/clip.mp4"), folder=Path("/videos")):
-    return ET.fromstring(write_eaf(Table(Path("t.csv"), parts), media, folder, written=WRITTEN))
+    return ET.fromstring(write_eaf(joined(parts, path=Path("t.csv")), media, folder, written=WRITTEN))
 
 
 def tiers(root):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from facetrack_cli.cli.options import TRUTH_FORMATS
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.trajectory.formats.read import FORMATS, read_results, read_truth, recognise
-from facetrack_cli.trajectory.writers import COLUMNS
+from facetrack_cli.trajectory.trajectory import COLUMNS
 
 PTS = "version: 1\nn_points:  2\n{\n1 1\n3 4.5\n}\n"
 MOT_GT = "1,3,11,21,30,40,1,1,1\n2,3,12,21,30,40,1,1,0\n"
@@ -66,8 +66,8 @@ def test_labels_beside_tell_got10k(tmp_path: Path) -> None:
     write(tmp_path, "8\n0\n0\n", "cover.label")
     assert recognise(tmp_path) == (path, "got10k")
     found = read_truth(tmp_path)
-    assert found.series[0].status.tolist() == ["visible", "absent", "hidden"]
-    assert np.isnan(found.series[0].x).tolist() == [False, True, False]
+    assert found.parts[0].status.tolist() == ["visible", "absent", "hidden"]
+    assert np.isnan(found.parts[0].x).tolist() == [False, True, False]
     assert "absence.label and cover.label" in found.header["read_as"]
     write(tmp_path, "0\n1\n", "absence.label")
     with pytest.raises(InputError, match=r"absence.label: has 2 lines, groundtruth.txt beside it 3"):
@@ -89,7 +89,7 @@ def test_labels_beside_tell_got10k(tmp_path: Path) -> None:
 def test_a_folder_is_looked_into(tmp_path: Path, inside: str, text: str, form: str) -> None:
     write(tmp_path, text, inside)
     assert recognise(tmp_path)[1] == form
-    assert read_truth(tmp_path).series
+    assert read_truth(tmp_path).parts
 
 
 @pytest.mark.parametrize("form", FORMATS[1:])
@@ -103,8 +103,8 @@ def test_shift_is_added_to_every_frame(tmp_path: Path, form: str) -> None:
     name = "000004.pts" if form == "pts" else "gt.txt"
     path = write(tmp_path, texts.get(form, "1,2,3,4\n" * 4), name)
     plain, moved = (read_truth(path, form, shift=shift) for shift in (0, -5))
-    assert plain.series[0].frame[-1] == 3
-    assert moved.series[0].frame[-1] == -2
+    assert plain.parts[0].frame[-1] == 3
+    assert moved.parts[0].frame[-1] == -2
     assert moved.header["shift"] == -5
     assert moved.header["read_as"]
 
@@ -195,7 +195,7 @@ def test_names_that_the_system_refuses_and_pipes(tmp_path: Path, form: str) -> N
 @pytest.mark.parametrize("between", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("end", ["", "\n", "\r\n", "\n\n \n"])
 def test_line_ends_and_blank_ends(tmp_path: Path, between: str, end: str) -> None:
-    (found,) = read_truth(write(tmp_path, f"\ufeff1,2,3,4{between}5,6,7,8{end}")).series
+    (found,) = read_truth(write(tmp_path, f"\ufeff1,2,3,4{between}5,6,7,8{end}")).parts
     assert found.boxes.tolist() == [[0, 1, 3, 4], [4, 5, 7, 8]]
 
 
@@ -217,7 +217,7 @@ def test_whatever_it_is_there_is_a_table_or_one_line(tmp_path: Path, text: str, 
         assert "\n" not in str(said)
         assert str(said).startswith(str(path))
         return
-    for one in found.series:
+    for one in found.parts:
         assert len(one) > 0
         assert (np.diff(one.frame) > 0).all()
         assert np.isnan(one.x).tolist() == np.isnan(one.y).tolist()
@@ -239,7 +239,7 @@ def test_the_option_s_formats_are_those_that_are_read() -> None:
 )
 def test_results_of_others(tmp_path: Path, text: str, status: list[str], left: float, confidence: float) -> None:
     table = read_results(write(tmp_path, text, "MIL.txt"))
-    (found,) = table.series
+    (found,) = table.parts
     assert found.status.tolist() == status
     first = int(np.flatnonzero(np.isfinite(found.x))[0])
     assert found.boxes[first].tolist() == [left, left + 1, 10, 20]
@@ -249,9 +249,9 @@ def test_results_of_others(tmp_path: Path, text: str, status: list[str], left: f
 
 def test_results_are_read_as_told_and_ours_as_ever(tmp_path: Path) -> None:
     path = write(tmp_path, "5,6,10,20\n")
-    assert read_results(path, "vot").series[0].boxes.tolist() == [[5, 6, 10, 20]]
+    assert read_results(path, "vot").parts[0].boxes.tolist() == [[5, 6, 10, 20]]
     ours = write(tmp_path, "frame,target,part,x,y,status\n0,face,nose,1,2,visible\n", "trajectory.csv")
-    assert read_results(tmp_path).path == ours and read_results(tmp_path).series[0].status.tolist() == ["visible"]
+    assert read_results(tmp_path).path == ours and read_results(tmp_path).parts[0].status.tolist() == ["visible"]
     assert "read_as" not in read_results(ours).header
     for broken in ("", "1,2,3\n"):
         with pytest.raises(InputError, match=r"a trajectory begins with|it should read frame,time_s,target"):

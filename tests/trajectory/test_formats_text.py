@@ -14,7 +14,7 @@ from facetrack_cli.trajectory.formats.boxes import read_boxes, read_got10k, read
 from facetrack_cli.trajectory.formats.mot import read_mot, write_mot
 from facetrack_cli.trajectory.formats.pts import read_pts
 from facetrack_cli.trajectory.formats.vot import read_vot, write_vot
-from facetrack_cli.trajectory.table import Series, series
+from facetrack_cli.trajectory.trajectory import Trajectory, one_part
 
 here = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 
@@ -34,14 +34,14 @@ PLACE = st.tuples(*[decimals(-50, 2000, 3)] * 2, *[decimals(1, 300, 3)] * 2, st.
 ROWS = st.lists(st.one_of(st.none(), PLACE), min_size=1, max_size=12)
 
 
-def track(frames: list[int], rows: list[tuple[float, ...] | None], target: str = "head") -> Series:
+def track(frames: list[int], rows: list[tuple[float, ...] | None], target: str = "head") -> Trajectory:
     known = np.array([[np.nan] * 5 if r is None else [np.nan if v is None else v for v in r] for r in rows])
     status = ["lost" if i % 3 else "tracked" for i in range(len(rows))]
     x, y, w, h, confidence = known.T
-    return series(target, "box", frames, x=x, y=y, w=w, h=h, confidence=confidence, status=status)
+    return one_part(target, "box", frames, x=x, y=y, w=w, h=h, confidence=confidence, status=status)
 
 
-def agree(a: Series, b: Series) -> None:
+def agree(a: Trajectory, b: Trajectory) -> None:
     assert a.frame.tolist() == b.frame.tolist()
     for name in ("x", "y", "w", "h"):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9)
@@ -56,8 +56,8 @@ def test_otb_and_got10k_there_and_back(
     text = {"otb": write_otb, "got10k": write_got10k}[form](one)
     assert text.count("\n") == len(rows)
     back = {"otb": read_otb, "got10k": read_got10k}[form](write(tmp_path, text), shift=first)
-    agree(back.series[0], one)
-    assert (back.series[0].status == "absent").tolist() == [row is None for row in rows]
+    agree(back.parts[0], one)
+    assert (back.parts[0].status == "absent").tolist() == [row is None for row in rows]
     if all(row is not None for row in rows):  # as the toolkits load it
         np.testing.assert_allclose(np.loadtxt(tmp_path / "gt.txt", delimiter=",", ndmin=2)[:, 2:], one.boxes[:, 2:])
 
@@ -70,7 +70,7 @@ def test_vot_there_and_back(tmp_path: Path, rows: list[tuple[float, ...] | None]
     text = write_vot(one)
     assert text.count("\n") == frames[-1] + 1
     assert text.split("\n")[frames[0]] == "1"
-    (back,) = read_vot(write(tmp_path, text)).series
+    (back,) = read_vot(write(tmp_path, text)).parts
     agree(back.take(np.arange(1, len(back))), one.take(np.arange(1, len(one))))
     assert back.frame[0] == frames[0]
     assert back.status.tolist() == ["init"] + ["lost" if row is None else "tracked" for row in rows[1:]]
@@ -84,7 +84,7 @@ def test_mot_there_and_back(tmp_path: Path, rows: list[tuple[float, ...]], other
         track([2 * i for i in range(len(others))], list(others), "2"),
     )
     path = write(tmp_path, write_mot(pair))
-    found = {one.target: one for one in read_mot(path, results=True).series}
+    found = {one.target: one for one in read_mot(path, results=True).parts}
     assert sorted(found) == ["2", "7"]
     for one in pair:
         agree(found[one.target], one)
@@ -96,7 +96,7 @@ def test_mot_there_and_back(tmp_path: Path, rows: list[tuple[float, ...]], other
 
 def test_boxes_are_counted_from_zero(tmp_path: Path) -> None:
     path = write(tmp_path, "w,frame,h,x,y,who\n10,5,20,0,1,ann\n,7,,,,ann\n10,6,20,2,1,ann\n")
-    (one,) = read_boxes(path).series
+    (one,) = read_boxes(path).parts
     assert one.frame.tolist() == [5, 6, 7]
     assert one.boxes[:2].tolist() == [[0, 1, 10, 20], [2, 1, 10, 20]]
     assert one.x[0] == 4.5
@@ -104,7 +104,7 @@ def test_boxes_are_counted_from_zero(tmp_path: Path) -> None:
 
 
 def test_otb_is_counted_from_one_and_zeros_are_absent(tmp_path: Path) -> None:
-    (one,) = read_otb(write(tmp_path, "1\t1\t11\t21\n0\t0\t0\t0\nNaN\tNaN\tNaN\tNaN\n")).series
+    (one,) = read_otb(write(tmp_path, "1\t1\t11\t21\n0\t0\t0\t0\nNaN\tNaN\tNaN\tNaN\n")).parts
     assert (one.target, one.part) == ("", "box")
     assert one.boxes[0].tolist() == [0, 0, 11, 21]
     assert (one.x[0], one.y[0]) == (5, 10)
@@ -113,7 +113,7 @@ def test_otb_is_counted_from_one_and_zeros_are_absent(tmp_path: Path) -> None:
 
 def test_got10k_has_its_own_ways_to_say_absent(tmp_path: Path) -> None:
     text = "1,1,11,21\n-1,-1,-1,-1\n5,5,0,9\n"
-    assert read_got10k(write(tmp_path, text)).series[0].status.tolist() == ["visible", "absent", "absent"]
+    assert read_got10k(write(tmp_path, text)).parts[0].status.tolist() == ["visible", "absent", "absent"]
     with pytest.raises(InputError, match=":2: the box has a negative size"):
         read_otb(write(tmp_path, text))
 
@@ -128,13 +128,13 @@ def test_formats_without_frame_numbers_have_no_room_for_gaps() -> None:
 @pytest.mark.parametrize("writer", [write_otb, write_got10k, write_vot, lambda one: write_mot([one])])
 def test_points_are_no_boxes(writer: object) -> None:
     with pytest.raises(InputError, match="face/nose: frame 3 has no w and h"):
-        writer(series("face", "nose", [3], x=[1.0], y=[2.0]))  # type: ignore[operator]
+        writer(one_part("face", "nose", [3], x=[1.0], y=[2.0]))  # type: ignore[operator]
 
 
 def test_mot_flags_and_visibility(tmp_path: Path) -> None:
     rows = "1,3,11,21,30,40,1,1,1\n2,3,12,21,30,40,1,1,0\n3,3,13,21,30,40,0,8,1\n1,9,1,1,5,5,0,8,1\n"
     found = read_mot(write(tmp_path, rows))
-    (one,) = found.series
+    (one,) = found.parts
     assert (one.target, one.part) == ("3", "box")
     assert one.frame.tolist() == [0, 1]
     assert one.boxes[0].tolist() == [10, 20, 30, 40]
@@ -144,9 +144,9 @@ def test_mot_flags_and_visibility(tmp_path: Path) -> None:
 
 def test_mot_tells_confidences_from_flags(tmp_path: Path) -> None:
     path = write(tmp_path, "1,1,1,1,9,9,0.5,-1,-1,-1\n2,1,1,1,9,9,0,-1,-1,-1\n3,1,1,1,9,9,-1,-1,-1,-1\n")
-    (one,) = read_mot(path).series
+    (one,) = read_mot(path).parts
     np.testing.assert_equal(one.confidence, [0.5, 0, np.nan])
-    (flagged,) = read_mot(path, results=False).series
+    (flagged,) = read_mot(path, results=False).parts
     assert flagged.frame.tolist() == [0, 2]
     assert np.isnan(flagged.confidence).all()
 
@@ -159,7 +159,7 @@ def test_mot_numbers_targets_that_have_names() -> None:
 def test_vot_truth(tmp_path: Path) -> None:
     text = "10,20,30,40\nnan,nan,nan,nan\n0\n2,0,6,2,4,8,0,6\n"
     found = read_vot(write(tmp_path, text))
-    (one,) = found.series
+    (one,) = found.parts
     assert one.frame.tolist() == [0, 1, 2, 3]
     assert one.status.tolist() == ["visible", "absent", "absent", "visible"]
     assert one.boxes[0].tolist() == [10, 20, 30, 40]
@@ -174,9 +174,9 @@ def test_vot_polygons_are_written_as_such(tmp_path: Path) -> None:
     corners = np.array([[[0, 0], [4, 0], [4, 4], [0, 4]], [[2, 0], [6, 2], [4, 8], [0, 6.125]]], float)
     low, high = corners.min(axis=1), corners.max(axis=1)
     w, h = (high - low).T
-    one = series("a", "box", [0, 1], x=low[:, 0] + (w - 1) / 2, y=low[:, 1] + (h - 1) / 2, w=w, h=h, corners=corners)
+    one = one_part("a", "box", [0, 1], x=low[:, 0] + (w - 1) / 2, y=low[:, 1] + (h - 1) / 2, w=w, h=h, corners=corners)
     assert write_vot(one) == "1\n2,0,6,2,4,8,0,6.125\n"
-    (back,) = read_vot(write(tmp_path, write_vot(one))).series
+    (back,) = read_vot(write(tmp_path, write_vot(one))).parts
     assert back.corners is not None
     assert np.array_equal(back.corners[1], corners[1])
 
@@ -186,7 +186,7 @@ def test_pts_are_counted_from_one(tmp_path: Path) -> None:
         points = "\n".join(f"{k + number} {2 * k}" for k in range(1, 69))
         write(tmp_path, f"version: 1\nn_points:  68\n{{\n{points}\n}}\n", f"{number:06d}.pts")
     found = read_pts(tmp_path)
-    assert len(found.series) == 68 + 5
+    assert len(found.parts) == 68 + 5
     assert found.targets == ("face",)
     # iBUG, from 1: the tip of the nose, the corners of the mouth, the middles of the lips' outer borders
     named = {"nose": 31, "mouth_left": 49, "mouth_right": 55, "lip_upper": 52, "lip_lower": 58}
@@ -202,9 +202,9 @@ def test_pts_are_counted_from_one(tmp_path: Path) -> None:
 def test_pts_of_other_sizes_and_nan(tmp_path: Path) -> None:
     write(tmp_path, "version: 1\nn_points: 2\n{\n1 1\nnan nan\n}", "clip_12.pts")
     found = read_pts(tmp_path / "clip_12.pts")
-    assert [one.name for one in found.series] == ["face/point_01", "face/point_02"]
-    assert [one.status.tolist() for one in found.series] == [["visible"], ["absent"]]
-    assert found.series[0].frame.tolist() == [11]
+    assert [one.name for one in found.parts] == ["face/point_01", "face/point_02"]
+    assert [one.status.tolist() for one in found.parts] == [["visible"], ["absent"]]
+    assert found.parts[0].frame.tolist() == [11]
     write(tmp_path, "version: 1\nn_points: 1\n{\n1 1\n}", "clip_13.pts")
     with pytest.raises(InputError, match=r"clip_13.pts: has 1 points, clip_12.pts 2"):
         read_pts(tmp_path)

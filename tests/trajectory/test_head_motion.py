@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.trajectory.formats.head_motion import KINDS, head_motion, kinds_of
-from facetrack_cli.trajectory.table import series
+from facetrack_cli.trajectory.trajectory import one_part
 
 POINTS = {"nose": (0, -30), "mouth_left": (-25, 8), "mouth_right": (25, 8), "lip_upper": (0, 0), "lip_lower": (0, 15)}
 SIZE = 2 * np.hypot(25, 38)  # twice the largest distance: nose to a corner of the mouth is 45.5, corner to corner 50
@@ -26,7 +26,7 @@ def points(time_s, x=0.0, y=0.0, degrees=0.0, scale=1.0, noise=0.0, seed=0, lost
         status = np.full(t, "tracked", dtype="<U8")
         if lost and name in lost:
             status[lost[name]] = "lost"
-        found.append(series("face", name, np.arange(t), time_s=time_s, x=px_t, y=py_t, status=status))
+        found.append(one_part("face", name, np.arange(t), time_s=time_s, x=px_t, y=py_t, status=status))
     return found
 
 
@@ -35,7 +35,7 @@ def box(time_s, x=0.0, y=0.0, side=100.0, noise=0.0, seed=0, **columns):
     nx, ny = noise * np.random.default_rng(seed).normal(size=(2, t))
     side = np.broadcast_to(side, t)
     x, y = 200 + 100 * np.broadcast_to(x, t) + nx, 150 + 100 * np.broadcast_to(y, t) + ny
-    return [series("face", "box", np.arange(t), time_s=time_s, x=x, y=y, w=side, h=side, **columns)]
+    return [one_part("face", "box", np.arange(t), time_s=time_s, x=x, y=y, w=side, h=side, **columns)]
 
 
 def labels(parts, kind=None):
@@ -144,7 +144,7 @@ def test_an_open_mouth_alone_is_no_motion():
     t = clock(8)
     parts = points(t, noise=0.3)
     talking = 12 * (np.sin(2 * np.pi * 2.5 * t) > 0)
-    assert labels([*parts[:4], series("face", "lip_lower", np.arange(len(t)), time_s=t, x=parts[4].x,
+    assert labels([*parts[:4], one_part("face", "lip_lower", np.arange(len(t)), time_s=t, x=parts[4].x,
                                       y=parts[4].y + talking)]) == []  # fmt: skip
 
 
@@ -159,9 +159,9 @@ def test_a_part_that_has_gone_its_own_way_makes_no_step_when_it_gets_lost():
     t = clock(20)
     away = np.clip((t > 16) * (t < 18), 0, 1).astype(bool)
     parts = [
-        series("face", "nose", np.arange(len(t)), time_s=t, x=100 + 0 * t, y=50 + 0 * t,
+        one_part("face", "nose", np.arange(len(t)), time_s=t, x=100 + 0 * t, y=50 + 0 * t,
                status=np.where(away, "lost", "tracked")),
-        series("face", "lip_upper", np.arange(len(t)), time_s=t, x=100 + 3 * t, y=90 + 0 * t),
+        one_part("face", "lip_upper", np.arange(len(t)), time_s=t, x=100 + 3 * t, y=90 + 0 * t),
     ]  # fmt: skip
     assert labels(parts, "horizontal") == []
 
@@ -210,7 +210,7 @@ def test_spans_of_a_kind_never_overlap(seed):
 
 def test_a_single_point_has_neither_tilt_nor_size_nor_speed():
     t = clock(6)
-    point = [series("face", "nose", np.arange(len(t)), time_s=t, x=200 + 40 * np.clip(t - 2, 0, 1), y=t * 0)]
+    point = [one_part("face", "nose", np.arange(len(t)), time_s=t, x=200 + 40 * np.clip(t - 2, 0, 1), y=t * 0)]
     assert kinds_of(point) == ("horizontal", "vertical", "nods", "still")
     assert head_motion(point) == []  # without a size, nobody knows how fast it is
 

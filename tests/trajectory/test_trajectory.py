@@ -1,364 +1,310 @@
-"""The table of results: bytes that follow from the values, JSON that always closes, and a reader that says where."""
+"""The type of all trajectories: its parts, rows and frames, and trajectories put together from others."""
 
 from __future__ import annotations
 
-import csv
-import errno
-import io
-import json
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink
-from facetrack_cli.core.types import Frame, PartResult, Result, TargetResult
-from facetrack_cli.trajectory.writers import COLUMNS, DECIMALS, FORMATS, WRITERS, Footer, Row, csv_lines, rows
-from tests.support.results import file_rows
-
-HEADER = "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,particles,ess,identity,identity_prob"
-
-
-def result(index: int = 7, x: float = 1.25, *, status: str = "tracked", cov: float = 4.0) -> Result:
-    part = PartResult("nose", x, -2.0, 25, 13, status, 0.5, (cov, 0.0, 9.0), 61.25)  # type: ignore[arg-type]
-    other = PartResult("lip", 3.0, 4.0, 13, 13, "lost", 0.0, (0.0, 0.0, 0.0), 1.0, angle=-7.5)
-    frame = Frame(index, index / 25, np.zeros((4, 6, 3), np.uint8))
-    return Result(frame, (TargetResult("face", (part, other), 100, np.zeros((1, 2, 2))),))
-
-
-class Disk(io.BytesIO):
-    """A file on a disk with room for `room` bytes; it takes what fits and then fails, as write(2) does."""
-
-    def __init__(self, room: int, path: Path) -> None:
-        super().__init__()
-        self.room, self.path = room, path
-
-    def write(self, data: object) -> int:
-        blob = bytes(data)  # type: ignore[call-overload]
-        end = self.tell() + len(blob)
-        fits = max(0, min(len(blob), max(self.room, len(self.getvalue())) - self.tell()))
-        if end > self.room and fits == 0:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return super().write(blob[:fits])
-
-    def close(self) -> None:
-        if not self.closed:
-            self.path.write_bytes(self.getvalue())
-        super().close()
-
-
-def write(path: Path, form: str, results: list[Result], footer: Footer | None = None) -> None:
-    writer = WRITERS[form](FileSink(path), {"seed": 3})  # type: ignore[index]
-    for each in results:
-        writer.write(each)
-    writer.close(footer or Footer())
-
-
-def corrected() -> Result:
-    """A frame in which a correction gave one part and said that another is not to be seen; a third is tracked on."""
-    nan = math.nan
-    parts = (
-        PartResult("nose", 1.25, -2.0, 25, 13, "init", 1.0, (4.0, 0.0, 9.0), 61.25, by_hand=True),
-        PartResult("lip", nan, nan, nan, nan, "absent", by_hand=True),
-        PartResult("chin", 3.0, 4.0, 13, 13, "tracked", 0.5),
-    )
-    frame = Frame(7, 7 / 25, np.zeros((4, 6, 3), np.uint8))
-    gone = TargetResult("hand", (replace(parts[1], by_hand=False),), None, np.zeros((0, 1, 2)))
-    return Result(frame, (TargetResult("face", parts, 100, np.zeros((1, 3, 2))), gone))
-
-
-# --- rows and numbers ---
-
-
-def test_columns_are_the_schema() -> None:
-    assert ",".join(COLUMNS) == HEADER
-    assert ",".join(Row._fields) == f"{HEADER},by_hand", "JSON alone says what was given by hand"
-
-
-def test_a_row_for_each_part_also_when_lost() -> None:
-    nose, lip = rows(result())
-    assert (nose.frame, nose.time_s, nose.target, nose.part, nose.status) == (7, 0.28, "face", "nose", "tracked")
-    assert (nose.std_x, nose.std_y, nose.particles) == (2.0, 3.0, 100)
-    assert (lip.part, lip.status, lip.angle) == ("lip", "lost", -7.5)
-
-
-def test_csv_has_fixed_decimals() -> None:
-    first, second = csv_lines(rows(result())).splitlines()
-    assert first == "7,0.2800,face,nose,1.250,-2.000,25.000,13.000,,0.5000,tracked,2.000,3.000,100,61.2,,"
-    assert second == "7,0.2800,face,lip,3.000,4.000,13.000,13.000,-7.50,0.0000,lost,0.000,0.000,100,1.0,,"
-
-
-def test_an_absent_part_has_a_row_without_a_place() -> None:
-    _, lip, _, hand = rows(corrected())
-    assert (lip.x, lip.y, lip.w, lip.h, lip.status, lip.by_hand) == (None, None, None, None, "absent", True)
-    assert (hand.particles, hand.by_hand) == (None, False)
-    lines = csv_lines(rows(corrected())).splitlines()
-    assert lines[1] == "7,0.2800,face,lip,,,,,,,absent,,,100,,,"
-    assert lines[3] == "7,0.2800,hand,lip,,,,,,,absent,,,,,,"
-
-
-@pytest.mark.parametrize("form", ["json", "jsonl"])
-def test_json_says_what_was_given_by_hand(form: str, tmp_path: Path) -> None:
-    path = tmp_path / f"t.{form}"
-    write(path, form, [corrected()])
-    text = path.read_text()
-    assert '"confidence":1.0000,"status":"init","by_hand":true,"std_x"' in text
-    assert '{"part":"lip","status":"absent","by_hand":true}' in text
-    assert text.count("by_hand") == 2, "the key is there where it is true"
-    assert '{"target":"hand","parts":[{"part":"lip","status":"absent"}]}' in text
-
-
-@pytest.mark.parametrize("value", [-0.0, -0.00004, np.float64(-1e-9), np.float32(-1e-5)])
-def test_no_negative_zero(value: float) -> None:
-    line = csv_lines([Row(0, value, "f", "p", value, value, angle=value)])
-    assert "-" not in line
-    assert line.startswith("0,0.0000,f,p,0.000,0.000,")
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_left_empty(value: float, tmp_path: Path) -> None:
-    assert csv_lines([Row(0, 0.0, "f", "p", value, 1.0)]).startswith("0,0.0000,f,p,,1.000,")
-    write(tmp_path / "t.json", "json", [result(x=value)])
-    part = json.loads((tmp_path / "t.json").read_text())["frames"][0]["targets"][0]["parts"][0]
-    assert "x" not in part
-    assert part["y"] == -2.0
-
-
-def test_a_covariance_that_rounding_made_negative_has_no_spread() -> None:
-    assert next(rows(result(cov=-1e-15))).std_x == 0.0
-
-
-names = st.text(st.characters(blacklist_categories=["Cs", "Cc"]), min_size=1).filter(lambda s: s == s.strip())
-numbers = st.none() | st.floats(-1e6, 1e6)
-
-
-@given(
-    st.lists(
-        st.builds(
-            Row,
-            frame=st.integers(0, 10**9),
-            time_s=numbers,
-            target=names,
-            part=names,
-            x=numbers,
-            y=numbers,
-            w=numbers,
-            h=numbers,
-            angle=numbers,
-            confidence=numbers,
-            status=st.sampled_from(["init", "visible", ""]),
-            std_x=numbers,
-            std_y=numbers,
-            particles=st.none() | st.integers(0, 10**6),
-            ess=numbers,
-            identity=names | st.just(""),
-            identity_prob=numbers,
-            by_hand=st.just(False),
-        )
-    )
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics
+from facetrack_cli.trajectory.trajectory import (
+    COLUMNS,
+    FLOATS,
+    TEXTS,
+    Collector,
+    Trajectory,
+    build,
+    by_frame,
+    joined,
+    one_part,
+    recorded,
+    successive,
 )
-def test_what_is_written_is_read_back(tmp_path_factory: pytest.TempPathFactory, given_rows: list[Row]) -> None:
-    path = tmp_path_factory.getbasetemp() / "round.csv"
-    path.write_text(HEADER + "\n" + csv_lines(given_rows), encoding="utf-8", newline="")
-    back = file_rows(path)
-    for row, again in zip(given_rows, back, strict=True):
-        for name, value, read in zip(Row._fields, row, again, strict=True):
-            if isinstance(value, float):
-                assert read == pytest.approx(value, abs=0.5001 * 10 ** -DECIMALS[name]), name
-            else:
-                assert read == value, name
-    assert csv_lines(back) == csv_lines(given_rows)
+from tests.support import results
+from tests.support.results import rows_of
+from tests.support.trajectories import known, trajectories
+
+ARRAYS = ("which", "frame", *FLOATS, *TEXTS, "by_hand", "cov_xy", "corners")
+NOSE, LIP, HAND = ("face", "nose"), ("face", "lip"), ("hand", "box")
 
 
-# --- JSON ---
+def some() -> Trajectory:
+    """Nose and lip in frames 2, 3 and 5, the lip not in 3; the hand in 3 and 4."""
+    return build(
+        [NOSE, LIP, HAND],
+        [0, 0, 0, 1, 1, 2, 2],
+        [2, 3, 5, 2, 5, 3, 4],
+        x=[20.0, 30, 50, 21, 51, 32, 42],
+        time_s=[0.2, math.nan, 0.5, 0.2, 0.5, 0.3, 0.4],
+        status=["init", "tracked", "lost", "init", "absent", "init", "tracked"],
+        header={"seed": 3},
+        diagnostics={"hand": Diagnostics.of((SCALE,), [3, 4], [{"scale": 1.0}, {"scale": 1.5}])},
+        path=Path("run"),
+    )
 
 
-def test_json_is_one_object_with_a_line_a_frame(tmp_path: Path) -> None:
-    path = tmp_path / "t.json"
-    footer = Footer(warnings=("cut",), complete=False, stopped="interrupted", lost_frames={"face/lip": 2})
-    write(path, "json", [result(7), result(8)], footer)
-    text = path.read_text()
-    data = json.loads(text)
-    assert (data["schema"], data["version"], data["seed"]) == ("facetrack-trajectory", 1, 3)
-    assert [frame["frame"] for frame in data["frames"]] == [7, 8]
-    assert sum(line.startswith('{"frame":') for line in text.splitlines()) == 2
-    assert (data["complete"], data["stopped"], data["frames_tracked"]) == (False, "interrupted", 2)
-    assert (data["warnings"], data["lost_frames"]) == (["cut"], {"face/lip": 2})
-    target = data["frames"][0]["targets"][0]
-    assert target["target"] == "face"
-    assert target["parts"][0] == {
-        "part": "nose", "x": 1.25, "y": -2.0, "w": 25.0, "h": 13.0, "confidence": 0.5, "status": "tracked",
-        "std_x": 2.0, "std_y": 3.0, "ess": 61.2,
-    }  # fmt: skip
+def same(one: Trajectory, other: Trajectory) -> None:
+    """Asserts that they have the same rows under the same names, and the same diagnostics."""
+    assert one.names == other.names
+    for name in ARRAYS:
+        a, b = getattr(one, name), getattr(other, name)
+        assert (a is None) == (b is None), name
+        if a is not None:
+            np.testing.assert_array_equal(a, b, name)
+    assert {name: known(found) for name, found in one.diagnostics.items()} == {
+        name: known(found) for name, found in other.diagnostics.items()
+    }
 
 
-def test_json_without_a_frame_is_valid(tmp_path: Path) -> None:
-    write(tmp_path / "t.json", "json", [])
-    assert json.loads((tmp_path / "t.json").read_text())["frames"] == []
+# --- building ---
 
 
-def test_json_lines_have_header_frames_and_footer(tmp_path: Path) -> None:
-    write(tmp_path / "t.jsonl", "jsonl", [result(7), result(8)])
-    lines = [json.loads(line) for line in (tmp_path / "t.jsonl").read_text().splitlines()]
-    assert [line["type"] for line in lines] == ["header", "frame", "frame", "footer"]
-    assert lines[0]["schema"] == "facetrack-trajectory"
-    assert lines[-1]["frames_tracked"] == 2
+def test_rows_come_in_any_order_and_stand_by_part_and_frame() -> None:
+    rows = build([NOSE, LIP], [1, 0, 1, 0], [7, 9, 3, 4], x=[1, 2, 3, 4], status=["a", "b", "c", "d"])
+    assert rows.names == (NOSE, LIP)
+    assert (rows.which.tolist(), rows.frame.tolist()) == ([0, 0, 1, 1], [4, 9, 3, 7])
+    assert (rows.x.tolist(), rows.status.tolist()) == ([4, 2, 3, 1], ["d", "b", "c", "a"])
+    assert len(rows) == 4
 
 
-def test_the_same_results_give_the_same_bytes(tmp_path: Path) -> None:
-    for form in FORMATS:
-        for name in ("a", "b"):
-            write(tmp_path / f"{name}.{form}", form, [result(i, i / 3) for i in range(50)])
-        assert (tmp_path / f"a.{form}").read_bytes() == (tmp_path / f"b.{form}").read_bytes()
+def test_what_is_not_given_is_not_known() -> None:
+    rows = one_part("face", "nose", [1, 2], x=None)
+    for name in (*FLOATS, "cov_xy"):
+        assert np.isnan(getattr(rows, name)).all() and getattr(rows, name).dtype == np.float64, name
+    assert rows.status.tolist() == rows.identity.tolist() == ["", ""] and rows.by_hand.tolist() == [False] * 2
+    assert rows.corners is None and rows.header == rows.diagnostics == {} and rows.path == Path()
 
 
-# --- files and streams ---
+@pytest.mark.parametrize("frames", [[4, 4], [4, 2, 9, 4]])
+def test_two_rows_of_a_frame_target_and_part_are_refused(frames: list[int]) -> None:
+    with pytest.raises(InputError, match=r"t\.csv: frame 4 has two rows of face/lip; keep one row a frame, target and"):
+        build([NOSE, LIP], [1] * len(frames), frames, path=Path("t.csv"))
+    assert len(build([NOSE, LIP], [0, 1], [4, 4])) == 2
 
 
-def test_a_file_appears_when_it_is_whole(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("old")
-    sink = FileSink(path)
-    writer = WRITERS["csv"](sink, {})
-    writer.write(result())
-    assert path.read_text() == "old"
-    writer.close(Footer())
-    assert path.read_text().startswith(HEADER)
-    assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
+def test_a_column_that_there_is_not_is_no_column() -> None:
+    with pytest.raises(TypeError, match="a trajectory has no colour, z"):
+        one_part("face", "nose", [1], colour=[1], z=[2])
 
 
-def test_a_discarded_file_leaves_nothing(tmp_path: Path) -> None:
-    sink = FileSink(tmp_path / "t.csv")
-    sink.write("x")
-    sink.discard()
-    sink.discard()
-    assert list(tmp_path.iterdir()) == []
+# --- names, parts and rows ---
 
 
-def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"cannot be written: No such file .*--out"):
-        FileSink(tmp_path / "none" / "t.csv")
+def test_names_are_those_of_targets_and_parts() -> None:
+    rows = some()
+    assert rows.targets == ("face", "hand")
+    assert (rows.target, rows.part, rows.name) == ("face", "nose", "face/nose")
+    assert [one.name for one in rows.parts] == ["face/nose", "face/lip", "hand/box"]
+    assert [one.name for one in rows.of_target("face")] == ["face/nose", "face/lip"]
+    assert rows.of_target("nobody") == () and rows.find("hand", "nose") is None
+    lip = rows.find("face", "lip")
+    assert lip is not None and lip.frame.tolist() == [2, 5] and lip.which.tolist() == [0, 0]
+    assert lip.parts == (lip,) and lip.header == {"seed": 3} and lip.path == Path("run")
+    same(lip.renamed("a", "b"), replace(lip, names=(("a", "b"),)))
 
 
-@pytest.mark.parametrize("form", FORMATS)
-@pytest.mark.parametrize("room", [3000, 70_000, 200_000])
-def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, room: int) -> None:
-    def small(self: FileSink) -> BinaryIO:
-        return Disk(room, self.temporary)
-
-    monkeypatch.setattr(FileSink, "_open", small)
-    path = tmp_path / f"t.{form}"
-    writer = WRITERS[form](FileSink(path), {})  # type: ignore[index]
-    with pytest.raises(OutputError, match="disk is full"):
-        for i in range(3000):
-            writer.write(result(i))
-    with pytest.raises(OutputError, match="disk is full"):
-        writer.close(Footer(complete=False, stopped="disk full"))
-
-    text = path.read_text()
-    assert len(text) <= room
-    if form == "csv":
-        kept = file_rows(path)
-        indices = [row.frame for row in kept[::2]]
-        assert text.endswith("\n")
-        assert len(kept) == 2 * len(indices)
-        assert len(text) > room - 200
-    elif form == "json":
-        data = json.loads(text)
-        indices = [frame["frame"] for frame in data["frames"]]
-        assert (data["complete"], data["frames_tracked"]) == (False, len(indices))
-    else:
-        lines = [json.loads(line) for line in text.splitlines()]
-        indices = [line["frame"] for line in lines[1:-1]]
-        assert (lines[-1]["type"], lines[-1]["frames_tracked"]) == ("footer", len(indices))
-    assert indices == list(range(len(indices)))
-    assert len(text) > room - 1200
-    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+def test_a_part_without_rows_is_a_part() -> None:
+    rows = some().take(some().which == 1)
+    assert [len(one) for one in rows.parts] == [0, 2, 0] and rows.targets == ("face", "hand")
+    assert rows.find("hand", "box").frame.tolist() == []  # type: ignore[union-attr]
 
 
-def test_dev_full_is_a_full_disk() -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("this system has no /dev/full")
-    with open("/dev/full", "wb", buffering=0) as stream:  # noqa: PTH123 -- a device, not a path of ours
-        sink = StreamSink(stream)  # type: ignore[arg-type]
-        with pytest.raises(OutputError, match=r"standard output: the disk is full"):
-            sink.write("x")
+def test_frames_and_rows_of_a_frame() -> None:
+    rows = some()
+    assert rows.frames.tolist() == [2, 3, 4, 5] and rows.times.tolist() == [0.2, 0.3, 0.4, 0.5]
+    assert [(frame, [rows.names[rows.which[i]] for i in at]) for frame, at in by_frame(rows)] == [
+        (2, [NOSE, LIP]), (3, [NOSE, HAND]), (4, [HAND]), (5, [NOSE, LIP]),
+    ]  # fmt: skip
+    there = rows.at(3)
+    assert there.names == rows.names and there.which.tolist() == [0, 2] and there.x.tolist() == [30, 32]
+    assert len(rows.at(1)) == len(rows.at(6)) == 0
+    nose = rows.parts[0]
+    assert [nose.row(frame) for frame in (1, 2, 3, 4, 5, 6)] == [None, 0, 1, None, 2, None]
+    assert np.isnan(nose.take(slice(1, 2)).times).all(), "no row of that frame says when"
 
 
-def test_a_reader_that_left_is_not_an_output_error() -> None:
-    class Closed(io.BytesIO):
-        def write(self, data: object) -> int:
-            raise BrokenPipeError
-
-    with pytest.raises(ReaderGoneError):
-        StreamSink(Closed()).write("x")
-
-
-# --- reading ---
+def test_between_keeps_names_and_what_is_reported_of_its_frames() -> None:
+    rows = some().between(3, 5)
+    assert rows.names == (NOSE, LIP, HAND)
+    assert (rows.which.tolist(), rows.frame.tolist()) == ([0, 2, 2], [3, 3, 4])
+    assert known(rows.diagnostics["hand"]) == {3: {"scale": 1.0}, 4: {"scale": 1.5}}
+    assert known(some().between(4, 9).diagnostics["hand"]) == {4: {"scale": 1.5}}
+    assert (rows.header, rows.path) == ({"seed": 3}, Path("run"))
 
 
-def saved(tmp_path: Path, text: str | bytes) -> Path:
-    path = tmp_path / "truth.csv"
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return path
+def test_rows_are_taken_by_mask_slice_or_index_with_all_their_columns() -> None:
+    corners = np.arange(56.0).reshape(7, 4, 2)
+    rows = replace(some(), corners=corners)
+    for chosen in (rows.frame > 3, slice(2, 5), np.array([0, 6])):
+        taken = rows.take(chosen, header={"seed": 4})
+        assert taken.header == {"seed": 4} and taken.names == rows.names
+        for name in ARRAYS:
+            np.testing.assert_array_equal(getattr(taken, name), getattr(rows, name)[chosen], name)
 
 
-def test_optional_columns_may_be_missing_and_order_is_free(tmp_path: Path) -> None:
-    path = saved(tmp_path, "part,x,y,frame,target,mine\nnose,1.5,2,4,face,whatever\n")
-    assert file_rows(path) == [Row(4, None, "face", "nose", 1.5, 2.0)]
+@settings(deadline=None, max_examples=60)
+@given(rows=trajectories(), data=st.data())
+def test_parts_frames_and_stretches_hold_every_row_once(rows: Trajectory, data: st.DataObject) -> None:
+    rows = replace(rows, corners=np.arange(8.0 * len(rows)).reshape(-1, 4, 2))
+    same(joined(rows.parts, diagnostics=rows.diagnostics), rows)
+    frames = rows.frames.tolist()
+    assert sum(len(rows.at(frame)) for frame in frames) == len(rows)
+    for frame in frames:
+        np.testing.assert_array_equal(rows.at(frame).x, rows.x[rows.frame == frame])
+    cut = data.draw(st.sampled_from([*frames, frames[-1] + 1]))
+    pieces = [rows.between(0, cut), rows.between(cut, frames[-1] + 1)]
+    same(successive(pieces, like=rows), rows)
+    log = Collector()
+    for frame in frames:
+        log.add(rows.between(frame, frame + 1))
+    same(log.trajectory(), rows)
 
 
-def test_bom_crlf_and_blank_lines_are_fine(tmp_path: Path) -> None:
-    path = saved(tmp_path, "\ufeffframe,target,part,x,y,status\r\n0,face,nose,1,2,hidden\r\n\r\n")
-    assert file_rows(path) == [Row(0, None, "face", "nose", 1.0, 2.0, status="hidden")]
+# --- who it is, geometry, corrections ---
 
 
-def test_a_part_that_is_absent_has_no_place(tmp_path: Path) -> None:
-    path = saved(tmp_path, "frame,target,part,x,y,status\n0,face,nose,,,absent\n")
-    assert file_rows(path)[0].x is None
+def test_boxes_have_their_centre_between_the_first_and_the_last_pixel() -> None:
+    one = one_part("face", "box", [0, 1], x=[10.0, math.nan], y=[20.5, 1], w=[5.0, 2], h=[4.0, 2])
+    np.testing.assert_array_equal(one.boxes, [[8, 19, 5, 4], [math.nan, 0.5, 2, 2]])
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("status", "by_hand", "expected"),
     [
-        ("", r"truth\.csv: is empty; .*header"),
-        ("\n", r"truth\.csv: is empty"),
-        ("a,b\n1,2\n", r"truth\.csv:1: the header has no column frame, target, part, x, y; it should read frame,"),
-        ("frame;target;part;x;y\n", r"truth\.csv:1: the header has no column"),
-        ("frame,target,part,x,y,x\n", r"truth\.csv:1: column x is there twice"),
-        ("frame,target,part,x,y\n0,f,p,1\n0,f,p,1,2\n", r"truth\.csv:2: 4 values under 5 columns; .*empty between"),
-        ("frame,target,part,x,y\n0,f,p,1\n", r"truth\.csv:2: is no whole line, and the last; .* remove this line"),
-        ("frame,target,part,x,y\n0,f,p,1_0,2\n", r"truth\.csv:2: column x: '1_0' is no finite number; "),
-        ("frame,target,part,x,y\n0,f,p,1,2\n1,f,p,1,two\n", r"truth\.csv:3: column y: 'two' is no finite number; "),
-        ("frame,target,part,x,y\n0,f,p,nan,2\n", r"truth\.csv:2: column x: 'nan' is no finite number; "),
-        ("frame,target,part,x,y\n0,f,p,1e999,2\n", r"truth\.csv:2: column x: '1e999' is no finite number; "),
-        ("frame,target,part,x,y\n1.5,f,p,1,2\n", r"truth\.csv:2: column frame: '1.5' is no whole number"),
-        ("frame,target,part,x,y\n-1,f,p,1,2\n", r"truth\.csv:2: column frame: '-1' is no whole number"),
-        ("frame,target,part,x,y\n,f,p,1,2\n", r"truth\.csv:2: column frame: '' is no whole number"),
-        ("frame,target,part,x,y\n0,f,,1,2\n", r"truth\.csv:2: column part is empty; name the part"),
-        (b"frame,target,part,x,y\n0,f,\xff,1,2\n", r"truth\.csv: byte 26 is not UTF-8"),
-        (b"\x00\x01\x02", r"truth\.csv:"),
+        ("it", "", "00"),
+        ("itit", "", "0010"),
+        ("iaat", "", "0100"),
+        ("aait", "", "0010"),
+        ("vava", "", "0101"),
+        ("ttat", "1", "1010"),
+        ("taat", "   1", "0101"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str | bytes, message: str) -> None:
-    with pytest.raises(InputError, match=message) as caught:
-        file_rows(saved(tmp_path, text))
-    assert "\n" not in str(caught.value)
+def test_rows_that_corrections_gave(status: str, by_hand: str, expected: str) -> None:
+    words = {"i": "init", "t": "tracked", "a": "absent", "v": "visible"}
+    hand = [char == "1" for char in by_hand.ljust(len(status))]
+    one = one_part("face", "nose", range(len(status)), status=[words[char] for char in status], by_hand=hand)
+    assert "".join(str(int(flag)) for flag in one.corrected) == expected
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.csv: cannot be read: No such file"):
-        file_rows(tmp_path / "none.csv")
-    with pytest.raises(InputError, match="cannot be read: Is a directory"):
-        file_rows(tmp_path)
+# --- for other libraries ---
 
 
-def test_python_csv_agrees_with_ours(tmp_path: Path) -> None:
-    line = csv_lines([Row(0, 0.0, 'a "b", c', "p", 1.0, 2.0)])
-    assert next(csv.reader([line]))[2] == 'a "b", c'
+def test_columns_are_the_rows_in_the_order_of_the_file() -> None:
+    columns = some().columns()
+    assert tuple(columns) == COLUMNS
+    assert columns["frame"].tolist() == [2, 2, 3, 3, 4, 5, 5]
+    assert columns["target"].tolist() == ["face", "face", "face", "hand", "hand", "face", "face"]
+    assert columns["part"].tolist() == ["nose", "lip", "nose", "box", "box", "nose", "lip"]
+    assert columns["x"].tolist() == [20, 21, 30, 32, 42, 50, 51]
+    assert [row.x for row in rows_of(some())] == columns["x"].tolist()
+
+
+def test_a_data_frame_has_the_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[dict[str, Any]] = []
+    stub = ModuleType("pandas")
+    stub.DataFrame = lambda columns: given.append(columns) or "a data frame"  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "pandas", stub)
+    assert some().to_pandas() == "a data frame"
+    ((columns,), expected) = given, some().columns()
+    assert tuple(columns) == COLUMNS
+    for name in COLUMNS:
+        np.testing.assert_array_equal(columns[name], expected[name])
+
+
+def test_a_data_frame_of_pandas_itself() -> None:
+    pandas = pytest.importorskip("pandas")
+    table = some().to_pandas()
+    assert list(table.columns) == list(COLUMNS) and len(table) == 7
+    assert table[table.part == "lip"].x.tolist() == [21, 51] and pandas.isna(table.y).all()
+
+
+# --- put together ---
+
+
+def test_parts_are_joined_in_their_order_and_one_stays_as_it_is() -> None:
+    nose, hand = one_part(*NOSE, [1, 2], x=[1, 2]), one_part(*HAND, [2, 3], x=[3, 4], status=["tracked"] * 2)
+    whole = joined(
+        [hand, nose], path=Path("t.csv"), header={"seed": 1}, diagnostics={"hand": some().diagnostics["hand"]}
+    )
+    assert whole.names == (HAND, NOSE) and whole.x.tolist() == [3, 4, 1, 2] and whole.which.tolist() == [0, 0, 1, 1]
+    assert (whole.path, whole.header, set(whole.diagnostics)) == (Path("t.csv"), {"seed": 1}, {"hand"})
+    assert whole.status.tolist() == ["tracked", "tracked", "", ""]
+    same(joined([nose], path=Path("t.csv")), nose)
+    with pytest.raises(InputError, match="frame 1 has two rows of face/nose"):
+        joined([nose, hand, nose])
+
+
+def test_corners_of_some_are_not_known_of_others() -> None:
+    square = np.array([[(0, 0), (1, 0), (1, 1), (0, 1)]], float)
+    whole = joined([one_part(*NOSE, [1]), one_part(*HAND, [1], corners=square)])
+    assert whole.corners is not None and np.isnan(whole.corners[0]).all()
+    np.testing.assert_array_equal(whole.corners[1], square[0])
+
+
+def frame(index: int) -> Trajectory:
+    """A face, of which more is reported from frame 3 on, and a hand in every second frame."""
+    reported = {"scale": 1.0 + index} | ({"noise": 0.5, "posterior": {f"p{index}": 1.0}} if index > 2 else {})
+    face = results.target("face", [results.part("nose", index, 1), results.part("lip", index, 2)], reported=reported)
+    hand = results.target("hand", [results.part("box", index, 3)], reported={"scale": 9.0})
+    return results.result(index, [face, hand] if index % 2 else [face]).rows
+
+
+@pytest.mark.parametrize("count", [1, 499, 500, 501, 1203])
+def test_a_collector_gives_what_it_was_given(count: int) -> None:
+    log = Collector()
+    for index in range(1, count + 1):
+        log.add(frame(index))
+    rows = log.trajectory(header={"seed": 3}, path=Path("clip"))
+    assert rows.header == {"seed": 3} and rows.path == Path("clip") and rows.names == (NOSE, LIP, HAND)
+    every = np.arange(1, count + 1)
+    for part in rows.of_target("face"):
+        assert part.frame.tolist() == part.x.tolist() == every.tolist()
+    assert rows.of_target("hand")[0].frame.tolist() == every[::2].tolist()
+    face = rows.diagnostics["face"]
+    assert face.frame.tolist() == every.tolist() and face.get("scale").tolist() == (every + 1.0).tolist()
+    assert np.isnan(face.get("noise")[:2]).all() and (face.get("noise")[2:] == 0.5).all()
+    assert face.labels.get("posterior", ()) == tuple(f"p{index}" for index in range(3, count + 1))
+    same(log.trajectory(), rows)
+    log.add(frame(count + 1))
+    assert log.trajectory().frames.tolist() == [*every.tolist(), count + 1], "and it may go on"
+
+
+def test_pieces_of_a_run_have_the_names_of_the_run() -> None:
+    whole = successive([frame(index) for index in range(1, 6)])
+    like = replace(whole, header={"seed": 3}, path=Path("run"))
+    redone = replace(frame(4), x=frame(4).x + 100)
+    found = successive([redone, whole.between(5, 9), whole.between(0, 4)], like=like)
+    assert (found.names, found.header, found.path) == (whole.names, {"seed": 3}, Path("run"))
+    assert found.parts[0].x.tolist() == [1, 2, 3, 104, 5]
+
+
+def test_what_was_recorded_is_said_of_each_target_of_a_frame() -> None:
+    turned = (0.0, -1.0, 1.0, 0.0, 30.0, 40.0)  # a quarter turn
+    declared = (SCALE, AFFINE)
+    values: list[dict[str, Any]] = [{"scale": 1.0 + at, "affine": turned} for at in range(2)]
+    rows = joined(
+        [one_part(*NOSE, [2], x=[1], y=[1]), one_part(*LIP, [2, 3], x=[2, 2], y=[2, 2]),
+         one_part(*HAND, [2, 3, 4], x=[30.0] * 3, y=[40.0] * 3, w=[20.0] * 3, h=[10.0] * 3)],
+        diagnostics={"hand": Diagnostics.of(declared, [2, 3], values)},
+    )  # fmt: skip
+    face, hand = recorded(2, rows.at(2))
+    assert face.rows.names == (NOSE, LIP) and face.rows.corners is None and face.rows.diagnostics == {}
+    assert face.cloud.shape == (0, 2, 2) and face.insets == face.notes == ()
+    np.testing.assert_allclose(hand.rows.corners, [[(35, 30), (35, 50), (25, 50), (25, 30)]], atol=1e-9)
+    face, hand = recorded(3, rows.at(3))
+    assert face.rows.names == (LIP,) and known(hand.rows.diagnostics["hand"]) == {
+        3: {"scale": 2.0, "affine": list(turned)}
+    }, "what is reported of this frame alone"
+    (hand,) = recorded(4, rows.at(4))
+    assert hand.rows.diagnostics == {} and hand.rows.corners is None
+    assert recorded(9, rows.at(9)) == ()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +11,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.numbers import clock
-from facetrack_cli.core.types import Frame, Image, PartResult, Result, Status, TargetResult
+from facetrack_cli.core.types import Frame, Image
+from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.overlay.status_bar import StatusBar, summary
 from facetrack_cli.video.overlay.text import Font, Sprite, plain, stamp
+from tests.support import results
+from tests.support.results import target
 
+Part = dict[str, Any]  # as tests.support.results has it
 SIZES = [(128, 96), (320, 240), (640, 480), (1280, 720), (240, 320), (33, 21)]
 NAMES = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 AT = {
@@ -27,26 +31,26 @@ AT = {
 }
 
 
-def part(name: str = "nose", x: float = 50, y: float = 50, **other: object) -> PartResult:
-    values: dict[str, object] = {"w": 13.0, "h": 13.0, "status": "tracked", "confidence": 0.9, "cov": (1.0, 0.2, 1.0)}
-    return PartResult(name, x, y, ess=50.0, **{**values, **other})  # type: ignore[arg-type]
+def part(name: str = "nose", x: float = 50, y: float = 50, **other: object) -> Part:
+    values: Part = {"w": 13.0, "h": 13.0, "status": "tracked", "confidence": 0.9, "cov": (1.0, 0.2, 1.0)}
+    return results.part(name, x, y, ess=50.0, **{**values, **other})
 
 
 def result(
     size: tuple[int, int],
-    *parts: PartResult,
+    *parts: Part,
     index: int = 0,
     ground: int = 128,
     name: str = "face",
     spread: float = 1.0,
-) -> Result:
+) -> FrameResult:
     picture = np.full((size[1], size[0], 3), ground, np.uint8)
-    centres = np.array([(p.x, p.y) for p in parts]).reshape(1, -1, 2)
+    centres = np.array([(p["x"], p["y"]) for p in parts]).reshape(1, -1, 2)
     cloud = centres + spread * np.random.default_rng(index).normal(size=(40, len(parts), 2))
-    return Result(Frame(index, index / 25, picture), (TargetResult(name, parts, 40, cloud),))
+    return results.result(Frame(index, index / 25, picture), [target(name, parts, 40, cloud)])
 
 
-def face(size: tuple[int, int], index: int = 0, lost: tuple[str, ...] = (), ground: int = 128) -> Result:
+def face(size: tuple[int, int], index: int = 0, lost: tuple[str, ...] = (), ground: int = 128) -> FrameResult:
     unit = min(size) / 240
     parts = [
         part(
@@ -153,11 +157,8 @@ def test_a_lost_window_is_dashed() -> None:
 
 
 def test_status_has_its_own_colour_for_every_target() -> None:
-    targets = tuple(
-        TargetResult(f"t{i}", (part("a", 40.0 + 55 * i, 100.0, w=31.0, h=31.0),), 1, np.zeros((0, 1, 2)))
-        for i in range(5)
-    )
-    image = Overlay((320, 240)).draw(Result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), targets))
+    targets = [target(f"t{i}", [part("a", 40.0 + 55 * i, 100.0, w=31.0, h=31.0)], 1) for i in range(5)]
+    image = Overlay((320, 240)).draw(results.result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), targets))
     colours = {tuple(image[100, 40 + 55 * i].tolist()) for i in range(5)}
     assert len(colours) == 5
     lost = part("a", 60.0, 100.0, w=41.0, h=41.0, status="lost")
@@ -250,11 +251,11 @@ def test_any_covariance(cov: tuple[float, float, float]) -> None:
 
 def test_no_targets_no_parts_no_particles() -> None:
     ground = np.full((120, 160, 3), 128, np.uint8)
-    bare = TargetResult("face", (), 0, np.zeros((0, 0, 2)))
-    alone = TargetResult("face", (part(),), 0, np.zeros((0, 1, 2)))
-    short = TargetResult("face", (part("a"), part("b", 90.0)), 5, np.full((5, 1, 2), 20.0))
+    bare = target("face", [], 0)
+    alone = target("face", [part()], 0)
+    short = target("face", [part("a"), part("b", 90.0)], 5, np.full((5, 1, 2), 20.0))
     for targets in ((), (bare,), (alone,), (short,)):
-        image = Overlay((160, 120)).draw(Result(Frame(0, 0.0, ground), targets))
+        image = Overlay((160, 120)).draw(results.result(Frame(0, 0.0, ground), targets))
         assert (image[:10] != 128).any()  # the status bar is there all the same
 
 
@@ -280,23 +281,23 @@ def test_labels_never_lie_on_one_another_or_on_a_window() -> None:
         part(n, 300.0 + 45 * (i % 3), 200.0 + 45 * (i // 3), w=41, h=41, cov=(0, 0, 0)) for i, n in enumerate(NAMES)
     ]
     crowded = result(size, *close, spread=0.0)
-    nameless = result(size, *[part("", p.x, p.y, w=41, h=41, cov=(0, 0, 0)) for p in close], spread=0.0)
     # a part named like its target has no label of its own
-    nameless = Result(nameless.frame, (TargetResult("", nameless.targets[0].parts, 40, nameless.targets[0].cloud),))
-    with_labels, without = Overlay(size).draw(crowded), Overlay(size).draw(nameless)
+    (one,) = crowded.targets
+    nameless = one._replace(rows=results.with_(one.rows, names=(("", ""),) * len(close)))
+    with_labels, without = Overlay(size).draw(crowded), Overlay(size).draw(FrameResult(crowded.frame, (nameless,)))
     changed = (with_labels != without).any(axis=2)
     assert changed.sum() > 100
-    for p in close:
-        assert not changed[int(p.y) - 20 : int(p.y) + 21, int(p.x) - 20 : int(p.x) + 21].any()
+    for x, y in ((int(p["x"]), int(p["y"])) for p in close):
+        assert not changed[y - 20 : y + 21, x - 20 : x + 21].any()
 
 
 def test_identity_and_names_stand_near_their_targets() -> None:
     size = (320, 240)
 
     def draw(identity: str | None, prob: float | None, y: float = 150.0) -> Image:
-        parts = (part("face", 160.0, y, w=61.0, h=61.0, cov=(0, 0, 0)),)
-        target = TargetResult("face", parts, 0, np.zeros((0, 1, 2)), identity, prob)
-        return Overlay(size).draw(Result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), (target,)))
+        parts = [part("face", 160.0, y, w=61.0, h=61.0, cov=(0, 0, 0))]
+        one = target("face", parts, 0, identity=identity, identity_prob=prob)
+        return Overlay(size).draw(results.result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), [one]))
 
     nobody, somebody, sure = draw(None, None), draw("Grace", None), draw("Grace", 0.93)
     assert touched(somebody)[100:118].sum() > touched(nobody)[100:118].sum() + 40
@@ -326,7 +327,7 @@ def test_names_of_targets_do_not_lie_on_each_other() -> None:
             for name, x in (("left_hand", 160 - apart / 2), ("right_hand", 160 + apart / 2))
         )
         seen: list[tuple[float, float, float, float]] = []
-        shapes = [overlay._shape(target, (255, 255, 255)) for target in (one, two)]
+        shapes = [overlay._shape(each, (255, 255, 255)) for each in (one, two)]
         image = np.zeros((240, 320, 3), np.uint8)
         for shape in shapes:
             seen += overlay._tag(image, shape, True, seen)
@@ -381,18 +382,21 @@ def test_text_outside_ascii_and_sprites_over_the_edge() -> None:
         assert (image == 200).all(axis=2).sum() == pixels
 
 
+def in_the_bar(**targets: list[Part]) -> tuple[Status, list[str]]:
+    """What the bar says of targets with these parts."""
+    return summary(results.result(0, [target(name, parts, 1) for name, parts in targets.items()]).rows)
+
+
 def test_what_the_bar_says() -> None:
     good, gone = part("nose"), part("lip_upper", status="lost")
-    target = TargetResult("face", (good,), 1, np.zeros((0, 1, 2)))
-    assert summary([target]) == ("tracked", ["tracked"])
-    assert summary([TargetResult("face", (part(status="init"),), 1, np.zeros((0, 1, 2)))]) == ("init", ["init"])
-    some = TargetResult("face", (good, gone), 1, np.zeros((0, 2, 2)))
-    assert summary([some]) == ("lost", ["lost: lip_upper", "lost 1/2", "lost"])
-    assert summary([some, target])[1][0] == "lost: face/lip_upper"
-    whole = TargetResult("hand", (gone, part("thumb", status="lost")), 1, np.zeros((0, 2, 2)))
-    assert summary([target, whole])[1][0] == "lost: hand"
-    assert summary([some, whole])[1][:2] == ["lost: face/lip_upper, hand", "lost: face/lip_upper +1"]
-    assert summary([])[0] == "lost"
+    assert in_the_bar(face=[good]) == ("tracked", ["tracked"])
+    assert in_the_bar(face=[part(status="init")]) == ("init", ["init"])
+    assert in_the_bar(face=[good, gone]) == ("lost", ["lost: lip_upper", "lost 1/2", "lost"])
+    assert in_the_bar(face=[good, gone], other=[good])[1][0] == "lost: face/lip_upper"
+    whole = [gone, part("thumb", status="lost")]
+    assert in_the_bar(face=[good], hand=whole)[1][0] == "lost: hand"
+    assert in_the_bar(face=[good, gone], hand=whole)[1][:2] == ["lost: face/lip_upper, hand", "lost: face/lip_upper +1"]
+    assert in_the_bar() == ("lost", ["no target", "none"])
 
 
 @pytest.mark.parametrize(
@@ -408,7 +412,7 @@ def test_the_clock(seconds: float, text: str) -> None:
 def test_nothing_in_the_bar_overlaps_or_is_cut_off(width: int, lost: tuple[str, ...]) -> None:
     bar = StatusBar(width, 8, 1, "factorized_transition")
     room = {"frame": 40, "gauge": 34, "clock": 60, "title": 150, "percent": 34}
-    _, sayings = summary(face((320, 240), lost=lost).targets)
+    _, sayings = summary(face((320, 240), lost=lost).rows)
     items, saying, left = bar._fit(sayings, room, width)
     assert left >= 0
     assert not items or sum(room[k] for k in items) + bar._font.width(saying) + left == width
@@ -419,7 +423,7 @@ def test_nothing_in_the_bar_overlaps_or_is_cut_off(width: int, lost: tuple[str, 
 
 numbers = st.floats(-1e4, 1e4) | st.sampled_from([0.0, -1e12, 1e12])
 parts = st.builds(
-    PartResult,
+    results.part,
     name=st.text(max_size=12),
     x=numbers,
     y=numbers,
@@ -435,18 +439,21 @@ parts = st.builds(
 
 @st.composite
 def targets(draw: st.DrawFn) -> TargetResult:
-    of = draw(st.lists(parts, max_size=4))
+    of = draw(st.lists(parts, max_size=4, unique_by=lambda one: one["part"]))
     cloud = draw(st.integers(0, 300))
     rng = np.random.default_rng(draw(st.integers(0, 9)))
     where = rng.normal(0, draw(st.sampled_from([0.0, 5.0, 1e6])), (cloud, len(of), 2))
     identity = draw(st.none() | st.text(max_size=9))
-    return TargetResult(draw(st.text(max_size=9)), tuple(of), cloud, where, identity, draw(st.none() | st.floats(0, 1)))
+    return target(draw(st.text(max_size=9)), of, cloud, where, identity, draw(st.none() | st.floats(0, 1)))
+
+
+several = st.lists(targets(), max_size=3, unique_by=lambda one: one.rows.target)
 
 
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     size=st.tuples(st.integers(1, 400), st.integers(1, 300)),
-    frames=st.lists(st.tuples(st.lists(targets(), max_size=3), st.floats(0, 1e6)), min_size=1, max_size=4),
+    frames=st.lists(st.tuples(several, st.floats(0, 1e6)), min_size=1, max_size=4),
     title=st.text(max_size=30),
     fps=st.floats(0.01, 1000),
 )
@@ -456,7 +463,7 @@ def test_no_result_makes_it_raise(
     overlay = Overlay(size, fps=fps, title=title)
     for index, (of, time_s) in enumerate(frames):
         picture = np.full((size[1], size[0], 3), 77, np.uint8)
-        image = overlay.draw(Result(Frame(index, time_s, picture), tuple(of)))
+        image = overlay.draw(results.result(Frame(index, time_s, picture), of))
         assert image.shape == picture.shape and (picture == 77).all()
 
 
@@ -465,15 +472,15 @@ def test_no_result_makes_it_raise(
 NOWHERE = {"x": float("nan"), "y": float("nan"), "w": float("nan"), "h": float("nan"), "cov": None, "confidence": None}
 
 
-def gone(name: str = "nose", **other: object) -> PartResult:
-    return part(name, **{**NOWHERE, "status": "absent", **other})  # type: ignore[arg-type]
+def gone(name: str = "nose", **other: object) -> Part:
+    return part(name, **{**NOWHERE, "status": "absent", **other})
 
 
 def test_an_absent_part_is_not_drawn_and_neither_is_its_name() -> None:
     size = (640, 480)
     shown = part("lip_lower", 420.0, 300.0, w=80.0, h=80.0)
     alone = result(size, shown, spread=0.0)
-    both = replace(alone, targets=(replace(alone.targets[0], parts=(shown, gone())),))
+    both = results.result(alone.frame, [target("face", [shown, gone()], 40, alone.targets[0].cloud)])
     ours, without = Overlay(size).draw(both), Overlay(size).draw(alone)
     bar = Overlay(size)._bar
     assert bar is not None
@@ -483,7 +490,7 @@ def test_an_absent_part_is_not_drawn_and_neither_is_its_name() -> None:
 
 def test_an_absent_target_leaves_the_picture_as_it_is() -> None:
     frame = Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8))
-    nothing = Result(frame, (TargetResult("face", (gone(), gone("lip_upper")), None, np.zeros((0, 2, 2))),))
+    nothing = results.result(frame, [target("face", [gone(), gone("lip_upper")])])
     overlay = Overlay((320, 240))
     assert overlay._bar is not None
     assert not touched(overlay.draw(nothing))[overlay._bar.height :].any()
@@ -492,14 +499,14 @@ def test_an_absent_target_leaves_the_picture_as_it_is() -> None:
 def test_a_trail_leads_neither_to_a_place_given_by_hand_nor_past_an_absence() -> None:
     size = (320, 240)
 
-    def trail(*parts: PartResult) -> np.ndarray:
+    def trail(*parts: Part) -> np.ndarray:
         overlay = Overlay(size)
         pictures = [overlay.draw(result(size, one, index=i, spread=0.0)) for i, one in enumerate(parts)]
         return touched(pictures[-1])[100:140, 100:200]  # between the two places
 
     here, there = part(x=60.0, y=120.0, cov=None), part(x=240.0, y=120.0, cov=None)
     assert trail(here, there).any()
-    assert not trail(here, replace(there, status="init", by_hand=True)).any()
+    assert not trail(here, {**there, "status": "init", "by_hand": True}).any()
     assert not trail(here, gone(), there).any()
 
 
@@ -514,27 +521,25 @@ def test_what_a_correction_gave_has_a_filled_diamond() -> None:
 
 
 def test_the_bar_says_calmly_what_is_absent_and_what_was_given_by_hand() -> None:
-    def said(*parts: PartResult, other: tuple[PartResult, ...] = ()) -> tuple[str, list[str]]:
-        targets = [TargetResult("face", parts, 1, np.zeros((0, len(parts), 2)))]
-        targets += [TargetResult("hand", other, 1, np.zeros((0, len(other), 2)))] if other else []
-        return summary(targets)
+    def said(*parts: Part, other: tuple[Part, ...] = ()) -> tuple[str, list[str]]:
+        return in_the_bar(face=list(parts), **({"hand": list(other)} if other else {}))
 
     lip, hand = part("lip"), part("box", status="init", by_hand=True)
     assert said(lip, gone()) == ("tracked", ["tracked; nose absent", "nose absent", "absent 1/2", "tracked"])
     assert said(gone(), gone("lip")) == ("absent", ["absent"])
-    lost = replace(lip, status="lost")
+    lost = {**lip, "status": "lost"}
     assert said(lost, gone()) == ("lost", ["lost: lip; nose absent", "lost: lip", "lost 1/2", "lost"])
-    assert said(replace(lip, status="init"), gone())[0] == "init"
+    assert said({**lip, "status": "init"}, gone())[0] == "init"
     assert said(gone(), gone("lip"), other=(part("box"),))[1][0] == "tracked; face absent"
-    assert said(lip, replace(hand, name="nose")) == ("init", ["nose by hand", "by hand"])
+    assert said(lip, {**hand, "part": "nose"}) == ("init", ["nose by hand", "by hand"])
     assert said(lip, other=(hand,))[1][0] == "hand by hand"
 
 
 def test_the_sign_of_what_is_absent_is_not_that_of_what_is_lost() -> None:
     def bar(status: str) -> Image:
         image = np.full((48, 320, 3), 128, np.uint8)
-        one = part(status=status)
-        StatusBar(320, 8, 1).draw(image, Result(Frame(0, 0.0, image), (TargetResult("f", (one,), 1, np.zeros(0)),)))
+        one = target("f", [part(status=status)], 1, np.zeros(0))
+        StatusBar(320, 8, 1).draw(image, results.result(Frame(0, 0.0, image), [one]))
         return image
 
     vermilion = (bar("lost")[..., 2].astype(int) - bar("lost")[..., 0] > 60).any()

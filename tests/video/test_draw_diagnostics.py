@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from facetrack_cli.core.types import Array, Frame, Image, PartResult, Result, TargetResult, Told
+from facetrack_cli.core.types import Array, Frame, Image
+from facetrack_cli.trajectory.trajectory import FrameResult, joined, one_part, recorded, successive
 from facetrack_cli.video.overlay.insets import Insets, Rect, Shown
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.overlay.status_bar import adaptation
 from facetrack_cli.video.overlay.text import Font
+from tests.support import results
+from tests.support.results import target
 from tests.video.test_draw import around, part, result, touched
 
+Pictures = tuple[tuple[str, Image], ...]
 SIZES = [(320, 240), (1280, 720), (3840, 2160), (240, 320)]
 # two halves, so that up and down, left and right can be told
 S: Image = np.repeat(np.array([[40, 250]], np.uint8), 30, axis=0).repeat(13, axis=1)
@@ -25,10 +28,9 @@ def quad(*corners: tuple[float, float]) -> Array:
     return np.array(corners, np.float64)
 
 
-def named(who: str | None, sure: float | None, **told: object) -> Result:
-    one = part("box", 200, 150, w=60, h=60, cov=None)
-    target = TargetResult("face", (one,), 77, np.empty((0, 1, 2)), who, sure, told=Told(**told))  # type: ignore[arg-type]
-    return Result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), (target,))
+def named(who: str | None, sure: float | None, insets: Pictures = (), at: tuple[int, int] = (200, 150)) -> FrameResult:
+    one = target("face", [part("box", *at, w=60, h=60, cov=None)], 77, None, who, sure, insets=insets)
+    return results.result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), [one])
 
 
 # --- windows ---
@@ -66,7 +68,7 @@ def test_any_corners_are_survived(status: str, corners: Array) -> None:
 # --- names ---
 
 
-def above(shown: Result) -> Image:
+def above(shown: FrameResult) -> Image:
     """What is drawn above the window at (200, 150)."""
     return Overlay((320, 240)).draw(shown)[90:118, 130:270]
 
@@ -179,28 +181,42 @@ def test_the_overlay_draws_them_and_keeps_labels_off() -> None:
     plain, with_them = (Overlay((320, 240)).draw(one) for one in (bare, shown))
     changed = (plain != with_them).any(axis=2)
     assert changed[200:, :100].any() and not changed[:180].any() and not changed[:, 120:].any()
-    low = replace(shown.targets[0], parts=(part("box", 40, 236, w=60, h=60, cov=None),))
-    Overlay((320, 240)).draw(replace(shown, targets=(low,)))
+    Overlay((320, 240)).draw(named("anna", 0.9, insets=PICTURES, at=(40, 236)))
 
 
 # --- the bar ---
 
 
 def test_the_bar_tells_of_one_target_that_adapts() -> None:
-    (one,) = named(None, None, scale=1.234, noise=1.5).targets
-    assert adaptation([one]) == {"scale": "scale 1.23", "particles": "77 particles"}
-    assert adaptation([replace(one, told=Told(scale=1.234))]) == {"scale": "scale 1.23"}, "their number stays"
-    assert adaptation([one, one]) == adaptation([]) == adaptation([replace(one, told=None)]) == {}
-    assert adaptation([replace(one, told=Told(scale=float("nan")))]) == {}
+    def said(*reported: dict[str, float] | None) -> dict[str, str]:
+        parts = [part("box", 200, 150)]
+        return adaptation(
+            results.result(3, [target(f"t{i}", parts, 77, reported=one) for i, one in enumerate(reported)]).rows
+        )
+
+    assert said({"scale": 1.234, "noise": 1.5}) == {"scale": "scale 1.23", "particles": "77 particles"}
+    assert said({"scale": 1.234}) == {"scale": "scale 1.23"}, "their number stays"
+    assert said({"scale": 1.234, "noise": 1.5}, {"scale": 1.234, "noise": 1.5}) == {}
+    assert said() == said(None) == said({}) == said({"noise": 1.0}) == said({"scale": float("nan")}) == {}
+
+
+def test_the_bar_of_what_was_recorded_has_the_scale_of_its_frame() -> None:
+    frames = [results.result(i, [target("face", [part("box")], 77, reported={"scale": 1.0 + i})]) for i in range(4)]
+    rows = successive([each.rows for each in frames])
+    for i, each in enumerate(frames):
+        again = FrameResult(each.frame, recorded(i, rows.at(i)))
+        assert adaptation(again.rows) == adaptation(each.rows) == {"scale": f"scale {1 + i}.00"}
+    other = joined([rows, one_part("face", "box", [9], x=[1.0])], diagnostics=rows.diagnostics)
+    assert adaptation(FrameResult(frames[0].frame, recorded(9, other.at(9))).rows) == {}, "nothing is reported there"
 
 
 @pytest.mark.parametrize("width", [60, 160, 320, 640, 1280])
 def test_it_stands_in_the_bar_where_there_is_room(width: int) -> None:
-    def draw(told: Told) -> Image:
-        one = PartResult("box", 20.0, 40.0, 20.0, 20.0, "tracked", 0.9)
-        target = TargetResult("face", (one,), 77, np.empty((0, 1, 2)), told=told)
+    def draw(reported: dict[str, float]) -> Image:
+        one = results.part("box", 20.0, 40.0, 20.0, 20.0, "tracked", 0.9)
         frame = Frame(3, 0.12, np.full((60, width, 3), 128, np.uint8))
-        return Overlay((width, 60), title="adaptive").draw(Result(frame, (target,)))
+        shown = results.result(frame, [target("face", [one], 77, reported=reported)])
+        return Overlay((width, 60), title="adaptive").draw(shown)
 
-    other = (draw(Told()) != draw(Told(scale=1.0, noise=1.0))).any(axis=(0, 2))
+    other = (draw({}) != draw({"scale": 1.0, "noise": 1.0})).any(axis=(0, 2))
     assert other.any() == (width > 240)

@@ -1,0 +1,420 @@
+"""What a tracker reports beside its rows: declared, written where known, read back, refused with its place."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.trajectory.diagnostics import (
+    AFFINE,
+    KNOWN,
+    POSTERIOR,
+    SCALE,
+    Diagnostic,
+    Diagnostics,
+)
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult, Trajectory, successive
+from facetrack_cli.trajectory.writers import SCHEMA, as_written
+from tests.support import results, trajectories
+from tests.support.results import result
+from tests.support.trajectories import known
+
+REPORTED = {
+    "affine": (1.0, 0.123456, -0.0, 1.0, 10.0, 20.12345),
+    "scale": 1.25,
+    "error": 0.5,
+    "noise": 2.0,
+    "posterior": {"ben": 0.0625, "anna": 0.93754, "none": -0.0},
+    "entropy": 0.23,
+}
+FOCUS = Diagnostic("focus", "sharpness of the window", "px", least=0, decimals=6)
+SPREAD = Diagnostic("spread", "over both axes", shape=(2,), least=-1, most=1, decimals=(1, 2))
+VOTES = Diagnostic("votes", shape=None)
+
+
+def target(
+    reported: dict[str, Any] | None, name: str = "face", who: str | None = None, sure: float | None = None
+) -> TargetResult:
+    box = results.part("box", 3.0, 2.0, 4.0, 4.0, "tracked", 0.5)
+    return results.target(name, [box], 77, identity=who, identity_prob=sure, reported=reported)
+
+
+def write(path: Path, frames: list[FrameResult], header: dict[str, Any] | None = None) -> Path:
+    return trajectories.write(path, successive([each.rows for each in frames]), header or {"seed": 3})
+
+
+# --- declaring and collecting ---
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"name": ""},
+        {"shape": (2, 3)},
+        {"shape": (0,)},
+        {"decimals": -1},
+        {"decimals": (1, 2)},
+        {"decimals": ()},
+        {"shape": (3,), "decimals": (1, 2)},
+        {"shape": None, "decimals": (1,)},
+    ],
+)
+def test_a_declaration_that_cannot_be_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"diagnostic '.*' needs"):
+        Diagnostic(**{"name": "focus", **wrong})
+
+
+def test_its_record_is_json_without_what_is_infinite() -> None:
+    assert json.loads(json.dumps(FOCUS.record(), allow_nan=False)) == {
+        "name": "focus", "meaning": "sharpness of the window", "unit": "px", "shape": [], "least": 0, "decimals": 6,
+    }  # fmt: skip
+    assert json.loads(json.dumps(VOTES.record(), allow_nan=False))["shape"] is None
+    assert (SPREAD.record()["least"], SPREAD.record()["most"]) == (-1, 1)
+
+
+def test_values_become_arrays_and_what_is_not_known_nan() -> None:
+    found = Diagnostics.of(
+        (FOCUS, SPREAD, VOTES, SCALE),
+        [3, 5, 9],
+        [
+            {"focus": 2, "votes": {"a": 1.0}},
+            {"spread": np.array([0.5, -0.25]), "votes": {"b": 0.5, "a": math.nan}},
+            {"focus": np.float32(0.5), "spread": None, "mine": 1},
+        ],
+    )
+    assert found.frame.tolist() == [3, 5, 9] and set(found.values) == {"focus", "spread", "votes"}
+    assert found.labels == {"votes": ("a", "b")}
+    np.testing.assert_array_equal(found.get("focus"), [2, np.nan, 0.5])
+    np.testing.assert_array_equal(found.get("spread"), [[np.nan] * 2, [0.5, -0.25], [np.nan] * 2])
+    np.testing.assert_array_equal(found.get("votes"), [[1, np.nan], [np.nan, 0.5], [np.nan] * 2])
+    assert np.isnan(found.get("scale")).all() and found.get("scale").shape == (3,)
+    assert [found.row(frame) for frame in (2, 3, 5, 9, 10)] == [None, 0, 1, 2, None]
+    part = found.between(4, 9)
+    assert part.frame.tolist() == [5] and known(part) == {5: {"spread": [0.5, -0.25], "votes": {"b": 0.5}}}
+    assert found.between(6, 9).frame.size == 0 and found.between(0, 99).frame.tolist() == [3, 5, 9]
+
+
+@pytest.mark.parametrize(
+    ("one", "value", "why"),
+    [
+        (FOCUS, -0.001, "focus -0.001 is no number from 0 up"),
+        (FOCUS, math.inf, "focus inf is no number from 0 up"),
+        (FOCUS, "1", "focus '1' is no number from 0 up"),
+        (FOCUS, True, "focus True is no number from 0 up"),
+        (FOCUS, 10**400, "is no number from 0 up"),
+        (Diagnostic("tilt"), -math.inf, "tilt -inf is no finite number"),
+        (Diagnostic("tilt", most=5), 6, "tilt 6 is no number from -inf to 5"),
+        (Diagnostic("tilt", least=-5, most=5), -6, "tilt -6 is no number from -5 to 5"),
+        (POSTERIOR, {"anna": 1.01}, "posterior of 'anna': 1.01 is no probability"),
+        (POSTERIOR, [1.0], "posterior is not an object of names and numbers"),
+        (SPREAD, [0.5], "spread is not a list of 2 numbers"),
+        (SPREAD, [0.5, 1.5], "spread is not a list of 2 numbers"),
+        (SPREAD, "ab", "spread is not a list of 2 numbers"),
+        (SPREAD, 0.5, "spread is not a list of 2 numbers"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_refused_with_its_place(one: Diagnostic, value: object, why: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(why)) as caught:
+        Diagnostics.of((one,), [3, 4], [{}, {one.name: value}])
+    assert caught.value.args[0] == 1
+
+
+EVERY = (*KNOWN.values(), FOCUS, SPREAD, VOTES)
+
+
+@settings(deadline=None)
+@given(data=st.data())
+def test_those_of_successive_frames_are_those_of_all(data: st.DataObject) -> None:
+    shapes = st.fixed_dictionaries({one.name: trajectories.records(one.shape, one.least, one.most) for one in EVERY})
+    found = data.draw(st.lists(shapes, min_size=1, max_size=6))
+    cut = data.draw(st.integers(0, len(found)))
+    frames = [3 * at for at in range(len(found))]
+    whole = Diagnostics.of(EVERY, frames, found)
+    pieces = [Diagnostics.of(EVERY, [f], [one]) for f, one in zip(frames[:cut], found[:cut], strict=True)]
+    if cut < len(found):
+        declared = EVERY[: data.draw(st.integers(1, len(EVERY)))] if pieces else EVERY
+        rest = [{one.name: each[one.name] for one in declared} for each in found[cut:]]
+        pieces.insert(0, Diagnostics.of(declared, [-1], [{}]))  # what comes first may declare less
+        pieces.append(Diagnostics.of(declared, frames[cut:], rest))
+        whole = Diagnostics.of(EVERY, frames, [*found[:cut], *rest])
+    joined = Diagnostics.joined(pieces)
+    assert joined.frame.tolist()[-len(frames) :] == frames and known(joined) == known(whole)
+    again = Diagnostics.of(joined.declared, joined.frame.tolist(), joined.records())
+    assert known(again) == known(whole)
+    for name, values in whole.values.items():
+        assert joined.get(name)[-len(frames) :].shape == values.shape
+
+
+# --- writing ---
+
+
+def test_the_members_of_a_target_stand_after_its_identity(tmp_path: Path) -> None:
+    path = write(tmp_path / "t.json", [result(0, [target(REPORTED, who="anna", sure=0.93754)])])
+    assert (
+        '{"target":"face","particles":77,"identity":"anna","identity_prob":0.9375,'
+        '"posterior":{"ben":0.0625,"anna":0.9375,"none":0.0000},"entropy":0.2300,"scale":1.2500,"noise":2.0000,'
+        '"error":0.5000,"affine":[1.00000,0.12346,0.00000,1.00000,10.000,20.123],"parts":[{"part":"box",'
+    ) in path.read_text()
+
+
+def members(path: Path, found: Diagnostics) -> str:
+    """What stands of the diagnostics in the file of one frame."""
+    rows = replace(result(0, [target(None)]).rows, diagnostics={"face": found})
+    text = trajectories.write(path, rows).read_text()
+    return text[text.index('"particles":77') + 14 : text.index(',"parts":[')]
+
+
+def test_what_is_not_known_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "t.json"
+    declared = tuple(KNOWN.values())
+    assert members(path, Diagnostics.of(declared, [0], [{}])) == ""
+    assert members(path, Diagnostics.of(declared, [1], [REPORTED])) == "", "those of another frame"
+    odd = {"scale": [math.nan], "noise": [math.inf], "error": [-math.inf], "affine": [(1, 0, 0, math.nan, 1, 1)]}
+    odd_values = {name: np.array(values, float) for name, values in odd.items()}
+    assert members(path, Diagnostics(declared, np.array([0]), odd_values)) == ""
+    some = Diagnostics.of(declared, [0], [{"posterior": {"a": math.nan, 'say "b"': 1.0}}])
+    assert members(path, some) == ',"posterior":{"say \\"b\\"":1.0000}'
+    plain = write(tmp_path / "plain.json", [result(0, [target(None)])]).read_text()
+    assert plain == write(tmp_path / "empty.json", [result(0, [target({})])]).read_text()
+
+
+def test_those_that_a_tracker_declares_have_their_decimals_and_stand_after_the_known_ones(tmp_path: Path) -> None:
+    value = {"focus": 2.5, "spread": (0.25, -0.5), "votes": {"a": 3}, "scale": 1.0, "posterior": {"a": 1.0}}
+    for declared in (
+        (VOTES, SPREAD, FOCUS, AFFINE, SCALE, POSTERIOR),
+        (SCALE, POSTERIOR, AFFINE, FOCUS, VOTES, SPREAD),
+    ):
+        assert members(tmp_path / "t.json", Diagnostics.of(declared, [0], [value])) == (
+            ',"posterior":{"a":1.0000},"votes":{"a":3.0000},"scale":1.0000,"focus":2.500000,"spread":[0.2,-0.50]'
+        )
+
+
+def test_the_csv_stays_as_it_is(tmp_path: Path) -> None:
+    without = write(tmp_path / "a.csv", [result(0, [target(None, who="anna", sure=0.9)])]).read_text()
+    assert write(tmp_path / "b.csv", [result(0, [target(REPORTED, who="anna", sure=0.9)])]).read_text() == without
+
+
+# --- a round trip ---
+
+SHARE = st.integers(0, 10_000).map(lambda n: n / 10_000)
+NUMBER = st.none() | st.integers(0, 10**6).map(lambda n: n / 10_000)
+NAMES = ["anna", "ben", "Zoë", 'q"', "none"]
+RECORDS = st.fixed_dictionaries(
+    {
+        "affine": st.none() | st.tuples(*[st.integers(-1000, 1000).map(lambda n: n / 1000)] * 6),
+        "scale": NUMBER,
+        "error": NUMBER,
+        "noise": NUMBER,
+        "entropy": NUMBER,
+        "posterior": st.none() | st.dictionaries(st.sampled_from(NAMES), SHARE),
+    }
+)
+
+
+def same(a: object, b: float) -> bool:
+    return math.isnan(b) if a is None else a == b
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(given_=st.lists(st.none() | RECORDS, min_size=1, max_size=6), form=st.sampled_from(["json", "jsonl"]))
+def test_what_is_written_is_read(tmp_path: Path, given_: list[dict[str, Any] | None], form: str) -> None:
+    frames = [result(i, [target(one)]) for i, one in enumerate(given_)]
+    table = read_trajectory(write(tmp_path / f"t.{form}", frames))
+    some = {i: one for i, one in enumerate(given_) if one and any(v not in (None, {}) for v in one.values())}
+    if not some:
+        assert table.diagnostics == {}
+        return
+    ((name, found),) = table.diagnostics.items()
+    assert name == "face" and found.frame.tolist() == list(some)
+    order = dict.fromkeys(name for one in some.values() for name in one["posterior"] or {})
+    assert found.labels.get("posterior", ()) == tuple(order)
+    for at, one in enumerate(some.values()):
+        for key in ("scale", "error", "noise", "entropy"):
+            assert same(one[key], found.get(key)[at])
+        assert one["affine"] is None or tuple(found.get("affine")[at]) == one["affine"]
+        assert one["affine"] is not None or np.isnan(found.get("affine")[at]).all()
+        for k, name in enumerate(order):
+            assert same((one["posterior"] or {}).get(name), found.get("posterior")[at, k])
+
+
+@settings(deadline=None, max_examples=60)
+@given(rows=trajectories.trajectories((FOCUS, SPREAD, SCALE, VOTES)), form=st.sampled_from(["json", "jsonl"]))
+def test_what_a_tracker_declares_is_read_by_its_header(
+    tmp_path_factory: pytest.TempPathFactory, rows: Trajectory, form: str
+) -> None:
+    header = {"diagnostics": [one.record() for one in (FOCUS, SPREAD, VOTES)]}
+    path = trajectories.write(tmp_path_factory.getbasetemp() / f"declared.{form}", rows, header)
+    back = read_trajectory(path)
+    expected = {name: found for name, one in as_written(rows).diagnostics.items() if (found := known(one))}
+    assert {name: known(one) for name, one in back.diagnostics.items()} == expected
+    for one in back.diagnostics.values():
+        assert set(one.declared) <= {SCALE, FOCUS, SPREAD, VOTES}, "with meaning, unit, bounds and decimals"
+    own = {key: back.header[key] for key in header}
+    assert trajectories.write(path.with_stem("again"), back, own).read_bytes() == path.read_bytes()
+
+
+def clip(path: Path, frames: int = 30) -> Trajectory:
+    """Anna, of whom it is sure from frame 10 on; and a second target of which nothing is reported."""
+    found = []
+    for i in range(frames):
+        p = 0.3 if i < 3 else 0.6 if i < 10 else 0.95
+        who = "ben" if i < 3 else "anna"
+        posterior = {"anna": p, "ben": 1 - p}
+        face = target({**REPORTED, "posterior": posterior}, who=who, sure=max(p, 1 - p))
+        found.append(result(i, [face, target(None, "other")]))
+    return read_trajectory(write(path, found))
+
+
+def test_who_it_is_from_either_file(tmp_path: Path) -> None:
+    for form in ("json", "csv"):
+        table = clip(tmp_path / f"t.{form}")
+        face, other = table.parts
+        assert face.target == "face" and face.identity[[0, 2, 3, 29]].tolist() == ["ben", "ben", "anna", "anna"]
+        assert not (other.identity != "").any() and table.beliefs("other")[1] == ()
+        assert table.recognised("face", "anna") == 10
+        assert table.recognised("face", "ben") is None and table.recognised("face", "carl") is None
+        assert table.recognised("face", "ben", level=0.6) == 0 and table.recognised("other", "anna") is None
+        frame, names, p = table.beliefs("face")
+        assert frame.tolist() == list(range(30)) and p[:, names.index("anna")][-1] == 0.95
+        assert set(table.diagnostics) == ({"face"} if form == "json" else set())
+    assert np.isnan(p[0, names.index("anna")]), "the CSV knows the probability of the most likely alone"
+
+
+def test_a_choice_of_targets_keeps_what_is_reported_of_them(tmp_path: Path) -> None:
+    table = clip(tmp_path / "t.json")
+    assert set(choose(table, "face/box").diagnostics) == {"face"}
+    assert choose(table, "other").diagnostics == {}
+
+
+# --- what is refused ---
+
+
+def file(folder: Path, *targets: Any) -> Path:
+    frames = [
+        {"frame": i, "time_s": i / 25, "targets": [{"parts": [{"part": "box", "x": 1, "y": 2}], **one}]}
+        for i, one in enumerate(targets)
+    ]
+    path = folder / "one.json"
+    path.write_text(json.dumps({"schema": SCHEMA, "frames": frames}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"scale": "1"}, "scale '1' is no number from 0 up"),
+        ({"scale": -1}, "scale -1 is no number"),
+        ({"noise": True}, "noise True is no number"),
+        ({"error": float("inf")}, "error inf is no number"),
+        ({"error": 10**400}, "is no number"),
+        ({"entropy": [1]}, r"entropy \[1\] is no number"),
+        ({"posterior": [0.5]}, "posterior is not an object of names"),
+        ({"posterior": {"anna": 1.2}}, "posterior of 'anna': 1.2 is no probability"),
+        ({"posterior": {"anna": None}}, "posterior of 'anna': None is no probability"),
+        ({"posterior": {"": 0.2}}, "posterior of '': 0.2 is no probability"),
+        ({"affine": [1, 0, 0, 1, 5]}, "affine is not a list of 6 numbers"),
+        ({"affine": [1, 0, 0, 1, 5, "x"]}, "affine is not a list of 6 numbers"),
+        ({"affine": {"a1": 1}}, "affine is not a list of 6 numbers"),
+        ({"affine": [1, 0, 0, 1, 5, 10**400]}, "affine is not a list of 6 numbers"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, wrong: dict[str, Any], why: str) -> None:
+    with pytest.raises(
+        InputError, match=rf"one\.json: frame 1, face: .*{why}.*; correct it, or leave it out"
+    ) as caught:
+        read_trajectory(file(tmp_path, {"target": "face"}, {"target": "face", **wrong}))
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"identity": 5}, r"record 1 of frames is not as facetrack writes it: identity 5 is no name"),
+        ({"identity_prob": 1.5}, r"frame 1, face/box: identity_prob 1\.5 is no probability; correct it, or leave"),
+    ],
+)
+def test_a_wrong_identity_is_said_in_one_line(tmp_path: Path, wrong: dict[str, Any], why: str) -> None:
+    with pytest.raises(InputError, match=rf"one\.json: {why}") as caught:
+        read_trajectory(file(tmp_path, {"target": "face"}, {"target": "face", **wrong}))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("declared", "why"),
+    [
+        (5, "diagnostics is not as facetrack run writes it"),
+        ({"name": "focus"}, "diagnostics is not as facetrack run writes it"),
+        ([5], "diagnostics.0 is not as"),
+        ([{"meaning": "x"}], "diagnostics.0.name is not as .*required"),
+        ([{"name": "focus"}, {"name": "b", "shape": 3}], "diagnostics.1.shape is not as"),
+        ([{"name": "b", "shape": [2, 3]}], "diagnostics.0.* is not as .*needs a name, and a shape"),
+        ([{"name": "b", "least": "low"}], "diagnostics.0.least is not as"),
+    ],
+)
+def test_a_wrong_declaration_is_said_in_one_line(tmp_path: Path, declared: Any, why: str) -> None:
+    path = file(tmp_path, {"target": "face", "focus": 1})
+    path.write_text(json.dumps({**json.loads(path.read_text()), "diagnostics": declared}))
+    with pytest.raises(InputError, match=rf"one\.json: {why}.*; make the run again") as caught:
+        read_trajectory(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_declaration_of_a_later_version_is_read_and_a_known_name_keeps_its_meaning(tmp_path: Path) -> None:
+    path = file(tmp_path, {"target": "face", "scale": 1.5, "focus": 2.5})
+    more = [{"name": "scale", "shape": [2]}, {"name": "focus", "colour": "red"}]
+    path.write_text(json.dumps({**json.loads(path.read_text()), "diagnostics": more}))
+    found = read_trajectory(path).diagnostics["face"]
+    assert found.declared == (SCALE, Diagnostic("focus")) and known(found) == {0: {"scale": 1.5, "focus": 2.5}}
+
+
+@pytest.mark.parametrize("name", [None, ["a"], 3, ""])
+def test_records_that_are_none_are_refused_as_before(tmp_path: Path, name: object) -> None:
+    with pytest.raises(InputError, match=r"record 0 of frames is not as facetrack writes it"):
+        read_trajectory(file(tmp_path, {"target": name, "scale": 1.0}))
+
+
+def test_a_csv_with_no_probability_says_where(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("frame,target,part,x,y,identity,identity_prob\n0,face,box,1,2,anna,0.5\n1,face,box,1,2,anna,1.5\n")
+    why = "t.csv: frame 1, face/box: identity_prob 1.5 is no probability; correct it"
+    with pytest.raises(InputError, match=re.escape(why)):
+        read_trajectory(path)
+
+
+# --- what else reads trajectories ---
+
+
+@pytest.mark.parametrize("form", ["mot", "otb", "got10k", "vot", "coco", "dlc", "eaf"])
+def test_exports_are_those_of_a_tracker_that_reports_nothing(tmp_path: Path, form: str) -> None:
+    header = {"source": {"path": "clip.mp4", "size": [6, 4], "fps": 25.0}}
+    found = []
+    for name, reported in (("plain", None), ("reported", REPORTED)):
+        folder = tmp_path / name
+        folder.mkdir()
+        write(folder / "trajectory.json", [result(index, [target(reported)]) for index in range(5)], header)
+        out = tmp_path / f"{name}.out"
+        assert main(["export", str(folder), "--to", form, "-o", str(out)]) == 0
+        text = out.read_text()
+        found.append(re.sub(r'DATE="[^"]*"|urn:nl-mpi-tools-elan-eaf:[^<"]*', "", text.replace(name, "")))
+    assert found[0] == found[1] and found[0]
+
+
+def test_it_is_measured_against_a_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / "t.json", [result(i, [target(REPORTED, who="anna", sure=0.9)]) for i in range(5)])
+    truth = tmp_path / "truth.csv"
+    truth.write_text("frame,target,part,x,y,w,h\n" + "".join(f"{i},face,box,3,2,4,4\n" for i in range(5)))
+    assert main(["eval", str(path), "--truth", str(truth)]) == 0
+    assert "1.000" in capsys.readouterr().out
