@@ -15,7 +15,7 @@ class Measures(NamedTuple):
 
     caption: str
     head: tuple[str, ...]
-    rows: list[tuple[str, ...]]
+    rows: Sequence[tuple[str, ...]]
 
 
 _POINTS: Final = (

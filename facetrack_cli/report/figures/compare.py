@@ -181,8 +181,8 @@ def spread_figure(
         return figure
 
 
-def calibration_figure(trust: Trust, *, title: str = "Confidence against the truth") -> Figure:
-    """The shares of rows that are near the truth and visible in each bin of confidence, and how many rows there are.
+def calibration_figure(trust: Trust, *, title: str = "Confidence against the ground truth") -> Figure:
+    """The share of rows near the ground truth and of visible rows in each bin of confidence, and the number of rows.
 
     On the diagonal, confidence is the chance of being near. Bins without rows are left out.
     """
@@ -195,9 +195,11 @@ def calibration_figure(trust: Trust, *, title: str = "Confidence against the tru
         near, visible = _known([b.near for b in filled]), _known([b.visible for b in filled])
         upper.plot([0, 1], [0, 1], **_MARK, label="ideal: equal to confidence")
         upper.vlines(mean, mean, near, color=STATUS["lost"], linewidth=1.0, alpha=0.55, zorder=1.5)
-        upper.plot(mean, near, "o-", color=COLOURS[0], linewidth=1.5, markersize=5, label="near the truth")
+        upper.plot(mean, near, "o-", color=COLOURS[0], linewidth=1.5, markersize=5, label="near the ground truth")
         if any(share < 1 for share in visible):
-            upper.plot(mean, visible, "s--", color=COLOURS[1], linewidth=1.2, markersize=4, label="visible in truth")
+            upper.plot(
+                mean, visible, "s--", color=COLOURS[1], linewidth=1.2, markersize=4, label="visible in the ground truth"
+            )
         if not filled:
             upper.text(0.5, 0.45, "no row has a confidence between 0 and 1", ha="center", color=FAINT)
         upper.set_xlim(-0.02, 1.02)

@@ -154,8 +154,9 @@ class Pen:
                 self._bars(axes, line.ours, status, (row + top, tall))
             if many:
                 continue
-            for status in ("hidden", "absent") if line.pair is not None else ():
-                self._bars(axes, line.pair.truth, status, (row + 0.1, 0.3))
+            if line.pair is not None:
+                for status in ("hidden", "absent"):
+                    self._bars(axes, line.pair.truth, status, (row + 0.1, 0.3))
             starts = line.ours.frame[line.ours.status == "init"]
             if starts.size:
                 middle = np.full(len(starts), row + top + tall / 2)

@@ -180,14 +180,14 @@ class _Page:
             label = clean(what if len(group) > 1 else target or group[0].name, 60)
             found[label] = tuple(Line2D([], [], color=line.colour, linewidth=2) for line in picked)
         if self.paired and not self.many:
-            found["truth"] = Line2D([], [], **TRUTH)
+            found["ground truth"] = Line2D([], [], **TRUTH)
         for status in self.gone:
             found[status] = Patch(color=STATUS[status], linewidth=0)
         if len(self.corrected):
-            found["put right by hand"] = Line2D([], [], **CORRECTED)
+            found["corrected by hand"] = Line2D([], [], **CORRECTED)
         for status in UNSEEN if not self.many else ():
             if status in self.truth:
-                found[f"{status} in truth"] = Patch(color=STATUS[status], linewidth=0)
+                found[f"{status} in the ground truth"] = Patch(color=STATUS[status], linewidth=0)
         return found
 
     def _summary(self) -> list[str]:
@@ -204,7 +204,7 @@ class _Page:
             over = "frames" if len(lost) == 1 else f"rows, {sum(map(bool, lost))} of {len(lost)} parts"
             found.append(f"lost in {share} of {over}" if any(lost) else "never lost")
         if len(self.corrected):
-            found.append(f"put right by hand in {len(self.corrected):,} of them")
+            found.append(f"corrected by hand in {len(self.corrected):,} of them")
         # as eval counts: what is hidden is measured apart
         wrong = [e[~np.isin(pair.truth.status, UNSEEN)] for (_, pair), e in zip(self.paired, self.errors, strict=True)]
         if wrong and np.isfinite(every := np.concatenate(wrong)).any():
@@ -219,12 +219,12 @@ class _Page:
 
     def _panels(self) -> Iterator[Panel]:
         lines, many = self.lines, self.many
-        truth = "dotted: truth" if self.paired and not many else ""
+        truth = "dotted: ground truth" if self.paired and not many else ""
         bands = "median, middle 80 % and range of the parts" if many else ""
         if self._known(_x):
             yield Panel("x (px)", [truth], 1.15, partial(self._values, of=_x))
         if self._known(_y):
-            yield Panel("y (px)", ["up is up in the picture", truth], 1.15, partial(self._values, of=_y, down=True))
+            yield Panel("y (px)", ["up is up in the image", truth], 1.15, partial(self._values, of=_y, down=True))
         if self._known(size):
             sizes = [line.ours for line in lines] + [pair.truth for _, pair in self.paired if not many]
             still = all(_reach(size(s)) < 0.01 for s in sizes)
@@ -235,7 +235,7 @@ class _Page:
         if self._known(_confidence):
             yield Panel("confidence", [bands, self._shaded(" or ".join(self.gone))], 0.95, self._confidence)
         if self.judged:
-            below = "below each row: truth" if self.truth & {*UNSEEN} else ""
+            below = "below each row: ground truth" if self.truth & {*UNSEEN} else ""
             notes = ["a row a part, from first to last" if many else below]
             tall = max(0.2, min(0.165 * len(lines), 1.5))
             yield Panel("status", notes, tall, partial(self.pen.status, lines=lines))
@@ -250,7 +250,7 @@ class _Page:
             yield Panel("spread (px)", notes, 0.95, partial(self._positive, of=spread))
         yield from panels(self.table, lines, self.pen)
         if any(np.isfinite(wrong).any() for wrong in self.errors):
-            notes = [bands, self._shaded("hidden in truth" if "hidden" in self.truth else "")]
+            notes = [bands, self._shaded("hidden in the ground truth" if "hidden" in self.truth else "")]
             notes += ["bands: 50 and 90 % by the spread"] if self._alone() else []
             yield Panel("error (px)", notes, 1.15, self._error)
         if any(pair.kind == "boxes" for _, pair in self.paired):
