@@ -47,6 +47,13 @@ class Clock:
         return self.after(int(self.frames[-1])) - float(self.times[0])
 
 
+class Stretch(NamedTuple):
+    """Frames `first` to `last`, both included."""
+
+    first: int
+    last: int
+
+
 class LostSpan(NamedTuple):
     """One part lost once: from frame `first` to frame `last`; tracked again in `back`, None if never.
 
@@ -77,7 +84,7 @@ class PartHistory:
     """What happened to one part. `worst` is the frame of its lowest confidence; confidences are nan where unknown.
 
     `judged` is whether the tracker reports its status after the first frame, or would: it has a confidence.
-    `absences` are the stretches (first, last) in which it is absent, `frames_absent` their number of frames.
+    `absences` are the stretches in which it is absent, `frames_absent` their number of frames.
     """
 
     name: str
@@ -88,20 +95,8 @@ class PartHistory:
     worst: int
     last_status: str
     judged: bool
-    absences: tuple[tuple[int, int], ...]
+    absences: tuple[Stretch, ...]
     frames_absent: int
-
-    @property
-    def frames_lost(self) -> int:
-        return sum(span.frames for span in self.spans)
-
-    @property
-    def seconds_lost(self) -> float:
-        return sum(span.seconds for span in self.spans)
-
-    @property
-    def longest(self) -> float:
-        return max((span.seconds for span in self.spans), default=0.0)
 
 
 class Event(NamedTuple):
@@ -119,10 +114,10 @@ class KeyFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class RunHistory:
-    """A whole run: its parts, the frames in which any was lost as stretches (first, last), and the worst frame."""
+    """A whole run: its parts, the stretches in which any was lost, the frame of the lowest confidence."""
 
     parts: tuple[PartHistory, ...]
-    episodes: tuple[tuple[int, int], ...]
+    episodes: tuple[Stretch, ...]
     frames_lost: int
     worst: int | None
     corrections: tuple[CorrectedFrame, ...]
@@ -162,7 +157,7 @@ def history_of(table: Trajectory, clock: Clock) -> RunHistory:
     mean = np.divide(total, known, out=np.full(len(total), np.inf), where=known > 0)
     return RunHistory(
         parts=tuple(parts),
-        episodes=tuple((int(clock.frames[a]), int(clock.frames[b])) for a, b in stretches(any_lost)),
+        episodes=tuple(Stretch(int(clock.frames[a]), int(clock.frames[b])) for a, b in stretches(any_lost)),
         frames_lost=int(any_lost.sum()),
         worst=int(clock.frames[np.argmin(mean)]) if known.any() else None,
         corrections=_corrections(table, [part.name for part in parts]),
@@ -198,7 +193,7 @@ def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
         worst=frames[np.nanargmin(sure)] if known.any() else frames[0],
         last_status=str(status[-1]),
         judged=bool((status != "init").any() or known.any()),
-        absences=tuple((frames[a], frames[b]) for a, b in stretches(status == "absent")),
+        absences=tuple(Stretch(frames[a], frames[b]) for a, b in stretches(status == "absent")),
         frames_absent=int((status == "absent").sum()),
     )
 

@@ -18,6 +18,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.report.events import Clock
+from facetrack_cli.trajectory.header import ClipHeader
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -33,14 +34,6 @@ _APART_S = 0.002  # a clip whose frames have other times than the run's is anoth
 
 Report: TypeAlias = Callable[[int, int], None]  # frames read, frames to read
 View: TypeAlias = tuple[int, int, int, int]  # left, top, width, height in the clip's pixels
-
-
-class Clip(NamedTuple):
-    """The run's clip as its header says: where it was, (width, height), nominal rate."""
-
-    path: Path
-    size: tuple[int, int]
-    fps: float
 
 
 class KeyImage(NamedTuple):
@@ -62,7 +55,7 @@ class KeyImages:
 
 def key_images(
     table: Trajectory,
-    clip: Clip,
+    clip: ClipHeader,
     wanted: Sequence[int],
     *,
     given: Path | None = None,
@@ -77,7 +70,7 @@ def key_images(
     what is wrong with the header's becomes a note.
     """
     maker = _Maker(table, clip, title, unit)
-    best = maker.read(given or clip.path, wanted, report)
+    best = maker.read(given or Path(clip.path), wanted, report)
     if len(best.found) == len(wanted):
         return best
     if given is not None:
@@ -92,7 +85,7 @@ def key_images(
 class _Maker:
     """Turns frames into images: cut out, scaled, drawn on, encoded."""
 
-    def __init__(self, table: Trajectory, clip: Clip, title: str, unit: float | None) -> None:
+    def __init__(self, table: Trajectory, clip: ClipHeader, title: str, unit: float | None) -> None:
         self._table, self._clip, self._title = table, clip, title
         marked = [replace(part, by_hand=part.corrected) for part in table.parts]
         self._marked = joined(marked, diagnostics=table.diagnostics)

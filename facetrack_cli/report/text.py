@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -49,25 +50,6 @@ def names(those: Sequence[str], most: int = 8) -> str:
     if len(those) > most:
         return f"{', '.join(those[: most - 1])} and {len(those) - most + 1} more"
     return " and ".join(filter(None, (", ".join(those[:-1]), *those[-1:])))
-
-
-def rate(header: Header) -> str:
-    """The clip's frame rate."""
-    nominal = f"{header.source.fps:.6g} frames/s"
-    return f"{nominal} on average, at a varying rate" if header.variable_fps else nominal
-
-
-def ended(header: Header) -> tuple[str, bool]:
-    """How the run ended, and whether that is as it should be."""
-    if header.stopped in ("interrupted", "terminated"):
-        return f"The run was {header.stopped} before its end.", False
-    if header.stopped:
-        return f"The run stopped at an error: {header.stopped}", False
-    if header.complete is None:
-        return "The end of the trajectory is missing: the run did not close it.", False
-    if not header.complete:
-        return "The run is incomplete: frames that were asked for are missing.", False
-    return "The run is complete.", True
 
 
 def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHistory) -> str:
@@ -124,7 +106,7 @@ def identities(table: Trajectory, clock: Clock) -> Iterator[str]:
 
 
 def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) -> list[tuple[str, str, str]]:
-    """(kind, heading, words) of each event of a key frame; `origin` is what the start came from."""
+    """(kind, heading, words) of each event of a key frame; `origin` is what the start came from, as `--box`."""
     rows = table.at(key.frame)
     parts = [history.parts[part].name for part in rows.which.tolist()]
     confidence = dict(zip(parts, rows.confidence.tolist(), strict=True))
@@ -134,7 +116,7 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
     def words(event: Event) -> tuple[str, str]:
         match event.kind:
             case "start":
-                return "Start", f"placed by {origin}"
+                return "Start", f"placed by {'the Haar cascades' if origin == 'haar' else Path(origin).name or origin}"
             case "corrected":
                 put = event.corrected
                 assert put is not None
