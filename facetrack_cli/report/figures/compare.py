@@ -10,11 +10,9 @@ import numpy as np
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.trust import Trust
 from facetrack_cli.report.figures.axes import frame_axis, limit
-from facetrack_cli.report.figures.data import quantiles
-from facetrack_cli.report.figures.lines import Pen, columns_for
+from facetrack_cli.report.figures.lines import Pen, columns_for, quantiles
 from facetrack_cli.report.figures.style import (
     COLOURS,
-    FAINT,
     GREY,
     GUIDE,
     INK,
@@ -93,10 +91,7 @@ def _curves(
             (handles[label],) = axes.plot(at, values.mean(axis=0), linewidth=1.6, **look)
         if mark is not None:
             axes.axvline(mark, **_MARK)
-        every = [at for at, _ in curves.values()]
-        axes.set_xlim(
-            min((float(at.min()) for at in every), default=0), max((float(at.max()) for at in every), default=1)
-        )
+        axes.margins(x=0)
         axes.set_ylim(0, 1.015)
         axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
         axes.set(xlabel=names[0], ylabel=names[1])
@@ -184,47 +179,32 @@ def spread_figure(
 def calibration_figure(trust: Trust, *, title: str = "Confidence against the ground truth") -> Figure:
     """The share of rows near the ground truth and of visible rows in each bin of confidence, and the number of rows.
 
-    On the diagonal, confidence is the chance of being near. Bins without rows are left out.
+    On the diagonal, confidence is the chance of being near. Bins without rows are left out; some bin must have rows.
     """
+    assert trust.confidence is not None
+    filled = [b for b in trust.confidence.bins if b.rows]
+    mean, near, visible = np.array([(b.mean_confidence, b.near, b.visible) for b in filled], np.float64).T
     with style():
         figure = new_figure(5.6, 5.8)
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.2, 1]})
-        measures = trust.confidence
-        filled = [] if measures is None else [b for b in measures.bins if b.rows]
-        mean = _known([b.mean_confidence for b in filled])
-        near, visible = _known([b.near for b in filled]), _known([b.visible for b in filled])
         upper.plot([0, 1], [0, 1], **_MARK, label="ideal: equal to confidence")
         upper.vlines(mean, mean, near, color=STATUS["lost"], linewidth=1.0, alpha=0.55, zorder=1.5)
-        upper.plot(mean, near, "o-", color=COLOURS[0], linewidth=1.5, markersize=5, label="near the ground truth")
-        if any(share < 1 for share in visible):
-            upper.plot(
-                mean, visible, "s--", color=COLOURS[1], linewidth=1.2, markersize=4, label="visible in the ground truth"
-            )
-        if not filled:
-            upper.text(0.5, 0.45, "no row has a confidence between 0 and 1", ha="center", color=FAINT)
-        upper.set_xlim(-0.02, 1.02)
-        upper.set_ylim(-0.02, 1.04)
-        upper.set_ylabel("share of rows")
-        ece = None if measures is None else measures.ece
+        marked: dict[str, Any] = {"color": COLOURS[0], "linewidth": 1.5, "markersize": 5}
+        upper.plot(mean, near, "o-", **marked, label="near the ground truth")
+        if (visible < 1).any():
+            marked = {"color": COLOURS[1], "linewidth": 1.2, "markersize": 4}
+            upper.plot(mean, visible, "s--", **marked, label="visible in the ground truth")
+        upper.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.04), ylabel="share of rows")
+        ece = trust.confidence.ece
         heading(upper, title, "" if ece is None else f"expected calibration error {ece:.3f}")
         lower.bar([(b.low + b.high) / 2 for b in filled], [b.rows for b in filled], 0.09, color=GREY, linewidth=0)
-        if filled:
-            lower.set_yscale("log")
-            lower.set_ylim(0.7, 1.8 * max(b.rows for b in filled))
-            lower.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
-            lower.yaxis.minorticks_off()
-        else:
-            lower.set_yticks([])
-        lower.set_ylabel("rows")
-        lower.set_xlabel("confidence")
-        heading(lower, "Rows", "log scale" if filled else "")
+        lower.set(yscale="log", ylim=(0.7, 1.8 * max(b.rows for b in filled)), xlabel="confidence", ylabel="rows")
+        lower.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+        lower.yaxis.minorticks_off()
+        heading(lower, "Rows", "log scale")
         handles, labels = upper.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), handlelength=2.6)
         return figure
-
-
-def _known(shares: Sequence[float | None]) -> list[float]:
-    return [float("nan") if share is None else share for share in shares]
 
 
 def _over_time(frames: Whole, labels: Sequence[str]) -> tuple[Figure, Axes, Pen]:

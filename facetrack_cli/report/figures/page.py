@@ -15,9 +15,8 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array
 from facetrack_cli.report.figures.axes import frame_axis, limit, numbers, second_axis
-from facetrack_cli.report.figures.data import quantiles, stacked
 from facetrack_cli.report.figures.diagnostics import adaptation, panels
-from facetrack_cli.report.figures.lines import MANY, Line, Panel, Pen, columns_for, lines_of
+from facetrack_cli.report.figures.lines import MANY, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
 from facetrack_cli.report.figures.style import (
     CORRECTED,
     FAINT,
@@ -53,7 +52,7 @@ def page_figure(
 
     `pairs` (evaluation/match.py) bring the ground truth; the title names clip and recipe unless given; `width` is in
     inches, the height follows. Up to `MANY` parts have a line each; of more, all panels but position and size show the
-    median, the middle 80 % and the whole range over parts. Long tracks are drawn by their envelope (data.py), and what
+    median, the middle 80 % and the whole range over parts. Long tracks are drawn by their envelope, and what
     a tracker reports beside its rows has panels too (diagnostics.py). Raises InputError where nothing is known.
     """
     with style():
