@@ -7,9 +7,10 @@ frame in which it was tracked again, corrected by hand, or marked as absent.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from bisect import bisect
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 Kind: TypeAlias = Literal["start", "corrected", "lost", "back", "worst", "end"]
+"""Why a frame is shown, in the order in which the reasons of one frame stand."""
 MOST_FRAMES: Final = 12
-_HAPPENED: Final[tuple[Kind, ...]] = ("corrected", "lost", "back")
 _OF_EPISODES: Final = 2 / 3  # of the frames beside start, worst and end, where there are too many events
 
 
@@ -213,30 +214,20 @@ def key_frames(history: RunHistory, first: int, last: int, most: int = MOST_FRAM
     """
     found = history.events
     events = sorted({frame for frame, _ in found})
-    taken = {first, last, *([] if history.worst is None else [history.worst])}
+    fixed: list[tuple[int | None, Kind]] = [(first, "start"), (history.worst, "worst"), (last, "end")]
+    found |= {(frame, kind): Event(kind) for frame, kind in fixed if frame is not None}
+    taken = {frame for frame, _ in fixed if frame is not None}
     if len(taken.union(events)) <= most:
         taken.update(events)
     else:
         room = len(taken) + round((most - len(taken)) * _OF_EPISODES)
-        for pair in _ends(history.episodes, events):
-            if len(taken | pair) <= room:
-                taken |= pair
+        for begin, end in sorted(history.episodes, key=lambda e: (e.first - e.last, e.first)):
+            after = bisect(events, end)  # where the last part came back
+            if len(both := taken | {begin, *events[after : after + 1]}) <= room:
+                taken = both
         taken = _spread(taken, events, most)
-    fixed: list[tuple[int | None, Kind]] = [(first, "start"), (history.worst, "worst"), (last, "end")]
-    shown = []
-    for frame in sorted(taken):
-        why = [Event(kind) for at, kind in fixed[:1] if at == frame]
-        why += [found[frame, kind] for kind in _HAPPENED if (frame, kind) in found]
-        why += [Event(kind) for at, kind in fixed[1:] if at == frame]
-        shown.append(KeyFrame(frame, tuple(why)))
-    return shown
-
-
-def _ends(episodes: Sequence[tuple[int, int]], events: Sequence[int]) -> Iterable[set[int]]:
-    """Where each stretch began and where its last part came back, longest first."""
-    for first, last in sorted(episodes, key=lambda e: (e[0] - e[1], e[0])):
-        after = int(np.searchsorted(events, last, side="right"))
-        yield {first, *events[after : after + 1]}
+    kinds: tuple[Kind, ...] = get_args(Kind)
+    return [KeyFrame(at, tuple(found[at, kind] for kind in kinds if (at, kind) in found)) for at in sorted(taken)]
 
 
 def _spread(taken: set[int], events: Sequence[int], most: int) -> set[int]:

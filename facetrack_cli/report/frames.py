@@ -18,7 +18,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.report.events import Clock
-from facetrack_cli.trajectory.header import ClipHeader
+from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -55,22 +55,19 @@ class KeyImages:
 
 def key_images(
     table: Trajectory,
-    clip: ClipHeader,
+    header: Header,
     wanted: Sequence[int],
     *,
     given: Path | None = None,
     annotated: Path | None = None,
-    title: str = "",
-    unit: float | None = None,
     report: Report = lambda done, total: None,
 ) -> KeyImages:
     """Images of the `wanted` frames: from the clip `given` or the header's, else from the MP4 `annotated`.
 
-    `unit` is the target's size in pixels, None if unknown. Raises InputError if the clip `given` is not the run's;
-    what is wrong with the header's becomes a note.
+    Raises InputError if the clip `given` is not the run's; what is wrong with the header's becomes a note.
     """
-    maker = _Maker(table, clip, title, unit)
-    best = maker.read(given or Path(clip.path), wanted, report)
+    maker = _Maker(table, header)
+    best = maker.read(given or Path(header.source.path), wanted, report)
     if len(best.found) == len(wanted):
         return best
     if given is not None:
@@ -85,12 +82,13 @@ def key_images(
 class _Maker:
     """Turns frames into images: cut out, scaled, drawn on, encoded."""
 
-    def __init__(self, table: Trajectory, clip: ClipHeader, title: str, unit: float | None) -> None:
-        self._table, self._clip, self._title = table, clip, title
+    def __init__(self, table: Trajectory, header: Header) -> None:
+        self._table, self._clip, self._title = table, header.source, header.recipe_name
         marked = [replace(part, by_hand=part.corrected) for part in table.parts]
         self._marked = joined(marked, diagnostics=table.diagnostics)
-        self._clock = Clock(table, clip.fps)
-        self._unit = unit if unit is not None and unit > 0 else self._typical()
+        self._clock = Clock(table, header.source.fps)
+        boxes = [target.box for target in header.init.targets.values() if target.box]
+        self._unit = max((max(width, height) for _, _, width, height in boxes), default=0) or self._typical()
 
     def read(self, path: Path, wanted: Sequence[int], report: Report, *, annotated: bool = False) -> KeyImages:
         """The images that one source gives; what is wrong with it is in the notes.

@@ -102,12 +102,10 @@ def make_report(
     keys = key_frames(history, first, last)
     found = key_images(
         table,
-        header.source,
+        header,
         [key.frame for key in keys],
         given=clip,
         annotated=run / _VIDEO if (run / _VIDEO).is_file() else None,
-        title=header.recipe_name,
-        unit=max((max(t.box[2:]) for t in header.init.targets.values() if t.box), default=None),
         report=report,
     )
     means = [part.mean for part in history.parts if np.isfinite(part.mean)]

@@ -120,8 +120,8 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
             case "corrected":
                 put = event.corrected
                 assert put is not None
-                absent = [f"{_are(put.absent, 5)} absent"] if put.absent else []
-                return "Corrected by hand", "; ".join([*([names(put.given, 5)] if put.given else []), *absent])
+                absent = f"{_are(put.absent, 5)} absent" if put.absent else ""
+                return "Corrected by hand", "; ".join(filter(None, (names(put.given, 5), absent)))
             case "lost":
                 lost = [f"{s.name} (confidence {number(confidence.get(s.name))})" for s in event.spans]
                 return "Lost", names(lost, 5)
@@ -131,12 +131,9 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
             case "worst":
                 return "Lowest confidence", mean + (f", the mean over {len(parts):,} parts" if len(parts) > 1 else "")
             case _:
-                ends = [
-                    f"{status}: {names(those, 5)}"
-                    for status in ("lost", "absent")
-                    if (those := [part for part, s in zip(parts, rows.status.tolist(), strict=True) if s == status])
-                ]
-                return "End", "; ".join(ends) or ("tracked" if len(parts) == 1 else "all parts tracked")
+                ends = [(kind, [parts[i] for i in np.flatnonzero(rows.status == kind)]) for kind in ("lost", "absent")]
+                found = "; ".join(f"{kind}: {names(those, 5)}" for kind, those in ends if those)
+                return "End", found or ("tracked" if len(parts) == 1 else "all parts tracked")
 
     return [(event.kind, *words(event)) for event in key.events]
 

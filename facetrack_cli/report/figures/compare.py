@@ -11,18 +11,7 @@ from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.trust import Trust
 from facetrack_cli.report.figures.axes import frame_axis, limit
 from facetrack_cli.report.figures.lines import Pen, columns_for, quantiles
-from facetrack_cli.report.figures.style import (
-    COLOURS,
-    GREY,
-    GUIDE,
-    INK,
-    STATUS,
-    clean,
-    heading,
-    line_style,
-    new_figure,
-    style,
-)  # fmt: skip
+from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, clean, heading, line_style, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -167,7 +156,6 @@ def spread_figure(
                 textcoords="offset points",
                 ha="right" if late else "left",
                 va="top",
-                color=INK,
                 fontsize=8.5,
                 bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5},
             )
@@ -197,8 +185,9 @@ def calibration_figure(trust: Trust, *, title: str = "Confidence against the gro
         upper.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.04), ylabel="share of rows")
         ece = trust.confidence.ece
         heading(upper, title, "" if ece is None else f"expected calibration error {ece:.3f}")
-        lower.bar([(b.low + b.high) / 2 for b in filled], [b.rows for b in filled], 0.09, color=GREY, linewidth=0)
-        lower.set(yscale="log", ylim=(0.7, 1.8 * max(b.rows for b in filled)), xlabel="confidence", ylabel="rows")
+        middle, rows = [(b.low + b.high) / 2 for b in filled], [b.rows for b in filled]
+        lower.bar(middle, rows, 0.09, color=STATUS["hidden"], linewidth=0)
+        lower.set(yscale="log", ylim=(0.7, 1.8 * max(rows)), xlabel="confidence", ylabel="rows")
         lower.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
         lower.yaxis.minorticks_off()
         heading(lower, "Rows", "log scale")

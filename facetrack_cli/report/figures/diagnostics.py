@@ -6,14 +6,14 @@ The panels of scale, noise and error are those of figure 2 of Zhou et al. 2003.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.report.figures.axes import limit
 from facetrack_cli.report.figures.lines import Line, Panel, Pen
-from facetrack_cli.report.figures.style import COLOURS, GREY, GUIDE, TRUTH, clean
+from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, clean
 from facetrack_cli.trajectory.diagnostics import AFFINE, POSTERIOR, SURE, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -113,7 +113,8 @@ def adaptation(table: Trajectory) -> Panel | None:
         counts, edges = np.histogram(np.minimum(errors, reach), 60, (0, reach))
         low, high = min(least, most), max(least, most)
         tall = 0.9 * (high - low or 1.0) / max(int(counts.max()), 1)
-        axes.bar(edges[:-1], counts * tall, np.diff(edges), low, align="edge", color=GREY, alpha=0.4, linewidth=0)
+        look: dict[str, Any] = {"align": "edge", "color": STATUS["hidden"], "alpha": 0.4, "linewidth": 0}
+        axes.bar(edges[:-1], counts * tall, np.diff(edges), low, **look)
         x = np.linspace(0, reach, 300)
         axes.plot(x, eta(x, *bounds), color=COLOURS[0], linewidth=1.6)
         for end in (least, most):
@@ -183,7 +184,7 @@ def _identity(table: Trajectory, target: str, pen: Pen, whose: str) -> Panel:
             axes.axvline(passed, **GUIDE)
         for k in reversed(rank):
             if k not in leading:
-                pen.line(axes, frame, values[:, k], color=GREY, linewidth=0.6, alpha=0.6, zorder=1.6)
+                pen.line(axes, frame, values[:, k], color=STATUS["hidden"], linewidth=0.6, alpha=0.6, zorder=1.6)
         for turn, k in reversed(list(enumerate(leading))):
             pen.line(axes, frame, values[:, k], color=COLOURS[turn % len(COLOURS)], linewidth=1.3, zorder=2.5)
         known = [values[np.isfinite(values[:, k]), k] for k in leading]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.report.figures.style import COLOURS, CORRECTED, DASHES, INK, STATUS, clean, line_style
+from facetrack_cli.report.figures.style import COLOURS, DASHES, INK, STATUS, clean, line_style
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -174,10 +174,6 @@ class Pen:
             bars = [(start, end - start) for start, end in found]
             axes.broken_barh(bars, place, facecolors=STATUS[status], linewidth=0, antialiased=False)
 
-    def corrections(self, axes: Axes, frames: Whole) -> None:
-        """Small triangles below the axis of time, at the frames that were corrected by hand."""
-        axes.plot(frames, np.zeros(len(frames)), transform=axes.get_xaxis_transform(), **CORRECTED)
-
 
 def _pairwise(y: Array, pick: np.ufunc) -> Array:
     """The extreme of each point and the one after it."""
@@ -291,13 +287,10 @@ def quantiles(values: Array, shares: Iterable[float]) -> list[Array]:
     As numpy.nanquantile, which is a hundred times slower.
     """
     ordered = np.sort(values, axis=0)  # nan goes to the end
-    count = np.isfinite(ordered).sum(axis=0)
-    columns = np.arange(values.shape[1])
+    last = np.maximum(np.isfinite(ordered).sum(axis=0) - 1, 0)
     found = []
     for share in shares:
-        at = share * np.maximum(count - 1, 0)
-        low = np.floor(at).astype(np.int64)
-        high = np.minimum(low + 1, np.maximum(count - 1, 0))
-        below, above = ordered[low, columns], ordered[high, columns]
-        found.append(np.asarray(below + (at - low) * (above - below), dtype=np.float64))
+        low = np.floor(share * last).astype(np.int64)
+        below, above = (np.take_along_axis(ordered, at[None], 0)[0] for at in (low, np.minimum(low + 1, last)))
+        found.append(below + (share * last - low) * (above - below))
     return found

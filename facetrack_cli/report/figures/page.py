@@ -17,18 +17,7 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.report.figures.axes import frame_axis, limit, numbers, second_axis
 from facetrack_cli.report.figures.diagnostics import adaptation, panels
 from facetrack_cli.report.figures.lines import MANY, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
-from facetrack_cli.report.figures.style import (
-    CORRECTED,
-    FAINT,
-    GREY,
-    STATUS,
-    TRUTH,
-    WIDTH,
-    clean,
-    heading,
-    new_figure,
-    style,
-)
+from facetrack_cli.report.figures.style import CORRECTED, FAINT, STATUS, TRUTH, WIDTH, clean, heading, new_figure, style
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -148,8 +137,9 @@ class _Page:
         for axes, panel in zip(column, panels, strict=True):
             panel.draw(axes)
             axes.tick_params(bottom=False, left=False)
-        if len(self.corrected):
-            self.pen.corrections(column[-1], self.corrected)
+        if len(self.corrected):  # below the axis of time
+            bottom = column[-1].get_xaxis_transform()
+            column[-1].plot(self.corrected, 0.0 * self.corrected, transform=bottom, **CORRECTED)
         most = max(3, min(11, int(1.1 * self.width)))
         frame_axis(column[-1], self.frames, most)
         timed = second_axis(column[0], self.table, most)
@@ -307,7 +297,7 @@ class _Page:
             limit(axes, counts, 0.0, 2)
         distinct = {value.tobytes(): line for line, value in zip(self.lines, counts, strict=True)}
         for line in distinct.values():
-            colour = GREY if len(distinct) == 1 or self.many else line.colour
+            colour = STATUS["hidden"] if len(distinct) == 1 or self.many else line.colour
             look: dict[str, Any] = {"color": colour, "linewidth": 2.2, "alpha": 0.55, "zorder": 1.5}
             self.pen.line(axes, line.ours.frame, _particles(line.ours), **look)
         if sampled:

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FORMS: Final = ("png", "svg", "pdf")
 DPI: Final = 120.0
 WIDTH: Final = 10.0  # inches
 
@@ -30,11 +29,10 @@ WIDTH: Final = 10.0  # inches
 # readers still tell them apart; the dark one, which stands for white, comes last, since the ground truth is dark too
 COLOURS: Final = ("#30A2DC", "#C49500", "#00795A", "#BE5CA6", "#2B3FC0", "#222222")
 INK: Final = "#222222"
-GREY: Final = "#8A8A8A"
 FAINT: Final = "#6B6B6B"
 GRID: Final = "#E3E3E3"
 # vermilion is never a line's colour
-STATUS: Final = {"tracked": "#D5E4EE", "lost": "#E0480A", "hidden": GREY, "absent": "#4A4A4A"}
+STATUS: Final = {"tracked": "#D5E4EE", "lost": "#E0480A", "hidden": "#8A8A8A", "absent": "#4A4A4A"}
 # where colours run out: solid, dashed, dotted, dash-dotted
 DASHES: Final[tuple[Any, ...]] = ("-", (0, (5, 1.8)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 TRUTH: Final[Any] = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 1.6)), "zorder": 3}
@@ -62,14 +60,10 @@ _SETTINGS: Final[Any] = {
     "grid.linewidth": 0.6,
     "text.color": INK,
     "text.parse_math": False,  # names may hold a dollar
-    "xtick.color": FAINT,
-    "ytick.color": FAINT,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "xtick.major.size": 3.0,
-    "ytick.major.size": 3.0,
+    **dict.fromkeys(("xtick.color", "ytick.color"), FAINT),
+    **dict.fromkeys(("xtick.labelcolor", "ytick.labelcolor"), INK),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize"), 8.0),
+    **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 3.0),
     "legend.fontsize": 8.5,
     "legend.frameon": False,
     "lines.linewidth": 1.2,
@@ -142,7 +136,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def render(figure: Figure, form: str = "png", *, dpi: float = DPI) -> bytes:
-    """The figure as a file of that form (`FORMS`); the same figure gives the same bytes, with no date in them.
+    """The figure as a file of the form png, svg or pdf; the same figure gives the same bytes, with no date in them.
 
     An SVG begins with an XML declaration and a doctype: what embeds it in HTML cuts up to `<svg`.
     """
