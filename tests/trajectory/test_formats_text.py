@@ -16,7 +16,7 @@ from facetrack_cli.trajectory.formats.pts import read_pts
 from facetrack_cli.trajectory.formats.vot import read_vot, write_vot
 from facetrack_cli.trajectory.trajectory import Trajectory, one_part
 
-here = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+here = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
 
 
 def write(folder: Path, text: str, name: str = "gt.txt") -> Path:
