@@ -15,7 +15,6 @@ from facetrack_cli.core.types import Correction
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 
-
 Place: TypeAlias = tuple[int, int]  # the first byte, and how many
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import shlex
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -20,7 +19,7 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.model import to_dict
+from facetrack_cli.recipe.model import completed, to_dict
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.tracking.start.init_writer import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED, ClipHeader, Header, InitHeader
@@ -54,9 +53,7 @@ def _dump(tree: Any) -> str:
 
 def _tree(value: Any, depth: int) -> Any:
     if isinstance(value, Mapping):
-        found: CommentedMap | CommentedSeq = CommentedMap(
-            (key, _tree(inner, depth + 1)) for key, inner in value.items()
-        )
+        found: Any = CommentedMap((key, _tree(inner, depth + 1)) for key, inner in value.items())
     elif isinstance(value, list | tuple):
         found = CommentedSeq(_tree(inner, depth + 1) for inner in value)
     else:
@@ -67,7 +64,7 @@ def _tree(value: Any, depth: int) -> Any:
 
 
 def init_yaml(header: Header) -> str:
-    """Where the run began, and what was put right, as an init file."""
+    """Where the run began, and what was corrected, as an init file."""
     return as_yaml(header.init.start, header.clip_name)
 
 
@@ -86,32 +83,19 @@ def command(header: Header, last: int, folder: Path | None = None) -> str:
     return shlex.join(words)
 
 
-def needs_file(header: Header) -> bool:
-    """Whether the command names a recipe file, which is to be made of the YAML."""
-    return f"{header.recipe_name}.yaml" in _recipe_words(header)
-
-
 def _recipe_words(header: Header) -> list[str]:
     name = header.recipe_name
-    shipped = next((file for file in shipped_recipes() if file.stem == name), None)
+    shipped = next((str(file) for file in shipped_recipes() if file.stem == name), None)
     try:
-        # read anew, it has the keys that a later version added, at their defaults
-        with tempfile.TemporaryDirectory() as folder:
-            copy = Path(folder) / "recipe.yaml"
-            copy.write_text(recipe_yaml(header.recipe), encoding="utf-8")
-            wanted = _settings(copy)
         if shipped is not None:
-            overrides = [f"{key}={value}" for key, value in _differences(_settings(shipped), wanted)]
-            if _settings(shipped, overrides) == wanted:
+            recipe = {key: value for key, value in header.recipe.items() if key != "name"}
+            ours, wanted = to_dict(load_recipe(shipped)), completed(recipe) | {"seed": 0}
+            overrides = [f"{key}={value}" for key, value in _differences(ours | {"seed": 0}, wanted)]
+            if to_dict(load_recipe(shipped, overrides)) | {"seed": 0} == wanted:
                 return ["--config", name, *(word for override in overrides for word in ("--set", override))]
-    except (FacetrackError, ValueError):  # of another version, or changed beyond what --set can say
+    except (FacetrackError, TypeError, ValueError):  # of another version, or changed beyond what --set can say
         pass
     return ["--config", f"{name}.yaml"]
-
-
-def _settings(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    found = to_dict(load_recipe(str(path), overrides))
-    return {key: value for key, value in found.items() if key != "seed"}
 
 
 def _differences(ours: Mapping[str, Any], wanted: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
@@ -121,11 +105,7 @@ def _differences(ours: Mapping[str, Any], wanted: Mapping[str, Any], above: str 
         if isinstance(value, Mapping) and isinstance(own, Mapping) and value.keys() == own.keys():
             yield from _differences(own, value, f"{above}{key}.")
         elif value != own:
-            yield f"{above}{key}", _inline(value)
-
-
-def _inline(value: Any) -> str:
-    return _dump(CommentedSeq([_tree(value, 2)])).strip().removeprefix("- ")
+            yield f"{above}{key}", _dump(CommentedSeq([_tree(value, 2)])).strip().removeprefix("- ")
 
 
 def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
@@ -135,7 +115,7 @@ def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
         for name in (init.origin, *beside):
             with contextlib.suppress(FacetrackError):
                 found = read_init(Path(name))
-                if _put_right(found) == _put_right(init.start):
+                if _corrections(found) == _corrections(init.start):
                     return ["--init", name, *([] if found.frame == init.frame else at)]
         return ["--init", CORRECTED]
     first = next(iter(init.targets.values()), None)
@@ -150,8 +130,8 @@ def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
     return ["--init", init.origin, *([] if same else at)]
 
 
-def _put_right(start: Start) -> list[Correction]:
-    """The corrections, whatever the targets are called: a recipe may call a face the head."""
+def _corrections(start: Start) -> list[Correction]:
+    """Whatever the targets are called: a recipe may call a face the head."""
     return [replace(one, target="") for one in start.corrections]
 
 

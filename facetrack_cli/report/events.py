@@ -1,15 +1,16 @@
 """What happened in a run: when each part was lost and found again, and which frames show it best.
 
 Frames are source frames; a lost span runs from the frame in which a part was called lost up to, not including, the
-frame in which it was tracked again, put right by hand, or said to be absent.
+frame in which it was tracked again, corrected by hand, or marked as absent.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from bisect import bisect
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
@@ -18,15 +19,9 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 Kind: TypeAlias = Literal["start", "corrected", "lost", "back", "worst", "end"]
-
-
-MOST_PICTURES: Final = 12
-
-
-_HAPPENED: Final[tuple[Kind, ...]] = ("corrected", "lost", "back")
-
-
-_OF_EPISODES: Final = 2 / 3  # of the pictures beside start, worst and end, where there are too many events
+"""Why a frame is shown, in the order in which the reasons of one frame stand."""
+MOST_FRAMES: Final = 12
+_OF_EPISODES: Final = 2 / 3  # of the frames beside start, worst and end, where there are too many events
 
 
 class Clock:
@@ -35,10 +30,8 @@ class Clock:
     def __init__(self, table: Trajectory, fps: float) -> None:
         self.frames: Whole = table.frames
         self._period = 1 / fps
-        told = np.full(len(self.frames), np.nan)
-        for series in table.parts:
-            told[np.searchsorted(self.frames, series.frame)] = series.time_s
-        self.times: Array = np.where(np.isfinite(told), told, self.frames * self._period)
+        times = table.times
+        self.times: Array = np.where(np.isfinite(times), times, self.frames * self._period)
 
     def at(self, frame: int) -> float:
         """Seconds from the clip's first frame to this one, which must be a frame of the run."""
@@ -55,11 +48,18 @@ class Clock:
         return self.after(int(self.frames[-1])) - float(self.times[0])
 
 
+class Stretch(NamedTuple):
+    """Frames `first` to `last`, both included."""
+
+    first: int
+    last: int
+
+
 class LostSpan(NamedTuple):
     """One part lost once: from frame `first` to frame `last`; tracked again in `back`, None if never.
 
     `lowest` is its least confidence in the span, nan if there is none. `by_hand`: a correction ended it, by giving the
-    part in `back`, or by saying that it is absent.
+    part in `back`, or by marking it as absent.
     """
 
     name: str
@@ -69,11 +69,11 @@ class LostSpan(NamedTuple):
     frames: int
     seconds: float
     lowest: float
-    by_hand: bool = False
+    by_hand: bool
 
 
-class Corrected(NamedTuple):
-    """A frame in which parts were put right by hand: those `given`, and those from then on `absent`."""
+class CorrectedFrame(NamedTuple):
+    """A frame that was corrected by hand: the parts `given` in it, and those from then on `absent`."""
 
     frame: int
     given: tuple[str, ...]
@@ -81,11 +81,11 @@ class Corrected(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PartStory:
-    """How one part fared. `worst` is the frame of its lowest confidence; confidences are nan where there are none.
+class PartHistory:
+    """What happened to one part. `worst` is the frame of its lowest confidence; confidences are nan where unknown.
 
-    `told` is whether the tracker says anything of its status after the first frame, or would: it has a confidence.
-    `absences` are the stretches (first, last) in which it is not to be seen, `frames_absent` how many frames that is.
+    `judged` is whether the tracker reports its status after the first frame, or would: it has a confidence.
+    `absences` are the stretches in which it is absent, `frames_absent` their number of frames.
     """
 
     name: str
@@ -95,29 +95,17 @@ class PartStory:
     lowest: float
     worst: int
     last_status: str
-    told: bool
-    absences: tuple[tuple[int, int], ...] = ()
-    frames_absent: int = 0
-
-    @property
-    def frames_lost(self) -> int:
-        return sum(span.frames for span in self.spans)
-
-    @property
-    def seconds_lost(self) -> float:
-        return sum(span.seconds for span in self.spans)
-
-    @property
-    def longest(self) -> float:
-        return max((span.seconds for span in self.spans), default=0.0)
+    judged: bool
+    absences: tuple[Stretch, ...]
+    frames_absent: int
 
 
 class Event(NamedTuple):
-    """Why a frame is worth a picture, and the parts that it is about: their spans for lost and back."""
+    """Why a frame is shown, and what it is about: the spans that begin or end, or the correction."""
 
     kind: Kind
     spans: tuple[LostSpan, ...] = ()
-    corrected: Corrected | None = None
+    corrected: CorrectedFrame | None = None
 
 
 class KeyFrame(NamedTuple):
@@ -126,98 +114,88 @@ class KeyFrame(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Story:
-    """A whole run: its parts, the frames in which any was lost as stretches (first, last), and the worst frame."""
+class RunHistory:
+    """A whole run: its parts, the stretches in which any was lost, the frame of the lowest confidence."""
 
-    parts: tuple[PartStory, ...]
-    episodes: tuple[tuple[int, int], ...]
+    parts: tuple[PartHistory, ...]
+    episodes: tuple[Stretch, ...]
     frames_lost: int
     worst: int | None
-    corrections: tuple[Corrected, ...] = ()
+    corrections: tuple[CorrectedFrame, ...]
 
     @property
     def spans(self) -> list[LostSpan]:
         """Of all parts, in the order in which they began."""
         return sorted((s for part in self.parts for s in part.spans), key=lambda s: (s.first, s.name))
 
-    @property
-    def lost_at_end(self) -> tuple[str, ...]:
-        return tuple(part.name for part in self.parts if part.last_status == "lost")
-
-    @property
-    def absent_at_end(self) -> tuple[str, ...]:
-        return tuple(part.name for part in self.parts if part.last_status == "absent")
+    def ending(self, status: str) -> list[str]:
+        """The parts that have this status in their last frame."""
+        return [part.name for part in self.parts if part.last_status == status]
 
     @property
     def events(self) -> dict[tuple[int, Kind], Event]:
-        """What happened after the start, by frame and kind: lost, tracked again, put right by hand."""
-        found: dict[tuple[int, Kind], list[LostSpan]] = {}
+        """What happened after the start, by frame and kind: lost, tracked again, corrected by hand."""
+        found: dict[tuple[int, Kind], Event] = {}
         for span in self.spans:
-            found.setdefault((span.first, "lost"), []).append(span)
-            if span.back is not None and not span.by_hand:
-                found.setdefault((span.back, "back"), []).append(span)
-        events = {(frame, kind): Event(kind, tuple(spans)) for (frame, kind), spans in found.items()}
-        return events | {(one.frame, "corrected"): Event("corrected", corrected=one) for one in self.corrections}
+            ends: list[tuple[int | None, Kind]] = [(span.first, "lost"), (None if span.by_hand else span.back, "back")]
+            for frame, kind in ends:
+                if frame is not None:
+                    before = found.get((frame, kind), Event(kind))
+                    found[frame, kind] = Event(kind, (*before.spans, span))
+        return found | {(one.frame, "corrected"): Event("corrected", corrected=one) for one in self.corrections}
 
 
-def tell(table: Trajectory, clock: Clock) -> Story:
-    """Read the run off its rows."""
+def history_of(table: Trajectory, clock: Clock) -> RunHistory:
+    """What happened, from the rows of a trajectory."""
     several = len(table.targets) > 1
-    parts = tuple(_part(s, s.name if several else s.part, clock) for s in table.parts)
+    parts = [_part(one, one.name if several else one.part, clock) for one in table.parts]
+    place = np.searchsorted(clock.frames, table.frame)
     any_lost = np.zeros(len(clock.frames), dtype=np.bool_)
-    total, known = np.zeros(len(clock.frames)), np.zeros(len(clock.frames))
-    for series in table.parts:
-        place = np.searchsorted(clock.frames, series.frame)
-        any_lost[place] |= series.status == "lost"
-        sure = np.isfinite(series.confidence) & (series.status != "init")
-        total[place] += np.where(sure, series.confidence, 0.0)
-        known[place] += sure
+    any_lost[place[table.status == "lost"]] = True
+    sure = np.isfinite(table.confidence) & (table.status != "init")
+    known = np.bincount(place[sure], minlength=len(clock.frames))
+    total = np.bincount(place[sure], table.confidence[sure], len(clock.frames))
     mean = np.divide(total, known, out=np.full(len(total), np.inf), where=known > 0)
-    episodes = tuple((int(clock.frames[a]), int(clock.frames[b])) for a, b in stretches(any_lost))
-    worst = int(clock.frames[np.argmin(mean)]) if (known > 0).any() else None
-    names = [part.name for part in parts]
-    return Story(parts, episodes, int(any_lost.sum()), worst, _corrections(table, names))
+    return RunHistory(
+        parts=tuple(parts),
+        episodes=tuple(Stretch(int(clock.frames[a]), int(clock.frames[b])) for a, b in stretches(any_lost)),
+        frames_lost=int(any_lost.sum()),
+        worst=int(clock.frames[np.argmin(mean)]) if known.any() else None,
+        corrections=_corrections(table, [part.name for part in parts]),
+    )
 
 
-def _corrections(table: Trajectory, names: Sequence[str]) -> tuple[Corrected, ...]:
+def _corrections(table: Trajectory, names: Sequence[str]) -> tuple[CorrectedFrame, ...]:
     found: dict[int, tuple[list[str], list[str]]] = {}
-    for series, name in zip(table.parts, names, strict=True):
-        for at in np.flatnonzero(series.corrected).tolist():
-            given, absent = found.setdefault(int(series.frame[at]), ([], []))
-            (absent if series.status[at] == "absent" else given).append(name)
-    return tuple(Corrected(frame, tuple(given), tuple(absent)) for frame, (given, absent) in sorted(found.items()))
+    for one, name in zip(table.parts, names, strict=True):
+        for at in np.flatnonzero(one.corrected).tolist():
+            given, absent = found.setdefault(int(one.frame[at]), ([], []))
+            (absent if one.status[at] == "absent" else given).append(name)
+    return tuple(CorrectedFrame(frame, tuple(given), tuple(absent)) for frame, (given, absent) in sorted(found.items()))
 
 
-def _part(series: Trajectory, name: str, clock: Clock) -> PartStory:
-    sure, frames = series.confidence, series.frame
+def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
+    sure, frames, status = one.confidence, one.frame.tolist(), one.status
     spans = []
-    for a, b in stretches(series.status == "lost"):
-        back = int(frames[b + 1]) if b + 1 < len(frames) else None
-        end = clock.at(back) if back is not None else clock.after(int(frames[b]))
-        by_hand = back is not None and bool(series.corrected[b + 1])
-        back = None if back is not None and series.status[b + 1] == "absent" else back
-        low = _least(sure[a : b + 1])
-        spans.append(
-            LostSpan(
-                name, int(frames[a]), int(frames[b]), back, b - a + 1, end - clock.at(int(frames[a])), low, by_hand
-            )
-        )
-    tracked = sure[(series.status != "init") & np.isfinite(sure)]
-    worst = int(frames[np.nanargmin(sure)]) if np.isfinite(sure).any() else int(frames[0])
-    told = bool((series.status != "init").any() or np.isfinite(sure).any())
-    mean = float(tracked.mean()) if len(tracked) else math.nan
-    gone = series.status == "absent"
-    return PartStory(
+    for a, b in stretches(status == "lost"):
+        ends = b + 1 < len(frames)
+        stop = clock.at(frames[b + 1]) if ends else clock.after(frames[b])
+        back = frames[b + 1] if ends and status[b + 1] != "absent" else None
+        seconds, by_hand = stop - clock.at(frames[a]), ends and bool(one.corrected[b + 1])
+        spans.append(LostSpan(name, frames[a], frames[b], back, b - a + 1, seconds, _least(sure[a : b + 1]), by_hand))
+    known = np.isfinite(sure)
+    tracked = sure[(status != "init") & known]
+    return PartHistory(
         name=name,
-        rows=len(series),
+        rows=len(one),
         spans=tuple(spans),
-        mean=mean,
+        mean=float(tracked.mean()) if len(tracked) else math.nan,
         lowest=_least(sure),
-        worst=worst,
-        last_status=str(series.status[-1]),
-        told=told,
-        absences=tuple((int(frames[a]), int(frames[b])) for a, b in stretches(gone)),
-        frames_absent=int(gone.sum()),
+        worst=frames[np.nanargmin(sure)] if known.any() else frames[0],
+        last_status=str(status[-1]),
+        judged=bool((status != "init").any() or known.any()),
+        absences=tuple(Stretch(frames[a], frames[b]) for a, b in stretches(status == "absent")),
+        frames_absent=int((status == "absent").sum()),
     )
 
 
@@ -226,43 +204,34 @@ def _least(values: Array) -> float:
     return float(known.min()) if len(known) else math.nan
 
 
-def key_frames(story: Story, first: int, last: int, most: int = MOST_PICTURES) -> list[KeyFrame]:
+def key_frames(history: RunHistory, first: int, last: int, most: int = MOST_FRAMES) -> list[KeyFrame]:
     """The frames to show, at most `most`, in their order.
 
     Always the first, the last, and the one whose parts have the lowest confidence on average; and, if they are few
-    enough, every frame in which a part was called lost, was tracked again or was put right by hand. Otherwise, of the
+    enough, every frame in which a part was called lost, was tracked again or was corrected by hand. Otherwise, of the
     longest stretches in which any part was lost, the frames where they begin and end; then, one by one, the event
     furthest in time from all those taken.
     """
-    found = story.events
+    found = history.events
     events = sorted({frame for frame, _ in found})
-    taken = {first, last, *([] if story.worst is None else [story.worst])}
+    fixed: list[tuple[int | None, Kind]] = [(first, "start"), (history.worst, "worst"), (last, "end")]
+    found |= {(frame, kind): Event(kind) for frame, kind in fixed if frame is not None}
+    taken = {frame for frame, _ in fixed if frame is not None}
     if len(taken.union(events)) <= most:
         taken.update(events)
     else:
         room = len(taken) + round((most - len(taken)) * _OF_EPISODES)
-        for pair in _ends(story.episodes, events):
-            if len(taken | pair) <= room:
-                taken |= pair
+        for begin, end in sorted(history.episodes, key=lambda e: (e.first - e.last, e.first)):
+            after = bisect(events, end)  # where the last part came back
+            if len(both := taken | {begin, *events[after : after + 1]}) <= room:
+                taken = both
         taken = _spread(taken, events, most)
-    fixed: list[tuple[int | None, Kind]] = [(first, "start"), (story.worst, "worst"), (last, "end")]
-    shown = []
-    for frame in sorted(taken):
-        why = [Event(kind) for at, kind in fixed[:1] if at == frame]
-        why += [found[frame, kind] for kind in _HAPPENED if (frame, kind) in found]
-        why += [Event(kind) for at, kind in fixed[1:] if at == frame]
-        shown.append(KeyFrame(frame, tuple(why)))
-    return shown
-
-
-def _ends(episodes: Sequence[tuple[int, int]], events: Sequence[int]) -> Iterable[set[int]]:
-    """Where each stretch began and where its last part came back, longest first."""
-    for first, last in sorted(episodes, key=lambda e: (e[0] - e[1], e[0])):
-        after = int(np.searchsorted(events, last, side="right"))
-        yield {first, *events[after : after + 1]}
+    kinds: tuple[Kind, ...] = get_args(Kind)
+    return [KeyFrame(at, tuple(found[at, kind] for kind in kinds if (at, kind) in found)) for at in sorted(taken)]
 
 
 def _spread(taken: set[int], events: Sequence[int], most: int) -> set[int]:
+    """Those taken, and the events furthest from them and from each other."""
     frames = np.array(events, dtype=np.int64)
     away = np.min(np.abs(frames[:, None] - np.array(sorted(taken))), axis=1)
     while len(taken) < most and away.max() > 0:

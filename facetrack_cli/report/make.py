@@ -1,4 +1,4 @@
-"""One HTML file about one finished run: what happened in it, with pictures, and how it was made.
+"""One HTML file about one finished run: what happened in it, with images, and how it was made.
 
 page = make_report(Path("out"))
 Path("report.html").write_bytes(page.html)
@@ -6,33 +6,49 @@ Path("report.html").write_bytes(page.html)
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import re
+import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import numpy as np
+
+from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import Options, evaluate
 from facetrack_cli.report import figures as plots
-from facetrack_cli.report.command_line import command
-from facetrack_cli.report.events import Clock, key_frames, tell
-from facetrack_cli.report.frames import Clip, Report, pictures
-from facetrack_cli.report.html import Image
+from facetrack_cli.report import text
+from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
+from facetrack_cli.report.events import Clock, LostSpan, Stretch, history_of, key_frames
+from facetrack_cli.report.figures.style import needed
+from facetrack_cli.report.frames import Report, key_images
 from facetrack_cli.report.measures import about, measures
-from facetrack_cli.report.page import Content, Plot, Truth, render
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.header import Header, read_header
+from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
 
+if TYPE_CHECKING:
+    from jinja2 import Template
+
 NAME: Final = "report.html"
+MOST_PARTS, MOST_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
 _VIDEO: Final = "annotated.mp4"
 _MOST_SVG: Final = 400_000  # bytes; a larger drawing becomes a PNG
 _WIDE, _NARROW = 10.0, 4.6  # inches
+_BINS: Final = 1000  # of the bar that shows when a part was lost
+# what HTML forbids, and lone surrogates, which names of files may hold and UTF-8 may not
+_UNFIT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
 
 
 class TruthFile(NamedTuple):
-    """The truth to measure against, and how: as `facetrack eval` takes them."""
+    """The ground truth to measure against, and how: as `facetrack eval` takes them."""
 
     path: Path
     form: str = "auto"
@@ -42,10 +58,22 @@ class TruthFile(NamedTuple):
 
 
 class Page(NamedTuple):
-    """The document, and what could not be had for it, a line each."""
+    """The document, and lines on what is missing in it."""
 
     html: bytes
     notes: tuple[str, ...]
+
+
+class Image(NamedTuple):
+    """Bytes of an image, its MIME type, and its (width, height) in CSS pixels."""
+
+    data: bytes
+    mime: str
+    size: tuple[int, int]
+
+    @property
+    def uri(self) -> str:
+        return f"data:{self.mime};base64,{base64.b64encode(self.data).decode('ascii')}"
 
 
 def make_report(
@@ -56,87 +84,136 @@ def make_report(
     title: str | None = None,
     report: Report = lambda done, total: None,
 ) -> Page:
-    """The report of the run in the folder `run`; `report` is told the frames read of how many.
+    """The report of the run in the folder `run`; `report` gets the number of frames read, and of how many.
 
-    Raises InputError for a folder without a JSON trajectory, a broken one, a `clip` that is not the run's, and truth
-    that does not fit; UsageError without matplotlib.
+    Nothing in the document is fetched from anywhere, and no script may run. Raises InputError for a folder without a
+    JSON trajectory, a broken one, a `clip` that is not the run's, and ground truth that does not fit; UsageError
+    without matplotlib or Jinja2.
     """
     plots.need_matplotlib()
+    template = _template()
     table = read_trajectory(trajectory_of(run))
     header = read_header(table)
     clock = Clock(table, header.source.fps)
-    story = tell(table, clock)
-    pairs, measured = _measured(table, header, truth)
+    history = history_of(table, clock)
+    pairs, measured = ([], None) if truth is None else _measured(table, header, truth)
     title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
-    keys = key_frames(story, int(clock.frames[0]), int(clock.frames[-1]))
-    found = pictures(
+    first, last = int(clock.frames[0]), int(clock.frames[-1])
+    keys = key_frames(history, first, last)
+    found = key_images(
         table,
-        Clip(Path(header.source.path), header.source.size, header.source.fps),
+        header,
         [key.frame for key in keys],
         given=clip,
         annotated=run / _VIDEO if (run / _VIDEO).is_file() else None,
-        title=header.recipe_name,
-        unit=max((max(t.box[2:]) for t in header.init.targets.values() if t.box), default=None),
         report=report,
     )
-    content = Content(
+    means = [part.mean for part in history.parts if np.isfinite(part.mean)]
+    longest = sorted(history.spans, key=lambda s: -s.seconds)[:MOST_SPANS]
+    again = command(header, last, run)
+    document = template.render(
         title=title,
-        table=table,
+        version=__version__,
         header=header,
         clock=clock,
-        story=story,
+        history=history,
+        summary=text.sentences(table, header, clock, history),
+        identities=list(text.identities(table, clock)),
+        mean=float(np.mean(means)) if means else None,
+        warnings=[*header.warnings, *found.notes],
+        bins=_BINS,
+        bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
+        most_parts=MOST_PARTS,
+        most_spans=MOST_SPANS,
+        spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,
-        pictures=found,
+        images={frame: Image(one.jpeg, "image/jpeg", one.size) for frame, one in found.found.items()},
+        views={frame: one.view for frame, one in found.found.items()},
+        from_clip=found.origin == "clip",
+        some_left_out=not {frame for frame, _ in history.events} <= {key.frame for key in keys},
+        reasons={key.frame: text.reasons(key, table, history, header.init.origin) for key in keys},
         plot=_plot(table, pairs, title),
-        command=command(header, int(clock.frames[-1]), run),
+        reported=bool(table.diagnostics) or bool((table.identity != "").any()),
         truth=measured,
+        recipe=recipe_yaml(header.recipe),
+        init=init_yaml(header),
+        command=again,
+        words=shlex.split(again),
+        corrected=CORRECTED,
+        relative=not Path(header.source.path).is_absolute(),
     )
-    return Page(render(content), tuple(found.notes))
+    return Page(_UNFIT.sub("\ufffd", document).encode(), tuple(found.notes))
 
 
 def trajectory_of(run: Path) -> Path:
     """The trajectory of a run's folder that has a header. InputError, with the remedy, if there is none."""
+    remedy = "name the folder of a run, which facetrack run wrote"
     if run.is_file():
-        raise InputError(f"{run}: is a file; name the folder of a run, which facetrack run wrote")
+        raise InputError(f"{run}: is a file; {remedy}")
     if not run.is_dir():
-        raise InputError(f"{run}: no such folder; name the folder of a run, which facetrack run wrote")
+        raise InputError(f"{run}: no such folder; {remedy}")
     for form in ("json", "jsonl"):
         if (path := run / f"trajectory.{form}").is_file():
             return path
     if (run / "trajectory.csv").is_file():
-        raise InputError(
-            f"{run}: has trajectory.csv alone, which does not tell of recipe and clip; run again with --format csv,json"
-        )
-    raise InputError(f"{run}: has no trajectory.json; name the folder of a run, which facetrack run wrote")
+        missing = "has trajectory.csv alone, without recipe and clip"
+        raise InputError(f"{run}: {missing}; run again with --format csv,json")
+    raise InputError(f"{run}: has no trajectory.json; {remedy}")
 
 
-def _measured(table: Trajectory, header: Header, truth: TruthFile | None) -> tuple[list[Pair], Truth | None]:
-    if truth is None:
-        return [], None
+def _template() -> Template:
+    """The page's template, which escapes whatever is put into it. UsageError without Jinja2."""
+    with needed("reports", "jinja2"):
+        import jinja2
+        from markupsafe import Markup
+
+    folder = Path(__file__).parent
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    filters = (text.count, text.lasting, text.names, text.number, text.percent)
+    environment.filters |= {"clock": at_clock, **{one.__name__: one for one in filters}}
+    style = (folder / "report.css").read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
+    environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}"}
+    return environment.get_template("report.html.j2")
+
+
+def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list[Pair], Mapping[str, Any]]:
+    """The pairs of the run and its ground truth, and what the page shows of them."""
     theirs = read_truth(truth.path, truth.form, shift=truth.shift or 0)
     notes: list[str] = []
-    pairs = match(
-        table,
-        theirs,
-        partial=truth.partial,
-        select=truth.target,
-        check_shift=truth.shift is None,
-        note=notes.append,
-    )
+    check = truth.shift is None
+    pairs = match(table, theirs, partial=truth.partial, select=truth.target, check_shift=check, note=notes.append)
     found = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.parts)
     read_as = str(theirs.header.get("read_as", truth.form)) + (f", {truth.shift:+d} frames" if truth.shift else "")
-    return pairs, Truth(str(theirs.path), f"Read as {read_as}. {about(found)}", measures(found), found.notes)
+    words = f"Read as {read_as}. {about(found)}"
+    return pairs, {"path": str(theirs.path), "about": words, "tables": measures(found), "notes": found.notes}
 
 
-def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Plot:
-    """The plots, as a drawing that scales if it is small, and a narrow picture for phones."""
+def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Mapping[str, Image]:
+    """The plots: `wide`, as a drawing that scales if it is small, and `narrow`, for phones."""
     figure = plots.page_figure(table, pairs, title=title, width=_WIDE)
     width, height = figure.get_size_inches()
     size = (round(96 * width), round(96 * height))
-    drawing = plots.render(figure, "svg")
-    if len(drawing) <= _MOST_SVG:
-        wide = Image(drawing, "image/svg+xml", size)
-    else:
+    wide = Image(plots.render(figure, "svg"), "image/svg+xml", size)
+    if len(wide.data) > _MOST_SVG:
         wide = Image(plots.render(figure, "png", dpi=150), "image/png", size)
     narrow = plots.render(plots.page_figure(table, pairs, title=title, width=_NARROW), "png", dpi=180)
-    return Plot(wide, Image(narrow, "image/png", (442, 0)))
+    return {"wide": wide, "narrow": Image(narrow, "image/png", (442, 0))}
+
+
+def _bars(spans: Sequence[LostSpan | Stretch], first: int, scale: float) -> list[tuple[float, float]]:
+    """(left, width) of what to paint: thousands of spans are no more than the bar has room for."""
+    least = 2.0 if len(spans) <= _BINS // 20 else 0.5  # a single frame of many must still be seen
+    bars: list[tuple[float, float]] = []
+    for span in spans:
+        left, right = (span.first - first) * scale, (span.last + 1 - first) * scale
+        if bars and left < sum(bars[-1]) + 0.2:
+            left = bars.pop()[0]
+        bars.append((left, max(right - left, least)))
+    return bars

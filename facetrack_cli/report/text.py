@@ -1,16 +1,18 @@
-"""How the report says things: durations, shares, lists of names, the summary's sentences."""
+"""The report in words: durations, shares, lists of names, the sentences of the summary, what each frame shows."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
 
 from facetrack_cli.core.numbers import clock as at_clock
-from facetrack_cli.report.events import Clock, Event, Story
+from facetrack_cli.report.events import Clock, Event, KeyFrame, RunHistory
+from facetrack_cli.trajectory.diagnostics import SURE
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import Trajectory
-
-__all__ = ["at_clock", "count", "ended", "lasting", "names", "number", "percent", "rate", "sentences", "why"]
 
 
 def count(n: int, one: str, many: str = "") -> str:
@@ -50,103 +52,91 @@ def names(those: Sequence[str], most: int = 8) -> str:
     return " and ".join(filter(None, (", ".join(those[:-1]), *those[-1:])))
 
 
-def ended(header: Header) -> tuple[str, bool]:
-    """How the run ended, and whether that is as it should."""
-    if header.stopped in ("interrupted", "terminated"):
-        return f"The run was {header.stopped} before its end.", False
-    if header.stopped:
-        return f"The run stopped at an error: {header.stopped}", False
-    if header.complete is None:
-        return "The end of the trajectory is missing: the run did not close it.", False
-    if not header.complete:
-        return "The run is incomplete: frames that were asked for are missing.", False
-    return "The run is complete.", True
-
-
-def sentences(table: Trajectory, header: Header, clock: Clock, story: Story) -> str:
+def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHistory) -> str:
     """The run in words: what was tracked, for how long, how often it was lost."""
-    frames, one = len(clock.frames), len(story.parts) == 1
-    targets = table.targets
-    whose = targets[0] if len(targets) == 1 else count(len(targets), "target")
-    what = whose if one else f"{count(len(story.parts), 'part')} of {whose}"
-    told = [
+    frames, one = len(clock.frames), len(history.parts) == 1
+    whose = table.target if len(table.targets) == 1 else count(len(table.targets), "target")
+    what = whose if one else f"{count(len(history.parts), 'part')} of {whose}"
+    found = [
         f"The recipe {header.recipe_name} followed {what} in {header.clip_name} over {count(frames, 'frame')}, "
         f"{lasting(clock.duration)}."
     ]
-    lost = [part.name for part in story.parts if part.spans]
-    gone = story.lost_at_end
-    missing = [part.name for part in story.parts if part.frames_absent]
-    absent = story.absent_at_end
-    if not any(part.told for part in story.parts):
-        told.append("The tracker does not say when it is lost.")
+    lost = [part.name for part in history.parts if part.spans]
+    gone, absent = history.ending("lost"), history.ending("absent")
+    if not any(part.judged for part in history.parts):
+        found.append("The tracker does not report when it is lost.")
     elif not lost:
-        told.append("It was never called lost." if one else "No part was ever called lost.")
+        found.append("It was never reported lost." if one else "No part was ever reported lost.")
     else:
-        n = len(story.episodes)
+        n = len(history.episodes)
         times = {1: "one stretch", 2: "two stretches"}.get(n, count(n, "stretch", "stretches"))
         who = "It" if one else "At least one part"
         those = "" if one else f": {names(lost)}"
-        share = f"{count(story.frames_lost, 'frame')} ({percent(story.frames_lost / frames)})"
-        told.append(f"{who} was lost in {share}, in {times}{those}.")
+        share = f"{count(history.frames_lost, 'frame')} ({percent(history.frames_lost / frames)})"
+        found.append(f"{who} was lost in {share}, in {times}{those}.")
         end = f"{_are(gone)} lost" if gone else f"{'every other' if absent else 'every'} part is tracked"
         if not one or not absent:
-            told.append(f"In the last frame {('it is lost' if gone else 'it is tracked') if one else end}.")
-    if story.corrections:
-        told.append(f"It was put right by hand in {count(len(story.corrections), 'frame')}.")
-    if missing:
-        most = sum(part.frames_absent for part in story.parts)
-        over = count(most, "frame" if len(missing) == 1 else "row")
-        told.append(f"Said to be absent: {names(missing)}, in {over}.")
-    return " ".join(told)
+            found.append(f"In the last frame {('it is lost' if gone else 'it is tracked') if one else end}.")
+    if history.corrections:
+        found.append(f"It was corrected by hand in {count(len(history.corrections), 'frame')}.")
+    if missing := [part for part in history.parts if part.frames_absent]:
+        rows = sum(part.frames_absent for part in missing)
+        over = count(rows, "frame" if len(missing) == 1 else "row")
+        found.append(f"Marked as absent: {names([part.name for part in missing])}, in {over}.")
+    return " ".join(found)
 
 
-def _are(those: Sequence[str]) -> str:
-    return f"{names(those)} {'is' if len(those) == 1 else 'are'}"
+def identities(table: Trajectory, clock: Clock) -> Iterator[str]:
+    """A sentence for each target that was named: who it is at the end, how sure, and since when it is."""
+    for target in table.targets:
+        one = table.of_target(target)[0]
+        known = np.flatnonzero(one.identity != "")
+        if not known.size:
+            continue
+        name, sure = str(one.identity[known[-1]]), float(one.identity_prob[known[-1]])
+        found = f"{f'{target} is named' if len(table.targets) > 1 else 'It is named'} {name} at the end"
+        if math.isfinite(sure):
+            found += f", with a probability of {percent(sure)}"
+        passed = table.recognised(target, name)
+        if passed is not None:
+            found += f"; that passed {SURE:g} in frame {passed:,}, at {at_clock(clock.at(passed))}"
+        elif math.isfinite(sure):
+            found += f"; that never passed {SURE:g}"
+        yield f"{found}."
 
 
-def rate(header: Header) -> str:
-    """The clip's frame rate."""
-    nominal = f"{header.source.fps:.6g} frames/s"
-    return f"{nominal} on average, at a varying rate" if header.variable_fps else nominal
+def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) -> list[tuple[str, str, str]]:
+    """(kind, heading, words) of each event of a key frame; `origin` is what the start came from, as `--box`."""
+    rows = table.at(key.frame)
+    parts = [history.parts[part].name for part in rows.which.tolist()]
+    confidence = dict(zip(parts, rows.confidence.tolist(), strict=True))
+    known = rows.confidence[np.isfinite(rows.confidence)]
+    mean = number(float(known.mean()) if known.size else None)
+
+    def words(event: Event) -> tuple[str, str]:
+        match event.kind:
+            case "start":
+                return "Start", f"placed by {'the Haar cascades' if origin == 'haar' else Path(origin).name or origin}"
+            case "corrected":
+                put = event.corrected
+                assert put is not None
+                absent = f"{_are(put.absent, 5)} absent" if put.absent else ""
+                return "Corrected by hand", "; ".join(filter(None, (names(put.given, 5), absent)))
+            case "lost":
+                lost = [f"{s.name} (confidence {number(confidence.get(s.name))})" for s in event.spans]
+                return "Lost", names(lost, 5)
+            case "back":
+                back = [(s.name, lasting(s.seconds), number(confidence.get(s.name))) for s in event.spans]
+                return "Tracked again", names([f"{name} after {s} (confidence {c})" for name, s, c in back], 5)
+            case "worst":
+                return "Lowest confidence", mean + (f", the mean over {len(parts):,} parts" if len(parts) > 1 else "")
+            case _:
+                ends = [(kind, [parts[i] for i in np.flatnonzero(rows.status == kind)]) for kind in ("lost", "absent")]
+                found = "; ".join(f"{kind}: {names(those, 5)}" for kind, those in ends if those)
+                return "End", found or ("tracked" if len(parts) == 1 else "all parts tracked")
+
+    return [(event.kind, *words(event)) for event in key.events]
 
 
-def why(
-    event: Event,
-    confidence: dict[str, float],
-    mean: float,
-    origin: str,
-    gone: Sequence[str],
-    parts: int,
-    absent: Sequence[str] = (),
-) -> tuple[str, str]:
-    """(heading, words) of an event of a frame; `confidence` is that of each part in it, `mean` that of all.
-
-    `gone` are the parts lost in it, `absent` those said not to be there.
-    """
-    sure = [f"{s.name} (confidence {number(confidence.get(s.name))})" for s in event.spans]
-    match event.kind:
-        case "start":
-            return "Start", f"placed by {origin}"
-        case "corrected":
-            put = event.corrected
-            assert put is not None
-            words = [names(put.given, 5)] if put.given else []
-            words += [f"{names(put.absent, 5)} {'is' if len(put.absent) == 1 else 'are'} absent"] if put.absent else []
-            return "Put right by hand", "; ".join(words)
-        case "lost":
-            return "Lost", names(sure, 5)
-        case "back":
-            back = [
-                f"{s.name} after {lasting(s.seconds)} (confidence {number(confidence.get(s.name))})"
-                for s in event.spans
-            ]
-            return "Tracked again", names(back, 5)
-        case "worst":
-            return (
-                "Lowest confidence",
-                f"{number(mean)}, the mean over {count(parts, 'part')}" if parts > 1 else number(mean),
-            )
-        case _:
-            ends = [f"lost: {names(gone, 5)}"] if gone else []
-            ends += [f"absent: {names(absent, 5)}"] if absent else []
-            return "End", "; ".join(ends) or ("tracked" if parts == 1 else "all parts tracked")
+def _are(those: Sequence[str], most: int = 8) -> str:
+    return f"{names(those, most)} {'is' if len(those) == 1 else 'are'}"

@@ -4,7 +4,6 @@ import csv
 import json
 import math
 from collections import namedtuple
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import cv2

@@ -1,6 +1,5 @@
 """The box measures: against their plain twins, their own laws, and a case worked out by hand."""
 
-
 import math
 
 import numpy as np
@@ -144,7 +143,16 @@ def test_hidden_rows_are_measured_apart():
 def test_nothing_to_measure_has_no_value(rows):
     found = measure_boxes(np.ones((rows, 4)), np.full((rows, 4), np.nan), size=(10, 10))
     assert (found.rows, found.missing, found.hidden_rows) == (0, 0, 0)
-    for name in ("success_auc", "precision_20", "normalised_auc", "ao", "sr50", "vot_accuracy", "good_rate", "strict_rate"):
+    for name in (
+        "success_auc",
+        "precision_20",
+        "normalised_auc",
+        "ao",
+        "sr50",
+        "vot_accuracy",
+        "good_rate",
+        "strict_rate",
+    ):
         assert getattr(found, name) is None, name
     assert found.success.shape == (21,) and found.got10k_success.shape == (101,)
     assert np.isnan(found.precision).all() and found.overlap.shape == (rows,)
@@ -154,7 +162,16 @@ def test_a_tracker_without_any_box_has_zeros():
     truth = np.tile([10.0, 20, 40, 20], (5, 1))
     found = measure_boxes(np.full((5, 4), np.nan), truth, init=np.zeros(5, bool))
     assert (found.rows, found.missing) == (5, 5)
-    for name in ("success_auc", "precision_20", "normalised_auc", "ao", "sr75", "vot_accuracy", "good_rate", "strict_rate"):
+    for name in (
+        "success_auc",
+        "precision_20",
+        "normalised_auc",
+        "ao",
+        "sr75",
+        "vot_accuracy",
+        "good_rate",
+        "strict_rate",
+    ):
         assert getattr(found, name) == 0.0, name
 
 

@@ -14,7 +14,7 @@ from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.evaluation.boxes import measure_boxes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import find_plan_start
-from facetrack_cli.runs.seeds import Plan, SeedRun, run_plans
+from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory

@@ -26,7 +26,7 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.evaluation.goldens.goldens import find_goldens, read_golden
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import find_plan_start
-from facetrack_cli.runs.seeds import Plan, SeedRun, run_plans
+from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.tracking.identity.gallery import NONE, Gallery, load_gallery
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory

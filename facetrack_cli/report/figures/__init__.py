@@ -3,7 +3,7 @@
     figure = page_figure(read_trajectory(Path("out")))
     Path("page.svg").write_bytes(render(figure, "svg"))
 
-matplotlib is the extra `plot`; it is imported when the first figure is made, and missing it is a UsageError.
+matplotlib comes with the extra `plot`; it is imported when the first figure is made, a UsageError if it is missing.
 """
 
 from facetrack_cli.report.figures.compare import (
@@ -15,10 +15,9 @@ from facetrack_cli.report.figures.compare import (
     success_figure,
 )
 from facetrack_cli.report.figures.page import page_figure
-from facetrack_cli.report.figures.style import FORMS, need_matplotlib, render
+from facetrack_cli.report.figures.style import need_matplotlib, render
 
 __all__ = [
-    "FORMS",
     "calibration_figure",
     "cumulative_error_figure",
     "error_over_time_figure",

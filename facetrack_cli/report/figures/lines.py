@@ -1,17 +1,16 @@
-"""Which part is drawn how, and the strokes that the page is made of."""
+"""Lines over time: how each part is drawn, strokes that show gaps and thin long series, and legends."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.report.figures.data import alone, beyond, envelope, frames_of, limits, spans
-from facetrack_cli.report.figures.style import ABSENT, COLOURS, DASHES, HIDDEN, INK, LOST, clean, line_style
+from facetrack_cli.report.figures.style import COLOURS, DASHES, INK, STATUS, clean, line_style
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -20,25 +19,21 @@ if TYPE_CHECKING:
     from facetrack_cli.evaluation.rows import Pair
 
 MANY = 12  # parts that have a line of their own in every panel
-TRACKED = "#D5E4EE"
-CORRECTED: dict[str, Any] = {
-    "marker": "^", "color": INK, "linestyle": "none", "markersize": 5, "clip_on": False, "zorder": 5,
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A plot of a page: what stands above it, as much of the notes between semicolons as fits; `height` in inches."""
+    """A plot of a page: its title, notes beside it of which as many are drawn as fit, and its height in inches."""
 
     title: str
-    note: str
+    notes: Sequence[str]
     height: float
     draw: Callable[[Axes], None]
 
 
 @dataclass(frozen=True)
 class Line:
-    """A part, its truth where there is one, and how it is drawn. `group` is the colour of its target."""
+    """A part, its ground truth where there is one, and how it is drawn. `group` is the colour of its target."""
 
     ours: Trajectory
     pair: Pair | None
@@ -57,35 +52,33 @@ def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
     Each part of a single target has its own colour; of several targets each has one colour, as in the annotated video,
     and its parts differ by their dashes. More than `MANY` parts of one target run through a range of colours.
     """
-    truth = {(p.ours.target, p.ours.part): p for p in pairs}
+    truth = {pair.ours.names[0]: pair for pair in pairs}
     targets = table.targets
-    several = len(targets) > 1
-    places = dict.fromkeys(targets, 0)
+    nth = {one.names[0]: number for target in targets for number, one in enumerate(table.of_target(target))}
     found = []
-    for number, s in enumerate(table.parts):
-        place, nth = targets.index(s.target), places[s.target]
-        places[s.target] += 1
+    for number, one in enumerate(table.parts):
+        place = targets.index(one.target)
         group = COLOURS[place % len(COLOURS)]
         if len(table.parts) > MANY:
-            ramp = group if several else _ramp(number / (len(table.parts) - 1))
+            ramp = group if len(targets) > 1 else _ramp(number / (len(table.parts) - 1))
             look: dict[str, Any] = {"color": ramp, "linewidth": 0.6, "alpha": 0.75}
-        elif several:
+        elif len(targets) > 1:
             # the targets of a second round of colours would look like those of the first
-            dash = DASHES[(nth + place // len(COLOURS)) % len(DASHES)]
+            dash = DASHES[(nth[one.names[0]] + place // len(COLOURS)) % len(DASHES)]
             look = {"color": group, "linestyle": dash, "linewidth": 1.2}
         else:
             look = {**line_style(number), "linewidth": 1.2}
-        found.append(Line(s, truth.get((s.target, s.part)), _name(s, table), look, group))
+        found.append(Line(one, truth.get(one.names[0]), _name(one, table), look, group))
     return found
 
 
-def _name(s: Trajectory, table: Trajectory) -> str:
+def _name(one: Trajectory, table: Trajectory) -> str:
     """As short as tells the parts apart: of several targets with a part each, the target's name."""
-    sole = sum(other.target == s.target for other in table.parts) == 1
+    sole = len(table.of_target(one.target)) == 1
     if len(table.targets) > 1:
-        name = s.target if sole else f"{s.target}/{s.part}"
+        name = one.target if sole else one.name
     else:
-        name = s.target if sole and s.part == "box" and s.target else s.part
+        name = one.target if sole and one.part == "box" and one.target else one.part
     return clean(name.replace("_", " "), 40)
 
 
@@ -109,118 +102,77 @@ class Pen:
 
         Of a long series the whole range is pale and the mean over it strong, so that lines do not hide each other.
         """
-        drawn = envelope(frame, value, self.bins)
-        x, y = drawn.x, drawn.y
-        if drawn.mean_x is None or drawn.mean_y is None:
-            axes.plot(x, y, solid_joinstyle="round", **look)
+        x, y, means = envelope(frame, value, self.bins)
+        if means is None:
+            axes.plot(x, y, **look)
         else:
             axes.plot(x, y, **{**look, "linewidth": 0.7, "alpha": 0.4, "linestyle": "-"})
-            axes.plot(drawn.mean_x, drawn.mean_y, **{**look, "linewidth": min(look["linewidth"], 1.0)})
-        lonely = alone(y)
-        colour, order = look["color"], look.get("zorder", 2)
+            axes.plot(*means, **{**look, "linewidth": min(look["linewidth"], 1.0)})
+        lonely, colour = alone(y), look["color"]
         if lonely.any():
             fill: dict[str, Any] = {} if dot == "." else {"markerfacecolor": "none", "markeredgewidth": 0.8}
+            order = look.get("zorder", 2)
             axes.plot(x[lonely], y[lonely], dot, color=colour, markersize=6, zorder=order, **fill)
         low, high = sorted(axes.get_ylim())
-        for outside, place, wedge in zip(beyond(y, low, high), (low, high), "v^", strict=True):
+        for outside, place, wedge in ((y < low, low, "v"), (y > high, high, "^")):
             if outside.any():
                 at = np.full(int(outside.sum()), place)
                 axes.plot(x[outside], at, wedge, color=colour, markersize=4, clip_on=False, zorder=4)
 
     def band(self, axes: Axes, frame: Whole, low: Array, high: Array, colour: str, alpha: float) -> None:
         """The area between two lines that are known in the same rows."""
-        x, y, *_ = envelope(frame, low, self.bins)
-        _, top, *_ = envelope(frame, high, self.bins)
+        x, y, _ = envelope(frame, low, self.bins)
+        top = envelope(frame, high, self.bins).y
         if len(frame) > 2 * self.bins:  # each bin has its least and its greatest value: the band holds both
             y, top = _pairwise(y, np.fmin), _pairwise(top, np.fmax)
         axes.fill_between(x, y, top, color=colour, alpha=alpha, linewidth=0)
 
-    def shade(self, axes: Axes, rows: Sequence[tuple[Whole, Mask]], colour: str) -> None:
-        """Behind everything: pale where any of these rows holds, stronger where all do; of many, where over half do."""
-        frame, holds = shares(rows)
-        levels = [(holds > 0.5, 0.22)] if len(rows) > MANY else [(holds > 0, 0.16), (holds == 1, 0.22)]
-        for mask, alpha in levels[-1:] if len(rows) == 1 else levels:
-            for start, end in spans(frame, mask, self.least):
-                axes.axvspan(start, end, color=colour, alpha=alpha, linewidth=0, zorder=0.5)
+    def shade(self, axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float) -> None:
+        """Behind everything, the frames where the mask holds, in the colour of a status."""
+        for start, end in spans(frame, mask, self.least):
+            axes.axvspan(start, end, color=STATUS[status], alpha=alpha, linewidth=0, zorder=0.5)
+
+    def shade_parts(self, axes: Axes, parts: Sequence[Trajectory], status: str) -> None:
+        """Pale where any part has the status, stronger where all have it; of many parts, where over half have it."""
+        frame, held = stacked([(one.frame, one.status == status) for one in parts])
+        share = np.nanmean(held, axis=0)
+        levels = [(share > 0.5, 0.22)] if len(parts) > MANY else [(share > 0, 0.16), (share == 1, 0.22)]
+        for mask, alpha in levels[-1:] if len(parts) == 1 else levels:
+            self.shade(axes, frame, mask, status, alpha)
 
     def status(self, axes: Axes, lines: Sequence[Line]) -> None:
         """A row a part: pale where tracked, vermilion where lost, grey where absent, a diamond where it was given.
 
-        Below it stands what truth says.
-
-        Of many parts there is room for what is lost or absent alone.
+        Below it stands the status in the ground truth. Of many parts only bars are drawn.
         """
         many = len(lines) > MANY
         truth = not many and any(line.pair is not None for line in lines)
         top, tall = (-0.5, 1.0) if many else (-0.4, 0.44) if truth else (-0.38, 0.76)
         for row, line in enumerate(lines):
-            s = line.ours
-            self._bars(axes, s.frame, (s.status == "tracked") | (s.status == "init"), (row + top, tall), TRACKED)
-            self._bars(axes, s.frame, s.status == "lost", (row + top, tall), LOST)
-            self._bars(axes, s.frame, s.status == "absent", (row + top, tall), ABSENT)
+            for status in ("tracked", "lost", "absent"):
+                self._bars(axes, line.ours, status, (row + top, tall))
             if many:
                 continue
             if line.pair is not None:
-                other = line.pair.truth
-                for status, colour in (("hidden", HIDDEN), ("absent", ABSENT)):
-                    self._bars(axes, other.frame, other.status == status, (row + 0.1, 0.3), colour)
-            starts = s.frame[s.status == "init"]
+                for status in ("hidden", "absent"):
+                    self._bars(axes, line.pair.truth, status, (row + 0.1, 0.3))
+            starts = line.ours.frame[line.ours.status == "init"]
             if starts.size:
                 middle = np.full(len(starts), row + top + tall / 2)
                 axes.plot(starts, middle, "D", color=INK, markersize=3, clip_on=False)
         axes.set_ylim(len(lines) - 0.45, -0.55)
         axes.grid(False, axis="y")
         axes.spines["left"].set_visible(False)
-        axes.set_yticks([])
-        if not many:
-            axes.set_yticks(
-                [row + top + tall / 2 for row in range(len(lines))], [clean(line.name, 16) for line in lines]
-            )
-        for label, line in zip(axes.get_yticklabels(), lines, strict=False):
+        shown = [] if many else lines
+        axes.set_yticks([row + top + tall / 2 for row in range(len(shown))], [clean(line.name, 16) for line in shown])
+        for label, line in zip(axes.get_yticklabels(), shown, strict=True):
             label.set(fontsize=7.5, color=line.colour)
 
-    def corrections(self, axes: Axes, lines: Sequence[Line]) -> None:
-        """Small triangles below the axis of time, at the frames in which something was put right by hand."""
-        frames = np.unique(np.concatenate([line.ours.frame[line.ours.corrected] for line in lines]))
-        axes.plot(frames, np.zeros(len(frames)), transform=axes.get_xaxis_transform(), **CORRECTED)
-
-    def _bars(self, axes: Axes, frame: Whole, mask: Mask, place: tuple[float, float], colour: str) -> None:
-        found = spans(frame, mask, self.least)
-        if found:
+    def _bars(self, axes: Axes, one: Trajectory, status: str, place: tuple[float, float]) -> None:
+        mask = np.isin(one.status, (status, "init") if status == "tracked" else status)
+        if found := spans(one.frame, mask, self.least):
             bars = [(start, end - start) for start, end in found]
-            axes.broken_barh(bars, place, facecolors=colour, linewidth=0, antialiased=False)
-
-
-def shares(rows: Sequence[tuple[Whole, Mask]]) -> tuple[Whole, Array]:
-    """All frames of any series, and the share of those with the frame for which the mask holds in it."""
-    frame = frames_of([f for f, _ in rows])
-    count, there = np.zeros(len(frame)), np.zeros(len(frame))
-    for f, mask in rows:
-        at = slice(None) if len(f) == len(frame) else np.searchsorted(frame, f)
-        count[at] += mask
-        there[at] += 1
-    return frame, count / there
-
-
-def limit(axes: Axes, values: Iterable[Array], floor: float | None = None, ticks: int = 4) -> None:
-    """Limits that hold the values, but for a few far outside; few ticks."""
-    from matplotlib.ticker import MaxNLocator
-
-    found = limits(values, floor=floor)
-    if found is None:
-        return
-    axes.set_ylim(found)
-    places = MaxNLocator(ticks, steps=[1, 2, 2.5, 5, 10]).tick_values(*found)
-    inside = [float(place) for place in places if found[0] <= place <= found[1]]
-    axes.set_yticks(inside, numbers(inside))
-
-
-def numbers(ticks: Sequence[float]) -> list[str]:
-    """Labels of ticks, all with as many decimals as one of them needs."""
-    if any(abs(tick) >= 1e7 for tick in ticks):
-        return [f"{tick:.3g}" for tick in ticks]
-    decimals = next((d for d in range(4) if all(abs(t - round(t, d)) < 1e-9 for t in ticks)), 4)
-    return [f"{tick + 0.0:,.{decimals}f}".replace("-", "\N{MINUS SIGN}") for tick in ticks]
+            axes.broken_barh(bars, place, facecolors=STATUS[status], linewidth=0, antialiased=False)
 
 
 def _pairwise(y: Array, pick: np.ufunc) -> Array:
@@ -241,3 +193,104 @@ def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
         if sum(0.068 * most + 0.56 for most in widest) <= width - 0.2:
             return columns, rows
     return 1, len(labels)
+
+
+# --- arrays made ready for drawing -------------------------------------------------------------------------------
+
+
+def stacked(series: Sequence[tuple[Whole, Array | Mask]]) -> tuple[Whole, Array]:
+    """All (T,) frames of K series, increasing, and their values (K, T), nan where a series does not have the frame."""
+    frame = series[0][0]
+    if not all(f is frame or np.array_equal(f, frame) for f, _ in series):  # nearly always they are all the same
+        frame = np.unique(np.concatenate([f for f, _ in series]))
+    values = np.full((len(series), len(frame)), np.nan)
+    for row, (f, value) in zip(values, series, strict=True):
+        row[slice(None) if len(f) == len(frame) else np.searchsorted(frame, f)] = value
+    return frame, values
+
+
+class Drawn(NamedTuple):
+    """A line to draw: (x, y) with nan wherever it is broken; if it was thinned, the (x, y) of its means too."""
+
+    x: Array
+    y: Array
+    means: tuple[Array, Array] | None = None
+
+
+def envelope(frame: Whole, value: Array, bins: int) -> Drawn:
+    """A line through (T,) values, broken where a value is not known and where frames are missing.
+
+    A series with more than two rows to a bin is thinned: drawn by the least and the greatest value in each of `bins`
+    equal spans of frames, so that no peak is lost, and by their means.
+    """
+    known = np.flatnonzero(np.isfinite(value))
+    if not known.size:
+        return Drawn(np.full(1, np.nan), np.full(1, np.nan))
+    reach = 1.5 * _step(frame)
+    f, v = frame[known].astype(np.float64), value[known].astype(np.float64)
+    if len(frame) <= 2 * bins:
+        return Drawn(*_broken(f, v, np.flatnonzero(np.diff(f) > reach) + 1))
+    span = (frame[-1] - frame[0] + 1) / bins
+    place = ((f - frame[0]) / span).astype(np.int64)
+    first = np.flatnonzero(np.diff(place, prepend=-1))
+    last = np.append(first[1:], len(f)) - 1
+    low, high = np.minimum.reduceat(v, first), np.maximum.reduceat(v, first)
+    rising = v[last] >= v[first]
+    y = np.stack([np.where(rising, low, high), np.where(rising, high, low)], axis=1).ravel()
+    x = np.stack([f[first], f[last]], axis=1).ravel()
+    gaps = np.flatnonzero(f[first[1:]] - f[last[:-1]] > reach) + 1
+    means = _broken((f[first] + f[last]) / 2, np.add.reduceat(v, first) / (last - first + 1), gaps)
+    return Drawn(*_broken(x, y, 2 * gaps), means)
+
+
+def _broken(x: Array, y: Array, before: Whole) -> tuple[Array, Array]:
+    return np.insert(x, before, np.nan), np.insert(y, before, np.nan)
+
+
+def _step(frame: Whole) -> int:
+    """The usual step between rows: 1, or n of a series with every n-th frame."""
+    return int(np.median(np.diff(frame))) if len(frame) > 1 else 1
+
+
+def alone(y: Array) -> Mask:
+    """(T,) the points of a line that have no neighbour: they need a mark to be seen."""
+    known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
+    lonely: Mask = known[1:-1] & ~known[:-2] & ~known[2:]
+    return lonely
+
+
+def spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[tuple[float, float]]:
+    """(start, end) of each stretch of rows where `mask` holds, each row half a step wide to either side.
+
+    Stretches less than `least` frames apart become one, and each is at least `least` frames wide, so that a single
+    frame of a long clip is still seen.
+    """
+    if not mask.any():
+        return []
+    step, f = _step(frame), frame[mask].astype(np.float64)
+    # a stretch ends where the mask does, and where frames are missing
+    ends = np.flatnonzero((np.diff(np.flatnonzero(mask)) > 1) | (np.diff(f) > 1.5 * step))
+    starts, stops = f[np.append(0, ends + 1)] - step / 2, f[np.append(ends, len(f) - 1)] + step / 2
+    wide = np.maximum(least - (stops - starts), 0) / 2
+    found: list[tuple[float, float]] = []
+    for start, end in zip((starts - wide).tolist(), (stops + wide).tolist(), strict=True):
+        if found and start - found[-1][1] <= least * (1 - 1e-9):
+            found[-1] = (found[-1][0], end)
+        else:
+            found.append((start, end))
+    return found
+
+
+def quantiles(values: Array, shares: Iterable[float]) -> list[Array]:
+    """Quantiles of (K, T) along K, of the values that are known: (T,) for each share; nan where none is.
+
+    As numpy.nanquantile, which is a hundred times slower.
+    """
+    ordered = np.sort(values, axis=0)  # nan goes to the end
+    last = np.maximum(np.isfinite(ordered).sum(axis=0) - 1, 0)
+    found = []
+    for share in shares:
+        low = np.floor(share * last).astype(np.int64)
+        below, above = (np.take_along_axis(ordered, at[None], 0)[0] for at in (low, np.minimum(low + 1, last)))
+        found.append(below + (share * last - low) * (above - below))
+    return found

@@ -1,7 +1,7 @@
-"""The one look of all figures: colours, type, and how a figure becomes the bytes of a file.
+"""The style of all figures: colours, type, and how a figure becomes the bytes of a file.
 
-Nothing of a user's matplotlib settings reaches a figure, and nothing of ours reaches them: figures are made without
-pyplot, inside `style()`, which puts the settings back. The same numbers give the same bytes.
+Figures are made without pyplot, inside `style()`, which restores the user's matplotlib settings. The same numbers give
+the same bytes, whatever those settings are.
 """
 
 from __future__ import annotations
@@ -22,21 +22,24 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FORMS: Final = ("png", "svg", "pdf")
 DPI: Final = 120.0
 WIDTH: Final = 10.0  # inches
 
-# the annotated video's colours (video/marks.py), darkened for white paper so that colour-blind eyes still tell them
-# apart;in their order, but that the dark one, which stands for white, comes last: the truth is dark too
+# the annotated video's colours (video/overlay/marks.py), in their order, darkened for white paper so that colour-blind
+# readers still tell them apart; the dark one, which stands for white, comes last, since the ground truth is dark too
 COLOURS: Final = ("#30A2DC", "#C49500", "#00795A", "#BE5CA6", "#2B3FC0", "#222222")
-LOST: Final = "#E0480A"  # vermilion: never a line's colour
-HIDDEN: Final = "#8A8A8A"
-ABSENT: Final = "#4A4A4A"
 INK: Final = "#222222"
 FAINT: Final = "#6B6B6B"
 GRID: Final = "#E3E3E3"
+# vermilion is never a line's colour
+STATUS: Final = {"tracked": "#D5E4EE", "lost": "#E0480A", "hidden": "#8A8A8A", "absent": "#4A4A4A"}
 # where colours run out: solid, dashed, dotted, dash-dotted
 DASHES: Final[tuple[Any, ...]] = ("-", (0, (5, 1.8)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+TRUTH: Final[Any] = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 1.6)), "zorder": 3}
+GUIDE: Final[Any] = {"color": FAINT, "linewidth": 0.8, "linestyle": (0, (4, 2.5)), "zorder": 1.5}
+CORRECTED: Final[Any] = {
+    "marker": "^", "color": INK, "linestyle": "none", "markersize": 5, "clip_on": False, "zorder": 5,
+}  # fmt: skip
 
 _SETTINGS: Final[Any] = {
     "font.family": ["DejaVu Sans"],  # matplotlib brings it along
@@ -53,27 +56,17 @@ _SETTINGS: Final[Any] = {
     "axes.axisbelow": True,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.unicode_minus": True,
     "grid.color": GRID,
     "grid.linewidth": 0.6,
     "text.color": INK,
     "text.parse_math": False,  # names may hold a dollar
-    "xtick.color": FAINT,
-    "ytick.color": FAINT,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "xtick.major.size": 3.0,
-    "ytick.major.size": 3.0,
+    **dict.fromkeys(("xtick.color", "ytick.color"), FAINT),
+    **dict.fromkeys(("xtick.labelcolor", "ytick.labelcolor"), INK),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize"), 8.0),
+    **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 3.0),
     "legend.fontsize": 8.5,
     "legend.frameon": False,
     "lines.linewidth": 1.2,
-    "lines.scale_dashes": True,
-    "hatch.linewidth": 0.5,
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
-    "path.simplify": True,
     "agg.path.chunksize": 20_000,
     "svg.hashsalt": "facetrack",
     "svg.fonttype": "path",
@@ -81,29 +74,37 @@ _SETTINGS: Final[Any] = {
 }
 
 
+@contextmanager
+def needed(what: str, package: str) -> Iterator[None]:
+    """Around imports of the extra `plot`: UsageError in one line where a package is missing or broken."""
+    try:
+        yield
+    except ModuleNotFoundError as e:
+        missing = (e.name or package).partition(".")[0]
+        raise UsageError(f"{what} need {missing}, which is not installed: pip install 'facetrack[plot]'") from None
+    except (ImportError, ValueError, OSError) as e:
+        said = " ".join(str(e).split())
+        raise UsageError(f"{package} cannot be loaded: {said}; install it anew: pip install 'facetrack[plot]'") from e
+
+
 @cache
 def need_matplotlib() -> None:
     """UsageError in one line where matplotlib is missing or broken.
 
-    What it says on its first import (the font cache is being built, the home folder cannot be written) is kept off
+    What it logs on its first import (the font cache is being built, the home folder cannot be written) does not reach
     standard error: it changes nothing in a figure.
     """
     log = logging.getLogger("matplotlib")
     before = log.level
     log.setLevel(logging.ERROR)
-    backend = os.environ.pop("MPLBACKEND", None)  # we need none, and a wrong one stops the import
+    backend = os.environ.pop("MPLBACKEND", None)  # none is needed, and a wrong one stops the import
     try:
-        import matplotlib.font_manager  # builds the cache
+        with needed("figures", "matplotlib"):
+            import matplotlib.font_manager  # builds the cache
 
         if backend is not None:
             with contextlib.suppress(ValueError):
                 matplotlib.rcParams["backend"] = backend
-    except ModuleNotFoundError as e:
-        missing = (e.name or "matplotlib").partition(".")[0]
-        raise UsageError(f"figures need {missing}, which is not installed: pip install 'facetrack[plot]'") from None
-    except (ImportError, ValueError, OSError) as e:
-        said = " ".join(str(e).split())
-        raise UsageError(f"matplotlib cannot be loaded: {said}; install it anew: pip install 'facetrack[plot]'") from e
     finally:
         log.setLevel(before)
         if backend is not None:
@@ -112,9 +113,9 @@ def need_matplotlib() -> None:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Our settings for the length of a `with`, whatever matplotlibrc the user has; then as they were before.
+    """The settings of all figures for the length of a `with`, whatever matplotlibrc the user has.
 
-    Arithmetic that overflows, and letters that the font lacks, are drawn as well as they can be, without a warning.
+    Numbers that overflow, and letters that the font lacks, are drawn without a warning.
     """
     need_matplotlib()
     import matplotlib
@@ -135,7 +136,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def render(figure: Figure, form: str = "png", *, dpi: float = DPI) -> bytes:
-    """The figure as a file of that form (`FORMS`); the same figure gives the same bytes, with no date in them.
+    """The figure as a file of the form png, svg or pdf; the same figure gives the same bytes, with no date in them.
 
     An SVG begins with an XML declaration and a doctype: what embeds it in HTML cuts up to `<svg`.
     """
@@ -157,7 +158,7 @@ def line_style(index: int) -> dict[str, Any]:
 
 
 def heading(axes: Axes, title: str, note: str = "", above: float = 0.0) -> None:
-    """A title at the top left, `above` points higher, and after it in grey what one should know to read the panel."""
+    """A title at the top left, `above` points higher, and after it in grey a note on how to read the panel."""
     from matplotlib.offsetbox import AnchoredOffsetbox, HPacker, TextArea
     from matplotlib.transforms import ScaledTranslation
 
@@ -179,7 +180,7 @@ def heading(axes: Axes, title: str, note: str = "", above: float = 0.0) -> None:
 
 
 def clean(text: str, most: int) -> str:
-    """A name on one line of at most so many characters, which a legend does not take for a hidden one."""
+    """A name on one line of at most `most` characters; a legend would hide one that begins with an underscore."""
     text = "".join(c if c.isprintable() else "?" for c in text)
     text = text if len(text) <= most else text[: most - 1] + "…"
     return f" {text}" if text.startswith("_") else text
