@@ -14,7 +14,7 @@ from facetrack_cli.editor.corrections import completed
 from facetrack_cli.editor.files.rows import Rows, recorded
 from facetrack_cli.editor.files.run_folder import Run
 from facetrack_cli.editor.files.tracks import Store, Track
-from facetrack_cli.editor.retrack import Read, Report, Task, Tracking, spans
+from facetrack_cli.editor.retrack import Read, Report, Task, Tracking, frames_of
 from facetrack_cli.tracking.corrected import is_complete
 from facetrack_cli.tracking.start import name_targets, read_init
 from facetrack_cli.tracking.start.init_file import TARGET
@@ -153,7 +153,7 @@ class Fixer:
                     plan.pop(0)
             # each round goes through the frames of its tasks once
             rounds = [tasks, *([one for one in row if one] for row in zip_longest(*_after(plans, tasks)))]
-            left = sum(stop - first for tasks_ in rounds for first, stop in spans(tasks_))
+            left = sum(stop - first for tasks_ in rounds for first, stop in frames_of(tasks_))
             total = max(total, done + left)
 
             def told(n: int, _: int, before: int = done, total: int = total) -> None:
@@ -165,7 +165,7 @@ class Fixer:
                 found[task.target].append(shorter or track)
                 ends[task.target] = track
                 plans[task.target].pop(0)
-            done += sum(stop - first for first, stop in spans(tasks))
+            done += sum(stop - first for first, stop in frames_of(tasks))
         begins = [track.begin for tracks in found.values() for track in tracks if track.begin is not None]
         became = self._ordered([*begins, *(one for one in corrections if one.frame > self.run.index.last)])
         for name, tracks in found.items():

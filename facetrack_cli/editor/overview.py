@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.spans import stretches
+from facetrack_cli.core.spans import spans
 from facetrack_cli.core.types import Correction
 from facetrack_cli.editor.files.rows import Rows
 from facetrack_cli.editor.files.run_index import STATUS, UNKNOWN
@@ -65,10 +65,10 @@ def doubtful(rows: Rows, level: float = DOUBT) -> list[dict[str, Any]]:
         status, sure = rows.status[:, column], rows.confidence[:, column]
         told = sure != UNKNOWN
         doubt = told & (status != _ABSENT) & ((status == _LOST) | (sure < level * _STEPS))
-        spans = np.array(stretches(doubt)).reshape(-1, 2)
-        if not len(spans):
+        doubts = spans(doubt)
+        if not doubts:
             continue
-        begins, ends = spans[:, 0], spans[:, 1] + 1
+        begins, ends = np.array(doubts).T
         # the least of each stretch, and of what lies between two of them, which is passed over
         pairs = np.stack([begins, ends], axis=1).ravel()
         worst = np.minimum.reduceat(np.append(sure, np.uint16(UNKNOWN)), pairs)[::2]

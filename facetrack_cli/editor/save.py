@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.editor.files.journal import announce, beside, finish, sweep
+from facetrack_cli.core.files import FULL, beside, discard
+from facetrack_cli.editor.files.journal import announce, finish, sweep
 from facetrack_cli.editor.files.rows import Rows
 from facetrack_cli.editor.files.run_folder import UNSAVED, Run
 from facetrack_cli.editor.history import Fixer
@@ -20,8 +19,6 @@ from facetrack_cli.runs.clip import past_end
 from facetrack_cli.tracking.start import write_init
 from facetrack_cli.tracking.start.init_writer import as_yaml, record_of
 from facetrack_cli.trajectory.header import CORRECTED
-
-_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def save(
@@ -64,11 +61,10 @@ def save(
         announce(run.folder, files, [run.folder / UNSAVED])
     except BaseException as e:
         for path in files:
-            with contextlib.suppress(OSError):
-                beside(path).unlink(missing_ok=True)
+            discard(path)
         if not isinstance(e, OSError):
             raise
-        remedy = "free some space" if e.errno in _FULL else "make it writable"
+        remedy = "free some space" if e.errno in FULL else "make it writable"
         raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
     finish(run.folder)
     said += past_end(fixer.corrections, rows.index.last, str(run.folder / CORRECTED))

@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.spans import stretches
+from facetrack_cli.core.spans import spans
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.table import Series, Table
 
@@ -173,7 +173,7 @@ def tell(table: Table, clock: Clock) -> Story:
         total[place] += np.where(sure, series.confidence, 0.0)
         known[place] += sure
     mean = np.divide(total, known, out=np.full(len(total), np.inf), where=known > 0)
-    episodes = tuple((int(clock.frames[a]), int(clock.frames[b])) for a, b in stretches(any_lost))
+    episodes = tuple((int(clock.frames[a]), int(clock.frames[b - 1])) for a, b in spans(any_lost))
     worst = int(clock.frames[np.argmin(mean)]) if (known > 0).any() else None
     names = [part.name for part in parts]
     return Story(parts, episodes, int(any_lost.sum()), worst, _corrections(table, names))
@@ -190,18 +190,14 @@ def _corrections(table: Table, names: Sequence[str]) -> tuple[Corrected, ...]:
 
 def _part(series: Series, name: str, clock: Clock) -> PartStory:
     sure, frames = series.confidence, series.frame
-    spans = []
-    for a, b in stretches(series.status == "lost"):
-        back = int(frames[b + 1]) if b + 1 < len(frames) else None
-        end = clock.at(back) if back is not None else clock.after(int(frames[b]))
-        by_hand = back is not None and bool(series.corrected[b + 1])
-        back = None if back is not None and series.status[b + 1] == "absent" else back
-        low = _least(sure[a : b + 1])
-        spans.append(
-            LostSpan(
-                name, int(frames[a]), int(frames[b]), back, b - a + 1, end - clock.at(int(frames[a])), low, by_hand
-            )
-        )
+    losses = []
+    for a, b in spans(series.status == "lost"):
+        first, last = int(frames[a]), int(frames[b - 1])
+        back = int(frames[b]) if b < len(frames) else None
+        end = clock.at(back) if back is not None else clock.after(last)
+        by_hand = back is not None and bool(series.corrected[b])
+        back = None if back is not None and series.status[b] == "absent" else back
+        losses.append(LostSpan(name, first, last, back, b - a, end - clock.at(first), _least(sure[a:b]), by_hand))
     tracked = sure[(series.status != "init") & np.isfinite(sure)]
     worst = int(frames[np.nanargmin(sure)]) if np.isfinite(sure).any() else int(frames[0])
     told = bool((series.status != "init").any() or np.isfinite(sure).any())
@@ -210,13 +206,13 @@ def _part(series: Series, name: str, clock: Clock) -> PartStory:
     return PartStory(
         name=name,
         rows=len(series),
-        spans=tuple(spans),
+        spans=tuple(losses),
         mean=mean,
         lowest=_least(sure),
         worst=worst,
         last_status=str(series.status[-1]),
         told=told,
-        absences=tuple((int(frames[a]), int(frames[b])) for a, b in stretches(gone)),
+        absences=tuple((int(frames[a]), int(frames[b - 1])) for a, b in spans(gone)),
         frames_absent=int(gone.sum()),
     )
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import platform
 import sys
 from collections.abc import Callable
@@ -12,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import FileSink, StreamSink, refused
+from facetrack_cli.core.files import FileSink, StreamSink
+from facetrack_cli.core.output_folder import check_folder, make_folder, remove_folders
 from facetrack_cli.trajectory.row import Footer, Header
 from facetrack_cli.trajectory.writers import WRITERS, Writer
 
@@ -38,30 +37,9 @@ def check(job: Job) -> None:
     """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
     if job.out is None:
         return
-    try:
-        if job.out.exists() and not job.out.is_dir():
-            raise OutputError(f"{job.out}: is a file, where a folder for the results is to be; name another with --out")
-        if _same(job.out, job.clip):
-            raise OutputError(f"{job.out}: the results would go among the frames of the input; name another with --out")
-        for path in planned(job).values():
-            _check_file(path, job)
-    except OSError as e:
-        raise refused(job.out, e) from e
-
-
-def _check_file(path: Path, job: Job) -> None:
-    inputs = {"input": job.clip, "init file": job.init, "recipe": job.recipe.path}
-    for what, given in inputs.items():
-        if isinstance(given, Path) and _same(path, given):
-            raise OutputError(f"{path}: is the {what} itself; name another folder with --out")
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder, where a file of results is to be; name another folder with --out")
-    if os.path.lexists(path) and not job.overwrite:
-        raise OutputError(f"{path}: is there already; --overwrite replaces it, --out names another folder")
-
-
-def _same(one: Path, other: Path) -> bool:
-    return one.exists() and other.exists() and one.samefile(other)
+    init = job.init if isinstance(job.init, Path) else None
+    inputs = {"input": job.clip, "init file": init, "recipe": job.recipe.path}
+    check_folder(job.out, [path.name for path in planned(job).values()], overwrite=job.overwrite, inputs=inputs)
 
 
 class Outputs:
@@ -81,12 +59,7 @@ class Outputs:
         if out is None:
             self._sinks = [StreamSink(sys.stdout.buffer)]  # a stream that is closed says so when it is written
             return self
-        try:
-            missing = [folder for folder in (out, *out.parents) if not folder.exists()]
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as e:
-            raise refused(out, e) from e
-        self._made = missing
+        self._made = make_folder(out)
         try:
             for form in self._job.formats:
                 self._sinks.append(FileSink(out / f"trajectory.{form}"))
@@ -146,9 +119,7 @@ class Outputs:
             sink.discard()
         if self._video is not None:
             self._video.discard()
-        for folder in self._made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+        remove_folders(self._made)
 
 
 def _versions() -> dict[str, str]:

@@ -10,8 +10,9 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.files import beside
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.files.journal import JOURNAL, announce, beside, finish, sweep
+from facetrack_cli.editor.files.journal import JOURNAL, announce, finish, sweep
 from facetrack_cli.editor.files.run_folder import UNSAVED, open_run
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.trajectory.header import CORRECTED
@@ -84,7 +85,7 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
 def test_what_another_process_left_is_swept_away(made, out):
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait(60)
-    names = [".trajectory-{}.fixed.csv", "..annotated-{0}.fixed-{0}.part.mp4", ".mine-{}.csv"]
+    names = [".trajectory-{}.part.csv", "..annotated-{0}.part-{0}.part.mp4", ".mine-{}.csv"]
     for number in (gone.pid, os.getpid(), os.getppid(), 10**30):
         for name in names:
             (out / name.format(number)).write_text("x")
@@ -128,7 +129,7 @@ def test_two_may_finish_at_once(out, monkeypatch):
 
 def test_what_was_announced_is_not_swept_away(out):
     (out / JOURNAL).write_text("")
-    (out / f".trajectory-{10**30}.fixed.csv").write_text("x")
+    (out / f".trajectory-{10**30}.part.csv").write_text("x")
     sweep(out)
     assert len(hidden(out)) == 2
 

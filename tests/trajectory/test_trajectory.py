@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink
+from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink, beside
 from facetrack_cli.core.types import Frame, PartResult, Result, TargetResult
 from facetrack_cli.trajectory.csv_reader import read_csv
 from facetrack_cli.trajectory.row import COLUMNS, DECIMALS, FORMATS, Footer, Row, rows
@@ -251,7 +251,7 @@ def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("room", [3000, 70_000, 200_000])
 def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, room: int) -> None:
     def small(self: FileSink) -> BinaryIO:
-        return Disk(room, self.temporary)
+        return Disk(room, beside(self.path))
 
     monkeypatch.setattr(FileSink, "_open", small)
     path = tmp_path / f"t.{form}"

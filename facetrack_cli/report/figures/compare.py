@@ -9,7 +9,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.trust import Trust
-from facetrack_cli.report.figures.data import envelope, quantiles, spans
+from facetrack_cli.report.figures.data import envelope, frame_spans, quantiles
 from facetrack_cli.report.figures.lines import columns_for, limit
 from facetrack_cli.report.figures.style import (
     COLOURS,
@@ -131,7 +131,7 @@ def error_over_time_figure(
     with style():
         figure, axes, step = _over_time(frames, list(errors))
         if isinstance(hidden, np.ndarray):
-            covered = spans(frames, hidden, (frames[-1] - frames[0] + 1) / BINS)
+            covered = frame_spans(frames, hidden, (frames[-1] - frames[0] + 1) / BINS)
         else:
             covered = [(first - step / 2, last + step / 2) for first, last in hidden]
         for start, end in covered:

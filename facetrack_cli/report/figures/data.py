@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from facetrack_cli.core.spans import spans, union
 from facetrack_cli.core.types import Array, Mask, Whole
 
 Span = tuple[float, float]
@@ -74,34 +75,19 @@ def alone(y: Array) -> Mask:
     return lonely
 
 
-def spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[Span]:
-    """(start, end) of each stretch of rows where `mask` holds, each row half a step wide to either side.
+def frame_spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[Span]:
+    """(start, end) of each span of rows where `mask` holds, each row half a step wide to either side.
 
-    Stretches less than `least` frames apart become one, and each is at least `least` frames wide, so that a single
-    frame of a long clip is still seen.
+    Spans less than `least` frames apart become one, and each is at least `least` frames wide, so that a single frame of
+    a long clip is still seen.
     """
     if not mask.any():
         return []
-    step = usual_step(frame)
-    f = frame[mask].astype(np.float64)
-    # a stretch ends where the mask does, and where frames are missing
-    rows = np.flatnonzero(mask)
-    ends = np.flatnonzero((np.diff(rows) > 1) | (np.diff(f) > 1.5 * step))
-    starts = f[np.append(0, ends + 1)] - step / 2
-    stops = f[np.append(ends, len(f) - 1)] + step / 2
+    half = usual_step(frame) / 2
+    begins, ends = np.array(spans(mask, np.diff(frame) > 3 * half)).T  # missing frames end a span, too
+    starts, stops = frame[begins] - half, frame[ends - 1] + half
     wide = np.maximum(least - (stops - starts), 0) / 2
-    return union(zip((starts - wide).tolist(), (stops + wide).tolist(), strict=True), least)
-
-
-def union(found: Iterable[Span], least: float = 0.0) -> list[Span]:
-    """Spans joined where they overlap or are less than `least` apart, in their order."""
-    out: list[Span] = []
-    for start, end in sorted(found):
-        if out and start - out[-1][1] <= least * (1 - 1e-9):
-            out[-1] = (out[-1][0], max(out[-1][1], end))
-        else:
-            out.append((start, end))
-    return out
+    return union(zip((starts - wide).tolist(), (stops + wide).tolist(), strict=True), least * (1 - 1e-9))
 
 
 def quantiles(values: Array, shares: Iterable[float]) -> list[Array]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.report.figures.data import alone, beyond, envelope, frames_of, limits, spans
+from facetrack_cli.report.figures.data import alone, beyond, envelope, frame_spans, frames_of, limits
 from facetrack_cli.report.figures.style import ABSENT, COLOURS, DASHES, HIDDEN, INK, LOST, clean, line_style
 from facetrack_cli.trajectory.table import Series, Table
 
@@ -140,7 +140,7 @@ class Pen:
         frame, holds = shares(rows)
         levels = [(holds > 0.5, 0.22)] if len(rows) > MANY else [(holds > 0, 0.16), (holds == 1, 0.22)]
         for mask, alpha in levels[-1:] if len(rows) == 1 else levels:
-            for start, end in spans(frame, mask, self.least):
+            for start, end in frame_spans(frame, mask, self.least):
                 axes.axvspan(start, end, color=colour, alpha=alpha, linewidth=0, zorder=0.5)
 
     def status(self, axes: Axes, lines: Sequence[Line]) -> None:
@@ -185,7 +185,7 @@ class Pen:
         axes.plot(frames, np.zeros(len(frames)), transform=axes.get_xaxis_transform(), **CORRECTED)
 
     def _bars(self, axes: Axes, frame: Whole, mask: Mask, place: tuple[float, float], colour: str) -> None:
-        found = spans(frame, mask, self.least)
+        found = frame_spans(frame, mask, self.least)
         if found:
             bars = [(start, end - start) for start, end in found]
             axes.broken_barh(bars, place, facecolors=colour, linewidth=0, antialiased=False)
