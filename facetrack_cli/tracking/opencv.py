@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import BOX, Box, Frame, PartResult, Status, TargetResult
 
 FACTORIES: Final = {
@@ -113,7 +114,8 @@ class OpenCvTarget:
 
     def _result(self, box: tuple[float, ...], status: Status) -> TargetResult:
         left, top, w, h = (float(side) for side in box)
-        part = PartResult(name=BOX, x=left + (w - 1) / 2, y=top + (h - 1) / 2, w=w, h=h, status=status)
+        x, y = centre((left, top, w, h))
+        part = PartResult(name=BOX, x=x, y=y, w=w, h=h, status=status)
         return TargetResult(self.name, (part,), None, NO_CLOUD)
 
 

@@ -18,6 +18,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Particles
 
 
@@ -144,9 +145,9 @@ def evenly(x0: Array, windows: Array) -> Estimate:
 
 def affine_state_of_box(left: float, top: float, w: float, h: float) -> Array:
     """(1, 6): the affine state of a box at the start; pixel centres are whole numbers."""
-    return np.array([[left + (w - 1) / 2, top + (h - 1) / 2, 1.0, 0.0, 0.0, 1.0]])
+    return np.array([[*centre((left, top, w, h)), 1.0, 0.0, 0.0, 1.0]])
 
 
 def state_of_box(left: float, top: float, w: float, h: float) -> Array:
     """(1, 6): the state of a box at the start, at rest and of scale 1; pixel centres are whole numbers."""
-    return np.array([[left + (w - 1) / 2, top + (h - 1) / 2, 1.0, 0.0, 0.0, 0.0]])
+    return np.array([[*centre((left, top, w, h)), 1.0, 0.0, 0.0, 0.0]])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.geometry import centre_inside, inside
+from facetrack_cli.core.geometry import centre, inside
 from facetrack_cli.core.types import Box, Point, Start
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
 def _check_places(origin: str, name: str, box: Box | None, points: Mapping[str, Point], size: tuple[int, int]) -> None:
     """InputError if the box's centre, or a point, is outside of a picture of that (width, height)."""
     picture = f"the picture of {size[0]}x{size[1]} pixels"
-    if box is not None and not centre_inside(box, size):
+    if box is not None and not inside(centre(box), size):
         numbers = ", ".join(f"{value:g}" for value in box)
         raise InputError(f"{origin}: the centre of the box [{numbers}] of {name} is outside {picture}; correct it")
     for part, (x, y) in points.items():
