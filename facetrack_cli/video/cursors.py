@@ -1,25 +1,21 @@
-"""Captures of a video that go to its frames, decoding onward or by jumps that stamps make sure of; see `seek.py`."""
+"""Captures of a video that go to any of its frames, by decoding onward or by jumps; see `seek.py`."""
 
 from __future__ import annotations
 
 import math
 import threading
 from collections.abc import Callable
-from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 
-from facetrack_cli.core.types import Array, Image
-from facetrack_cli.video import ffmpeg
-from facetrack_cli.video.recent import Recent
-from facetrack_cli.video.stamps import Reader, Stamps
+from facetrack_cli.core.types import Image
+from facetrack_cli.video.cache import Cache
+from facetrack_cli.video.source import Capture
+from facetrack_cli.video.stamps import Stamps, StoppedError, read_stamps
 
 CURSORS = 2  # captures that stay open; one of 4K may take 300 MB
-SHORT = 16  # so many frames onward are decoded without a thought
-CHECKED = 24  # so many frames from the start must agree with the stamps before they are trusted
+SHORT = 16  # so many frames onward are always decoded
 LONG = 500  # of a clip with so many frames the stamps are read at once
 BEHIND = 8, 250  # so many frames before a wanted one are kept, after a jump and when going backwards
 _OTHER_KEYS = 0, 1, 4  # a jump that misses is tried again from so many keyframes before
@@ -30,52 +26,31 @@ class _LostError(Exception):
     """A capture is not where it should be."""
 
 
-class _Cursor:
-    """A capture, the number and the time that follow, and whether it was decoded from the start.
-
-    Otherwise frames before `key` may lack what they are predicted from. `wanted`: somebody will come back to it.
-    """
-
-    def __init__(self, path: Path):
-        self.capture = cv2.VideoCapture(ffmpeg.source_argument(path), cv2.CAP_FFMPEG)
-        self.next = self.key = self.used = 0
-        self.time = self.origin = 0.0
-        self.whole = True
-        self.wanted = False
-
-
 class Approach:
     """Comes nearer to a frame of a video file, and puts it into `recent`, with its time, once it is there.
 
     `end` is the number of frames once it is certain; `last` the frame that was asked for last; `decoded` counts frames
-    and `jumps` seeks.
-    `gives_way` says of a ticket whether somebody else should have the turn. Only `stop` may be called out of turn.
+    and `jumps` seeks. `gives_way` says of a ticket whether another one should have the turn. Only `stop` may be called
+    out of turn.
     """
 
     def __init__(
         self,
         path: Path,
         size: tuple[int, int],
-        fps: Fraction,
-        recent: Recent[int, tuple[float, Image]],
+        recent: Cache[int, tuple[float, Image]],
         gives_way: Callable[[int], bool],
     ):
         self._path, self._shape, self._recent, self._gives_way = path, (size[1], size[0], 3), recent, gives_way
         self.end: int | None = None
-        self.decoded = self.jumps = self.last = self._reached = self._uses = 0
-        self._period = float(1 / fps)
+        self.decoded = self.jumps = self.last = self._reached = 0
         self._back = max(recent.most_bytes * 3 // 4 // math.prod(self._shape), 1)
         self._careful = False  # frames differ in size, so each is looked at
-        self._seeks = True
-        self._heads: list[float] = []  # positions of the first frames
         self._stamps: Stamps | None = None
-        self._times: Array = np.empty(0)
-        self._arrived: Stamps | None = None
-        self._packets = Reader(path)
+        self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._cursors = [_Cursor(path)]
-        count = self._cursors[0].capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        self._claimed = int(count) if math.isfinite(count) and 1 <= count < 1e9 else 0
+        self._cursors = [Capture(path)]  # the least recently used comes first
+        self._claimed, self._period = self._cursors[0].claimed or 0, self._cursors[0].period
         self._walk(self._cursors[0], 0, 0)
         if self._claimed >= LONG or not self._claimed:
             self._begin_stamps()
@@ -84,33 +59,29 @@ class Approach:
     def count(self) -> int:
         if self.end is not None:
             return self.end
-        stamps = self._stamps or self._arrived
+        stamps = self._stamps
         return max(len(stamps.positions) if stamps is not None else self._claimed, self._reached)
 
     def approach(self, index: int, ticket: int) -> None:
         for further in (*_OTHER_KEYS, None):
             try:
-                self._take_up()
                 cursor = self._nearest(index, further is None)
                 jump = None if further is None else self._jump_to(index, further)
                 if jump is not None and (cursor is None or jump[0] > cursor.next):
-                    self._check_heads()
                     cursor = self._jump(index, *jump)
-                elif cursor is None:
-                    cursor = self._restart()
-                self._walk(cursor, index, ticket)
+                self._walk(cursor or self._restart(), index, ticket)
                 return
             except _LostError:
                 continue
 
     def stop(self) -> None:
-        self._packets.stop()
+        self._stop.set()
 
     def release(self) -> None:
         if self._thread is not None:
             self._thread.join()
         for cursor in self._cursors:
-            cursor.capture.release()
+            cursor.release()
         self._cursors = []
 
     # --- stamps ------------------------------------------------------------------------------------------------------
@@ -122,77 +93,51 @@ class Approach:
 
     def _read_stamps(self) -> None:
         try:
-            self._arrived = self._packets.read(self._heads[0])
-        except (OSError, RuntimeError, ValueError):  # no ffmpeg program, or closed
-            self._arrived = None
-
-    def _take_up(self) -> None:
-        """Make use of stamps that have arrived, if they agree with what was decoded so far."""
-        stamps, self._arrived = self._arrived, None
-        if stamps is None or self._careful:
+            stamps = read_stamps(self._path, self._period, self._stop)
+        except (OSError, RuntimeError, ValueError, StoppedError):  # no ffmpeg program, or closed
             return
-        # without a claimed number OpenCV does not seek, and forgets what it needs to decode onward
-        if self._claimed < 2:
-            self._claimed = len(stamps.positions)
-            self._seeks = False
-        known = [(place, position) for place, position in enumerate(self._heads)]
-        known += [(c.next - 1, c.capture.get(cv2.CAP_PROP_POS_MSEC) / 1000) for c in self._cursors if c.next]
-        total = len(stamps.positions)
-        if stamps.counted and total > self._claimed:
-            return
-        if all(place < total and stamps.positions[place] == position for place, position in known):
-            self._stamps, self._times = stamps, _times(stamps.positions, self._period)
-
-    def _check_heads(self) -> None:
-        """Decode the first frames, if they have not been, which holds them to the stamps."""
-        assert self._stamps is not None
-        cursor = next((c for c in self._cursors if c.whole and c.next == len(self._heads)), None)
-        while len(self._heads) < min(CHECKED, len(self._stamps.positions)):
-            cursor = cursor or self._restart()
-            if not self._grab(cursor) or self._stamps is None:
-                raise _LostError
+        if not self._careful:
+            self._stamps = stamps
 
     def _distrust(self) -> None:
         """Do without stamps, and forget what was found by them."""
-        self._stamps = self._arrived = None
+        self._stamps = None
         self._recent.clear()
-        for cursor in [c for c in self._cursors if not c.whole or self._careful]:
+        for cursor in [c for c in self._cursors if c.key or self._careful]:
             self._drop(cursor)
 
     # --- captures ----------------------------------------------------------------------------------------------------
 
-    def _nearest(self, index: int, whole: bool) -> _Cursor | None:
-        return max(
-            (c for c in self._cursors if max(c.next, c.key) <= index and (c.whole or not whole)),
-            key=lambda c: c.next,
-            default=None,
-        )
+    def _nearest(self, index: int, from_start: bool) -> Capture | None:
+        """The capture that is the shortest way before a frame; with `from_start` of those that never jumped."""
+        those = (c for c in self._cursors if max(c.next, c.key) <= index and not (c.key and from_start))
+        return max(those, key=lambda c: c.next, default=None)
 
-    def _drop(self, cursor: _Cursor) -> None:
-        cursor.capture.release()
+    def _drop(self, cursor: Capture) -> None:
+        cursor.release()
         if cursor in self._cursors:
             self._cursors.remove(cursor)
 
-    def _spare(self) -> _Cursor:
-        """A capture that nobody is likely to miss."""
+    def _spare(self) -> Capture:
+        """Another capture, or the least recently used one."""
         if len(self._cursors) < CURSORS:
-            self._cursors.append(_Cursor(self._path))
+            self._cursors.append(Capture(self._path))
             return self._cursors[-1]
-        return min(self._cursors, key=lambda c: (c.wanted, c.next if c.wanted else c.used))
+        return self._cursors[0]
 
-    def _restart(self) -> _Cursor:
+    def _restart(self) -> Capture:
         """A capture that is at the start."""
         cursor = self._spare()
         if cursor.next:
             self._drop(cursor)
-            cursor = _Cursor(self._path)
-            self._cursors.append(cursor)
+            cursor = self._spare()
         return cursor
 
     def _jump_to(self, index: int, further: int) -> tuple[int, float] | None:
         """The keyframe from which to go to a frame, and the position to seek to; None to decode onward."""
         stamps = self._stamps
-        if stamps is None or not self._seeks:
+        # without a claimed number OpenCV does not seek, and loses what it needs to decode onward
+        if stamps is None or self._claimed < 2:
             return None
         lead = _LANDS + 2 + math.ceil(max(stamps.positions[0], 0) / self._period)
         last = min(index, len(stamps.positions) - 1)
@@ -201,47 +146,41 @@ class Approach:
             return None
         return int(stamps.keys[place]), float(stamps.entries[place])
 
-    def _jump(self, index: int, key: int, entry: float) -> _Cursor:
+    def _jump(self, index: int, key: int, entry: float) -> Capture:
         """A capture at or before a frame, and after a keyframe, if that can be had by seeking; else _LostError."""
         stamps = self._stamps
         if stamps is None:
             raise _LostError
         self.jumps += 1
         cursor = self._spare()
-        rate = cursor.capture.get(cv2.CAP_PROP_FPS)
-        ahead = math.ceil(entry * rate - 1e-6) if stamps.indexed else math.floor(entry * rate) - 1
-        cursor.whole, cursor.wanted = False, False
-        cursor.capture.set(cv2.CAP_PROP_POS_FRAMES, max(ahead, 0) + _LANDS)
-        grabbed = cursor.capture.grab()
-        position = cursor.capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-        at = int(np.searchsorted(stamps.positions, position))
+        ahead = math.ceil(entry * cursor.rate - 1e-6) if stamps.indexed else math.floor(entry * cursor.rate) - 1
+        grabbed = cursor.seek(max(ahead, 0) + _LANDS)
+        at = int(np.searchsorted(stamps.positions, cursor.position))
         self.decoded += max(at - key, 0) + 1
         if not grabbed or at > index:
             self._drop(cursor)
             raise _LostError
-        if at == len(stamps.positions) or stamps.positions[at] != position:
+        cursor.key = key
+        if at == len(stamps.positions) or stamps.positions[at] != cursor.position:
             self._distrust()
             raise _LostError
-        cursor.next, cursor.key, cursor.origin, cursor.time = at + 1, key, stamps.positions[0], self._times[at]
+        cursor.next, cursor.origin, cursor.time = at + 1, float(stamps.positions[0]), float(stamps.times[at])
         if at == index:
             self._look(cursor, at)
         return cursor
 
     # --- decoding onward ---------------------------------------------------------------------------------------------
 
-    def _walk(self, cursor: _Cursor, index: int, ticket: int) -> None:
-        """Decode onward until a frame is there, somebody else wants the turn, or stamps arrive for a jump."""
-        self._uses += 1
-        cursor.used, cursor.wanted = self._uses, False
+    def _walk(self, cursor: Capture, index: int, ticket: int) -> None:
+        """Decode onward until a frame is there, another ticket should have the turn, or stamps allow a jump."""
+        self._cursors.sort(key=lambda c: c is cursor)
         backwards = 0 < self.last - index <= BEHIND[1]
         before = min(BEHIND[1], self._back) if backwards else min(BEHIND[0], self._back // 8)
         if index - cursor.next > 3 * SHORT:
             self._begin_stamps()
+        stamps = self._stamps
         while cursor.next <= index:
-            if cursor.next < index and self._gives_way(ticket):
-                cursor.wanted = True
-                return
-            if self._arrived is not None:
+            if self._stamps is not stamps or (cursor.next < index and self._gives_way(ticket)):
                 return
             if not self._grab(cursor):
                 self._ended(cursor)
@@ -250,32 +189,23 @@ class Approach:
             if self._careful or at >= max(index - before, cursor.key):
                 self._look(cursor, at)
 
-    def _grab(self, cursor: _Cursor) -> bool:
-        """Go one frame on, and hold its time to the stamps; False at the end."""
-        if not cursor.capture.grab():
+    def _grab(self, cursor: Capture) -> bool:
+        """Go one frame on, and compare its time with the stamps; False at the end."""
+        if not cursor.grab():
             return False
-        position = cursor.capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-        if cursor.next == 0:
-            cursor.origin = position
-        else:  # the rule of `VideoSource` for frames without a stamp, or thrown back
-            step = position - cursor.origin - cursor.time
-            cursor.time += step if step > 0 else self._period
-        at = cursor.next
-        cursor.next += 1
+        at = cursor.next - 1
         self.decoded += 1
         self._reached = max(self._reached, cursor.next)
-        if cursor.whole and at == len(self._heads) < CHECKED:
-            self._heads.append(position)
         stamps = self._stamps
-        if stamps is not None and (at >= len(stamps.positions) or stamps.positions[at] != position):
+        if stamps is not None and (at >= len(stamps.positions) or stamps.positions[at] != cursor.position):
             self._distrust()
-            if not cursor.whole:
+            if cursor.key:
                 raise _LostError
         return True
 
-    def _look(self, cursor: _Cursor, at: int) -> None:
+    def _look(self, cursor: Capture, at: int) -> None:
         """Keep the frame that the cursor is at."""
-        image: Any = cursor.capture.retrieve()[1]
+        image = cursor.image()
         if image is not None and image.shape == self._shape:
             self._recent.put(at, (cursor.time, image), image.nbytes)
         elif self._careful:  # a source ends before the first frame of another size
@@ -286,19 +216,8 @@ class Approach:
             self._distrust()
             raise _LostError
 
-    def _ended(self, cursor: _Cursor) -> None:
-        whole, stamps = cursor.whole, self._stamps
+    def _ended(self, cursor: Capture) -> None:
         self._drop(cursor)
-        if not whole and (stamps is None or cursor.next != len(stamps.positions)):
+        if cursor.key and (self._stamps is None or cursor.next != len(self._stamps.positions)):
             raise _LostError
         self.end = cursor.next
-
-
-def _times(positions: Array, period: float) -> Array:
-    """The times that `VideoSource` makes of positions, to the last bit."""
-    origin, time, times = float(positions[0]), 0.0, [0.0]
-    for position in positions[1:].tolist():
-        step = position - origin - time
-        time += step if step > 0 else period
-        times.append(time)
-    return np.array(times)

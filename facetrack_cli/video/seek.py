@@ -1,46 +1,87 @@
 """Any frame of a clip, quickly, and exactly the one that `open_source` gives under its number.
 
-Near frames are reached by decoding onward. For far ones a video is read once without decoding (`stamps.py`), which
-says when each frame is shown. A jump seeks to a keyframe before the wanted frame; the first picture that comes is
-recognised by its time, and one decodes onward. Every picture's time is held to the stamps; if one differs, or if there
-are none to trust, frames are counted from the start as `open_source` does, which is slow and right.
+Near frames are reached by decoding onward. For distant ones the packets of a video are read once without decoding
+(`stamps.py`), which gives the time of each frame. A jump (`cursors.py`) seeks to a keyframe before the wanted frame;
+the first frame that comes is identified by its time, and decoding goes on from there. The time of every frame is
+compared with the stamps; if one differs, or if there are no reliable ones, frames are counted from the start as
+`open_source` does, which is slow and correct.
 """
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Image
-from facetrack_cli.video import images
+from facetrack_cli.video.cache import Cache
 from facetrack_cli.video.cursors import Approach
-from facetrack_cli.video.recent import Recent, Turns
-from facetrack_cli.video.source import open_source
+from facetrack_cli.video.images import UnreadableError
+from facetrack_cli.video.source import FolderSource, open_source
 
 CACHE_BYTES = 256 << 20  # of decoded frames, the neighbours of those that were asked for
 
 
+class Turns:
+    """A lock that the latest of those waiting gets first, since what was asked before is likely not wanted any more."""
+
+    def __init__(self) -> None:
+        self._condition = threading.Condition()
+        self._tickets = 0
+        self._waiting: list[int] = []
+        self._taken = False
+
+    def ticket(self) -> int:
+        """A place in the queue, with which one may take several turns."""
+        with self._condition:
+            self._tickets += 1
+            return self._tickets
+
+    @contextmanager
+    def turn(self, ticket: int) -> Iterator[None]:
+        with self._condition:
+            self._waiting.append(ticket)
+            try:
+                self._condition.wait_for(lambda: not self._taken and max(self._waiting) == ticket)
+            finally:
+                self._waiting.remove(ticket)
+                self._condition.notify_all()
+            self._taken = True
+        try:
+            yield
+        finally:
+            with self._condition:
+                self._taken = False
+                self._condition.notify_all()
+
+    def overtaken(self, ticket: int) -> bool:
+        """Whether a later ticket is waiting."""
+        with self._condition:
+            return max(self._waiting, default=0) > ticket
+
+
 class Frames:
-    """Any frame of a video or an image folder; a context manager. Thread-safe: who asks last is served first.
+    """Any frame of a video or an image folder; a context manager. Thread-safe: the latest request is served first.
 
     Attributes: `size` (width, height), rotation applied; `fps`; `decoded`, how many frames were decoded so far.
     Raises what `open_source` raises.
     """
 
     def __init__(self, path: Path, *, fps: Fraction | None = None):
-        with open_source(path, fps=fps) as source:
-            self.size, self.fps, self.path = source.size, source.fps, path
-        self._recent: Recent[int, tuple[float, Image]] = Recent(CACHE_BYTES)
+        self._recent: Cache[int, tuple[float, Image]] = Cache(CACHE_BYTES)
         self._turns = Turns()
         self._closed = False
-        files = None if source.is_video else images.listing(path)
-        self._reader = (
-            _Folder(files, self.size, self.fps, self._recent)
-            if files is not None
-            else Approach(path, self.size, self.fps, self._recent, self._gives_way)
-        )
+        with open_source(path, fps=fps) as source:
+            self.size, self.fps, self.path = source.size, source.fps, path
+            self._reader = (
+                _Folder(source, self._recent)
+                if isinstance(source, FolderSource)
+                else Approach(path, self.size, self._recent, self._gives_way)
+            )
 
     @property
     def count(self) -> int:
@@ -57,7 +98,7 @@ class Frames:
         return self._reader.decoded
 
     def read(self, index: int) -> Frame:
-        """The frame with this number; its pixels may be shared with other calls and are not to be written to.
+        """The frame with this number; its pixels may be shared with other calls and must not be written to.
 
         Raises InputError past the end, after which `count` is exact, and RuntimeError when closed, also meanwhile.
         """
@@ -76,7 +117,7 @@ class Frames:
                 self._reader.last = index
                 return Frame(index, *found)
             with self._turns.turn(ticket):
-                # while waiting, another call may have come across it
+                # while waiting, another call may have decoded it
                 if not self._closed and self._recent.get(index) is None:
                     self._reader.approach(index, ticket)
 
@@ -101,31 +142,25 @@ class Frames:
 
 
 class _Folder:
-    """The pictures of a folder. `approach` comes nearer to a frame and keeps it once it is there."""
+    """The images of a folder, read into a cache; as `Approach` for videos."""
 
-    def __init__(
-        self, files: list[Path], size: tuple[int, int], fps: Fraction, recent: Recent[int, tuple[float, Image]]
-    ):
-        self._files, self._size, self._fps, self._recent = files, size, fps, recent
-        self.end: int | None = len(files)
+    def __init__(self, source: FolderSource, recent: Cache[int, tuple[float, Image]]):
+        self._source, self._recent = source, recent
+        self.end: int | None = len(source.files)
         self.decoded = self.last = 0
 
     @property
     def count(self) -> int:
-        return len(self._files)
+        return self.end or 0
 
     def approach(self, index: int, ticket: int) -> None:
-        file, (width, height) = self._files[index], self._size
         try:
-            image = images.read(file)
-            if image.shape != (height, width, 3):
-                raise ValueError(f"is not {width}x{height} pixels")
-        except (OSError, ValueError) as error:  # a source ends here
-            del self._files[index:]
+            frame = self._source.frame(index)
+        except UnreadableError:  # a source ends here
             self.end = index
-            raise InputError(f"{file}: {images.reason(error)}; {images.remedy(error)}") from error
+            raise
         self.decoded += 1
-        self._recent.put(index, (float(index / self._fps), image), image.nbytes)
+        self._recent.put(index, (frame.time_s, frame.bgr), frame.bgr.nbytes)
 
     def stop(self) -> None: ...
 

@@ -6,6 +6,7 @@ import io
 import itertools
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,9 +18,9 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.video import cursors, stamps
-from facetrack_cli.video.recent import Recent, Turns
-from facetrack_cli.video.seek import Frames
-from facetrack_cli.video.source import open_source
+from facetrack_cli.video.cache import Cache
+from facetrack_cli.video.seek import Frames, Turns
+from facetrack_cli.video.source import Capture, open_source
 from tests.support import media
 from tests.support.samples import FOLDER
 
@@ -222,7 +223,7 @@ def test_stepping_through_neighbours_does_not_decode_them_again(long: Path) -> N
     frames, reader = jumping(long)
     with frames:
         assert media.number(frames.read(480).bgr) == 480 - 256
-        assert frames.decoded <= cursors.CHECKED + 1 + 240
+        assert frames.decoded <= stamps.CHECKED + 1 + 240
         for way in (range(479, 300, -1), range(301, 480), range(479, 300, -7)):
             before, jumps = frames.decoded, reader.jumps
             for index in way:
@@ -252,7 +253,7 @@ def test_a_far_frame_is_not_decoded_from_the_start(long: Path) -> None:
     frames, _ = jumping(long)
     with frames:
         frames.read(530)
-        assert frames.decoded < 530 - 500 + cursors.CHECKED + 10
+        assert frames.decoded < 530 - 500 + stamps.CHECKED + 10
         assert frames.count == 600 and not frames.exact
         with pytest.raises(InputError):
             frames.read(10**6)
@@ -291,7 +292,7 @@ def test_memory_is_flat_over_many_reads(long: Path) -> None:
             frames.read(index if place % 20 == 0 else min(max(reader.last - 1, 0), 599))
             assert frames._recent.bytes <= 30 * size
             assert len(reader._cursors) <= cursors.CURSORS
-        assert len(frames._recent._known) <= 30 and len(reader._heads) == cursors.CHECKED
+        assert len(frames._recent._known) <= 30
 
 
 # doubt
@@ -302,11 +303,11 @@ def test_stamps_that_differ_are_not_used(folder: Path) -> None:
     for shift in (0, 60):  # from the start, and from the middle on
         frames, reader = jumping(path)
         with frames:
-            good = reader._arrived
+            good = reader._stamps
             assert good is not None
             wrong = good.positions.copy()
             wrong[shift:] += 1e-6
-            reader._arrived = stamps.Stamps(wrong, good.keys, good.entries, good.indexed, good.counted)
+            reader._stamps = replace(good, positions=wrong)
             for index in (90, 99, 30, 70):
                 check(frames.read(index), expected[index])
             assert reader._stamps is None
@@ -331,9 +332,9 @@ def test_hidden_packets_of_vp8_and_vp9_are_no_frames() -> None:
         return b"\0" * 32 + b"".join(len(p).to_bytes(4, "little") + b"\0" * 8 + p for p in packets)
 
     vp8 = stream(b"\x10rest", b"\x01rest", b"\x11rest", b"")
-    assert stamps._shown(io.BytesIO(vp8), "vp8").tolist() == [True, False, True, False]
+    assert stamps._shown(io.BytesIO(vp8), "vp8", threading.Event()).tolist() == [True, False, True, False]
     vp9 = stream(b"\x82rest\0", b"\x84rest\0", b"\x86rest\0", b"\x84rest\xc9", b"\x88")
-    assert stamps._shown(io.BytesIO(vp9), "vp9").tolist() == [True, False, True, True, True]
+    assert stamps._shown(io.BytesIO(vp9), "vp9", threading.Event()).tolist() == [True, False, True, True, True]
 
 
 # several at once
@@ -391,7 +392,7 @@ def test_a_long_way_gives_way_to_who_asks_later(folder: Path) -> None:
         grab = reader._grab
         late = threading.Thread(target=lambda: (check(frames.read(5), expected[5]), done.append(5)))
 
-        def slow(cursor: cursors._Cursor) -> bool:
+        def slow(cursor: Capture) -> bool:
             if cursor.next == 50 and not late.ident:
                 late.start()
                 with frames._turns._condition:
@@ -415,7 +416,7 @@ def test_closing_while_another_thread_reads(long: Path) -> None:
         grab, begun = reader._grab, threading.Event()
         said: list[BaseException] = []
 
-        def slow(cursor: cursors._Cursor, grab=grab, begun=begun) -> bool:  # type: ignore[no-untyped-def]
+        def slow(cursor: Capture, grab=grab, begun=begun) -> bool:  # type: ignore[no-untyped-def]
             begun.set()
             return bool(grab(cursor))
 
@@ -482,8 +483,8 @@ def test_refusals_are_those_of_the_source(tmp_path: Path) -> None:
         Frames(media.write_video(tmp_path / "clip.mp4", frames=3), fps=Fraction(30))
 
 
-def test_recent_keeps_to_its_bytes() -> None:
-    recent: Recent[int, str] = Recent(10)
+def test_a_cache_keeps_to_its_bytes() -> None:
+    recent: Cache[int, str] = Cache(10)
     for key in range(4):
         recent.put(key, str(key), 4)
     assert [recent.get(key) for key in range(4)] == [None, None, "2", "3"] and recent.bytes == 8
