@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -50,7 +50,7 @@ def cause(text: str) -> str:
     return lines[-1] if lines else ""
 
 
-class Program:
+class Program(contextlib.AbstractContextManager["Program"]):
     """A running ffmpeg; a context manager. The terminal's Ctrl-C does not reach it, since its session is its own.
 
     `child` has the pipes that were asked for. Raises OSError or RuntimeError when it cannot be started.
@@ -72,9 +72,6 @@ class Program:
         self.child.wait()
         self._said.seek(0)
         return self._said.read().decode("utf-8", "replace")
-
-    def __enter__(self) -> Program:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.child.kill()  # harmless where it has ended
@@ -137,6 +134,11 @@ class Listing:
             yield from self._parse(program.child.stdout)
             self.messages = program.messages()
 
+    def time(self, packet: Packet) -> float:
+        """When a packet is shown, in seconds; -inf if unknown."""
+        stamp = packet.dts if packet.pts is None else packet.pts
+        return -math.inf if stamp is None else stamp * float(self.ticks[packet.stream])
+
     def _parse(self, lines: IO[bytes]) -> Iterator[Packet]:
         for line in lines:
             if line.startswith(b"#tb "):
@@ -151,41 +153,47 @@ class Listing:
                 yield Packet(int(fields[0]), dts, pts, int(fields[3]), flags, b"New Extradata" in line)
 
 
-@dataclass(frozen=True, slots=True)
-class Packets:
+class Ending(NamedTuple):
     """What reading a file to its end, without decoding, has shown. Times in seconds.
 
-    `duration_s` is what the container claims, None when it claims nothing; `video_s` the time from the first frame to
-    the last; `video_start_s` and `end_s` count from the container's start, `end_s` over video and audio. `damage` is
-    what ffmpeg said of missing or broken data, "" if nothing.
+    `claimed_s` is the duration that the container claims, 0 when it claims none; `video_s` the time from the first
+    frame to the last; `end_s` counts from the container's start, over video and audio. `damage` is what ffmpeg said of
+    missing or broken data, "" if nothing.
     """
 
-    duration_s: float | None
-    video_start_s: float
+    claimed_s: float
     video_s: float
     end_s: float
     damage: str
 
 
-def packets(path: Path, *, first_only: bool = False) -> Packets:
-    """Read all packets of a file, or only the first frame's; memory stays flat."""
-    streams = ("-frames:v", "1") if first_only else ("-map", "0:a?")
-    listing = Listing("-i", source_argument(path), "-map", "0:v:0", *streams, "-c", "copy")
-    first, last, end = None, 0.0, 0.0
+def ending(path: Path) -> Ending:
+    """Read all packets of a file; memory stays flat."""
+    listing = Listing("-i", source_argument(path), "-map", "0:v:0", "-map", "0:a?", "-c", "copy")
+    first, last, end = math.inf, -math.inf, 0.0
     for packet in listing:
-        stamp = packet.dts if packet.pts is None else packet.pts
-        if stamp is None:
-            continue
-        tick = float(listing.ticks[packet.stream])
-        time = stamp * tick
-        end = max(end, time + packet.duration * tick)
+        time, tick = listing.time(packet), listing.ticks[packet.stream]
+        end = max(end, time + packet.duration * float(tick))
         if packet.stream == 0 and time > -0.0005:  # what an edit list hides comes before 0
-            first, last = (time, time) if first is None else (min(first, time), max(last, time))
+            first, last = min(first, time), max(last, time)
     claimed = _DURATION.search(listing.messages)
-    duration_s = None
-    if claimed:
-        hours, minutes, seconds = claimed.groups()
-        duration_s = int(hours) * 3600 + int(minutes) * 60 + float(seconds)
+    hours, minutes, seconds = map(float, claimed.groups() if claimed else (0, 0, 0))
     damage = next((_PREFIX.sub("", line) for line in listing.messages.splitlines() if _DAMAGE.search(line)), "")
     damage = re.sub(r" \(.*?\)", "", damage).strip(" .")
-    return Packets(duration_s, first or 0.0, last - (first or 0.0), end, damage)
+    return Ending(hours * 3600 + minutes * 60 + seconds, max(last - first, 0.0), end, damage)
+
+
+def first_time(path: Path) -> float:
+    """When the first frame of a file is shown, in seconds from the container's start."""
+    listing = Listing("-i", source_argument(path), "-map", "0:v:0", "-frames:v", "1", "-c", "copy")
+    return max((listing.time(packet) for packet in listing), default=0.0)
+
+
+def container(path: Path) -> str:
+    """The family of a file's format by its first bytes: "mp4", "avi", "matroska", "mpeg" (program stream) or ""."""
+    with path.open("rb") as file:
+        head = file.read(12)
+    if head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide"):
+        return "mp4"
+    families = {b"RIFF": "avi", b"\x1a\x45\xdf\xa3": "matroska", b"\x00\x00\x01\xba": "mpeg"}
+    return families.get(head[:4], "")

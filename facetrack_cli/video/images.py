@@ -19,15 +19,8 @@ SUFFIXES = frozenset(
 # modes whose numbers are neither grey levels nor RGB
 _READ_AS = {
     "1": "L",
-    "P": "RGBA",
-    "PA": "RGBA",
-    "LA": "RGBA",
-    "La": "RGBA",
-    "RGBa": "RGBA",
-    "CMYK": "RGB",
-    "YCbCr": "RGB",
-    "LAB": "RGB",
-    "HSV": "RGB",
+    **dict.fromkeys(("P", "PA", "LA", "La", "RGBa"), "RGBA"),
+    **dict.fromkeys(("CMYK", "YCbCr", "LAB", "HSV"), "RGB"),
 }
 
 

@@ -18,10 +18,10 @@ import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import cast
 
 # OpenCV and its ffmpeg read these when they are loaded; their messages would mix with ours on stderr
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
@@ -37,10 +37,11 @@ if os.environ["OPENCV_LOG_LEVEL"] == "SILENT":  # where OpenCV was loaded before
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 FOLDER_FPS = Fraction(25)
+_AGAIN = "copy or download it again"
 _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by less than this
 
 
-class Source(ABC):
+class Source(AbstractContextManager["Source"], ABC):
     """Frames of one clip, iterable once; a context manager.
 
     Attributes: `path`; `name` for naming outputs; `size` (width, height) in pixels, rotation applied; `fps` the nominal
@@ -80,12 +81,7 @@ class Source(ABC):
         """End the iteration, also from another thread, and free the file; once closed, closing again does nothing."""
         self._closed = True
 
-    def __enter__(self) -> Source:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _cut(self, message: str) -> None:
@@ -136,8 +132,7 @@ class Capture:
 
     def image(self) -> Image | None:
         """The frame grabbed last as (H, W, 3) BGR, rotation applied; None if it cannot be decoded."""
-        image: Any = self._opencv.retrieve()[1]
-        return image
+        return cast("Image | None", self._opencv.retrieve()[1])
 
     def seek(self, frame: int) -> bool:
         """Grab the frame at which OpenCV arrives when told to go to that number, which may be a different one."""
@@ -215,30 +210,22 @@ class VideoSource(Source):
 
     def _judge_end(self, frames: int, last_s: float, period: float) -> None:
         """Say so if the file went on, or should have gone on, after the last frame that was decoded."""
-        claimed = self._capture.claimed
-        if claimed is not None and frames >= claimed and not _is_program_stream(self.path):
+        claimed = self._capture.claimed or 0
+        if frames >= claimed > 0 and ffmpeg.container(self.path) != "mpeg":
             return
         try:
-            packets = ffmpeg.packets(self.path)
-        except (OSError, RuntimeError, ValueError):  # no ffmpeg program: leave it at a count that is far off
-            if claimed is not None and frames < 0.9 * claimed:
+            claimed_s, video_s, end_s, damage = ffmpeg.ending(self.path)
+        except (OSError, RuntimeError, ValueError):  # no ffmpeg program: only a count that differs clearly is noticed
+            if frames < 0.9 * claimed:
                 self._cut(f"{self.path}: only {frames} of about {claimed} frames could be read; is the file complete?")
             return
-        duration = packets.duration_s or 0.0
-        if not (
-            packets.damage
-            or packets.video_s > last_s + max(0.5, 5 * period)
-            or packets.end_s < duration - max(1.0, 0.03 * duration)
-        ):
-            return
-        of = ""
-        if claimed is not None and claimed > frames:
-            of = f" of about {claimed} ({last_s + period:.1f} of {max(duration, claimed * period):.1f} s)"
-        how = f" ({packets.damage})" if packets.damage else ""
-        self._cut(
-            f"{self.path}: cut short or damaged{how}: {frames} frames{of} could be read; "
-            "copy or download the file again for the rest"
-        )
+        early = end_s < claimed_s - max(1.0, 0.03 * claimed_s)
+        if damage or early or video_s > last_s + max(0.5, 5 * period):
+            of = f" of about {claimed} ({last_s + period:.1f} of {max(claimed_s, claimed * period):.1f} s)"
+            self._cut(
+                f"{self.path}: cut short or damaged{f' ({damage})' if damage else ''}: {frames} frames"
+                f"{of if claimed > frames else ''} could be read; {_AGAIN} for the rest"
+            )
 
 
 class FolderSource(Source):
@@ -324,7 +311,7 @@ def _check_file(path: Path) -> None:
     except OSError as error:
         raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
     if empty:
-        raise InputError(f"{path}: the file is empty; copy or download it again")
+        raise InputError(f"{path}: the file is empty; {_AGAIN}")
     if path.suffix.lower() in images.SUFFIXES:
         raise InputError(f"{path}: a single image; give a video or the folder that holds the frames")
 
@@ -338,21 +325,13 @@ def _why_not(path: Path) -> InputError:
     # ffmpeg guesses MP4 from the name alone, so that any text called .mp4 lacks its moov
     if "moov atom not found" in found.messages and "low score" not in found.messages:
         return InputError(
-            f"{path}: the index of this MP4 (moov) is missing, its recording or download was cut off; copy it again"
+            f"{path}: the index of this MP4 (moov) is missing, its recording or download was cut off; {_AGAIN}"
         )
-    if found.video and found.video != "ansi":
-        if ffmpeg.packets(path).damage:
-            return InputError(f"{path}: cut short or damaged before its first frame; copy or download it again")
+    video = found.video is not None and found.video != "ansi"
+    if video and not ffmpeg.ending(path).damage:
         return InputError(f"{path}: the video cannot be decoded; convert it to MP4 (H.264)")
-    if found.audio:
+    if found.audio and not video:
         return InputError(f"{path}: holds sound but no video; give a video")
-    with path.open("rb") as file:
-        head = file.read(12)
-    if head[4:8] == b"ftyp" or head.startswith((b"RIFF", b"\x1a\x45\xdf\xa3")):  # MP4, AVI, Matroska
-        return InputError(f"{path}: cut short or damaged before its first frame; copy or download it again")
+    if video or ffmpeg.container(path) in ("mp4", "avi", "matroska"):
+        return InputError(f"{path}: cut short or damaged before its first frame; {_AGAIN}")
     return InputError(f"{path}: not a video; give a video file or a folder of images")
-
-
-def _is_program_stream(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(4) == b"\x00\x00\x01\xba"

@@ -15,7 +15,6 @@ import contextlib
 import subprocess
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 import numpy as np
@@ -33,12 +32,11 @@ _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up t
 _TICK_S = 1e-6  # of the pipe to the encoder
 
 
-class VideoWriter:
+class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     """Writes BGR frames of `size` (width, height) to an MP4 at `path`, which appears there when `close` is called.
 
-    `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from `audio_start_s` on its clock (default:
-    the time of the first frame written) to the end of the last frame. With `timestamps=False` the frames follow each
-    other at `fps`, whatever their times. Odd sizes are padded by one black line or column, which H.264 requires. With
+    `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from the time of the first frame written to
+    the end of the last one. Odd sizes are padded by one black line or column, which H.264 requires. With
     `replace=False` the finished file stays `beside` its path. `warnings` (one line each) says what could not be kept,
     `published` whether the file is at `path`. Raises OutputError when the file cannot be written.
     """
@@ -50,8 +48,6 @@ class VideoWriter:
         fps: Fraction,
         *,
         audio_from: Path | None = None,
-        audio_start_s: float | None = None,
-        timestamps: bool = True,
         replace: bool = True,
     ) -> None:
         self.path = path
@@ -62,8 +58,6 @@ class VideoWriter:
         # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 1/90000 s
         self._timescale = fps.numerator * -(-90000 // fps.numerator)
         self._audio_from = audio_from
-        self._audio_start_s = audio_start_s
-        self._timestamps = timestamps
         self._replace = replace
         self._frames = 0
         self._first_s = 0.0
@@ -99,10 +93,7 @@ class VideoWriter:
             self._pipe.write(_matroska_block(round(elapsed / _TICK_S), image.nbytes))
             self._pipe.write(np.ascontiguousarray(image).reshape(-1).data)
         except OSError as error:
-            self._closed = True
-            failure = self._failure(error)
-            self._drop()
-            raise failure from error
+            raise self._failure(error) from error
         self._last_tick = tick
         self._frames += 1
 
@@ -136,14 +127,8 @@ class VideoWriter:
             self._closed = True
             self._drop()
 
-    def __enter__(self) -> VideoWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        # what was written until an interruption is worth keeping, too
-        self.close()
+    def __exit__(self, *_: object) -> None:
+        self.close()  # what was written until an interruption is worth keeping, too
 
     @property
     def _target(self) -> Path:
@@ -155,8 +140,6 @@ class VideoWriter:
         return self._encoder.child.stdin
 
     def _tick(self, time_s: float) -> int:
-        if not self._timestamps:
-            return round(self._frames / self._fps * self._timescale)
         nearest = round(time_s * self._fps) / self._fps
         if abs(float(nearest) - time_s) <= min(_SNAP_S, 0.25 / float(self._fps)):
             return int(nearest * self._timescale)
@@ -189,9 +172,8 @@ class VideoWriter:
             codec = ffmpeg.contents(source).audio
             if codec is None:
                 return
-            start = self._first_s if self._audio_start_s is None else self._audio_start_s
             # our clock starts at the source's first frame, ffmpeg's at whatever comes first
-            start += ffmpeg.packets(source, first_only=True).video_start_s
+            start = self._first_s + ffmpeg.first_time(source)
             length = float((self._last_tick - self._first_tick) / Fraction(self._timescale) + 1 / self._fps)
             command = ["-v", "error", "-y", "-i", ffmpeg.source_argument(silent)]
             command += ["-itsoffset", f"{-start:.6f}", "-i", ffmpeg.source_argument(source)]
@@ -230,10 +212,11 @@ class VideoWriter:
 
     def _failure(self, error: OSError | None) -> OutputError:
         """What to raise once the encoder has failed: its own words, where it left any."""
+        self._closed = True
         with contextlib.suppress(OSError):
             self._pipe.close()
-        code = self._encoder.child.wait()
-        said = ffmpeg.cause(self._encoder.messages())
+        code, said = self._encoder.child.wait(), ffmpeg.cause(self._encoder.messages())
+        self._drop()
         if not said and code:
             how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
             return OutputError(

@@ -263,7 +263,7 @@ def test_refused_files(tmp_path: Path) -> None:
     assert "moov" in refusal(media.without_moov(tmp_path / "cut.mp4"))
     whole = media.write_video(tmp_path / "whole.mkv", frames=5)
     assert "before its first frame" in refusal(media.cut(whole, tmp_path / "nearly.mkv", 0.12))
-    assert "sound but no pictures" in refusal(media.sound_only(tmp_path / "tune.mp4"))
+    assert "sound but no video" in refusal(media.sound_only(tmp_path / "tune.mp4"))
     assert "pipe" in refusal(Path("-"))
 
 
@@ -274,7 +274,7 @@ def test_cover_picture_of_a_tune_is_no_video(tmp_path: Path) -> None:
         *("-f", "lavfi", "-i", "sine=d=1", "-i", cover, "-map", "0", "-map", "1", "-c:v", "copy"),
         *("-disposition:v", "attached_pic", path),
     )
-    assert "sound but no pictures" in refusal(path)
+    assert "sound but no video" in refusal(path)
 
 
 def test_single_picture_asks_for_the_folder(tmp_path: Path) -> None:

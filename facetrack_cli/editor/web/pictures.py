@@ -12,8 +12,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.types import Image
-from facetrack_cli.video.cache import Cache
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.seek import Cache, Frames
 
 CACHE_BYTES = 64 << 20
 REDUCTIONS = (1, 2, 4, 8)
