@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -24,12 +23,11 @@ from facetrack_cli.video.writer import VideoWriter
 def repaint(
     run: Run,
     rows: Rows,
-    to: Path,
     *,
     report: Report = lambda done, total: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[str, ...]:
-    """Write the MP4 `to`, as a run paints it, and say what could not be kept of it, a line each.
+    """Write the video of a run `beside` the one that it has, and say what could not be kept of it, a line each.
 
     Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
     """
@@ -37,7 +35,9 @@ def repaint(
     done = 0
     with open_source(run.clip, fps=run.fps, start=index.first, stop=index.last + 1) as source:
         overlay = Overlay(source.size, fps=float(source.fps), title=run.recipe.name)
-        video = VideoWriter(to, source.size, source.fps, audio_from=source.path if source.is_video else None)
+        sound = source.path if source.is_video else None
+        assert run.video is not None
+        video = VideoWriter(run.video, source.size, source.fps, audio_from=sound, replace=False)
         try:
             for frame in source:
                 if stop():

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import FULL, beside, discard
 from facetrack_cli.editor.files.journal import announce, finish, sweep
-from facetrack_cli.editor.files.rows import Rows
 from facetrack_cli.editor.files.run_folder import UNSAVED, Run
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.repaint import repaint
@@ -48,7 +47,7 @@ def save(
         sweep(run.folder)
         if run.video is not None and video:
             files.append(run.video)
-            said += _painted(run, rows, report, stop)
+            said += repaint(run, rows, report=report, stop=stop)
         for book in rows.index.books:
             at = book.path
             files.append(at)
@@ -72,16 +71,6 @@ def save(
     old += [path for path in (run.folder / PAGE,) if path.is_file()]
     said += [f"{path}: left as it was, it shows the track of before" for path in old]
     return [*(f"{path}: written" for path in files), *said]
-
-
-def _painted(run: Run, rows: Rows, report: Report, stop: Callable[[], bool]) -> Sequence[str]:
-    """Paint the video beside the old one."""
-    assert run.video is not None
-    part = beside(run.video)
-    try:
-        return repaint(run, rows, part, report=report, stop=stop)
-    except OutputError as e:
-        raise OutputError(str(e).replace(str(part), str(run.video))) from e
 
 
 def _check(run: Run) -> None:

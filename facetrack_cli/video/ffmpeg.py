@@ -30,11 +30,6 @@ _NO_TIME = -(2**63)
 _DURATION = re.compile(r"^  Duration: (\d+):(\d+):(\d+\.\d+)", re.MULTILINE)
 
 
-def executable() -> str:
-    """The path of the ffmpeg program; RuntimeError when there is none."""
-    return str(imageio_ffmpeg.get_ffmpeg_exe())
-
-
 def source_argument(path: Path) -> str:
     """The path as ffmpeg and OpenCV must be given it: absolute, so that no name reads as an option or a protocol."""
     return str(path.absolute())
@@ -51,13 +46,10 @@ def cause(text: str) -> str:
 
 
 class Program(contextlib.AbstractContextManager["Program"]):
-    """A running ffmpeg; a context manager. The terminal's Ctrl-C does not reach it, since its session is its own.
-
-    `child` has the pipes that were asked for. Raises OSError or RuntimeError when it cannot be started.
-    """
+    """A running ffmpeg, which the terminal's Ctrl-C does not reach. Raises OSError or RuntimeError if it cannot be."""
 
     def __init__(self, arguments: Sequence[str], *, stdin: int = subprocess.DEVNULL, stdout: int = subprocess.DEVNULL):
-        command = [executable(), "-nostdin", "-hide_banner", *arguments]
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", *arguments]
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - a file and not a pipe, which somebody would have to empty
         try:
             self.child = subprocess.Popen(
@@ -104,10 +96,7 @@ def contents(path: Path) -> Contents:
 
 
 class Packet(NamedTuple):
-    """One packet: its stream, times of decoding and of showing in ticks (None if unknown), duration in ticks, flags.
-
-    `new_header`: from here on the frames may be of another size.
-    """
+    """One packet; times of decoding and of showing in ticks. After a `new_header` frames may be of another size."""
 
     stream: int
     dts: int | None
@@ -118,9 +107,9 @@ class Packet(NamedTuple):
 
 
 class Listing:
-    """The packets that ffmpeg gives with `arguments`, in order; iterable once.
+    """The packets that ffmpeg gives with these arguments; iterable once.
 
-    `ticks` are the seconds of a tick by stream, `messages` what ffmpeg said; both are complete after the last packet.
+    `ticks` are the seconds of a tick by stream; `messages`, known after the last packet, is what ffmpeg said.
     """
 
     def __init__(self, *arguments: str) -> None:

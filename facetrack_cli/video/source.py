@@ -1,14 +1,13 @@
 """Where frames come from: a video file, or the images of a folder, as an iterable of `Frame`.
 
-A `Source` is read once, in order. Frames are counted from 0 of the file, also when reading starts later; `time_s` is
-counted from the file's first frame, by the file's own clock, and grows from frame to frame. The number of frames that
-a container claims is only used as a hint for progress bars.
+Frames are counted from 0 of the file, also when reading starts later; `time_s` counts from the file's first frame, by
+the file's own clock, and grows from frame to frame. The number of frames that a container claims is only a hint.
 
 A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what was
-lost. How that is found: a video whose frames are fewer than the container claims (or any MPEG program stream, which
-claims nothing) is read again without decoding, and counts as incomplete if the demuxer reports missing data, if the
-packets go on where the decoder stopped, or if they end clearly before the claimed duration. A cut is not seen in
-transport streams, Ogg and WMV when it falls between two packets: nothing in those files says that more should follow.
+lost. A video with fewer frames than the container claims (or any MPEG program stream, which claims nothing) is read
+again without decoding, and is incomplete if the demuxer reports missing data, if packets follow where the decoder
+stopped, or if they end clearly before the claimed duration. Transport streams, Ogg and WMV do not say that more should
+follow: in them a cut between two packets is not noticed.
 """
 
 from __future__ import annotations
@@ -44,24 +43,18 @@ _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by le
 class Source(AbstractContextManager["Source"], ABC):
     """Frames of one clip, iterable once; a context manager.
 
-    Attributes: `path`; `name` for naming outputs; `size` (width, height) in pixels, rotation applied; `fps` the nominal
-    rate; `variable` whether the times of frames differ from `fps` (None until known); `frames_hint` the likely number
-    of frames to come, for progress bars only; `is_video`; and, filled while iterating, `warnings` (one line each) and
-    `complete` (False once it is known that frames are missing).
+    `name` is for naming outputs, `size` (width, height) in pixels with rotation applied, `fps` the nominal rate.
     """
 
     def __init__(self, path: Path, name: str, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
-        self.path = path
-        self.name = name
-        self.size = size
-        self.fps = fps
-        self.variable: bool | None = None
-        self.frames_hint: int | None = None
+        self.path, self.name, self.size, self.fps = path, name, size, fps
         self.is_video = False
-        self.warnings: list[str] = []
-        self.complete = True
-        self._start = start
-        self._stop = stop
+        self.frames_hint: int | None = None  # the likely number of frames to come
+        # filled while iterating
+        self.variable: bool | None = None  # whether the times of frames differ from `fps`, once it is known
+        self.warnings: list[str] = []  # one line each
+        self.complete = True  # False once it is known that frames are missing
+        self._start, self._stop = start, stop
         self._begun = self._closed = False
 
     def __iter__(self) -> Iterator[Frame]:
@@ -167,7 +160,7 @@ class VideoSource(Source):
         super().__init__(path, path.stem, (image.shape[1], image.shape[0]), capture.fps, start, stop)
         self.is_video = True
         if capture.claimed is not None:
-            self.frames_hint = max((min(capture.claimed, stop) if stop else capture.claimed) - start, 0)
+            self.frames_hint = max(min(capture.claimed, stop or capture.claimed) - start, 0)
         self._capture = capture
         self._lock = threading.Lock()
 

@@ -1,12 +1,10 @@
 """Annotated frames to an MP4 that plays everywhere: H.264, yuv420p, the source's times and the source's sound.
 
-Every frame keeps its own time, so a clip of variable rate comes out with as many frames as were written, each shown
-when the source shows it, and nothing is repeated. Times within a millisecond of the nominal rate's grid are moved onto
-it, so that a clip of constant rate comes out with a strictly constant one.
-
-To carry those times the frames go to ffmpeg as uncompressed Matroska; a raw pipe (`imageio_ffmpeg.write_frames`) has no
-place for them, and would start the encoder in our process group, where the terminal's Ctrl-C ends it before the file is
-finished. The sound is copied in a second pass: if that fails, there is still the video.
+Every frame keeps its own time, and none is repeated. Times within a millisecond of the nominal rate's grid are moved
+onto it, so that a clip of constant rate comes out with a strictly constant one. To carry the times, the frames go to
+ffmpeg as uncompressed Matroska; a raw pipe (`imageio_ffmpeg.write_frames`) has no place for them, and would start the
+encoder where the terminal's Ctrl-C ends it before the file is finished. The sound is copied in a second pass: if that
+fails, there is still the video.
 """
 
 from __future__ import annotations
@@ -49,7 +47,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         *,
         audio_from: Path | None = None,
         replace: bool = True,
-    ) -> None:
+    ):
         self.path = path
         self.size = size
         self.warnings: list[str] = []
@@ -119,7 +117,12 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             whole = self._encoder.child.poll() == 0
             self._drop(keep=whole)
             if whole and self._replace:
-                self._publish()
+                try:
+                    publish(self.path)
+                    self.published = True
+                except OSError as error:
+                    discard(self.path)
+                    raise OutputError(f"{self.path}: {reason(error)}; choose another output folder") from error
 
     def discard(self) -> None:
         """Stop the encoder and leave no file, whatever stood at `path` before stays; does nothing once closed."""
@@ -182,17 +185,14 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             recode = ["-af", "atrim=start=0", "-c:a", "aac", "-b:a", "160k"]
             command += ["-c:a", "copy"] if codec in _COPIED_AUDIO else recode
             code, said = ffmpeg.run([*command, "-t", f"{length:.6f}", *self._as_mp4(mixed)])
-            if code == 0:
-                mixed.replace(silent)
-            else:
-                self._no_audio(ffmpeg.cause(said))
+            if code:
+                raise RuntimeError(ffmpeg.cause(said))
+            mixed.replace(silent)
         except (OSError, RuntimeError, ValueError) as error:
-            self._no_audio(reason(error))
+            why = reason(error)
+            self.warnings.append(f"{self.path}: written without sound, that of {source} cannot be used ({why})")
         finally:
             mixed.unlink(missing_ok=True)
-
-    def _no_audio(self, why: str) -> None:
-        self.warnings.append(f"{self.path}: written without sound, that of {self._audio_from} cannot be used ({why})")
 
     def _end_encoder(self) -> None:
         try:
@@ -201,14 +201,6 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             raise self._failure(error) from error
         if self._encoder.child.wait() != 0:
             raise self._failure(None)
-
-    def _publish(self) -> None:
-        try:
-            publish(self.path)
-            self.published = True
-        except OSError as error:
-            discard(self.path)
-            raise OutputError(f"{self.path}: {reason(error)}; choose another output folder") from error
 
     def _failure(self, error: OSError | None) -> OutputError:
         """What to raise once the encoder has failed: its own words, where it left any."""

@@ -51,9 +51,9 @@ def hidden(folder):
     return {path.name for path in folder.iterdir() if path.name.startswith(".")}
 
 
-@pytest.mark.parametrize("moment", range(7))
+@pytest.mark.parametrize("moment", range(6))
 def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, monkeypatch, moment):
-    """At the encoder's file, at the journal, and at each of the five files that take over."""
+    """At the journal, and at each of the five files that take over."""
     before, after, done = files_of(out), made[1], []
     replace = Path.replace
 
@@ -70,7 +70,7 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
         patch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
         with pytest.raises(Killed):
             save(fixer)
-    whole = moment > 1
+    whole = moment > 0
     with open_run(out) as opened:
         assert [one.frame for one in opened.start.corrections] == ([4] if whole else [])
     assert (out / UNSAVED).exists() != whole
@@ -85,7 +85,7 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
 def test_what_another_process_left_is_swept_away(made, out):
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait(60)
-    names = [".trajectory-{}.part.csv", "..annotated-{0}.part-{0}.part.mp4", ".mine-{}.csv"]
+    names = [".trajectory-{}.part.csv", ".annotated-{}.part.audio.mp4", ".mine-{}.csv"]
     for number in (gone.pid, os.getpid(), os.getppid(), 10**30):
         for name in names:
             (out / name.format(number)).write_text("x")

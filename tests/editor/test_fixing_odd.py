@@ -13,7 +13,6 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
-from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.files import run_folder
 from facetrack_cli.editor.files.run_folder import open_run
 from facetrack_cli.editor.history import Fixer, corrections_of
@@ -23,6 +22,7 @@ from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
+from facetrack_cli.video.writer import VideoWriter
 from tests.support.samples import FOLDER
 from tests.support.terminal import refusal
 
@@ -303,10 +303,10 @@ def test_a_video_that_cannot_be_written_is_called_by_its_name(short, tmp_path, m
     out = copied(short, tmp_path / "out")
     (out / "annotated.mp4").write_text("x")
 
-    def failed(run, rows, to, **_):
-        raise OutputError(f"{to}: the video cannot be written")
+    def failed(video, *_):
+        raise OutputError(f"{video.path}: the video cannot be written")
 
-    monkeypatch.setattr(saving, "repaint", failed)
+    monkeypatch.setattr(VideoWriter, "write", failed)
     with pytest.raises(OutputError) as refused:
         put(out, nose(8, 159, 140))
     assert str(refused.value) == f"{out / 'annotated.mp4'}: the video cannot be written"
