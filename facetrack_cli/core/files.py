@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.errors import OutputError, reason
 
 BLOCK = 1 << 16  # bytes held back before they are written
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -28,8 +28,8 @@ class ReaderGoneError(BrokenPipeError):
 def cannot_write(path: Path, error: OSError, remedy: str = "choose another place with --out") -> OutputError:
     """The one line for a file that cannot be written."""
     if error.errno in FULL:
-        return OutputError(f"{path}: the disk is full ({error.strerror}); free some space or {remedy}")
-    return OutputError(f"{path}: cannot be written: {error.strerror or error}; {remedy}")
+        return OutputError(f"{path}: the disk is full ({reason(error)}); free some space or {remedy}")
+    return OutputError(f"{path}: cannot be written: {reason(error)}; {remedy}")
 
 
 def beside(path: Path, process: int | None = None) -> Path:
@@ -200,17 +200,24 @@ def check_new(path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = ()
 
     Raises OutputError. Of `inputs`, those that are None or do not exist are ignored.
     """
+    check_file(path, overwrite=overwrite, inputs=inputs)
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file")
+
+
+def check_file(
+    path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = (), remedy: str = "name another file"
+) -> None:
+    """As `check_new`, for a file in a folder that is still to be made."""
     try:
         if path.is_dir():
-            raise OutputError(f"{path}: is a folder; name a file in it")
-        if path.exists() and any(same_file(path, given) for given in inputs if given is not None):
-            raise OutputError(f"{path}: is read here, and would be replaced; name another file")
-        if not overwrite:
-            _refuse_existing(path)
-        if not path.parent.is_dir():
-            raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file")
+            raise OutputError(f"{path}: is a folder, where a file is to be; {remedy}")
+        if any(same_file(path, given) for given in inputs if given is not None):
+            raise OutputError(f"{path}: is read here, and would be replaced; {remedy}")
+        if os.path.lexists(path) and not overwrite and not _is_stream(path):
+            raise OutputError(f"{path}: exists already; replace it with --overwrite, or {remedy}")
     except OSError as e:
-        raise cannot_write(path, e, "name another file") from None
+        raise cannot_write(path, e, remedy) from None
 
 
 def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
@@ -218,9 +225,8 @@ def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
 
     A device or a pipe is written to, never replaced.
     """
+    check_file(path, overwrite=overwrite)
     try:
-        if not overwrite:
-            _refuse_existing(path)
         if _is_stream(path):
             path.write_bytes(data)
         else:
@@ -228,11 +234,6 @@ def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
                 file.write(data)
     except OSError as e:
         raise cannot_write(path, e, "write it elsewhere") from None
-
-
-def _refuse_existing(path: Path) -> None:
-    if os.path.lexists(path) and not _is_stream(path):
-        raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
 
 
 def same_file(path: Path, other: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Files of plain arrays: an .npz that says what it is and of which version, written whole or not at all, no pickle."""
+"""Files of plain arrays: .npz without pickle, with a format and a version, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Kind:
-    """What a file holds: `format` and `version` in it, what people call it ("gallery"), the command that makes it."""
+    """A kind of file: `format` and `version` in it, what messages call it ("gallery"), the command that makes it."""
 
     format: str
     version: int
@@ -36,7 +36,7 @@ class Kind:
         write_new(path, buffer.getvalue(), overwrite=True)
 
     def read(self, path: Path, make: Callable[[Stored], T]) -> T:
-        """What `make` makes of the arrays. Raises InputError for any damage, and where `make` raises ValueError."""
+        """The object that `make` makes of the arrays. InputError for any damage, and where `make` raises ValueError."""
         remedy = f"make one with `{self.command}`"
         unusable = f"{path}: is not a usable {self.what}"
         try:
@@ -72,7 +72,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Stored:
-    """The arrays of a file, checked as they are taken: each method raises ValueError for what it does not find."""
+    """The arrays of a file: each method returns one, and raises ValueError if it is of another kind."""
 
     file: Any
 

@@ -5,34 +5,24 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import cannot_write, same_file, write_new
+from facetrack_cli.core.files import cannot_write, check_file, same_file, write_new
 
 
-def check_folder(path: Path, names: Sequence[str], *, overwrite: bool, inputs: Mapping[str, Path | None]) -> None:
-    """OutputError if files of these names cannot go into the folder `path`, or would replace or mix with `inputs`.
-
-    `inputs` are the paths that the command reads, by what a message calls them; None is ignored.
-    """
+def check_folder(path: Path, names: Sequence[str], *, overwrite: bool, inputs: Sequence[Path | None]) -> None:
+    """OutputError if files of these names cannot go into the folder `path`, or would replace or mix with `inputs`."""
     try:
         if path.exists() and not path.is_dir():
             raise OutputError(f"{path}: is a file, where a folder for the results is to be; name another with --out")
-        given = {what: one for what, one in inputs.items() if one is not None}
-        if any(same_file(path, one) for one in given.values()):
+        if any(same_file(path, given) for given in inputs if given is not None):
             raise OutputError(f"{path}: the results would go among the frames of the input; name another with --out")
-        for file in (path / name for name in names):
-            for what, one in given.items():
-                if same_file(file, one):
-                    raise OutputError(f"{file}: is the {what} itself; name another folder with --out")
-            if file.is_dir():
-                raise OutputError(f"{file}: is a folder, where a file of results is to be; name another with --out")
-            if os.path.lexists(file) and not overwrite:
-                raise OutputError(f"{file}: is there already; --overwrite replaces it, --out names another folder")
     except OSError as e:
         raise cannot_write(path, e) from e
+    for name in names:
+        check_file(path / name, overwrite=overwrite, inputs=inputs, remedy="name another folder with --out")
 
 
 def make_folder(path: Path) -> list[Path]:
@@ -69,7 +59,7 @@ class Folder:
         self._names, self._overwrite, self._clip = names, overwrite, clip
 
     def __enter__(self) -> Folder:
-        check_folder(self.path, self._names, overwrite=self._overwrite, inputs={"input": self._clip})
+        check_folder(self.path, self._names, overwrite=self._overwrite, inputs=[self._clip])
         self._made = make_folder(self.path)
         return self
 

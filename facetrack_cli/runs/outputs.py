@@ -38,8 +38,8 @@ def check(job: Job) -> None:
     if job.out is None:
         return
     init = job.init if isinstance(job.init, Path) else None
-    inputs = {"input": job.clip, "init file": init, "recipe": job.recipe.path}
-    check_folder(job.out, [path.name for path in planned(job).values()], overwrite=job.overwrite, inputs=inputs)
+    names = [path.name for path in planned(job).values()]
+    check_folder(job.out, names, overwrite=job.overwrite, inputs=(job.clip, init, job.recipe.path))
 
 
 class Outputs:
