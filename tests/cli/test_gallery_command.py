@@ -127,9 +127,7 @@ def test_what_is_there_is_not_replaced(facetrack):
     assert load_gallery(Path("gallery.npz")).names == NAMES
 
 
-@pytest.mark.parametrize(
-    "place", ["facetrack_cli.tracking.identity.people.find_faces", "facetrack_cli.core.files.publish"]
-)
+@pytest.mark.parametrize("place", ["tracking.identity.people.find_faces", "core.files.publish"])
 def test_an_interrupt_leaves_nothing_behind(facetrack, monkeypatch, place):
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
