@@ -46,7 +46,7 @@ def cause(text: str) -> str:
 
 
 class Program(contextlib.AbstractContextManager["Program"]):
-    """A running ffmpeg, which the terminal's Ctrl-C does not reach. Raises OSError or RuntimeError if it cannot be."""
+    """A running ffmpeg, which the terminal's Ctrl-C does not reach. OSError or RuntimeError if it cannot be started."""
 
     def __init__(self, arguments: Sequence[str], *, stdin: int = subprocess.DEVNULL, stdout: int = subprocess.DEVNULL):
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", *arguments]
@@ -78,21 +78,13 @@ def run(arguments: Sequence[str]) -> tuple[int, str]:
         return program.child.wait(), program.messages()
 
 
-class Contents(NamedTuple):
-    """What a file holds: the codecs of the first video and audio stream, None if there is none; ffmpeg's messages."""
-
-    video: str | None
-    audio: str | None
-    messages: str
-
-
-def contents(path: Path) -> Contents:
-    """Look at the head of a file. Does not raise for what the file holds."""
+def contents(path: Path) -> tuple[str, str, str]:
+    """The codecs of the first video and audio stream of a file, "" if there is none, and what ffmpeg says of it."""
     text = run(["-i", source_argument(path)])[1]
     streams = re.findall(r"^  Stream #0:\d+.*?: (Video|Audio): (\w+)(.*)$", text, re.MULTILINE)
     video = [codec for kind, codec, rest in streams if kind == "Video" and "(attached pic)" not in rest]
     audio = [codec for kind, codec, _ in streams if kind == "Audio"]
-    return Contents(next(iter(video), None), next(iter(audio), None), text)
+    return next(iter(video), ""), next(iter(audio), ""), text
 
 
 class Packet(NamedTuple):
@@ -142,22 +134,12 @@ class Listing:
                 yield Packet(int(fields[0]), dts, pts, int(fields[3]), flags, b"New Extradata" in line)
 
 
-class Ending(NamedTuple):
-    """What reading a file to its end, without decoding, has shown. Times in seconds.
+def ending(path: Path) -> tuple[float, float, float, str]:
+    """What reading all packets of a file shows, without decoding them; memory stays flat.
 
-    `claimed_s` is the duration that the container claims, 0 when it claims none; `video_s` the time from the first
-    frame to the last; `end_s` counts from the container's start, over video and audio. `damage` is what ffmpeg said of
-    missing or broken data, "" if nothing.
+    In seconds: the duration that the container claims, 0 if it claims none; the time from the first frame to the last;
+    the end of video and audio, from the container's start. Then what ffmpeg said of missing or broken data, or "".
     """
-
-    claimed_s: float
-    video_s: float
-    end_s: float
-    damage: str
-
-
-def ending(path: Path) -> Ending:
-    """Read all packets of a file; memory stays flat."""
     listing = Listing("-i", source_argument(path), "-map", "0:v:0", "-map", "0:a?", "-c", "copy")
     first, last, end = math.inf, -math.inf, 0.0
     for packet in listing:
@@ -169,7 +151,7 @@ def ending(path: Path) -> Ending:
     hours, minutes, seconds = map(float, claimed.groups() if claimed else (0, 0, 0))
     damage = next((_PREFIX.sub("", line) for line in listing.messages.splitlines() if _DAMAGE.search(line)), "")
     damage = re.sub(r" \(.*?\)", "", damage).strip(" .")
-    return Ending(hours * 3600 + minutes * 60 + seconds, max(last - first, 0.0), end, damage)
+    return hours * 3600 + minutes * 60 + seconds, max(last - first, 0.0), end, damage
 
 
 def first_time(path: Path) -> float:

@@ -25,7 +25,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.video.images import UnreadableError
 from facetrack_cli.video.source import Capture, FolderSource, open_source
-from facetrack_cli.video.stamps import Stamps, StoppedError, read_stamps
+from facetrack_cli.video.stamps import Stamps, read_stamps
 
 CACHE_BYTES = 256 << 20  # of decoded frames, the neighbours of those that were asked for
 CURSORS = 2  # captures that stay open; one of 4K may take 300 MB
@@ -194,7 +194,13 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
 
     def _approach(self, index: int, ticket: int) -> None:
         if self._folder is not None:
-            self._read_image(self._folder, index)
+            try:
+                frame = self._folder.frame(index)
+            except UnreadableError:  # a source ends here
+                self._end = index
+                raise
+            self.decoded += 1
+            self._recent.put(index, (frame.time_s, frame.bgr), frame.bgr.nbytes)
             return
         for further in (*_OTHER_KEYS, None):
             try:
@@ -205,15 +211,6 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
                 return
             except _LostError:
                 continue
-
-    def _read_image(self, folder: FolderSource, index: int) -> None:
-        try:
-            frame = folder.frame(index)
-        except UnreadableError:  # a source ends here
-            self._end = index
-            raise
-        self.decoded += 1
-        self._recent.put(index, (frame.time_s, frame.bgr), frame.bgr.nbytes)
 
     # --- captures ----------------------------------------------------------------------------------------------------
 
@@ -326,7 +323,7 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
             self._thread.start()
 
     def _read_stamps(self) -> None:
-        with contextlib.suppress(OSError, RuntimeError, ValueError, StoppedError):  # no ffmpeg program, or closed
+        with contextlib.suppress(OSError, RuntimeError, ValueError):  # no ffmpeg program, or closed
             stamps = read_stamps(self.path, self._closed)
             if not self._careful:
                 self._stamps = stamps

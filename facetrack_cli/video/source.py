@@ -43,11 +43,11 @@ _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by le
 class Source(AbstractContextManager["Source"], ABC):
     """Frames of one clip, iterable once; a context manager.
 
-    `name` is for naming outputs, `size` (width, height) in pixels with rotation applied, `fps` the nominal rate.
+    `size` (width, height) is in pixels with rotation applied, `fps` the nominal rate.
     """
 
-    def __init__(self, path: Path, name: str, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
-        self.path, self.name, self.size, self.fps = path, name, size, fps
+    def __init__(self, path: Path, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
+        self.path, self.size, self.fps = path, size, fps
         self.is_video = False
         self.frames_hint: int | None = None  # the likely number of frames to come
         # filled while iterating
@@ -154,10 +154,10 @@ class VideoSource(Source):
         capture = Capture(path)
         image = capture.image() if capture.grab() else None
         # the cover image of a music file is a video of 90,000 frames a second for OpenCV
-        if image is None or capture.is_text or (capture.rate > 1000 and ffmpeg.contents(path).video is None):
+        if image is None or capture.is_text or (capture.rate > 1000 and not ffmpeg.contents(path)[0]):
             capture.release()
             raise _why_not(path)
-        super().__init__(path, path.stem, (image.shape[1], image.shape[0]), capture.fps, start, stop)
+        super().__init__(path, (image.shape[1], image.shape[0]), capture.fps, start, stop)
         self.is_video = True
         if capture.claimed is not None:
             self.frames_hint = max(min(capture.claimed, stop or capture.claimed) - start, 0)
@@ -228,21 +228,20 @@ class FolderSource(Source):
     `images.read` says what becomes of 16 bits, transparency and orientation.
     """
 
-    def __init__(self, path: Path, name: str, files: Sequence[Path], fps: Fraction, start: int, stop: int | None):
-        super().__init__(path, name, (0, 0), fps, start, stop)
+    def __init__(self, path: Path, files: Sequence[Path], fps: Fraction, start: int, stop: int | None):
+        super().__init__(path, (0, 0), fps, start, stop)
         if start >= len(files):
             raise self._past_end(len(files))
-        self.variable = False
-        self.files = files
-        self._end = len(files) if stop is None else min(stop, len(files))
-        self.frames_hint = self._end - start
-        height, width = images.read(files[start]).shape[:2]
+        self.variable, self.files = False, files
+        read = files[start:stop]
+        self.frames_hint = len(read)
+        height, width = images.read(read[0]).shape[:2]
         self.size = width, height
-        for file in files[start + 1 : self._end]:
+        for file in read[1:]:
             size = images.header_size(file)
             if size is not None and size != self.size:
                 raise InputError(
-                    f"{file}: {size[0]}x{size[1]} pixels, but {files[start].name} has {width}x{height}; "
+                    f"{file}: {size[0]}x{size[1]} pixels, but {read[0].name} has {width}x{height}; "
                     "a folder must hold frames of one size"
                 )
 
@@ -251,13 +250,14 @@ class FolderSource(Source):
         return Frame(index, float(index / self.fps), images.read(self.files[index], self.size))
 
     def _frames(self) -> Iterator[Frame]:
-        for index in range(self._start, self._end):
+        total = len(self.files)
+        for index in range(total)[self._start : self._stop]:
             if self._closed:
                 return
             try:
                 frame = self.frame(index)
             except images.UnreadableError as error:
-                file, total = self.files[index], len(self.files)
+                file = self.files[index]
                 self._cut(f"{file}: {error.why}; stopped after {index} of {total} frames, {error.remedy}")
                 return
             yield frame
@@ -279,8 +279,7 @@ def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop
     if files is not None:
         if not files:
             raise InputError(f"{path}: no images in this folder; {', '.join(sorted(images.SUFFIXES))} are read")
-        folder = path if path.is_dir() else path.parent
-        return FolderSource(path, folder.resolve().name, files, fps or FOLDER_FPS, start, stop)
+        return FolderSource(path, files, fps or FOLDER_FPS, start, stop)
     _check_file(path)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for image folders only")
@@ -312,18 +311,18 @@ def _check_file(path: Path) -> None:
 def _why_not(path: Path) -> InputError:
     """Why a file gave no frame."""
     try:
-        found = ffmpeg.contents(path)
+        video, audio, messages = ffmpeg.contents(path)
     except (OSError, RuntimeError):
         return InputError(f"{path}: no video that can be decoded; convert it to MP4 (H.264)")
     # ffmpeg guesses MP4 from the name alone, so that any text called .mp4 lacks its moov
-    if "moov atom not found" in found.messages and "low score" not in found.messages:
+    if "moov atom not found" in messages and "low score" not in messages:
         return InputError(
             f"{path}: the index of this MP4 (moov) is missing, its recording or download was cut off; {_AGAIN}"
         )
-    video = found.video is not None and found.video != "ansi"
-    if video and not ffmpeg.ending(path).damage:
+    video = video.replace("ansi", "")
+    if video and not ffmpeg.ending(path)[-1]:
         return InputError(f"{path}: the video cannot be decoded; convert it to MP4 (H.264)")
-    if found.audio and not video:
+    if audio and not video:
         return InputError(f"{path}: holds sound but no video; give a video")
     if video or ffmpeg.container(path) in ("mp4", "avi", "matroska"):
         return InputError(f"{path}: cut short or damaged before its first frame; {_AGAIN}")

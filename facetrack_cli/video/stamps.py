@@ -51,17 +51,13 @@ class Stamps:
     indexed: bool
 
 
-class StoppedError(Exception):
-    """Reading was stopped from another thread."""
-
-
 def read_stamps(path: Path, stop: threading.Event) -> Stamps | None:
     """The stamps of a video; None where they cannot be trusted.
 
-    Memory is a few bytes a frame. Raises OSError, RuntimeError or ValueError when ffmpeg cannot be asked, StoppedError
-    once `stop` is set.
+    Memory is a few bytes a frame. Raises OSError, RuntimeError or ValueError when ffmpeg cannot be asked, among them
+    InterruptedError once `stop` is set.
     """
-    codec = ffmpeg.contents(path).video or ""
+    codec = ffmpeg.contents(path)[0]
     capture = Capture(path)
     heads = [capture.position for _ in range(CHECKED) if capture.grab()]
     capture.release()
@@ -101,7 +97,7 @@ def _packets(listing: ffmpeg.Listing, stop: threading.Event) -> Whole | None:
     values = array("q")
     for packet in listing:
         if stop.is_set():
-            raise StoppedError
+            raise InterruptedError
         if packet.new_header and values:
             return None
         values.extend(_NO_TIME if value is None else value for value in (packet.pts, packet.dts, packet.flags))
@@ -114,7 +110,7 @@ def _shown(pipe: IO[bytes], codec: str, stop: threading.Event) -> Mask:
     pipe.read(32)
     while len(header := pipe.read(12)) == 12:
         if stop.is_set():
-            raise StoppedError
+            raise InterruptedError
         data = pipe.read(int.from_bytes(header[:4], "little"))
         if not data:
             shown.append(False)

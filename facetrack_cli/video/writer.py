@@ -172,8 +172,8 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             return
         mixed = silent.with_suffix(".audio.mp4")
         try:
-            codec = ffmpeg.contents(source).audio
-            if codec is None:
+            _, codec, _ = ffmpeg.contents(source)
+            if not codec:
                 return
             # our clock starts at the source's first frame, ffmpeg's at whatever comes first
             start = self._first_s + ffmpeg.first_time(source)
