@@ -174,6 +174,7 @@ class VideoSource(Source):
         shape = (self.size[1], self.size[0], 3)
         index, time = 0, 0.0
         while stop is None or index < stop:
+            image = None  # free the last one before the next is decoded
             with self._lock:
                 if self._closed:
                     return
