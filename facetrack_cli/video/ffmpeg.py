@@ -38,11 +38,9 @@ def source_argument(path: Path) -> str:
 def cause(text: str) -> str:
     """The cause of a failure in ffmpeg's messages: the error of the system if there is one, else their last line."""
     system = _CAUSE.search(text)
-    if system:
-        return system.group()
     lines = [_PREFIX.sub("", line).strip() for line in text.splitlines()]
     lines = [line for line in lines if line and not line.startswith(("Last message repeated", "Conversion failed"))]
-    return lines[-1] if lines else ""
+    return system.group() if system else "".join(lines[-1:])
 
 
 class Program(contextlib.AbstractContextManager["Program"]):

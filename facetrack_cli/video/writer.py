@@ -209,13 +209,12 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             self._pipe.close()
         code, said = self._encoder.child.wait(), ffmpeg.cause(self._encoder.messages())
         self._drop()
+        remedy = "free some space"
         if not said and code:
-            how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
-            return OutputError(
-                f"{self.path}: the video cannot be written (ffmpeg {how}); run it again or use --no-video"
-            )
+            said = f"ffmpeg was killed by signal {-code}" if code < 0 else f"ffmpeg ended with code {code}"
+            remedy = "run it again"
         said = said or (reason(error) if error else "ffmpeg ended early")
-        return OutputError(f"{self.path}: the video cannot be written ({said}); free some space or use --no-video")
+        return OutputError(f"{self.path}: the video cannot be written ({said}); {remedy} or use --no-video")
 
     def _drop(self, *, keep: bool = False) -> None:
         """End the encoder, and unless `keep` remove the file."""
