@@ -31,9 +31,9 @@ def make(path: Path, size: str, seconds: int) -> Path:
     """A clip of a moving pattern, 25 frames/s."""
     source = f"testsrc2=size={size}:rate=25:duration={seconds}"
     encoder = ["-c:v", "libx264", "-preset", "superfast", "-bf", "2", "-g", "250", "-pix_fmt", "yuv420p"]
-    done = ffmpeg.run(["-v", "error", "-y", "-f", "lavfi", "-i", source, *encoder, str(path)])
-    if done.returncode:
-        raise RuntimeError(ffmpeg.cause(done.stderr))
+    code, said = ffmpeg.run(["-v", "error", "-y", "-f", "lavfi", "-i", source, *encoder, str(path)])
+    if code:
+        raise RuntimeError(ffmpeg.cause(said))
     return path
 
 

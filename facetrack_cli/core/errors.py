@@ -1,10 +1,10 @@
 """What can go wrong, and the exit code of each.
 
-FacetrackError            1  our fault
+FacetrackError            1  internal error
 ├── UsageError            2  the command line
 │   ├── RecipeError       2  a recipe, with file, line and column where known
-│   └── OutputError       2  the output cannot be written: permission, full disk, in the way
-└── InputError            3  a clip, an init file, a prior or a truth file
+│   └── OutputError       2  the output cannot be written: permission, full disk, another file there
+└── InputError            3  a clip, an init file, a prior or a ground truth file
 
 Every message is one line that names the file, the place and the remedy. `RecipeError` may carry a second part, the
 excerpt with a caret, in `excerpt`.
@@ -45,3 +45,10 @@ class OutputError(UsageError):
 
 class InputError(FacetrackError):
     exit_code = ExitCode.INPUT
+
+
+def reason(error: Exception) -> str:
+    """The message of an exception on one line, at most 120 characters, without the path that the caller names."""
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    text = " ".join(str(text).split())
+    return text if len(text) <= 120 else text[:117] + "..."

@@ -1,7 +1,8 @@
-"""Where text results go: a file that appears when it is whole, or a stream.
+"""Writing results: files that appear, or are replaced, when they are whole; and streams.
 
-A file is written under a temporary name beside its own. On a full disk it keeps the records that fit: its end is
-written over the last of them, in room that the file already has, so a closed file is a valid one.
+Every file is written under a temporary name `beside` its own and then renamed. A symbolic link stays one: the file that
+it leads to is replaced. On a full disk `FileSink` keeps the records that fit: the end of the file is written over the
+last of them, in space that the file already has, so a closed file is always valid.
 """
 
 from __future__ import annotations
@@ -10,30 +11,63 @@ import contextlib
 import errno
 import os
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.errors import OutputError, reason
 
 BLOCK = 1 << 16  # bytes held back before they are written
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class ReaderGoneError(BrokenPipeError):
-    """The program that reads our standard output has had enough."""
+    """The program that reads our standard output has closed it."""
 
 
-def refused(path: Path, error: OSError) -> OutputError:
+def cannot_write(path: Path, error: OSError, remedy: str = "choose another place with --out") -> OutputError:
     """The one line for a file that cannot be written."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return OutputError(
-            f"{path}: the disk is full ({error.strerror}); free some space or write elsewhere with --out"
-        )
-    return OutputError(f"{path}: cannot be written: {error.strerror or error}; choose another place with --out")
+    if error.errno in FULL:
+        return OutputError(f"{path}: the disk is full ({reason(error)}); free some space or {remedy}")
+    return OutputError(f"{path}: cannot be written: {reason(error)}; {remedy}")
+
+
+def beside(path: Path, process: int | None = None) -> Path:
+    """The temporary name under which this process, or the one of that number, writes what will replace `path`."""
+    whole = Path(os.path.realpath(path))
+    return whole.with_name(f".{whole.stem}-{os.getpid() if process is None else process}.part{whole.suffix}")
+
+
+def publish(path: Path) -> None:
+    """Rename the file `beside` a path to it. Raises OSError."""
+    beside(path).replace(os.path.realpath(path))
+
+
+def discard(path: Path) -> None:
+    """Remove the file `beside` a path, if there is one."""
+    with contextlib.suppress(OSError):
+        beside(path).unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def replacing(path: Path, *, sync: bool = False) -> Iterator[BinaryIO]:
+    """A file that replaces `path` at the end of the block; after an exception, Ctrl-C too, `path` is as it was.
+
+    With `sync` its bytes are on the disk before it does. Raises OSError.
+    """
+    try:
+        with beside(path).open("wb") as file:
+            yield file
+            if sync:
+                file.flush()
+                os.fsync(file.fileno())
+        publish(path)
+    finally:
+        discard(path)
 
 
 def _bytes(text: str) -> bytes:
-    # a file name that is no UTF-8 holds lone surrogates; escaped they are still valid JSON
+    # a file name that is not UTF-8 holds lone surrogates; escaped they are still valid JSON
     return text.encode(errors="backslashreplace")
 
 
@@ -45,11 +79,10 @@ class FileSink:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.temporary = path.with_name(f".{path.stem}-{os.getpid()}.part{path.suffix}")
         try:
             self._file: BinaryIO = self._open()
         except OSError as e:
-            raise refused(path, e) from e
+            raise cannot_write(path, e) from e
         self._buffer = bytearray()
         self._flushed = 0  # bytes in the file
         self._records = 0
@@ -58,7 +91,7 @@ class FileSink:
         self.published = False  # whether the file stands at `path`
 
     def _open(self) -> BinaryIO:
-        return self.temporary.open("wb", buffering=0)
+        return beside(self.path).open("wb", buffering=0)
 
     def write(self, record: str) -> None:
         data = _bytes(record)
@@ -83,7 +116,7 @@ class FileSink:
                 raise
             self._rename()
         except OSError as e:
-            raise refused(self.path, e) from e
+            raise cannot_write(self.path, e) from e
         finally:
             self.discard()
 
@@ -91,8 +124,8 @@ class FileSink:
         """Close and remove the temporary file, if it is still there."""
         with contextlib.suppress(OSError):
             self._file.close()
-        with contextlib.suppress(OSError):
-            self.temporary.unlink(missing_ok=True)
+        if not self.published:
+            discard(self.path)
 
     def _flush(self) -> None:
         view = memoryview(bytes(self._buffer))
@@ -103,14 +136,14 @@ class FileSink:
                 view = view[n:]
         except OSError as e:
             self._full = True
-            raise refused(self.path, e) from e
+            raise cannot_write(self.path, e) from e
         self._buffer.clear()
-        # two blocks of record ends are enough to find room for the tail in
+        # two blocks of record ends are enough to find space for the tail
         while len(self._ends) > 1 and self._ends[0] < self._flushed - 2 * BLOCK:
             self._ends.popleft()
 
     def _cut(self, tail: Callable[[int], str]) -> None:
-        """End the file within the bytes that reached it, after as many whole records as leave room."""
+        """End the file within the bytes that reached it, after as many whole records as leave space for the tail."""
         kept = self._records
         while self._ends:
             end = _bytes(tail(kept))
@@ -126,17 +159,17 @@ class FileSink:
 
     def _rename(self) -> None:
         self._file.close()
-        self.temporary.replace(self.path)
+        publish(self.path)
         self.published = True
 
 
 class StreamSink:
-    """Records to an open binary stream, each passed on at once. Raises ReaderGoneError when nobody reads any more."""
+    """Records to an open binary stream, each passed on at once. ReaderGoneError when the reader has closed it."""
 
     def __init__(self, stream: BinaryIO, name: str = "standard output") -> None:
         self.path = None
         self.published = False
-        # past the buffer: what a reader did not take must not be tried again at exit
+        # unbuffered: what a reader did not take must not be written again at exit
         self._stream = getattr(stream, "raw", stream)
         self._name = name
         self._records = 0
@@ -159,57 +192,58 @@ class StreamSink:
         except BrokenPipeError as e:
             raise ReaderGoneError from e
         except OSError as e:
-            raise refused(Path(self._name), e) from e
+            raise cannot_write(Path(self._name), e) from e
 
 
 def check_new(path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = ()) -> None:
     """Refuse before the work what `write_new` would refuse after it, and a file that the work is made from.
 
-    Raises OutputError. Of `inputs`, those that are None or not there are passed over.
+    Raises OutputError. Of `inputs`, those that are None or do not exist are ignored.
     """
+    check_file(path, overwrite=overwrite, inputs=inputs)
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file")
+
+
+def check_file(
+    path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = (), remedy: str = "name another file"
+) -> None:
+    """As `check_new`, for a file in a folder that is still to be made."""
     try:
         if path.is_dir():
-            raise OutputError(f"{path}: is a folder; name a file in it")
-        if path.exists() and any(_is_same(path, given) for given in inputs if given is not None):
-            raise OutputError(f"{path}: is read here, and would be replaced; name another file")
+            raise OutputError(f"{path}: is a folder, where a file is to be; {remedy}")
+        if any(same_file(path, given) for given in inputs if given is not None):
+            raise OutputError(f"{path}: is read here, and would be replaced; {remedy}")
         if os.path.lexists(path) and not overwrite and not _is_stream(path):
-            raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
-        if not path.parent.is_dir():
-            raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file")
+            raise OutputError(f"{path}: exists already; replace it with --overwrite, or {remedy}")
     except OSError as e:
-        raise OutputError(f"{path}: cannot be written: {e.strerror or e}; name another file") from None
+        raise cannot_write(path, e, remedy) from None
 
 
 def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
-    """All of a small file or nothing. OutputError if it exists and `overwrite` is not set, or cannot be written.
+    """Write a small file whole or not at all. OutputError if it exists without `overwrite`, or cannot be written.
 
-    A link stays one: the file that it leads to is replaced. A device or a pipe is written to, never replaced.
+    A device or a pipe is written to, never replaced.
     """
+    check_file(path, overwrite=overwrite)
     try:
         if _is_stream(path):
             path.write_bytes(data)
-            return
-        if not overwrite and os.path.lexists(path):
-            raise OutputError(f"{path}: exists already; replace it with --overwrite, or name another file")
-        whole = Path(os.path.realpath(path))
-        part = whole.with_name(f".{whole.name}.{os.getpid()}.part")
-        try:
-            part.write_bytes(data)
-            part.replace(whole)
-        finally:  # also on Ctrl-C
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
+        else:
+            with replacing(path) as file:
+                file.write(data)
     except OSError as e:
-        raise OutputError(f"{path}: cannot be written: {e.strerror or e}; write it elsewhere") from None
+        raise cannot_write(path, e, "write it elsewhere") from None
 
 
-def _is_same(path: Path, other: Path) -> bool:
+def same_file(path: Path, other: Path) -> bool:
+    """Whether both exist and are the same file or folder."""
     try:
         return path.samefile(other)
-    except (OSError, ValueError):  # it is not there, may not be looked at, or no name at all
+    except (OSError, ValueError):  # one of them does not exist, cannot be looked at, or is not a valid name
         return False
 
 
 def _is_stream(path: Path) -> bool:
-    """Whether there is a device or a pipe: to put a file in the place of /dev/null would break the whole machine."""
+    """Whether `path` is a device or a pipe: a file in the place of /dev/null would break the whole machine."""
     return path.exists() and not path.is_file() and not path.is_dir()

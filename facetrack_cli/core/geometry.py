@@ -1,4 +1,4 @@
-"""Boxes, points and outlines in the picture."""
+"""Boxes, points and outlines in an image. Pixel centres are whole numbers."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from facetrack_cli.core.types import Array, Box, Point
 def iou(a: Array, b: Array, size: tuple[int, int] | None = None) -> Array:
     """(T,) intersection over union of boxes a and b (T, 4), 0..1; nan where one of them has nan.
 
-    As got10k has it (`rect_iou`): 2.2e-16 is added to the union, so that two empty boxes have 0; it shows only where
+    As in got10k (`rect_iou`), 2.2e-16 is added to the union, so that two empty boxes have 0; it matters only where
     boxes are far smaller than a pixel. A box of negative width or height is empty.
 
-    With `size` (width, height) of the picture, boxes are first clipped to it as GOT-10k does: the corner is moved
-    inside, then the width is cut at the border. A box that sticks out on the left is thus moved, and keeps its width.
+    With `size` (width, height) of the image, boxes are first clipped to it as GOT-10k does: the corner is moved inside,
+    then the width is cut at the border. A box that extends beyond the left border is thus moved, and keeps its width.
     """
     if size is not None:
         a, b = _clip(a, size), _clip(b, size)
@@ -31,6 +31,23 @@ def iou(a: Array, b: Array, size: tuple[int, int] | None = None) -> Array:
 def _clip(boxes: Array, size: tuple[int, int]) -> Array:
     corner = np.clip(boxes[:, :2], 0.0, size)
     return np.concatenate([corner, np.clip(boxes[:, 2:], 0.0, size - corner)], axis=1)
+
+
+def overlap(a: Box, b: Box) -> float:
+    """Intersection over union of two boxes, 0..1."""
+    return float(iou(np.array([a], np.float64), np.array([b], np.float64))[0])
+
+
+def common_area(a: Box, b: Box) -> float:
+    """Area of the intersection of two boxes, in pixels squared."""
+    across = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
+    down = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
+    return max(across, 0) * max(down, 0)
+
+
+def centre(box: Box) -> Point:
+    """The centre of a box over whole pixels, between its first and its last pixel."""
+    return box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2
 
 
 def corners(affine: Array, centre: Array, size: Array) -> Array:
@@ -54,17 +71,5 @@ def size_of_points(x0: Array) -> float:
 
 
 def inside(point: Point, size: tuple[int, int]) -> bool:
-    """Whether a point is on a pixel of a picture of that (width, height)."""
+    """Whether a point is on a pixel of an image of that (width, height)."""
     return -0.5 <= point[0] <= size[0] - 0.5 and -0.5 <= point[1] <= size[1] - 0.5
-
-
-def centre_inside(box: Box, size: tuple[int, int]) -> bool:
-    """Whether the centre of a box is on a pixel of the picture; its edges may stand out, as a face may."""
-    return inside((box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2), size)
-
-
-def common_area(a: Box, b: Box) -> float:
-    """Of two boxes, in pixels squared."""
-    across = min(a[0] + a[2], b[0] + b[2]) - max(a[0], b[0])
-    down = min(a[1] + a[3], b[1] + b[3]) - max(a[1], b[1])
-    return max(across, 0) * max(down, 0)

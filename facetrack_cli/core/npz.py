@@ -1,8 +1,8 @@
-"""Files of plain arrays: an .npz that says what it is and of which version, written whole or not at all, no pickle."""
+"""Files of plain arrays: .npz without pickle, with a format and a version, written whole or not at all."""
 
 from __future__ import annotations
 
-import os
+import io
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -13,14 +13,15 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.files import write_new
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a file holds: `format` and `version` in it, what people call it ("gallery"), the command that makes it."""
+    """A kind of file: `format` and `version` in it, what messages call it ("gallery"), the command that makes it."""
 
     format: str
     version: int
@@ -30,19 +31,12 @@ class Kind:
     def write(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Equal arrays give equal bytes. Raises OutputError."""
         whole: dict[str, Any] = {"format": np.array(self.format), "version": np.array(self.version, "<i8"), **arrays}
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-        try:
-            try:
-                with temporary.open("wb") as file:
-                    np.savez(file, **whole)
-                temporary.replace(path)
-            finally:
-                temporary.unlink(missing_ok=True)
-        except OSError as e:
-            raise OutputError(f"{path}: cannot be written: {e.strerror or e}; name another file with -o") from e
+        buffer = io.BytesIO()
+        np.savez(buffer, **whole)
+        write_new(path, buffer.getvalue(), overwrite=True)
 
     def read(self, path: Path, make: Callable[[Stored], T]) -> T:
-        """What `make` makes of the arrays. Raises InputError for any damage, and where `make` raises ValueError."""
+        """The object that `make` makes of the arrays. InputError for any damage, and where `make` raises ValueError."""
         remedy = f"make one with `{self.command}`"
         unusable = f"{path}: is not a usable {self.what}"
         try:
@@ -78,7 +72,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Stored:
-    """The arrays of a file, checked as they are taken: each method raises ValueError for what it does not find."""
+    """The arrays of a file: each method returns one, and raises ValueError if it is of another kind."""
 
     file: Any
 

@@ -1,4 +1,4 @@
-"""How numbers and names are written into results: the bytes of a file follow from the values."""
+"""Numbers and names as results hold them: equal values give equal bytes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def fixed(decimals: int) -> Callable[[Any], str]:
-    """Writes a number with so many decimals; "" for None and what is not finite, and never a minus zero."""
+    """A function that writes a number with so many decimals; "" for None and what is not finite, and never -0."""
     spec, zero = f".{decimals}f", f"{0:.{decimals}f}"
 
     def text(value: Any) -> str:
@@ -31,7 +31,7 @@ def dumps(value: object) -> str:
 
 
 def clock(seconds: float) -> str:
-    """Seconds as h:mm:ss.cc, without the hours if there are none."""
+    """Seconds as h:mm:ss.cc, without the hours if there are none; "-:--" for what is not finite."""
     if not math.isfinite(seconds):
         return "-:--"
     hundredths = round(abs(seconds) * 100)

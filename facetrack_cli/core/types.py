@@ -16,24 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
-
-
 Image: TypeAlias = NDArray[np.uint8]
-Whole: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
 Texts: TypeAlias = NDArray[np.str_]
-
-
+Whole: TypeAlias = NDArray[np.int64]
+Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 Extent: TypeAlias = tuple[float, float, float, float]  # x from, y from, x to, y to
+Point: TypeAlias = tuple[float, float]
 
-
-# one step asks for the particles once more, and for a few single states in between
-MOST_REMEMBERED = 8
+BOX = "box"  # the one part of a target that is tracked as a box
+MOST_REMEMBERED = 8  # a step asks for the particles twice, and for a few single states in between
 
 
 @dataclass(slots=True)
 class Frame:
-    """One picture of the source: its 0-based index there, its time in seconds, and its pixels.
+    """One frame of the source: its 0-based index there, its time in seconds, and its pixels `bgr` (H, W, 3).
 
     What is derived from the pixels is computed when first asked for, once, and only where it is needed.
     """
@@ -51,34 +48,34 @@ class Frame:
         return self.bgr.shape[1], self.bgr.shape[0]
 
     def reduced(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
-        """The picture reduced by `factor`, a power of two (area means), at least within `extent`.
+        """The image reduced by `factor`, a power of two (area means), at least within `extent`.
 
-        Returns it with the place (left, top) in the whole picture at which it begins. Blocks are counted from the
-        picture's corner, so that the same place has the same mean in every frame and whatever else is asked for;
-        pixels beyond the last whole block are left out.
+        Returns it with the point (left, top) of the whole image at which it begins. Blocks are counted from the corner
+        of the image, so that a block has the same mean in every frame and whatever else is asked for; pixels beyond the
+        last whole block are left out.
         """
         if factor == 1:
             return self.bgr, 0, 0
         known = self._reduced.get(factor)
         if known is None or not _within(extent, known[3]):
-            # some more all around, since the next call of this frame asks for nearly the same place
+            # with a margin, since the next call of this frame asks for nearly the same place
             asked = _widened(extent, 6.0 * factor)
             known = self._reduced[factor] = (*self._reduce(factor, asked), asked)
         return known[0], known[1], known[2]
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
-        """The picture in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
+        """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
         known = self._grey.get(factor)
         if known is None or not _within(extent, known[3]):
             # what is reduced is widened there already
             asked = _widened(extent, 6.0) if factor == 1 else extent
-            picture, left, top = self.reduced(factor, asked)
+            image, left, top = self.reduced(factor, asked)
             asked = asked if factor == 1 else self._reduced[factor][3]
-            height, width = picture.shape[:2]
-            # what is reduced is already hardly more than the extent; the whole picture is much more
+            height, width = image.shape[:2]
+            # what is reduced is already hardly more than the extent; the whole image is much more
             x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
             y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
-            grey = np.asarray(cv2.cvtColor(picture[y0:y1, x0:x1], cv2.COLOR_BGR2GRAY), np.uint8)
+            grey = np.asarray(cv2.cvtColor(image[y0:y1, x0:x1], cv2.COLOR_BGR2GRAY), np.uint8)
             known = self._grey[factor] = grey, left + x0 * factor, top + y0 * factor, asked
         return known[0], known[1], known[2]
 
@@ -88,7 +85,7 @@ class Frame:
         return None if known is None else known[1]
 
     def remember(self, key: Hashable, of: Array, values: NDArray[np.float32]) -> None:
-        """Keeps `values` for `remembered`, and the last few others, and `of`, whose id may be part of the key."""
+        """Keep `values` for `remembered`, with the last few others, and `of`, whose id may be part of the key."""
         if len(self._patches) >= MOST_REMEMBERED:
             del self._patches[next(iter(self._patches))]
         self._patches[key] = of, values
@@ -97,10 +94,10 @@ class Frame:
         width, height = (max(side // factor, 1) for side in self.size)
         left, right = _blocks(extent[0], extent[2], factor, width)
         top, bottom = _blocks(extent[1], extent[3], factor, height)
-        # by halves, for which OpenCV has a fast path: other factors take four times as long
-        picture, x, y = self.reduced(factor // 2, (left * factor, top * factor, right * factor, bottom * factor))
+        # by halves, which OpenCV computes four times as fast as other factors
+        image, x, y = self.reduced(factor // 2, (left * factor, top * factor, right * factor, bottom * factor))
         dx, dy = 2 * x // factor, 2 * y // factor
-        region = picture[2 * top - dy : 2 * bottom - dy, 2 * left - dx : 2 * right - dx]
+        region = image[2 * top - dy : 2 * bottom - dy, 2 * left - dx : 2 * right - dx]
         small = cv2.resize(region, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
         return small.astype(np.uint8, copy=False), left * factor, top * factor
 
@@ -137,15 +134,6 @@ class Info(NamedTuple):
     ess: Array
 
 
-BOX = "box"  # the one part of a target that is followed as a box
-
-
-Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
-
-
-Point: TypeAlias = tuple[float, float]
-
-
 @dataclass(frozen=True, slots=True)
 class TargetStart:
     """Where one target is in the first frame: a box, named points, or both; `windows` override the recipe's (w, h)."""
@@ -157,11 +145,11 @@ class TargetStart:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What is put right by hand of one target at one frame, from which it begins anew.
+    """What is corrected by hand of one target at one frame, from which it begins anew.
 
     `given`: its box, or points of it, as in a start, without windows. `kept`: where its other points were; what is
-    neither given nor kept stays where the tracker sees it. `absent`: parts that are not to be seen from there on, True
-    for all of them. `learn`: whether what it looks like is learned anew there; None: of what is given.
+    neither given nor kept stays where the tracker has it. `absent`: parts that cannot be seen from there on, True for
+    all of them. `learn`: whether the appearance is learned anew there; None: of what is given.
     """
 
     frame: int
@@ -172,15 +160,15 @@ class Correction:
     learn: bool | None = None
 
     def hidden(self, parts: Sequence[str]) -> tuple[str, ...]:
-        """Those of `parts` that are not to be seen from there on."""
+        """Those of `parts` that cannot be seen from there on."""
         return tuple(part for part in parts if self.absent is True or part in self.absent)
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where a track begins: the source frame, each target, and what said so (a file's path, "haar", "--box").
+    """Where a track begins: the source frame, each target, and the origin of both (a file's path, "haar", "--box").
 
-    `corrections` follow in the order of their frames, all after `frame`; no target has two in one frame.
+    `corrections` are in the order of their frames, all after `frame`; no target has two in one frame.
     """
 
     frame: int

@@ -1,8 +1,8 @@
-"""YAML 1.2 text as a tree whose every value knows its place, so that an error can point at it.
+"""YAML 1.2 text as a tree of values with their places, so that an error can point at one.
 
-What hand-written settings never need and what makes them dangerous or ambiguous is refused: anchors and aliases (a few
-lines can expand to gigabytes), tags, repeated keys, keys that are not names, several documents, numbers that are not
-finite. Plain scalars follow the core schema of YAML 1.2.2, section 10.3.2: `1e-3` is a number, `no` a text, `010` ten.
+What settings do not need and what makes them dangerous or ambiguous is refused: anchors and aliases (a few lines can
+expand to gigabytes), tags, repeated keys, keys that are not names, several documents, numbers that are not finite.
+Plain scalars follow the core schema of YAML 1.2.2, section 10.3.2: `1e-3` is a number, `no` a text, `010` ten.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
 )
 
-MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe is a page
+MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a page
 MAX_DEPTH = 20
 EXCERPT_WIDTH = 100
 
@@ -58,7 +58,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Where something stands in a source: line and columns, counted from 0; `end` is one past its last character."""
+    """A place in a source: line and columns, counted from 0; `end` is one past its last character."""
 
     source: Source
     line: int
@@ -66,7 +66,7 @@ class Span:
     end: int
 
     def excerpt(self) -> str:
-        """The line, and a line of carets under the place; "" where there is no text."""
+        """The line, and carets below the place; "" where there is no text."""
         if not self.source.text:
             return ""
         lines = _lines(self.source.text)
@@ -82,7 +82,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong, where, and what to do about it."""
+    """One error: its place and a message with the remedy."""
 
     span: Span
     message: str
@@ -93,7 +93,7 @@ class Problem:
 
 @dataclass(slots=True)
 class Node:
-    """A value and its place; `key` is the place of the key it stands under, if any."""
+    """A value and its place; `key` is the place of its key, if it has one."""
 
     span: Span
     value: Scalar | list[Node] | dict[str, Node]
@@ -296,7 +296,7 @@ class _Reader:
         self.problems.append(Problem(self.span(event), message))
 
     def refuse_alias(self, event: Any, message: str) -> None:
-        if not self.seen_alias:  # a bomb holds hundreds: the first says enough
+        if not self.seen_alias:  # once is enough where there are hundreds
             self.refuse(event, message)
         self.seen_alias = True
 
@@ -311,12 +311,12 @@ class _Reader:
         if error.problem == "mapping values are not allowed here":
             return Problem(span, "a second colon; put the text in quotes if it belongs to it, or begin a new line")
         about = " ".join(filter(None, (error.context, error.problem)))
-        return Problem(span, f"not valid YAML: {' '.join(about.split())}; mend the text at or before this place")
+        return Problem(span, f"not valid YAML: {' '.join(about.split())}; correct the text at or before this place")
 
     def unreadable(self, error: Exception) -> Problem:
         position = getattr(error, "position", None)
         if not isinstance(position, int):
-            return Problem(self.at(0, 0, 1), f"not valid YAML: {' '.join(str(error).split())}; mend the text")
+            return Problem(self.at(0, 0, 1), f"not valid YAML: {' '.join(str(error).split())}; correct the text")
         lines = _lines(self.source.text[self.start :][:position])
         span = self.at(len(lines) - 1, len(lines[-1]), len(lines[-1]) + 1)
         return Problem(span, "a control character, which YAML does not allow; remove it")
@@ -327,12 +327,12 @@ class _TooDeep(Exception):  # noqa: N818  (never leaves this file)
 
 
 def _lines(text: str) -> list[str]:
-    """Lines as YAML counts them, so that its marks fit; there is always one."""
+    """The lines as YAML counts them, as its marks do; at least one."""
     return re.split(r"\r\n|[\n\r\x85\u2028\u2029]", text)
 
 
 def printable(text: str) -> str:
-    """The text with what would break a line or a terminal replaced."""
+    """The text without what would break a line or a terminal."""
     return "".join(char if char.isprintable() else " " if char == "\t" else "?" for char in text)
 
 

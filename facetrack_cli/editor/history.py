@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start
-from facetrack_cli.editor.retrack import Read, Report, Task, Tracking, spans
+from facetrack_cli.editor.retrack import Read, Report, Task, Tracking, frames_of
 from facetrack_cli.editor.run_folder import Run
 from facetrack_cli.editor.tracks import Store, Track, spliced
 from facetrack_cli.tracking.corrected import completed, is_complete
@@ -155,7 +155,7 @@ class Fixer:
                     plan.pop(0)
             # each round goes through the frames of its tasks once
             rounds = [tasks, *([one for one in row if one] for row in zip_longest(*_after(plans, tasks)))]
-            left = sum(stop - first for tasks_ in rounds for first, stop in spans(tasks_))
+            left = sum(stop - first for tasks_ in rounds for first, stop in frames_of(tasks_))
             total = max(total, done + left)
 
             def told(n: int, _: int, before: int = done, total: int = total) -> None:
@@ -167,7 +167,7 @@ class Fixer:
                 found[task.target].append(shorter or track)
                 ends[task.target] = track
                 plans[task.target].pop(0)
-            done += sum(stop - first for first, stop in spans(tasks))
+            done += sum(stop - first for first, stop in frames_of(tasks))
         begins = [track.begin for tracks in found.values() for track in tracks if track.begin is not None]
         became = self._ordered([*begins, *(one for one in corrections if one.frame > self.run.last)])
         for name, tracks in found.items():

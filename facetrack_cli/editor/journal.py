@@ -15,15 +15,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.files import beside, replacing
 
 JOURNAL: Final = ".saving.json"
-_PART: Final = re.compile(r"\..+-(\d+)\.fixed\b")
-
-
-def beside(path: Path, number: int | None = None) -> Path:
-    """Where a process, this one unless its `number` is given, writes what is to replace a file; a link stays one."""
-    whole = Path(os.path.realpath(path))
-    return whole.with_name(f".{whole.stem}-{os.getpid() if number is None else number}.fixed{whole.suffix}")
+_PART: Final = re.compile(r"\..+-(\d+)\.part\b")
 
 
 def announce(folder: Path, files: Iterable[Path], instead: Sequence[Path] = ()) -> None:
@@ -37,17 +32,8 @@ def announce(folder: Path, files: Iterable[Path], instead: Sequence[Path] = ()) 
             os.fsync(whole.fileno())
         names[path.name] = _stamp(path)
     record = {"process": os.getpid(), "files": names, "gone": [path.name for path in instead]}
-    journal = folder / JOURNAL
-    part = beside(journal)
-    try:
-        with part.open("w", encoding="utf-8") as file:
-            json.dump(record, file)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(journal)
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
+    with replacing(folder / JOURNAL, sync=True) as file:
+        file.write(json.dumps(record).encode())
 
 
 def finish(folder: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,12 +21,11 @@ from facetrack_cli.video.writer import VideoWriter
 def repaint(
     run: Run,
     rows: Trajectory,
-    to: Path,
     *,
     report: Report = lambda done, total: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[str, ...]:
-    """Write the MP4 `to`, as a run paints it, and say what could not be kept of it, a line each.
+    """Write the video of a run `beside` the one that it has, and say what could not be kept of it, a line each.
 
     Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
     """
@@ -35,7 +33,9 @@ def repaint(
     done = 0
     with open_source(run.clip, fps=run.fps, start=run.first, stop=run.last + 1) as source:
         overlay = Overlay(source.size, fps=float(source.fps), title=run.recipe.name)
-        video = VideoWriter(to, source.size, source.fps, audio_from=source.path if source.is_video else None)
+        sound = source.path if source.is_video else None
+        assert run.video is not None
+        video = VideoWriter(run.video, source.size, source.fps, audio_from=sound, replace=False)
         try:
             for frame in source:
                 if stop():

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.spans import union
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.editor.run_folder import Run
 from facetrack_cli.editor.tracks import Store, Track
@@ -67,7 +68,7 @@ class Tracking:
         A target has one task at most. Raises StoppedError once `stop` says so, InputError if the clip is not the run's.
         """
         live = [_Live(self._run, task, self._first()) for task in tasks]
-        frames = spans(tasks)
+        frames = frames_of(tasks)
         total = sum(stop - first for first, stop in frames)
         done = 0
         for first, end in frames:
@@ -157,12 +158,6 @@ class _Live:
         return Track(self.task.target, self.task.begin, self.task.first, self.task.stop, store.add(rows))
 
 
-def spans(tasks: Sequence[Task]) -> list[tuple[int, int]]:
-    """(first, stop) of the frames that any task wants, in their order, those that touch put together."""
-    found: list[tuple[int, int]] = []
-    for first, stop in sorted((task.first, task.stop) for task in tasks):
-        if found and first <= found[-1][1]:
-            found[-1] = found[-1][0], max(found[-1][1], stop)
-        else:
-            found.append((first, stop))
-    return found
+def frames_of(tasks: Iterable[Task]) -> list[tuple[int, int]]:
+    """[first, stop) of the frames that any task needs, in order."""
+    return union((task.first, task.stop) for task in tasks)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.files import FULL, beside, discard
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.journal import announce, beside, finish, sweep
+from facetrack_cli.editor.journal import announce, finish, sweep
 from facetrack_cli.editor.repaint import repaint
 from facetrack_cli.editor.retrack import Report
 from facetrack_cli.editor.run_folder import UNSAVED, Run, stamp, write_rows
@@ -19,7 +19,6 @@ from facetrack_cli.runs.clip import past_end
 from facetrack_cli.tracking.start import write_init
 from facetrack_cli.tracking.start.init_writer import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED
-from facetrack_cli.trajectory.trajectory import Trajectory
 
 
 class _Plain:
@@ -34,9 +33,6 @@ class _Plain:
 
     def finish(self, tail: Callable[[int], str]) -> None:
         self._file.write(tail(self._records).encode(errors="backslashreplace"))
-
-
-_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def save(
@@ -63,7 +59,7 @@ def save(
         sweep(run.folder)
         if run.video is not None and video:
             files.append(run.video)
-            said += _painted(run, rows, report, stop)
+            said += repaint(run, rows, report=report, stop=stop)
         for form, (path, _) in run.files.items():
             at = path
             files.append(at)
@@ -76,11 +72,10 @@ def save(
         announce(run.folder, files, [run.folder / UNSAVED])
     except BaseException as e:
         for path in files:
-            with contextlib.suppress(OSError):
-                beside(path).unlink(missing_ok=True)
+            discard(path)
         if not isinstance(e, OSError):
             raise
-        remedy = "free some space" if e.errno in _FULL else "make it writable"
+        remedy = "free some space" if e.errno in FULL else "make it writable"
         raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
     finish(run.folder)
     said += past_end(fixer.corrections, run.last, str(run.folder / CORRECTED))
@@ -88,16 +83,6 @@ def save(
     old += [path for path in (run.folder / PAGE,) if path.is_file()]
     said += [f"{path}: left as it was, it shows the track of before" for path in old]
     return [*(f"{path}: written" for path in files), *said]
-
-
-def _painted(run: Run, rows: Trajectory, report: Report, stop: Callable[[], bool]) -> Sequence[str]:
-    """Paint the video beside the old one."""
-    assert run.video is not None
-    part = beside(run.video)
-    try:
-        return repaint(run, rows, part, report=report, stop=stop)
-    except OutputError as e:
-        raise OutputError(str(e).replace(str(part), str(run.video))) from e
 
 
 def _check(run: Run) -> None:

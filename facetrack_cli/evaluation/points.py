@@ -157,7 +157,7 @@ def _of_target(target: str, parts: Sequence[Rows]) -> list[Occlusion]:
         at = np.searchsorted(frames, part.frame)
         covered[at, k] = part.covered
         near[at, k], judged[at, k], by_hand[at, k] = part.near, part.judged, part.by_hand
-    stretches = list(spans(np.any(covered, axis=1)))
+    stretches = spans(np.any(covered, axis=1))
     nexts = [*[first for first, _ in stretches], len(frames)][1:]
     found = []
     for (first, end), until in zip(stretches, nexts, strict=True):

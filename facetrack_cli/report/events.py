@@ -14,7 +14,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from facetrack_cli.core.spans import stretches
+from facetrack_cli.core.spans import spans
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -158,7 +158,7 @@ def history_of(table: Trajectory, clock: Clock) -> RunHistory:
     mean = np.divide(total, known, out=np.full(len(total), np.inf), where=known > 0)
     return RunHistory(
         parts=tuple(parts),
-        episodes=tuple(Stretch(int(clock.frames[a]), int(clock.frames[b])) for a, b in stretches(any_lost)),
+        episodes=tuple(Stretch(int(clock.frames[a]), int(clock.frames[b - 1])) for a, b in spans(any_lost)),
         frames_lost=int(any_lost.sum()),
         worst=int(clock.frames[np.argmin(mean)]) if known.any() else None,
         corrections=_corrections(table, [part.name for part in parts]),
@@ -176,25 +176,25 @@ def _corrections(table: Trajectory, names: Sequence[str]) -> tuple[CorrectedFram
 
 def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
     sure, frames, status = one.confidence, one.frame.tolist(), one.status
-    spans = []
-    for a, b in stretches(status == "lost"):
-        ends = b + 1 < len(frames)
-        stop = clock.at(frames[b + 1]) if ends else clock.after(frames[b])
-        back = frames[b + 1] if ends and status[b + 1] != "absent" else None
-        seconds, by_hand = stop - clock.at(frames[a]), ends and bool(one.corrected[b + 1])
-        spans.append(LostSpan(name, frames[a], frames[b], back, b - a + 1, seconds, _least(sure[a : b + 1]), by_hand))
+    lost = []
+    for a, b in spans(status == "lost"):
+        ends = b < len(frames)
+        stop = clock.at(frames[b]) if ends else clock.after(frames[b - 1])
+        back = frames[b] if ends and status[b] != "absent" else None
+        seconds, by_hand = stop - clock.at(frames[a]), ends and bool(one.corrected[b])
+        lost.append(LostSpan(name, frames[a], frames[b - 1], back, b - a, seconds, _least(sure[a:b]), by_hand))
     known = np.isfinite(sure)
     tracked = sure[(status != "init") & known]
     return PartHistory(
         name=name,
         rows=len(one),
-        spans=tuple(spans),
+        spans=tuple(lost),
         mean=float(tracked.mean()) if len(tracked) else math.nan,
         lowest=_least(sure),
         worst=frames[np.nanargmin(sure)] if known.any() else frames[0],
         last_status=str(status[-1]),
         judged=bool((status != "init").any() or known.any()),
-        absences=tuple(Stretch(frames[a], frames[b]) for a, b in stretches(status == "absent")),
+        absences=tuple(Stretch(frames[a], frames[b - 1]) for a, b in spans(status == "absent")),
         frames_absent=int((status == "absent").sum()),
     )
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import platform
 import sys
 from collections.abc import Callable, Sequence
@@ -12,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import FileSink, StreamSink, refused
+from facetrack_cli.core.files import FileSink, StreamSink
+from facetrack_cli.core.output_folder import check_folder, make_folder, remove_folders
 from facetrack_cli.trajectory.trajectory import Collector
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Header, Writer
 
@@ -39,30 +38,9 @@ def check(job: Job) -> None:
     """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
     if job.out is None:
         return
-    try:
-        if job.out.exists() and not job.out.is_dir():
-            raise OutputError(f"{job.out}: is a file, where a folder for the results is to be; name another with --out")
-        if _same(job.out, job.clip):
-            raise OutputError(f"{job.out}: the results would go among the frames of the input; name another with --out")
-        for path in planned(job).values():
-            _check_file(path, job)
-    except OSError as e:
-        raise refused(job.out, e) from e
-
-
-def _check_file(path: Path, job: Job) -> None:
-    inputs = {"input": job.clip, "init file": job.init, "recipe": job.recipe.path}
-    for what, given in inputs.items():
-        if isinstance(given, Path) and _same(path, given):
-            raise OutputError(f"{path}: is the {what} itself; name another folder with --out")
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder, where a file of results is to be; name another folder with --out")
-    if os.path.lexists(path) and not job.overwrite:
-        raise OutputError(f"{path}: is there already; --overwrite replaces it, --out names another folder")
-
-
-def _same(one: Path, other: Path) -> bool:
-    return one.exists() and other.exists() and one.samefile(other)
+    init = job.init if isinstance(job.init, Path) else None
+    names = [path.name for path in planned(job).values()]
+    check_folder(job.out, names, overwrite=job.overwrite, inputs=(job.clip, init, job.recipe.path))
 
 
 class Receiver(Protocol):
@@ -128,12 +106,7 @@ class Outputs:
         if out is None:
             self._sinks = [StreamSink(sys.stdout.buffer)]  # a stream that is closed says so when it is written
             return self
-        try:
-            missing = [folder for folder in (out, *out.parents) if not folder.exists()]
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as e:
-            raise refused(out, e) from e
-        self._made = missing
+        self._made = make_folder(out)
         try:
             for form in self._job.formats:
                 self._sinks.append(FileSink(out / f"trajectory.{form}"))
@@ -198,9 +171,7 @@ class Outputs:
             sink.discard()
         if self._video is not None:
             self._video.discard()
-        for folder in self._made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+        remove_folders(self._made)
 
 
 def _versions() -> dict[str, str]:

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import BOX, Box, Frame
 from facetrack_cli.trajectory.trajectory import Status, TargetResult, one_part
 
@@ -112,9 +113,9 @@ class OpenCvTarget:
             )
         return left, top, right - left, bottom - top
 
-    def _result(self, frame: Frame, box: tuple[float, ...], status: Status) -> TargetResult:
-        left, top, w, h = box
-        place = {"x": [left + (w - 1) / 2], "y": [top + (h - 1) / 2], "w": [w], "h": [h]}
+    def _result(self, frame: Frame, box: Box, status: Status) -> TargetResult:
+        x, y = centre(box)
+        place = {"x": [x], "y": [y], "w": [box[2]], "h": [box[3]]}
         rows = one_part(self.name, BOX, [frame.index], time_s=[frame.time_s], status=[status], **place)
         return TargetResult(rows, NO_CLOUD)
 

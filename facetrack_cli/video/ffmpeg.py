@@ -1,18 +1,21 @@
-"""Questions put to the ffmpeg program that imageio-ffmpeg carries: what a file holds, how much of it can be read."""
+"""The ffmpeg program of imageio-ffmpeg: what a file holds, and its packets, which are read without decoding."""
 
 from __future__ import annotations
 
+import contextlib
+import math
 import re
 import subprocess
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import IO, NamedTuple
 
 import imageio_ffmpeg
 
-# what demuxers say when data ends early or is not what the index promised
+KEY, CORRUPT, DISCARD = 1, 2, 4  # libavcodec's flags of a packet
+# what demuxers say when data ends early or differs from the index
 _DAMAGE = re.compile(
     r"partial file|ended prematurely|packet corrupt|corrupt input packet|invalid as first byte|"
     r"exceeds (?:max length|containing)|truncat",
@@ -23,13 +26,8 @@ _CAUSE = re.compile(
     r"Permission denied"
 )
 _PREFIX = re.compile(r"^(?:\[[^\]]*\] )+")
-_NO_TIME = str(-(2**63))  # how framecrc prints a packet without a time stamp
+_NO_TIME = -(2**63)
 _DURATION = re.compile(r"^  Duration: (\d+):(\d+):(\d+\.\d+)", re.MULTILINE)
-
-
-def executable() -> str:
-    """The path of the ffmpeg program; RuntimeError when there is none."""
-    return str(imageio_ffmpeg.get_ffmpeg_exe())
 
 
 def source_argument(path: Path) -> str:
@@ -38,111 +36,133 @@ def source_argument(path: Path) -> str:
 
 
 def cause(text: str) -> str:
-    """The cause of a failure in ffmpeg's messages: the system's word if there is one, else their last line."""
+    """The cause of a failure in ffmpeg's messages: the error of the system if there is one, else their last line."""
     system = _CAUSE.search(text)
-    if system:
-        return system.group()
     lines = [_PREFIX.sub("", line).strip() for line in text.splitlines()]
     lines = [line for line in lines if line and not line.startswith(("Last message repeated", "Conversion failed"))]
-    return lines[-1] if lines else ""
+    return system.group() if system else "".join(lines[-1:])
 
 
-def run(arguments: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """Run ffmpeg to its end, out of reach of the terminal's Ctrl-C; its output is text."""
-    return subprocess.run(
-        [executable(), "-nostdin", "-hide_banner", *arguments],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        encoding="utf-8",
-        errors="replace",
-        check=False,
-        start_new_session=True,
-    )
+class Program(contextlib.AbstractContextManager["Program"]):
+    """A running ffmpeg, which the terminal's Ctrl-C does not reach. OSError or RuntimeError if it cannot be started."""
+
+    def __init__(self, arguments: Sequence[str], *, stdin: int = subprocess.DEVNULL, stdout: int = subprocess.DEVNULL):
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", *arguments]
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - a file and not a pipe, which somebody would have to empty
+        try:
+            self.child = subprocess.Popen(
+                command, stdin=stdin, stdout=stdout, stderr=self._said, start_new_session=True
+            )
+        except BaseException:
+            self._said.close()
+            raise
+
+    def messages(self) -> str:
+        """What it has printed to stderr, once it has ended."""
+        self.child.wait()
+        self._said.seek(0)
+        return self._said.read().decode("utf-8", "replace")
+
+    def __exit__(self, *_: object) -> None:
+        self.child.kill()  # harmless where it has ended
+        with contextlib.suppress(OSError):  # what a pipe still held is lost
+            self.child.__exit__(None, None, None)  # closes the pipes and waits
+        self._said.close()
 
 
-@dataclass(frozen=True, slots=True)
-class Contents:
-    """What a file holds: whether there are moving pictures, the codec of the first sound, and ffmpeg's words."""
-
-    video: bool
-    audio: str | None
-    messages: str
+def run(arguments: Sequence[str]) -> tuple[int, str]:
+    """Run ffmpeg to its end: exit code and messages."""
+    with Program(arguments) as program:
+        return program.child.wait(), program.messages()
 
 
-def contents(path: Path) -> Contents:
-    """Look at the head of a file. Never raises for what the file holds."""
-    text = run(["-i", source_argument(path)]).stderr
+def contents(path: Path) -> tuple[str, str, str]:
+    """The codecs of the first video and audio stream of a file, "" if there is none, and what ffmpeg says of it."""
+    text = run(["-i", source_argument(path)])[1]
     streams = re.findall(r"^  Stream #0:\d+.*?: (Video|Audio): (\w+)(.*)$", text, re.MULTILINE)
-    video = any(kind == "Video" and "(attached pic)" not in rest for kind, _, rest in streams)
-    audio = next((codec for kind, codec, _ in streams if kind == "Audio"), None)
-    return Contents(video, audio, text)
+    video = [codec for kind, codec, rest in streams if kind == "Video" and "(attached pic)" not in rest]
+    audio = [codec for kind, codec, _ in streams if kind == "Audio"]
+    return next(iter(video), ""), next(iter(audio), ""), text
 
 
-@dataclass(frozen=True, slots=True)
-class Packets:
-    """What reading a file to its end, without decoding, has shown. Times in seconds.
+class Packet(NamedTuple):
+    """One packet; times of decoding and of showing in ticks. After a `new_header` frames may be of another size."""
 
-    `duration_s` is what the container claims, None when it claims nothing; `video_s` the time from the first picture
-    to the last; `video_start_s` and `end_s` count from the container's start, `end_s` over pictures and sound.
-    `damage` is what ffmpeg said of missing or broken data, "" if nothing.
+    stream: int
+    dts: int | None
+    pts: int | None
+    duration: int
+    flags: int
+    new_header: bool
+
+
+class Listing:
+    """The packets that ffmpeg gives with these arguments; iterable once.
+
+    `ticks` are the seconds of a tick by stream; `messages`, known after the last packet, is what ffmpeg said.
     """
 
-    duration_s: float | None
-    video_start_s: float
-    video_s: float
-    end_s: float
-    damage: str
+    def __init__(self, *arguments: str) -> None:
+        self._arguments = arguments
+        self.ticks: dict[int, Fraction] = {}
+        self.messages = ""
+
+    def __iter__(self) -> Iterator[Packet]:
+        with Program([*self._arguments, "-f", "framecrc", "-"], stdout=subprocess.PIPE) as program:
+            assert program.child.stdout is not None
+            yield from self._parse(program.child.stdout)
+            self.messages = program.messages()
+
+    def time(self, packet: Packet) -> float:
+        """When a packet is shown, in seconds; -inf if unknown."""
+        stamp = packet.dts if packet.pts is None else packet.pts
+        return -math.inf if stamp is None else stamp * float(self.ticks[packet.stream])
+
+    def _parse(self, lines: IO[bytes]) -> Iterator[Packet]:
+        for line in lines:
+            if line.startswith(b"#tb "):
+                stream, _, tick = line[4:].decode().partition(":")
+                self.ticks[int(stream)] = Fraction(tick.strip())
+            elif not line.startswith(b"#"):
+                fields = line.split(b",")
+                dts, pts = (None if time == _NO_TIME else time for time in map(int, fields[1:3]))
+                # the flags of a packet that is a key and nothing else are left out
+                told = len(fields) > 6 and fields[6].startswith(b" F=0x")
+                flags = int(fields[6].strip()[4:], 16) if told else KEY
+                yield Packet(int(fields[0]), dts, pts, int(fields[3]), flags, b"New Extradata" in line)
 
 
-def packets(path: Path, *, first_only: bool = False) -> Packets:
-    """Read all packets of a file, or only the first picture's; memory stays flat."""
-    command = [executable(), "-nostdin", "-hide_banner", "-i", source_argument(path)]
-    command += ["-map", "0:v:0", *(["-frames:v", "1"] if first_only else ["-map", "0:a?"])]
-    command += ["-c", "copy", "-f", "framecrc", "-"]
-    start, last, end = 0.0, 0.0, 0.0
-    seen = False
-    ticks: dict[str, float] = {}
-    # a file, not a pipe: nobody has to empty it while the packets are read
-    with (
-        tempfile.TemporaryFile() as messages,
-        subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=messages,
-            text=True,
-            start_new_session=True,
-        ) as child,
-    ):
-        assert child.stdout is not None
-        try:
-            for line in child.stdout:
-                if line.startswith("#tb "):
-                    stream, _, base = line[4:].partition(":")
-                    ticks[stream] = float(Fraction(base.strip()))
-                elif not line.startswith("#"):
-                    stream, dts, pts, duration = [field.strip() for field in line.split(",")[:4]]
-                    tick = ticks[stream]
-                    stamp = pts if pts != _NO_TIME else dts
-                    if stamp == _NO_TIME:
-                        continue
-                    time = int(stamp) * tick
-                    end = max(end, time + int(duration) * tick)
-                    if stream == "0" and time > -0.0005:  # what an edit list hides comes before 0
-                        start = time if not seen else min(start, time)
-                        last = time if not seen else max(last, time)
-                        seen = True
-        except BaseException:
-            child.kill()
-            raise
-        child.wait()
-        messages.seek(0)
-        text = messages.read().decode("utf-8", "replace")
-    claimed = _DURATION.search(text)
-    duration_s = None
-    if claimed:
-        hours, minutes, seconds = claimed.groups()
-        duration_s = int(hours) * 3600 + int(minutes) * 60 + float(seconds)
-    damage = next((_PREFIX.sub("", line) for line in text.splitlines() if _DAMAGE.search(line)), "")
+def ending(path: Path) -> tuple[float, float, float, str]:
+    """What reading all packets of a file shows, without decoding them; memory stays flat.
+
+    In seconds: the duration that the container claims, 0 if it claims none; the time from the first frame to the last;
+    the end of video and audio, from the container's start. Then what ffmpeg said of missing or broken data, or "".
+    """
+    listing = Listing("-i", source_argument(path), "-map", "0:v:0", "-map", "0:a?", "-c", "copy")
+    first, last, end = math.inf, -math.inf, 0.0
+    for packet in listing:
+        time, tick = listing.time(packet), listing.ticks[packet.stream]
+        end = max(end, time + packet.duration * float(tick))
+        if packet.stream == 0 and time > -0.0005:  # what an edit list hides comes before 0
+            first, last = min(first, time), max(last, time)
+    claimed = _DURATION.search(listing.messages)
+    hours, minutes, seconds = map(float, claimed.groups() if claimed else (0, 0, 0))
+    damage = next((_PREFIX.sub("", line) for line in listing.messages.splitlines() if _DAMAGE.search(line)), "")
     damage = re.sub(r" \(.*?\)", "", damage).strip(" .")
-    return Packets(duration_s, start, last - start, end, damage)
+    return hours * 3600 + minutes * 60 + seconds, max(last - first, 0.0), end, damage
+
+
+def first_time(path: Path) -> float:
+    """When the first frame of a file is shown, in seconds from the container's start."""
+    listing = Listing("-i", source_argument(path), "-map", "0:v:0", "-frames:v", "1", "-c", "copy")
+    return max((listing.time(packet) for packet in listing), default=0.0)
+
+
+def container(path: Path) -> str:
+    """The family of a file's format by its first bytes: "mp4", "avi", "matroska", "mpeg" (program stream) or ""."""
+    with path.open("rb") as file:
+        head = file.read(12)
+    if head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide"):
+        return "mp4"
+    families = {b"RIFF": "avi", b"\x1a\x45\xdf\xa3": "matroska", b"\x00\x00\x01\xba": "mpeg"}
+    return families.get(head[:4], "")

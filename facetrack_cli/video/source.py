@@ -1,14 +1,13 @@
 """Where frames come from: a video file, or the images of a folder, as an iterable of `Frame`.
 
-A `Source` is read once, in order. Frames are counted from 0 of the file, also when reading starts later; `time_s` is
-counted from the file's first frame, by the file's own clock, and grows from frame to frame. The number of frames that
-a container claims is only used as a hint for progress bars.
+Frames are counted from 0 of the file, also when reading starts later; `time_s` counts from the file's first frame, by
+the file's own clock, and grows from frame to frame. The number of frames that a container claims is only a hint.
 
 A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what was
-lost. How that is found: a video whose frames are fewer than the container claims (or, MPEG program streams, which claim
-nothing) is read again without decoding, and counts as incomplete if the demuxer reports missing data, if the packets go
-on where the decoder stopped, or if they end clearly before the claimed duration. A cut is not seen in transport
-streams, Ogg and WMV when it falls between two packets: nothing in those files says that more should follow.
+lost. A video with fewer frames than the container claims (or any MPEG program stream, which claims nothing) is read
+again without decoding, and is incomplete if the demuxer reports missing data, if packets follow where the decoder
+stopped, or if they end clearly before the claimed duration. Transport streams, Ogg and WMV do not say that more should
+follow: in them a cut between two packets is not noticed.
 """
 
 from __future__ import annotations
@@ -18,50 +17,45 @@ import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import cast
 
-# OpenCV and its ffmpeg read these when they are loaded; their messages would break into ours on stderr
+# OpenCV and its ffmpeg read these when they are loaded; their messages would mix with ours on stderr
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 import cv2
 
-from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.types import Frame
+from facetrack_cli.core.errors import InputError, UsageError, reason
+from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.video import ffmpeg, images
 
-if os.environ["OPENCV_LOG_LEVEL"] == "SILENT":  # where OpenCV was loaded before us
+if os.environ["OPENCV_LOG_LEVEL"] == "SILENT":  # where OpenCV was loaded before
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 FOLDER_FPS = Fraction(25)
+_AGAIN = "copy or download it again"
 _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by less than this
 
 
-class Source(ABC):
+class Source(AbstractContextManager["Source"], ABC):
     """Frames of one clip, iterable once; a context manager.
 
-    Attributes: `path`; `name` for naming outputs; `size` (width, height) in pixels, rotation applied; `fps` the nominal
-    rate; `variable` whether frames keep another rhythm than `fps` (None until known); `frames_hint` the likely number
-    of frames to come, for progress bars only; `is_video`; and, filled while iterating, `warnings` (one line each) and
-    `complete` (False once it is known that frames are missing).
+    `size` (width, height) is in pixels with rotation applied, `fps` the nominal rate.
     """
 
-    def __init__(self, path: Path, name: str, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
-        self.path = path
-        self.name = name
-        self.size = size
-        self.fps = fps
-        self.variable: bool | None = None
-        self.frames_hint: int | None = None
+    def __init__(self, path: Path, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
+        self.path, self.size, self.fps = path, size, fps
         self.is_video = False
-        self.warnings: list[str] = []
-        self.complete = True
-        self._start = start
-        self._stop = stop
-        self._begun = False
+        self.frames_hint: int | None = None  # the likely number of frames to come
+        # filled while iterating
+        self.variable: bool | None = None  # whether the times of frames differ from `fps`, once it is known
+        self.warnings: list[str] = []  # one line each
+        self.complete = True  # False once it is known that frames are missing
+        self._start, self._stop = start, stop
+        self._begun = self._closed = False
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames from `start` up to, not including, `stop`.
@@ -76,16 +70,11 @@ class Source(ABC):
     @abstractmethod
     def _frames(self) -> Iterator[Frame]: ...
 
-    @abstractmethod
     def close(self) -> None:
         """End the iteration, also from another thread, and free the file; once closed, closing again does nothing."""
+        self._closed = True
 
-    def __enter__(self) -> Source:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _cut(self, message: str) -> None:
@@ -99,67 +88,102 @@ class Source(ABC):
         )
 
 
+class Capture:
+    """A video file opened by OpenCV, which decodes one frame after the other. Not thread-safe.
+
+    `next` is the number of the frame that `grab` goes to. Of the frame grabbed last, `position` is its time as OpenCV
+    gives it, and `time` counts from the first frame; both in seconds. `claimed` is the number of frames that the
+    container claims. After a seek to a keyframe, the frames before the number `key` may be damaged.
+    """
+
+    def __init__(self, path: Path):
+        self._opencv = cv2.VideoCapture(ffmpeg.source_argument(path), cv2.CAP_FFMPEG)
+        self.next = self.key = 0
+        self.time = self.position = self.origin = 0.0
+        self.rate = self._opencv.get(cv2.CAP_PROP_FPS)
+        self.fps = Fraction(self.rate).limit_denominator(1001) if 0 < self.rate <= 1000 else FOLDER_FPS
+        self.period = float(1 / self.fps)
+        count = self._opencv.get(cv2.CAP_PROP_FRAME_COUNT)
+        self.claimed = int(count) if math.isfinite(count) and 1 <= count < 1e9 else None
+
+    @property
+    def is_text(self) -> bool:
+        """ffmpeg draws the text of .txt files."""
+        return int(self._opencv.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi")
+
+    def grab(self) -> bool:
+        """Decode the next frame; False at the end."""
+        if not self._opencv.grab():
+            return False
+        self.position = self._opencv.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        if self.next == 0:
+            self.origin = self.position
+        else:
+            self.time = following(self.time, self.position - self.origin, self.period)
+        self.next += 1
+        return True
+
+    def image(self) -> Image | None:
+        """The frame grabbed last as (H, W, 3) BGR, rotation applied; None if it cannot be decoded."""
+        return cast("Image | None", self._opencv.retrieve()[1])
+
+    def seek(self, frame: int) -> bool:
+        """Grab the frame at which OpenCV arrives when told to go to that number, which may be a different one."""
+        self._opencv.set(cv2.CAP_PROP_POS_FRAMES, frame)
+        grabbed = self._opencv.grab()
+        self.position = self._opencv.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        return grabbed
+
+    def release(self) -> None:
+        self._opencv.release()
+
+
+def following(time: float, elapsed: float, period: float) -> float:
+    """The time in s of the frame that follows one at `time`, and is `elapsed` after the first by its own stamp.
+
+    The last frames of some AVI and MPEG files have no stamp, others one that is not later: they follow after `period`.
+    """
+    step = elapsed - time
+    return time + (step if step > 0 else period)
+
+
 class VideoSource(Source):
     """A video file, decoded by OpenCV."""
 
     def __init__(self, path: Path, start: int, stop: int | None):
-        capture = cv2.VideoCapture(ffmpeg.source_argument(path), cv2.CAP_FFMPEG)
-        opened = capture.isOpened() and capture.grab()
-        ok, image = capture.retrieve() if opened else (False, None)
-        rate = capture.get(cv2.CAP_PROP_FPS) if ok else 0.0
-        # ffmpeg draws .txt files, and a tune's cover picture passes for a video of 90,000 frames a second
-        text = ok and int(capture.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi")
-        if not ok or image is None or text or (rate > 1000 and not ffmpeg.contents(path).video):
+        capture = Capture(path)
+        image = capture.image() if capture.grab() else None
+        # the cover image of a music file is a video of 90,000 frames a second for OpenCV
+        if image is None or capture.is_text or (capture.rate > 1000 and not ffmpeg.contents(path)[0]):
             capture.release()
-            if text:
-                raise InputError(f"{path}: not a video; give a video file or a folder of images")
             raise _why_not(path)
-        fps = Fraction(rate).limit_denominator(1001) if 0 < rate <= 1000 else FOLDER_FPS
-        height, width = image.shape[:2]
-        super().__init__(path, path.stem, (width, height), fps, start, stop)
+        super().__init__(path, (image.shape[1], image.shape[0]), capture.fps, start, stop)
         self.is_video = True
-        count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        self._claimed = int(count) if math.isfinite(count) and 1 <= count < 1e9 else None
-        if self._claimed is not None:
-            self.frames_hint = max((min(self._claimed, stop) if stop else self._claimed) - start, 0)
+        if capture.claimed is not None:
+            self.frames_hint = max(min(capture.claimed, stop or capture.claimed) - start, 0)
         self._capture = capture
-        self._first: Any = image
         self._lock = threading.Lock()
-        self._closed = False
 
     def close(self) -> None:
-        with self._lock:
+        with self._lock:  # the capture must not be released while it is at work
             self._closed = True
-            self._first = None
             self._capture.release()
 
     def _frames(self) -> Iterator[Frame]:
-        capture, lock, start, stop = self._capture, self._lock, self._start, self._stop
+        capture, start, stop = self._capture, self._start, self._stop
         shape = (self.size[1], self.size[0], 3)
-        period = float(1 / self.fps)
-        origin = time = 0.0
-        index = 0
+        index, time = 0, 0.0
         while stop is None or index < stop:
-            image: Any = None
-            with lock:  # the capture must not be released while it is at work
+            image = None  # free the last one before the next is decoded
+            with self._lock:
                 if self._closed:
                     return
                 if index > 0 and not capture.grab():
                     break
-                position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000  # of the frame just grabbed
-                if index >= start:
-                    image = self._first if index == 0 else capture.retrieve()[1]
-                    self._first = None
-            if index == 0:
-                origin = position
-            else:
-                step = position - origin - time
-                # without a stamp (the last frames of some AVI and MPEG files), or thrown back: the nominal rate goes on
-                if step <= 0:
-                    step = period
-                time += step
-                if abs(step - period) > _JITTER_S:
-                    self.variable = True
+                image = capture.image() if index >= start else None
+            step, time = capture.time - time, capture.time
+            if index > 0 and abs(step - capture.period) > _JITTER_S:
+                self.variable = True
             if index >= start:
                 if image is None or image.shape != shape:
                     what = "cannot be decoded" if image is None else f"is {image.shape[1]}x{image.shape[0]}"
@@ -170,90 +194,74 @@ class VideoSource(Source):
                     return
                 yield Frame(index, time, image)
             index += 1
-        else:  # `stop` was reached, the rest of the file is nobody's concern
+        else:  # `stop` was reached, the rest of the file does not matter
             return
         if index <= start:
             raise self._past_end(index)
         if self.variable is None:
             self.variable = False
-        self._judge_end(index, time, period)
+        self._judge_end(index, time, capture.period)
 
     def _judge_end(self, frames: int, last_s: float, period: float) -> None:
         """Say so if the file went on, or should have gone on, after the last frame that was decoded."""
-        claimed = self._claimed
-        if claimed is not None and frames >= claimed and not _is_program_stream(self.path):
+        claimed = self._capture.claimed or 0
+        if frames >= claimed > 0 and ffmpeg.container(self.path) != "mpeg":
             return
         try:
-            packets = ffmpeg.packets(self.path)
-        except (OSError, RuntimeError, ValueError):  # no ffmpeg program: leave it at a count that is far off
-            if claimed is not None and frames < 0.9 * claimed:
+            claimed_s, video_s, end_s, damage = ffmpeg.ending(self.path)
+        except (OSError, RuntimeError, ValueError):  # no ffmpeg program: only a count that differs clearly is noticed
+            if frames < 0.9 * claimed:
                 self._cut(f"{self.path}: only {frames} of about {claimed} frames could be read; is the file complete?")
             return
-        duration = packets.duration_s or 0.0
-        if not (
-            packets.damage
-            or packets.video_s > last_s + max(0.5, 5 * period)
-            or packets.end_s < duration - max(1.0, 0.03 * duration)
-        ):
-            return
-        of = ""
-        if claimed is not None and claimed > frames:
-            of = f" of about {claimed} ({last_s + period:.1f} of {max(duration, claimed * period):.1f} s)"
-        reason = f" ({packets.damage})" if packets.damage else ""
-        self._cut(
-            f"{self.path}: cut short or damaged{reason}: {frames} frames{of} could be read; "
-            "copy or download the file again for the rest"
-        )
+        early = end_s < claimed_s - max(1.0, 0.03 * claimed_s)
+        if damage or early or video_s > last_s + max(0.5, 5 * period):
+            of = f" of about {claimed} ({last_s + period:.1f} of {max(claimed_s, claimed * period):.1f} s)"
+            self._cut(
+                f"{self.path}: cut short or damaged{f' ({damage})' if damage else ''}: {frames} frames"
+                f"{of if claimed > frames else ''} could be read; {_AGAIN} for the rest"
+            )
 
 
 class FolderSource(Source):
     """The images of a folder in natural order (2.jpg before 10.jpg), at a constant rate.
 
     `files` are all of them; those to be read must be of one size, which is checked from their headers beforehand.
-    What becomes of 16 bits, transparency and orientation: see `images.read`.
+    `images.read` says what becomes of 16 bits, transparency and orientation.
     """
 
-    def __init__(self, path: Path, name: str, files: Sequence[Path], fps: Fraction, start: int, stop: int | None):
-        super().__init__(path, name, (0, 0), fps, start, stop)
+    def __init__(self, path: Path, files: Sequence[Path], fps: Fraction, start: int, stop: int | None):
+        super().__init__(path, (0, 0), fps, start, stop)
         if start >= len(files):
             raise self._past_end(len(files))
-        self.variable = False
-        self._files = files
-        self._end = len(files) if stop is None else min(stop, len(files))
-        self.frames_hint = self._end - start
-        self._closed = False
-        try:
-            first = images.read(files[start])
-        except (OSError, ValueError) as error:
-            raise InputError(f"{files[start]}: {images.reason(error)}; {images.remedy(error)}") from error
-        self.size = (first.shape[1], first.shape[0])
-        for file in files[start + 1 : self._end]:
+        self.variable, self.files = False, files
+        read = files[start:stop]
+        self.frames_hint = len(read)
+        height, width = images.read(read[0]).shape[:2]
+        self.size = width, height
+        for file in read[1:]:
             size = images.header_size(file)
             if size is not None and size != self.size:
                 raise InputError(
-                    f"{file}: {size[0]}x{size[1]} pixels, but {files[start].name} has "
-                    f"{self.size[0]}x{self.size[1]}; a folder must hold frames of one size"
+                    f"{file}: {size[0]}x{size[1]} pixels, but {read[0].name} has {width}x{height}; "
+                    "a folder must hold frames of one size"
                 )
 
-    def close(self) -> None:
-        self._closed = True
+    def frame(self, index: int) -> Frame:
+        """Any frame of the folder. Raises images.UnreadableError."""
+        return Frame(index, float(index / self.fps), images.read(self.files[index], self.size))
 
     def _frames(self) -> Iterator[Frame]:
-        width, height = self.size
-        for index in range(self._start, self._end):
+        total = len(self.files)
+        for index in range(total)[self._start : self._stop]:
             if self._closed:
                 return
             try:
-                image = images.read(self._files[index])
-                if image.shape != (height, width, 3):
-                    raise ValueError(f"is not {width}x{height} pixels")
-            except (OSError, ValueError) as error:
-                self._cut(
-                    f"{self._files[index]}: {images.reason(error)}; stopped after {index} of {len(self._files)} "
-                    f"frames, {images.remedy(error)}"
-                )
+                frame = self.frame(index)
+            except images.UnreadableError as error:
+                file = self.files[index]
+                self._cut(f"{file}: {error.why}; stopped after {index} of {total} frames, {error.remedy}")
                 return
-            yield Frame(index, float(index / self.fps), image)
+            yield frame
 
 
 def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None) -> Source:
@@ -272,8 +280,7 @@ def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop
     if files is not None:
         if not files:
             raise InputError(f"{path}: no images in this folder; {', '.join(sorted(images.SUFFIXES))} are read")
-        folder = path if path.is_dir() else path.parent
-        return FolderSource(path, folder.resolve().name, files, fps or FOLDER_FPS, start, stop)
+        return FolderSource(path, files, fps or FOLDER_FPS, start, stop)
     _check_file(path)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for image folders only")
@@ -295,37 +302,29 @@ def _check_file(path: Path) -> None:
         with path.open("rb") as file:
             empty = not file.read(1)
     except OSError as error:
-        raise InputError(f"{path}: {images.reason(error)}; check the name and the permissions") from error
+        raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
     if empty:
-        raise InputError(f"{path}: the file is empty; copy or download it again")
+        raise InputError(f"{path}: the file is empty; {_AGAIN}")
     if path.suffix.lower() in images.SUFFIXES:
-        raise InputError(f"{path}: a single picture; give a video or the folder that holds the frames")
+        raise InputError(f"{path}: a single image; give a video or the folder that holds the frames")
 
 
 def _why_not(path: Path) -> InputError:
     """Why a file gave no frame."""
     try:
-        found = ffmpeg.contents(path)
+        video, audio, messages = ffmpeg.contents(path)
     except (OSError, RuntimeError):
         return InputError(f"{path}: no video that can be decoded; convert it to MP4 (H.264)")
     # ffmpeg guesses MP4 from the name alone, so that any text called .mp4 lacks its moov
-    if "moov atom not found" in found.messages and "low score" not in found.messages:
+    if "moov atom not found" in messages and "low score" not in messages:
         return InputError(
-            f"{path}: the index of this MP4 (moov) is missing, its recording or download was cut off; copy it again"
+            f"{path}: the index of this MP4 (moov) is missing, its recording or download was cut off; {_AGAIN}"
         )
-    if found.video:
-        if ffmpeg.packets(path).damage:
-            return InputError(f"{path}: cut short or damaged before its first frame; copy or download it again")
+    video = video.replace("ansi", "")
+    if video and not ffmpeg.ending(path)[-1]:
         return InputError(f"{path}: the video cannot be decoded; convert it to MP4 (H.264)")
-    if found.audio:
-        return InputError(f"{path}: holds sound but no pictures; give a video")
-    with path.open("rb") as file:
-        head = file.read(12)
-    if head[4:8] == b"ftyp" or head.startswith((b"RIFF", b"\x1a\x45\xdf\xa3")):  # MP4, AVI, Matroska
-        return InputError(f"{path}: cut short or damaged before its first frame; copy or download it again")
+    if audio and not video:
+        return InputError(f"{path}: holds sound but no video; give a video")
+    if video or ffmpeg.container(path) in ("mp4", "avi", "matroska"):
+        return InputError(f"{path}: cut short or damaged before its first frame; {_AGAIN}")
     return InputError(f"{path}: not a video; give a video file or a folder of images")
-
-
-def _is_program_stream(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(4) == b"\x00\x00\x01\xba"

@@ -1,32 +1,28 @@
-"""Annotated frames to an MP4 that plays everywhere: H.264, yuv420p, the source's clock and the source's sound.
+"""Annotated frames to an MP4 that plays everywhere: H.264, yuv420p, the source's times and the source's sound.
 
-Every frame keeps its own time, so a clip of variable rate comes out with as many frames as were written, each shown
-when the source shows it, and nothing is repeated. Times that lie within a millisecond of the nominal rate's grid are
-put on it, so that a clip of constant rate comes out with a strictly constant one.
-
-To carry those times the frames go to ffmpeg as uncompressed Matroska; a raw pipe (`imageio_ffmpeg.write_frames`) has no
-room for them, and would start the encoder in our process group, where the terminal's Ctrl-C ends it before the file is
-finished. The sound is added in a second pass, which copies: if it fails, there is still the video.
+Every frame keeps its own time, and none is repeated. Times within a millisecond of the nominal rate's grid are moved
+onto it, so that a clip of constant rate comes out with a strictly constant one. To carry the times, the frames go to
+ffmpeg as uncompressed Matroska; a raw pipe (`imageio_ffmpeg.write_frames`) has no place for them, and would start the
+encoder where the terminal's Ctrl-C ends it before the file is finished. The sound is copied in a second pass: if that
+fails, there is still the video.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
 import subprocess
-import tempfile
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 import numpy as np
 
-from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.errors import OutputError, reason
+from facetrack_cli.core.files import beside, discard, publish
 from facetrack_cli.core.types import Image
-from facetrack_cli.video import ffmpeg, images
+from facetrack_cli.video import ffmpeg
 
-# of the presets, this one: superfast takes 0.8 of its time and makes files twice as large, faster takes twice its time
+# superfast takes 0.8 of the time of this preset and makes files twice as large, faster takes twice its time
 _PRESET = "veryfast"
 _CRF = "20"
 _COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
@@ -34,14 +30,13 @@ _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up t
 _TICK_S = 1e-6  # of the pipe to the encoder
 
 
-class VideoWriter:
+class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     """Writes BGR frames of `size` (width, height) to an MP4 at `path`, which appears there when `close` is called.
 
-    `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from `audio_start_s` on its clock (default:
-    the time of the first frame written) to the end of the last frame. With `timestamps=False` the frames follow each
-    other at `fps`, whatever their times. Odd sizes are padded by one black line or column, which H.264 asks for.
-    `warnings` (one line each) says what could not be kept, `published` whether the file is at `path`. Raises
-    OutputError when the file cannot be written.
+    `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from the time of the first frame written to
+    the end of the last one. Odd sizes are padded by one black line or column, which H.264 requires. With
+    `replace=False` the finished file stays `beside` its path. `warnings` (one line each) says what could not be kept,
+    `published` whether the file is at `path`. Raises OutputError when the file cannot be written.
     """
 
     def __init__(
@@ -51,9 +46,8 @@ class VideoWriter:
         fps: Fraction,
         *,
         audio_from: Path | None = None,
-        audio_start_s: float | None = None,
-        timestamps: bool = True,
-    ) -> None:
+        replace: bool = True,
+    ):
         self.path = path
         self.size = size
         self.warnings: list[str] = []
@@ -62,23 +56,20 @@ class VideoWriter:
         # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 1/90000 s
         self._timescale = fps.numerator * -(-90000 // fps.numerator)
         self._audio_from = audio_from
-        self._audio_start_s = audio_start_s
-        self._timestamps = timestamps
+        self._replace = replace
         self._frames = 0
         self._first_s = 0.0
         self._first_tick = self._last_tick = 0
         self._closed = False
-        self._temporary = path.with_name(f".{path.stem}-{os.getpid()}.part.mp4")
         try:
-            self._temporary.open("wb").close()
+            beside(path).open("wb").close()
         except OSError as error:
-            raise OutputError(f"{path}: {images.reason(error)}; choose another output folder") from error
-        self._messages: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - a file, since nobody has to empty it
+            raise OutputError(f"{path}: {reason(error)}; choose another output folder") from error
         try:
-            self._encoder = self._start()
+            self._encoder = ffmpeg.Program(self._command(), stdin=subprocess.PIPE)
         except (OSError, RuntimeError) as error:
-            self._drop()
-            raise OutputError(f"{path}: ffmpeg cannot be started ({images.reason(error)})") from error
+            discard(path)
+            raise OutputError(f"{path}: ffmpeg cannot be started ({reason(error)})") from error
         _widen(self._pipe)
 
     def write(self, image: Image, time_s: float) -> None:
@@ -113,53 +104,51 @@ class VideoWriter:
             return
         self._closed = True
         try:
-            self._pipe.close()
-            code = self._encoder.wait()
-        except OSError as error:
-            raise self._failure(error) from error
-        except BaseException:  # interrupted while the encoder has only a moment to go; a second time, it is dropped
-            self._finish_silently()
-            raise
-        if code != 0:
-            raise self._failure(None)
-        try:
+            try:
+                self._end_encoder()
+            except OutputError:
+                raise
+            except BaseException:  # the encoder needs only a moment more; a second interruption drops the video
+                with contextlib.suppress(OutputError):
+                    self._end_encoder()
+                raise
             self._add_audio()
         finally:
-            self._publish()
+            whole = self._encoder.child.poll() == 0
+            self._drop(keep=whole)
+            if whole and self._replace:
+                try:
+                    publish(self.path)
+                    self.published = True
+                except OSError as error:
+                    discard(self.path)
+                    raise OutputError(f"{self.path}: {reason(error)}; choose another output folder") from error
 
     def discard(self) -> None:
-        """Stop the encoder and leave no file, whatever stood at `path` before stays; nothing once closed."""
+        """Stop the encoder and leave no file, whatever stood at `path` before stays; does nothing once closed."""
         if not self._closed:
             self._closed = True
             self._drop()
 
-    def __enter__(self) -> VideoWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        # what was written until an interruption is worth keeping, too
-        self.close()
+    def __exit__(self, *_: object) -> None:
+        self.close()  # what was written until an interruption is worth keeping, too
 
     @property
     def _target(self) -> Path:
-        return self._temporary
+        return beside(self.path)
 
     @property
     def _pipe(self) -> IO[bytes]:
-        assert self._encoder.stdin is not None
-        return self._encoder.stdin
+        assert self._encoder.child.stdin is not None
+        return self._encoder.child.stdin
 
     def _tick(self, time_s: float) -> int:
-        if not self._timestamps:
-            return round(self._frames / self._fps * self._timescale)
         nearest = round(time_s * self._fps) / self._fps
         if abs(float(nearest) - time_s) <= min(_SNAP_S, 0.25 / float(self._fps)):
             return int(nearest * self._timescale)
         return round(time_s * self._timescale)
 
-    def _start(self) -> subprocess.Popen[bytes]:
+    def _command(self) -> list[str]:
         matrix = "bt709" if self.size[1] >= 720 else "smpte170m"  # as players assume where they ignore the tag
         filters = [
             "pad=ceil(iw/2)*2:ceil(ih/2)*2",
@@ -167,114 +156,79 @@ class VideoWriter:
             "format=yuv420p",
             f"setparams=colorspace={matrix}:color_primaries={matrix}:color_trc={matrix}:range=tv",
         ]
-        command = [ffmpeg.executable(), "-hide_banner", "-nostats", "-v", "error", "-y", "-f", "matroska", "-i", "-"]
+        command = ["-nostats", "-v", "error", "-y", "-f", "matroska", "-i", "-"]
         command += ["-vf", ",".join(filters), "-c:v", "libx264", "-preset", _PRESET, "-crf", _CRF]
         command += ["-fps_mode", "passthrough", "-enc_time_base", f"1/{self._timescale}"]
-        command += ["-video_track_timescale", str(self._timescale), "-movflags", "+faststart"]
-        command += ["-f", "mp4", ffmpeg.source_argument(self._target)]
-        return subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=self._messages,
-            start_new_session=True,  # the terminal's Ctrl-C is for us, who then close the file properly
-        )
+        return [*command, *self._as_mp4(self._target)]
+
+    def _as_mp4(self, path: Path) -> list[str]:
+        timescale = ["-video_track_timescale", str(self._timescale)]
+        return [*timescale, "-movflags", "+faststart", "-f", "mp4", ffmpeg.source_argument(path)]
 
     def _add_audio(self) -> None:
-        """Put the source's sound beside the video just written; without it, a warning."""
-        source = self._audio_from
+        """Add the source's sound to the video just written; without it, a warning."""
+        source, silent = self._audio_from, self._target
         if source is None or not source.is_file():
             return
-        mixed = self._temporary.with_suffix(".audio.mp4")
+        mixed = silent.with_suffix(".audio.mp4")
         try:
-            codec = ffmpeg.contents(source).audio
-            if codec is None:
+            _, codec, _ = ffmpeg.contents(source)
+            if not codec:
                 return
-            start = self._first_s if self._audio_start_s is None else self._audio_start_s
-            # our clock starts at the source's first picture, ffmpeg's at whatever comes first
-            start += ffmpeg.packets(source, first_only=True).video_start_s
+            # our clock starts at the source's first frame, ffmpeg's at whatever comes first
+            start = self._first_s + ffmpeg.first_time(source)
             length = float((self._last_tick - self._first_tick) / Fraction(self._timescale) + 1 / self._fps)
-            command = ["-v", "error", "-y", "-i", ffmpeg.source_argument(self._temporary)]
+            command = ["-v", "error", "-y", "-i", ffmpeg.source_argument(silent)]
             command += ["-itsoffset", f"{-start:.6f}", "-i", ffmpeg.source_argument(source)]
             command += ["-map", "0:v:0", "-map", "1:a:0", "-map_metadata", "-1", "-c:v", "copy"]
             # copying drops what comes before time 0 by itself
             recode = ["-af", "atrim=start=0", "-c:a", "aac", "-b:a", "160k"]
             command += ["-c:a", "copy"] if codec in _COPIED_AUDIO else recode
-            command += ["-t", f"{length:.6f}", "-video_track_timescale", str(self._timescale)]
-            command += ["-movflags", "+faststart", "-f", "mp4", ffmpeg.source_argument(mixed)]
-            done = ffmpeg.run(command)
-            if done.returncode == 0:
-                mixed.replace(self._temporary)
-            else:
-                self._no_audio(ffmpeg.cause(done.stderr))
+            code, said = ffmpeg.run([*command, "-t", f"{length:.6f}", *self._as_mp4(mixed)])
+            if code:
+                raise RuntimeError(ffmpeg.cause(said))
+            mixed.replace(silent)
         except (OSError, RuntimeError, ValueError) as error:
-            self._no_audio(images.reason(error))
+            why = reason(error)
+            self.warnings.append(f"{self.path}: written without sound, that of {source} cannot be used ({why})")
         finally:
             mixed.unlink(missing_ok=True)
 
-    def _no_audio(self, reason: str) -> None:
-        self.warnings.append(
-            f"{self.path}: written without sound, that of {self._audio_from} cannot be used ({reason})"
-        )
-
-    def _finish_silently(self) -> None:
+    def _end_encoder(self) -> None:
         try:
-            with contextlib.suppress(OSError):
-                self._pipe.close()
-            code = self._encoder.wait()
-        except BaseException:
-            self._drop()
-            raise
-        if code == 0:
-            self._publish()
-        else:
-            self._drop()
-
-    def _publish(self) -> None:
-        self._messages.close()
-        try:
-            self._temporary.replace(self.path)
-            self.published = True
+            self._pipe.close()
         except OSError as error:
-            self._temporary.unlink(missing_ok=True)
-            raise OutputError(f"{self.path}: {images.reason(error)}; choose another output folder") from error
+            raise self._failure(error) from error
+        if self._encoder.child.wait() != 0:
+            raise self._failure(None)
 
     def _failure(self, error: OSError | None) -> OutputError:
         """What to raise once the encoder has failed: its own words, where it left any."""
         self._closed = True
         with contextlib.suppress(OSError):
             self._pipe.close()
-        code = self._encoder.wait()
-        self._messages.seek(0)
-        said = ffmpeg.cause(self._messages.read().decode("utf-8", "replace"))
+        code, said = self._encoder.child.wait(), ffmpeg.cause(self._encoder.messages())
         self._drop()
+        remedy = "free some space"
         if not said and code:
-            how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
-            return OutputError(
-                f"{self.path}: the video cannot be written (ffmpeg {how}); run it again or use --no-video"
-            )
-        said = said or (images.reason(error) if error else "ffmpeg ended early")
-        return OutputError(f"{self.path}: the video cannot be written ({said}); free some space or use --no-video")
+            said = f"ffmpeg was killed by signal {-code}" if code < 0 else f"ffmpeg ended with code {code}"
+            remedy = "run it again"
+        said = said or (reason(error) if error else "ffmpeg ended early")
+        return OutputError(f"{self.path}: the video cannot be written ({said}); {remedy} or use --no-video")
 
-    def _drop(self) -> None:
-        encoder = getattr(self, "_encoder", None)
-        if encoder is not None:
-            encoder.kill()
-            with contextlib.suppress(OSError):
-                self._pipe.close()
-            encoder.wait()
-        self._messages.close()
-        self._temporary.unlink(missing_ok=True)
+    def _drop(self, *, keep: bool = False) -> None:
+        """End the encoder, and unless `keep` remove the file."""
+        self._encoder.__exit__()
+        if not keep:
+            discard(self.path)
 
 
 def _widen(pipe: IO[bytes]) -> None:
-    """A larger pipe, where the system has such: fewer turns between us and the encoder for each frame."""
-    try:
+    """A larger pipe, where the system has such: fewer context switches for each frame."""
+    with contextlib.suppress(ImportError, AttributeError, OSError):
         import fcntl
 
         fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[attr-defined,unused-ignore]
-    except (ImportError, AttributeError, OSError):
-        return
 
 
 # Just enough of Matroska (RFC 9559) for one track of uncompressed BGR frames, each with a time

@@ -189,14 +189,14 @@ def test_a_truth_of_other_frames_is_told_after_the_first_recipe(facetrack):
 
 
 def test_a_disk_that_fills_up_costs_files_not_the_table(facetrack, monkeypatch):
-    original = Path.write_bytes
+    original = Path.replace
 
-    def full(self, data):
-        if self.name.startswith((".error.png", ".spread.png")):
+    def full(self, to):
+        if to.endswith(("error.png", "spread.png")):
             raise OSError(28, "No space left on device")
-        return original(self, data)
+        return original(self, to)
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(Path, "replace", full)
     for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
         code, out, err = facetrack(*command, *SHORT)
         assert code == ExitCode.USAGE and "No space left" in err and "frames 0 to 11" in out

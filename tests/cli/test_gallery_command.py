@@ -127,12 +127,12 @@ def test_what_is_there_is_not_replaced(facetrack):
     assert load_gallery(Path("gallery.npz")).names == NAMES
 
 
-@pytest.mark.parametrize("place", ["facetrack_cli.tracking.identity.people.find_faces", "numpy.savez"])
+@pytest.mark.parametrize("place", ["tracking.identity.people.find_faces", "core.files.publish"])
 def test_an_interrupt_leaves_nothing_behind(facetrack, monkeypatch, place):
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(place, interrupted)
+    monkeypatch.setattr(f"facetrack_cli.{place}", interrupted)
     code, out, err = facetrack("gallery", "fit", "IN/people", "--jitter", "0")
     assert (code, out) == (130, "") and err.splitlines()[-1] == "facetrack: interrupted"
     assert names_here() == []

@@ -9,6 +9,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.commands import plot as command
+from facetrack_cli.core import files
 from facetrack_cli.report import figures as plots
 from facetrack_cli.trajectory.writers import COLUMNS
 
@@ -141,13 +142,13 @@ def test_what_is_no_trajectory(capsys, tmp_path):
 
 
 def test_a_full_disk_leaves_nothing_behind(capsys, run, monkeypatch):
-    def full(self, data):
-        self.open("wb").close()
+    def full(path):
+        assert files.beside(path).exists()
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(files, "publish", full)
     code, err = facetrack(capsys, run)
-    assert code == 2 and "plot.png: cannot be written: No space left on device" in err
+    assert code == 2 and "plot.png: the disk is full (No space left on device)" in err
     assert [p.name for p in run.iterdir()] == ["trajectory.csv"]
 
 

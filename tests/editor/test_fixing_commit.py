@@ -10,8 +10,9 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.files import beside
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.journal import JOURNAL, announce, beside, finish, sweep
+from facetrack_cli.editor.journal import JOURNAL, announce, finish, sweep
 from facetrack_cli.editor.run_folder import UNSAVED, open_run
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.trajectory.header import CORRECTED
@@ -50,9 +51,9 @@ def hidden(folder):
     return {path.name for path in folder.iterdir() if path.name.startswith(".")}
 
 
-@pytest.mark.parametrize("moment", range(7))
+@pytest.mark.parametrize("moment", range(6))
 def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, monkeypatch, moment):
-    """At the encoder's file, at the journal, and at each of the five files that take over."""
+    """At the journal, and at each of the five files that take over."""
     before, after, done = files_of(out), made[1], []
     replace = Path.replace
 
@@ -69,8 +70,9 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
         patch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
         with pytest.raises(Killed):
             save(fixer)
-    whole = moment > 1
-    assert [one.frame for one in open_run(out).start.corrections] == ([4] if whole else [])
+    whole = moment > 0
+    opened = open_run(out)
+    assert [one.frame for one in opened.start.corrections] == ([4] if whole else [])
     assert (out / UNSAVED).exists() != whole
     if not whole:
         assert {name: files_of(out)[name] for name in before} == before
@@ -83,7 +85,7 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
 def test_what_another_process_left_is_swept_away(made, out):
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait(60)
-    names = [".trajectory-{}.fixed.csv", "..annotated-{0}.fixed-{0}.part.mp4", ".mine-{}.csv"]
+    names = [".trajectory-{}.part.csv", ".annotated-{}.part.audio.mp4", ".mine-{}.csv"]
     for number in (gone.pid, os.getpid(), os.getppid(), 10**30):
         for name in names:
             (out / name.format(number)).write_text("x")
@@ -127,7 +129,7 @@ def test_two_may_finish_at_once(out, monkeypatch):
 
 def test_what_was_announced_is_not_swept_away(out):
     (out / JOURNAL).write_text("")
-    (out / f".trajectory-{10**30}.fixed.csv").write_text("x")
+    (out / f".trajectory-{10**30}.part.csv").write_text("x")
     sweep(out)
     assert len(hidden(out)) == 2
 

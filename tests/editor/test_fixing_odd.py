@@ -19,7 +19,6 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import run_folder
-from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.overview import overview
 from facetrack_cli.editor.run_folder import open_run
@@ -29,6 +28,7 @@ from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
+from facetrack_cli.video.writer import VideoWriter
 from tests.support.samples import FOLDER
 from tests.support.terminal import refusal
 
@@ -357,10 +357,10 @@ def test_a_video_that_cannot_be_written_is_called_by_its_name(short, tmp_path, m
     out = copied(short, tmp_path / "out")
     (out / "annotated.mp4").write_text("x")
 
-    def failed(run, rows, to, **_):
-        raise OutputError(f"{to}: the video cannot be written")
+    def failed(video, *_):
+        raise OutputError(f"{video.path}: the video cannot be written")
 
-    monkeypatch.setattr(saving, "repaint", failed)
+    monkeypatch.setattr(VideoWriter, "write", failed)
     with pytest.raises(OutputError) as refused:
         put(out, nose(8, 159, 140))
     assert str(refused.value) == f"{out / 'annotated.mp4'}: the video cannot be written"

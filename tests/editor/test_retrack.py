@@ -8,7 +8,7 @@ import pytest
 
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.history import corrections_of
-from facetrack_cli.editor.retrack import Task, recorded_cover, spans
+from facetrack_cli.editor.retrack import Task, frames_of, recorded_cover
 from facetrack_cli.trajectory.header import CORRECTED
 from tests.editor.test_fixing_odd import fixing, nose, put, run, signing
 from tests.support.samples import FOLDER
@@ -18,7 +18,7 @@ CLIP = FOLDER / "expressions.mp4"
 
 def test_frames_that_several_tasks_want_are_read_once():
     def frames(*wanted):
-        return spans([Task("a", None, first, stop) for first, stop in wanted])
+        return frames_of([Task("a", None, first, stop) for first, stop in wanted])
 
     assert frames((5, 20), (6, 10)) == frames((6, 10), (5, 20)) == [(5, 20)]
     assert frames((5, 8), (8, 10)) == frames((5, 9), (7, 10)) == [(5, 10)]

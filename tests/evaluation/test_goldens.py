@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.evaluation.goldens.bands import QUANTITIES
@@ -136,10 +137,10 @@ def test_a_file_that_cannot_be_replaced_is_left_whole(golden: Golden, tmp_path: 
     write_golden(path, golden)
     before = path.read_bytes()
 
-    def full(self: Path, data: bytes) -> int:
+    def full(path: Path) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(files, "publish", full)
     with pytest.raises(Exception, match="No space left"):
         write_golden(path, golden)
     assert path.read_bytes() == before and [p.name for p in path.parent.iterdir()] == ["a.json"]

@@ -123,11 +123,11 @@ def test_single_points_and_spans():
     assert plot_data.alone(np.array([1, np.nan, 2, 3, np.nan, 4])).tolist() == [True, False, False, False, False, True]
     frame = np.arange(10)
     mask = np.isin(frame, [0, 1, 2, 5, 9])
-    assert plot_data.spans(frame, mask) == [(-0.5, 2.5), (4.5, 5.5), (8.5, 9.5)]
-    assert plot_data.spans(frame, mask, 3.0) == [(-0.5, 10.5)], "near ones join"
-    assert plot_data.spans(np.arange(10_000), np.arange(10_000) == 50, 20) == [(40, 60)], "one frame is seen"
-    assert plot_data.spans(frame * 10, mask)[0] == (-5, 25)
-    assert plot_data.spans(frame, ~(mask | ~mask)) == []
+    assert plot_data.frame_spans(frame, mask) == [(-0.5, 2.5), (4.5, 5.5), (8.5, 9.5)]
+    assert plot_data.frame_spans(frame, mask, 3.0) == [(-0.5, 10.5)], "near ones join"
+    assert plot_data.frame_spans(np.arange(10_000), np.arange(10_000) == 50, 20) == [(40, 60)], "one frame is seen"
+    assert plot_data.frame_spans(frame * 10, mask)[0] == (-5, 25)
+    assert plot_data.frame_spans(frame, ~(mask | ~mask)) == []
 
 
 @settings(max_examples=40, deadline=None)

@@ -119,7 +119,7 @@ def test_folders_of_images_give_their_frames_and_are_not_read_whole(tmp_path, mo
 
     clip = write_pictures(tmp_path / "clip", 30)
     read, opened = images.read, []
-    monkeypatch.setattr(images, "read", lambda path: opened.append(path.name) or read(path))
+    monkeypatch.setattr(images, "read", lambda path, *size: opened.append(path.name) or read(path, *size))
     page = make_report(write_run(tmp_path / "run", clip))
     assert seen(page.html) == {frame: frame for frame in KEYS}
     assert set(opened) == {f"{frame}.png" for frame in KEYS}

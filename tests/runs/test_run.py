@@ -321,7 +321,7 @@ def test_results_that_are_there_are_not_touched(run: Runner, clip: Path) -> None
     (folder / "trajectory.json").write_text("mine")
     code, _, err = run(clip, *SMALL)
     assert code == 2
-    assert "sway-factorized/trajectory.json: is there already; --overwrite" in one_line(err)
+    assert "sway-factorized/trajectory.json: exists already; replace it with --overwrite" in one_line(err)
     assert names(folder) == ["trajectory.json"]
     assert (folder / "trajectory.json").read_text() == "mine"
     assert run(clip, *SMALL, "--format", "csv", "--no-video")[0] == 0
@@ -344,7 +344,7 @@ def test_the_input_is_never_the_output(run: Runner, clip: Path) -> None:
     Path("annotated.mp4").write_bytes(clip.read_bytes())
     code, _, err = run("annotated.mp4", "-o", ".", "--overwrite", "--init", clip.with_suffix(".init.yaml"))
     assert code == 2
-    assert "is the input itself" in one_line(err)
+    assert "is read here, and would be replaced" in one_line(err)
     assert Path("annotated.mp4").read_bytes() == clip.read_bytes()
     Path("pictures").mkdir()
     code, _, err = run("pictures", "-o", "pictures")
@@ -528,7 +528,7 @@ def test_a_batch_leaves_finished_clips_alone(run: Runner, clip: Path, tmp_path: 
     before = Path("sway-factorized/trajectory.csv").stat().st_mtime_ns
     code, _, err = run(clip, other, *SMALL, "-q")
     assert code == 5
-    assert "is there already" in one_line(err)
+    assert "exists already" in one_line(err)
     assert Path("sway-factorized/trajectory.csv").stat().st_mtime_ns == before
     assert Path("other-factorized/trajectory.csv").exists()
 
@@ -765,7 +765,7 @@ def test_a_folder_in_the_way_of_a_file(run: Runner, clip: Path, name: str) -> No
     Path("o", name).mkdir(parents=True)
     code, _, err = run(clip, "-o", "o", "--overwrite")
     assert code == ExitCode.USAGE
-    assert f"{name}: is a folder, where a file of results is to be" in one_line(err)
+    assert f"{name}: is a folder, where a file is to be" in one_line(err)
     assert names(Path("o")) == [name]
 
 
@@ -773,11 +773,11 @@ def test_the_init_file_and_the_recipe_are_never_the_output(run: Runner, clip: Pa
     start = Path("trajectory.json")
     start.write_text('{"frame": 0, "box": [30, 10, 60, 70]}')
     code, _, err = run(clip, "--init", start, "-o", ".", "--overwrite")
-    assert code == ExitCode.USAGE and "is the init file itself" in one_line(err)
+    assert code == ExitCode.USAGE and "is read here, and would be replaced" in one_line(err)
     recipe = Path("trajectory.csv")
     recipe.write_text((shipped_folder() / "sir.yaml").read_text())
     code, _, err = run(clip, "--config", recipe, "-o", ".", "--overwrite")
-    assert code == ExitCode.USAGE and "is the recipe itself" in one_line(err)
+    assert code == ExitCode.USAGE and "is read here, and would be replaced" in one_line(err)
     assert "sigma" in recipe.read_text() and "box" in start.read_text()
 
 
@@ -785,7 +785,7 @@ def test_a_link_to_nowhere_is_a_result_that_is_there(run: Runner, clip: Path) ->
     Path("o").mkdir()
     Path("o/trajectory.csv").symlink_to("nowhere")
     code, _, err = run(clip, "-o", "o")
-    assert code == ExitCode.USAGE and "is there already" in one_line(err)
+    assert code == ExitCode.USAGE and "exists already" in one_line(err)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -794,8 +794,8 @@ def test_an_encoder_that_is_killed(run: Runner, clip: Path, monkeypatch: pytest.
 
     def killed(video: VideoWriter, image: Image, time_s: float) -> None:
         if time_s > 0.3:
-            video._encoder.kill()
-            video._encoder.wait()
+            video._encoder.child.kill()
+            video._encoder.child.wait()
         write(video, image, time_s)
 
     monkeypatch.setattr(VideoWriter, "write", killed)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.npz import Kind
 from facetrack_cli.tracking.identity.calibration import equal_errors, fit_logistic, logistic
@@ -562,14 +563,14 @@ def test_where_nothing_can_be_written(gallery, tmp_path):
         gallery.save(tmp_path / "file" / "faces.npz")
 
 
-def test_a_file_that_was_there_survives_a_failure(tmp_path):
+def test_a_file_that_was_there_survives_a_failure(tmp_path, monkeypatch):
     path = tmp_path / "faces.npz"
     path.write_text("kept")
 
-    class Bad:
-        def __array__(self, *_args, **_kwargs):
-            raise OSError(28, "No space left on device")
+    def full(path):
+        raise OSError(28, "No space left on device")
 
+    monkeypatch.setattr(files, "publish", full)
     with pytest.raises(OutputError, match="No space left"):
-        Kind("f", 1, "thing", "make").write(path, {"a": Bad()})
+        Kind("f", 1, "thing", "make").write(path, {"a": np.zeros(3)})
     assert path.read_text() == "kept" and len(list(tmp_path.iterdir())) == 1

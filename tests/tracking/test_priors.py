@@ -263,7 +263,7 @@ def test_a_prior_that_cannot_be_written_is_an_output_error(tmp_path):
     with pytest.raises(OutputError, match="cannot be written"):
         some_prior().save(tmp_path / "no" / "prior.npz")
     (tmp_path / "folder.npz").mkdir()
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match="is a folder, where a file is to be"):
         some_prior().save(tmp_path / "folder.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["folder.npz"]
 

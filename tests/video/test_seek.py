@@ -6,6 +6,7 @@ import io
 import itertools
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -16,10 +17,9 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.video import cursors, stamps
-from facetrack_cli.video.recent import Recent, Turns
-from facetrack_cli.video.seek import Frames
-from facetrack_cli.video.source import open_source
+from facetrack_cli.video import seek, stamps
+from facetrack_cli.video.seek import Cache, Frames, Turns
+from facetrack_cli.video.source import Capture, open_source
 from tests.support import media
 from tests.support.samples import FOLDER
 
@@ -133,15 +133,13 @@ def made(folder: Path, name: str) -> tuple[Path, list[Frame]]:
     return path, READ[name]
 
 
-def jumping(path: Path) -> tuple[Frames, cursors.Approach]:
+def jumping(path: Path) -> Frames:
     """The frames of a video whose stamps have been read."""
     frames = Frames(path)
-    reader = frames._reader
-    assert isinstance(reader, cursors.Approach)
-    reader._begin_stamps()
-    if reader._thread is not None:
-        reader._thread.join()
-    return frames, reader
+    frames._begin_stamps()
+    if frames._thread is not None:
+        frames._thread.join()
+    return frames
 
 
 def check(frame: Frame, expected: Frame) -> None:
@@ -154,14 +152,14 @@ def check(frame: Frame, expected: Frame) -> None:
 def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: str) -> None:
     path, expected = made(folder, name)
     assert len(expected) > 40
-    frames, reader = jumping(path)
+    frames = jumping(path)
     with frames:
         assert frames.size == expected[0].size and not frames.exact
         order = np.random.default_rng(0).permutation(len(expected)).tolist()
         for index in order[:30]:
             frames._recent.clear()  # each by a way of its own
             check(frames.read(index), expected[index])
-        assert (reader.jumps > 0) == CLIPS[name][1]
+        assert (frames.jumps > 0) == CLIPS[name][1]
         with pytest.raises(InputError, match=rf"the clip has {len(expected)} frames \(0 to {len(expected) - 1}\);"):
             frames.read(len(expected))
         assert frames.exact and frames.count == len(expected)
@@ -178,12 +176,10 @@ def test_any_sequence_of_reads(folder: Path, data: st.DataObject) -> None:
     begin_at = data.draw(st.integers(0, 8))
     with Frames(path) as frames:
         frames._recent.most_bytes = data.draw(st.sampled_from([0, 10, 1000])) * expected[0].bgr.nbytes
-        reader = frames._reader
-        assert isinstance(reader, cursors.Approach)
         index = 0
         for place, by in enumerate(data.draw(st.lists(step, min_size=1, max_size=25))):
             if place == begin_at:
-                reader._begin_stamps()
+                frames._begin_stamps()
             index += by
             if 0 <= index < total:
                 check(frames.read(index), expected[index])
@@ -200,11 +196,11 @@ def test_the_sample_clips() -> None:
         path = FOLDER / f"{name}.mp4"
         with open_source(path) as source:
             expected = list(source)
-        frames, reader = jumping(path)
+        frames = jumping(path)
         with frames:
             for index in np.random.default_rng(1).permutation(len(expected))[:30].tolist():
                 check(frames.read(index), expected[index])
-            assert reader.jumps > 0
+            assert frames.jumps > 0
 
 
 # how much is decoded
@@ -219,15 +215,15 @@ def long(folder: Path) -> Path:
 
 
 def test_stepping_through_neighbours_does_not_decode_them_again(long: Path) -> None:
-    frames, reader = jumping(long)
+    frames = jumping(long)
     with frames:
         assert media.number(frames.read(480).bgr) == 480 - 256
-        assert frames.decoded <= cursors.CHECKED + 1 + 240
+        assert frames.decoded <= stamps.CHECKED + 1 + 240
         for way in (range(479, 300, -1), range(301, 480), range(479, 300, -7)):
-            before, jumps = frames.decoded, reader.jumps
+            before, jumps = frames.decoded, frames.jumps
             for index in way:
                 assert media.number(frames.read(index).bgr) == index % 256
-            assert frames.decoded - before <= 250 and reader.jumps - jumps <= 1
+            assert frames.decoded - before <= 250 and frames.jumps - jumps <= 1
         before = frames.decoded
         for index in range(480, 540):
             frames.read(index)
@@ -238,9 +234,9 @@ def test_a_small_cache_does_not_decode_a_group_for_each_step_back(long: Path) ->
     with Frames(long) as frames:
         room = 20
         frames._recent.most_bytes = room * frames.read(0).bgr.nbytes
-        frames._reader._back = room * 3 // 4  # type: ignore[union-attr]
-        frames._reader._begin_stamps()  # type: ignore[union-attr]
-        frames._reader._thread.join()  # type: ignore[union-attr]
+        frames._back = room * 3 // 4
+        frames._begin_stamps()
+        frames._thread.join()
         frames.read(490)
         before = frames.decoded
         for index in range(489, 400, -1):
@@ -249,10 +245,10 @@ def test_a_small_cache_does_not_decode_a_group_for_each_step_back(long: Path) ->
 
 
 def test_a_far_frame_is_not_decoded_from_the_start(long: Path) -> None:
-    frames, _ = jumping(long)
+    frames = jumping(long)
     with frames:
         frames.read(530)
-        assert frames.decoded < 530 - 500 + cursors.CHECKED + 10
+        assert frames.decoded < 530 - 500 + stamps.CHECKED + 10
         assert frames.count == 600 and not frames.exact
         with pytest.raises(InputError):
             frames.read(10**6)
@@ -261,37 +257,37 @@ def test_a_far_frame_is_not_decoded_from_the_start(long: Path) -> None:
 
 def test_a_long_clip_has_its_stamps_read_at_once_and_a_short_one_when_it_is_gone_far(long: Path, folder: Path) -> None:
     with Frames(long) as frames:
-        assert frames._reader._thread is not None  # type: ignore[union-attr]
+        assert frames._thread is not None
     path, expected = made(folder, "b_frames.mp4")
     with Frames(path) as frames:
         for index in range(len(expected)):
             frames.read(index)
         assert frames.decoded == len(expected)
-        assert frames._reader._thread is None  # type: ignore[union-attr]
+        assert frames._thread is None
         frames._recent.clear()
         frames.read(90)
-        assert frames._reader._thread is not None  # type: ignore[union-attr]
+        assert frames._thread is not None
 
 
 def test_a_clip_that_does_not_say_how_long_it_is_has_its_packets_counted(folder: Path) -> None:
     path, expected = made(folder, "no_length.webm")
-    frames, reader = jumping(path)
+    frames = jumping(path)
     with frames:
-        assert reader._claimed == 0 and frames.count == len(expected) == 100 and not frames.exact
+        assert frames._claimed == 0 and frames.count == len(expected) == 100 and not frames.exact
         check(frames.read(70), expected[70])
         assert frames.count == 100
 
 
 def test_memory_is_flat_over_many_reads(long: Path) -> None:
-    frames, reader = jumping(long)
+    frames = jumping(long)
     with frames:
         size = frames.read(0).bgr.nbytes
         frames._recent.most_bytes = 30 * size
         for place, index in enumerate(np.random.default_rng(2).integers(0, 600, 2000).tolist()):
-            frames.read(index if place % 20 == 0 else min(max(reader.last - 1, 0), 599))
+            frames.read(index if place % 20 == 0 else min(max(frames._last - 1, 0), 599))
             assert frames._recent.bytes <= 30 * size
-            assert len(reader._cursors) <= cursors.CURSORS
-        assert len(frames._recent._known) <= 30 and len(reader._heads) == cursors.CHECKED
+            assert len(frames._cursors) <= seek.CURSORS
+        assert len(frames._recent._known) <= 30
 
 
 # doubt
@@ -300,16 +296,16 @@ def test_memory_is_flat_over_many_reads(long: Path) -> None:
 def test_stamps_that_differ_are_not_used(folder: Path) -> None:
     path, expected = made(folder, "b_frames.mp4")
     for shift in (0, 60):  # from the start, and from the middle on
-        frames, reader = jumping(path)
+        frames = jumping(path)
         with frames:
-            good = reader._arrived
+            good = frames._stamps
             assert good is not None
             wrong = good.positions.copy()
             wrong[shift:] += 1e-6
-            reader._arrived = stamps.Stamps(wrong, good.keys, good.entries, good.indexed, good.counted)
+            frames._stamps = replace(good, positions=wrong)
             for index in (90, 99, 30, 70):
                 check(frames.read(index), expected[index])
-            assert reader._stamps is None
+            assert frames._stamps is None
 
 
 def test_without_an_ffmpeg_program_frames_are_counted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -319,11 +315,11 @@ def test_without_an_ffmpeg_program_frames_are_counted(folder: Path, monkeypatch:
         raise RuntimeError("no ffmpeg")
 
     monkeypatch.setattr(stamps.ffmpeg, "contents", missing)
-    frames, reader = jumping(path)
+    frames = jumping(path)
     with frames:
         for index in (95, 3, 60):
             check(frames.read(index), expected[index])
-        assert reader.jumps == 0
+        assert frames.jumps == 0
 
 
 def test_hidden_packets_of_vp8_and_vp9_are_no_frames() -> None:
@@ -331,9 +327,9 @@ def test_hidden_packets_of_vp8_and_vp9_are_no_frames() -> None:
         return b"\0" * 32 + b"".join(len(p).to_bytes(4, "little") + b"\0" * 8 + p for p in packets)
 
     vp8 = stream(b"\x10rest", b"\x01rest", b"\x11rest", b"")
-    assert stamps._shown(io.BytesIO(vp8), "vp8").tolist() == [True, False, True, False]
+    assert stamps._shown(io.BytesIO(vp8), "vp8", threading.Event()).tolist() == [True, False, True, False]
     vp9 = stream(b"\x82rest\0", b"\x84rest\0", b"\x86rest\0", b"\x84rest\xc9", b"\x88")
-    assert stamps._shown(io.BytesIO(vp9), "vp9").tolist() == [True, False, True, True, True]
+    assert stamps._shown(io.BytesIO(vp9), "vp9", threading.Event()).tolist() == [True, False, True, True, True]
 
 
 # several at once
@@ -385,20 +381,18 @@ def test_who_asks_last_has_the_next_turn_and_overtakes() -> None:
 def test_a_long_way_gives_way_to_who_asks_later(folder: Path) -> None:
     path, expected = made(folder, "no_stamps.avi")
     with Frames(path) as frames:
-        reader = frames._reader
-        assert isinstance(reader, cursors.Approach)
         done: list[int] = []
-        grab = reader._grab
+        grab = frames._grab
         late = threading.Thread(target=lambda: (check(frames.read(5), expected[5]), done.append(5)))
 
-        def slow(cursor: cursors._Cursor) -> bool:
+        def slow(cursor: Capture) -> bool:
             if cursor.next == 50 and not late.ident:
                 late.start()
                 with frames._turns._condition:
                     frames._turns._condition.wait_for(lambda: bool(frames._turns._waiting))
             return grab(cursor)
 
-        reader._grab = slow  # type: ignore[method-assign]
+        frames._grab = slow  # type: ignore[method-assign]
         frames._recent.clear()
         check(frames.read(90), expected[90])
         done.append(90)
@@ -410,12 +404,10 @@ def test_a_long_way_gives_way_to_who_asks_later(folder: Path) -> None:
 def test_closing_while_another_thread_reads(long: Path) -> None:
     for far in (True, False):
         frames = Frames(long)
-        reader = frames._reader
-        assert isinstance(reader, cursors.Approach)
-        grab, begun = reader._grab, threading.Event()
+        grab, begun = frames._grab, threading.Event()
         said: list[BaseException] = []
 
-        def slow(cursor: cursors._Cursor, grab=grab, begun=begun) -> bool:  # type: ignore[no-untyped-def]
+        def slow(cursor: Capture, grab=grab, begun=begun) -> bool:  # type: ignore[no-untyped-def]
             begun.set()
             return bool(grab(cursor))
 
@@ -428,18 +420,18 @@ def test_closing_while_another_thread_reads(long: Path) -> None:
             except BaseException as caught:
                 said.append(caught)
 
-        reader._grab = slow  # type: ignore[method-assign]
+        frames._grab = slow  # type: ignore[method-assign]
         thread = threading.Thread(target=work)
         thread.start()
         begun.wait()
-        if far and reader._thread is not None:
-            reader._thread.join()
+        if far and frames._thread is not None:
+            frames._thread.join()
         frames.close()
         thread.join()
         frames.close()
         (error,) = said
         assert isinstance(error, RuntimeError) and "open them again" in str(error)
-        assert not reader._cursors and (reader._thread is None or not reader._thread.is_alive())
+        assert not frames._cursors and (frames._thread is None or not frames._thread.is_alive())
 
 
 def test_a_closed_one_cannot_be_read(folder: Path) -> None:
@@ -482,8 +474,8 @@ def test_refusals_are_those_of_the_source(tmp_path: Path) -> None:
         Frames(media.write_video(tmp_path / "clip.mp4", frames=3), fps=Fraction(30))
 
 
-def test_recent_keeps_to_its_bytes() -> None:
-    recent: Recent[int, str] = Recent(10)
+def test_a_cache_keeps_to_its_bytes() -> None:
+    recent: Cache[int, str] = Cache(10)
     for key in range(4):
         recent.put(key, str(key), 4)
     assert [recent.get(key) for key in range(4)] == [None, None, "2", "3"] and recent.bytes == 8

@@ -62,7 +62,7 @@ def test_constant_rate_stays_strictly_constant(tmp_path: Path, fps: Fraction) ->
     pictures = media.read_timed(path)
     assert [media.number(picture) for _, picture in pictures] == list(range(30))
     np.testing.assert_allclose([t for t, _ in pictures], [float(k / fps) for k in range(30)], atol=1e-9)
-    head = ours.run(["-i", str(path)]).stderr
+    head = ours.run(["-i", str(path)])[1]
     assert "h264" in head and "yuv420p" in head and "mp4" in head
     assert left_behind(tmp_path) == ["out.mp4"]
 
@@ -90,13 +90,12 @@ def test_every_source_gives_as_many_frames_as_it_has(tmp_path: Path) -> None:
         assert [media.number(frame.bgr) for frame in open_source(out)] == list(range(40)), suffix
 
 
-def test_times_are_ignored_on_request_and_never_fall(tmp_path: Path) -> None:
-    for timestamps, expected in ((False, [0, 0.04, 0.08, 0.12]), (True, [0, 1.0, 1.0, 1.5])):
-        with VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS, timestamps=timestamps) as writer:
-            for index, moment in enumerate([3.0, 4.0, 4.0, 4.5]):
-                writer.write(media.numbered(index), moment)
-        pictures = media.read_timed(tmp_path / "out.mp4")
-        np.testing.assert_allclose([t for t, _ in pictures], expected, atol=0.001)
+def test_times_never_fall(tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS) as writer:
+        for index, moment in enumerate([3.0, 4.0, 4.0, 4.5]):
+            writer.write(media.numbered(index), moment)
+    pictures = media.read_timed(tmp_path / "out.mp4")
+    np.testing.assert_allclose([t for t, _ in pictures], [0, 1.0, 1.0, 1.5], atol=0.001)
 
 
 def test_odd_sizes_are_padded_by_one_line(tmp_path: Path) -> None:
@@ -161,28 +160,22 @@ def test_sound_that_starts_before_or_after_the_pictures(tmp_path: Path, delay: f
     assert onset(tmp_path / "out.mp4") == pytest.approx(0.5 + delay, abs=0.03)
 
 
-def test_start_of_the_sound_may_be_given(tmp_path: Path) -> None:
-    source = media.write_video(tmp_path / "clip.mkv", frames=60, sound=BEEP)
-    write(tmp_path / "out.mp4", 30, audio_from=source, audio_start_s=0.28)
-    assert onset(tmp_path / "out.mp4") == pytest.approx(0.22, abs=0.03)
-
-
 def test_no_sound_no_fuss(tmp_path: Path) -> None:
     silent = media.write_video(tmp_path / "silent.mp4", frames=20)
     folder = media.write_pictures(tmp_path / "frames", 3)
     for source in (silent, folder, tmp_path / "missing.mp4"):
         writer = write(tmp_path / "out.mp4", audio_from=source)
         assert writer.warnings == []
-        assert "Audio" not in ours.run(["-i", str(tmp_path / "out.mp4")]).stderr
+        assert "Audio" not in ours.run(["-i", str(tmp_path / "out.mp4")])[1]
 
 
 def test_sound_that_fails_leaves_the_video_and_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = media.write_video(tmp_path / "clip.mp4", frames=20, sound=BEEP)
     real = ours.run
 
-    def failing(arguments: list[str]) -> subprocess.CompletedProcess[str]:
+    def failing(arguments: list[str]) -> tuple[int, str]:
         if "-itsoffset" in arguments:
-            return subprocess.CompletedProcess(arguments, 1, "", "[aist#0:1 @ 0x1] Error: no such codec\n")
+            return 1, "[aist#0:1 @ 0x1] Error: no such codec\n"
         return real(arguments)
 
     monkeypatch.setattr(ours, "run", failing)
@@ -304,7 +297,7 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_encoder_that_dies(tmp_path: Path) -> None:
     writer = VideoWriter(tmp_path / "out.mp4", (640, 480), FPS)
     writer.write(media.numbered(0, (640, 480)), 0.0)
-    writer._encoder.kill()
+    writer._encoder.child.kill()
     with pytest.raises(OutputError, match=r"out\.mp4: the video cannot be written"):
         for index in range(1, 50):
             writer.write(media.numbered(index, (640, 480)), index / 25)

@@ -158,7 +158,7 @@ def command(
     with (
         Stop().listening() as ending,
         contextlib.closing(progress(quiet)) as shown,
-        Folder.of(out, f"{title(clip)}-compare", FILES + plots, overwrite=overwrite, inputs=[clip]) as folder,
+        Folder(out, f"{title(clip)}-compare", FILES + plots, overwrite=overwrite, clip=clip) as folder,
     ):
         settings = Options(target, partial, stop, begin.picture_size())
         entries = _run(named, begin, known, seeds, workers, settings, rank_by, shift is None, ending, shown)

@@ -8,7 +8,7 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Whole
-from facetrack_cli.core.errors import OutputError, UsageError
+from facetrack_cli.core.errors import UsageError
 
 
 @click.group()
@@ -85,11 +85,12 @@ def fit(
       facetrack prior fit anna.truth.csv ben.truth.csv -o mouths.npz
       facetrack prior fit clip.truth.csv --parts nose,mouth_left,mouth_right
     """
+    from facetrack_cli.core.files import check_new
     from facetrack_cli.tracking.models.shape_prior_fit import fit_prior
 
     if out.suffix != ".npz":
         raise UsageError(f"{out}: a prior is an .npz file; let its name end so")
-    _refuse_existing(out, overwrite)
+    check_new(out, overwrite=overwrite)
     fitted = fit_prior(truth, parts, stable, scale, max_shapes)
     fitted.prior.save(out)
     if quiet:
@@ -121,6 +122,7 @@ def show(file: Path | None, out: Path | None, overwrite: bool) -> None:
     """
     import cv2
 
+    from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.report.figures.shape_prior import draw_prior
     from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior
     from facetrack_cli.tracking.models.shape_prior_fit import suggested_sigma
@@ -130,15 +132,11 @@ def show(file: Path | None, out: Path | None, overwrite: bool) -> None:
     out = out or (path.with_suffix(".png") if file else Path(path.with_suffix(".png").name))
     if out.suffix.lower() != ".png":
         raise UsageError(f"{out}: the picture is a PNG; let its name end in .png")
-    _refuse_existing(out, overwrite)
+    check_new(out, overwrite=overwrite)
     sigma = suggested_sigma(prior)
     done, data = cv2.imencode(".png", draw_prior(prior, path.name, sigma), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     assert done
-    try:
-        out.write_bytes(data.tobytes())
-    except OSError as e:
-        raise OutputError(f"{out}: cannot be written: {e.strerror or e}; name another file with -o") from e
-
+    write_new(out, data.tobytes(), overwrite=overwrite)
     click.echo(f"{path.name}: {len(prior.shapes)} shapes of {len(prior.parts)} parts")
     click.echo(f"registered by {prior.stable}; unit: {prior.scale[0]} to {prior.scale[1]} in the first frame")
     click.echo(f"suggested sigma: {sigma:.3f}")
@@ -148,10 +146,3 @@ def show(file: Path | None, out: Path | None, overwrite: bool) -> None:
         x, y = ((low[k, c], high[k, c], sd[k, c]) for c in (0, 1))
         click.echo(f"{name:<14}{x[0]:>8.3f}{x[1]:>8.3f}{x[2]:>8.3f}{y[0]:>10.3f}{y[1]:>8.3f}{y[2]:>8.3f}")
     click.echo(f"picture: {out}")
-
-
-def _refuse_existing(path: Path, overwrite: bool) -> None:
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder; name a file with -o")
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path}: is there already; replace it with --overwrite, or name another with -o")

@@ -122,7 +122,7 @@ def command(
     with (
         Stop().listening() as ending,
         contextlib.closing(progress(quiet)) as shown,
-        Folder.of(out, f"{title(clip)}-{recipe.name}-repeat", names, overwrite=overwrite, inputs=[clip]) as folder,
+        Folder(out, f"{title(clip)}-{recipe.name}-repeat", names, overwrite=overwrite, clip=clip) as folder,
     ):
         plan = begin.plan(recipe.name, recipe, seeds, known, ending)
         shown.begin(clip_name(clip), "frames", None)

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.core.errors import OutputError, UsageError
+from facetrack_cli.core.errors import UsageError
 
 
 @click.command()
@@ -74,10 +74,7 @@ def command(
     against = None if truth is None else TruthFile(truth, truth_format, shift, partial, target)
     trajectory_of(run)
     to = run / NAME if out is None else out
-    for what, given in (("--truth", truth), ("--clip", clip)):
-        if given is not None and given.exists() and to.exists() and given.samefile(to):
-            raise OutputError(f"{to}: is what {what} names; write the page elsewhere with -o")
-    check_new(to, overwrite=overwrite)
+    check_new(to, overwrite=overwrite, inputs=(truth, clip))
     with contextlib.closing(progress(quiet)) as shown:
         shown.begin(run.name or str(run), "frames", None)
         page = make_report(run, truth=against, clip=clip, title=title, report=shown.update)

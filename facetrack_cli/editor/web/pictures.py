@@ -12,8 +12,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.types import Image
-from facetrack_cli.video.recent import Recent
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.seek import Cache, Frames
 
 CACHE_BYTES = 64 << 20
 REDUCTIONS = (1, 2, 4, 8)
@@ -29,7 +28,7 @@ class Pictures:
 
     def __init__(self, frames: Frames):
         self._frames = frames
-        self._recent: Recent[_Key, bytes] = Recent(CACHE_BYTES)
+        self._recent: Cache[_Key, bytes] = Cache(CACHE_BYTES)
         self._under_way: dict[_Key, Future[bytes]] = {}
         self._lock = threading.Lock()
         self.encoded = 0

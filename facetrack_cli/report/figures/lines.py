@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from facetrack_cli.core.spans import spans, union
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.report.figures.style import COLOURS, DASHES, INK, STATUS, clean, line_style
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -129,7 +130,7 @@ class Pen:
 
     def shade(self, axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float) -> None:
         """Behind everything, the frames where the mask holds, in the colour of a status."""
-        for start, end in spans(frame, mask, self.least):
+        for start, end in frame_spans(frame, mask, self.least):
             axes.axvspan(start, end, color=STATUS[status], alpha=alpha, linewidth=0, zorder=0.5)
 
     def shade_parts(self, axes: Axes, parts: Sequence[Trajectory], status: str) -> None:
@@ -170,7 +171,7 @@ class Pen:
 
     def _bars(self, axes: Axes, one: Trajectory, status: str, place: tuple[float, float]) -> None:
         mask = np.isin(one.status, (status, "init") if status == "tracked" else status)
-        if found := spans(one.frame, mask, self.least):
+        if found := frame_spans(one.frame, mask, self.least):
             bars = [(start, end - start) for start, end in found]
             axes.broken_barh(bars, place, facecolors=STATUS[status], linewidth=0, antialiased=False)
 
@@ -259,26 +260,19 @@ def alone(y: Array) -> Mask:
     return lonely
 
 
-def spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[tuple[float, float]]:
-    """(start, end) of each stretch of rows where `mask` holds, each row half a step wide to either side.
+def frame_spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[tuple[float, float]]:
+    """(start, end) of each span of rows where `mask` holds, each row half a step wide to either side.
 
-    Stretches less than `least` frames apart become one, and each is at least `least` frames wide, so that a single
-    frame of a long clip is still seen.
+    Spans less than `least` frames apart become one, and each is at least `least` frames wide, so that a single frame of
+    a long clip is still seen.
     """
     if not mask.any():
         return []
-    step, f = _step(frame), frame[mask].astype(np.float64)
-    # a stretch ends where the mask does, and where frames are missing
-    ends = np.flatnonzero((np.diff(np.flatnonzero(mask)) > 1) | (np.diff(f) > 1.5 * step))
-    starts, stops = f[np.append(0, ends + 1)] - step / 2, f[np.append(ends, len(f) - 1)] + step / 2
+    half = _step(frame) / 2
+    begins, ends = np.array(spans(mask, np.diff(frame) > 3 * half)).T  # missing frames end a span, too
+    starts, stops = frame[begins] - half, frame[ends - 1] + half
     wide = np.maximum(least - (stops - starts), 0) / 2
-    found: list[tuple[float, float]] = []
-    for start, end in zip((starts - wide).tolist(), (stops + wide).tolist(), strict=True):
-        if found and start - found[-1][1] <= least * (1 - 1e-9):
-            found[-1] = (found[-1][0], end)
-        else:
-            found.append((start, end))
-    return found
+    return union(zip((starts - wide).tolist(), (stops + wide).tolist(), strict=True), least * (1 - 1e-9))
 
 
 def quantiles(values: Array, shares: Iterable[float]) -> list[Array]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Box, Frame, Start
 from facetrack_cli.core.yaml_tree import printable
 from facetrack_cli.tracking.identity.gallery import name_problem
@@ -111,7 +111,7 @@ def _entries(folder: Path) -> list[Path]:
             raise InputError(f"{folder}: is no folder; name one that has a folder for each person")
         found = [one for one in folder.iterdir() if not one.name.startswith(".")]
     except OSError as e:
-        raise InputError(f"{folder}: {images.reason(e)}; check the name and the permissions") from e
+        raise InputError(f"{folder}: {reason(e)}; check the name and the permissions") from e
     return sorted(found, key=lambda one: images.natural_key(one.name))
 
 
@@ -146,8 +146,8 @@ def faces_of(item: Item, reading: Reading, warn: Callable[[str], None]) -> Itera
     if item.kind == "picture":
         try:
             frame = Frame(0, 0.0, images.read(item.path))
-        except (OSError, ValueError) as e:
-            warn(f"{item.path}: {images.reason(e)}; skipped")
+        except images.UnreadableError as e:
+            warn(f"{item.path}: {e.why}; skipped")
             yield None, None
             return
         yield frame, _in_picture(item, frame, warn) if start is None else _given(start, frame)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame, Image
 from facetrack_cli.tracking.kernels import skin as kernel
 
@@ -118,8 +119,9 @@ def _inside(frame: Frame, box: Box) -> tuple[int, int, int, int]:
 def _ellipse(box: Box, x0: int, y0: int, region: Image) -> Mask:
     """Which pixels of the region at (x0, y0) the box's ellipse covers; all of them if it covers none."""
     height, width = region.shape[:2]
-    u = (np.arange(x0, x0 + width) - (box[0] + (box[2] - 1) / 2)) / max(box[2] / 2, 0.5)
-    v = (np.arange(y0, y0 + height) - (box[1] + (box[3] - 1) / 2)) / max(box[3] / 2, 0.5)
+    x, y = centre(box)
+    u = (np.arange(x0, x0 + width) - x) / max(box[2] / 2, 0.5)
+    v = (np.arange(y0, y0 + height) - y) / max(box[3] / 2, 0.5)
     covered = u**2 + v[:, None] ** 2 <= 1
     return np.asarray(covered if covered.any() else np.ones_like(covered), np.bool_)
 

@@ -19,6 +19,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
+from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Particles
 from facetrack_cli.tracking.models.patches import scale_of
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostic
@@ -161,9 +162,9 @@ def evenly(x0: Array, windows: Array) -> Estimate:
 
 def affine_state_of_box(left: float, top: float, w: float, h: float) -> Array:
     """(1, 6): the affine state of a box at the start; pixel centres are whole numbers."""
-    return np.array([[left + (w - 1) / 2, top + (h - 1) / 2, 1.0, 0.0, 0.0, 1.0]])
+    return np.array([[*centre((left, top, w, h)), 1.0, 0.0, 0.0, 1.0]])
 
 
 def state_of_box(left: float, top: float, w: float, h: float) -> Array:
     """(1, 6): the state of a box at the start, at rest and of scale 1; pixel centres are whole numbers."""
-    return np.array([[left + (w - 1) / 2, top + (h - 1) / 2, 1.0, 0.0, 0.0, 0.0]])
+    return np.array([[*centre((left, top, w, h)), 1.0, 0.0, 0.0, 0.0]])

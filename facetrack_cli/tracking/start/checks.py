@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.geometry import centre_inside, inside
+from facetrack_cli.core.geometry import centre, inside
 from facetrack_cli.core.types import Box, Start, TargetStart
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
 def _check_places(origin: str, name: str, target: TargetStart, size: tuple[int, int]) -> None:
     """InputError if the box's centre, or a point, is outside of a frame of that (width, height)."""
     outside = f"is outside the frame of {size[0]}x{size[1]} pixels; correct it"
-    if target.box is not None and not centre_inside(target.box, size):
+    if target.box is not None and not inside(centre(target.box), size):
         numbers = ", ".join(f"{value:g}" for value in target.box)
         raise InputError(f"{origin}: the centre of the box [{numbers}] of {name} {outside}")
     for part, (x, y) in target.points.items():

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.geometry import centre_inside, common_area, inside
+from facetrack_cli.core.geometry import centre, inside, overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
 from facetrack_cli.tracking.start.points import cascade, place
 
@@ -100,7 +100,7 @@ def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str
         wrong = f"is smaller than 2 pixels; {_ALL_OF_IT}"
     elif max(box[2] / frame.size[0], box[3] / frame.size[1]) > 2:
         wrong = f"is far larger than {size}; {_ALL_OF_IT}"
-    elif not centre_inside(box, frame.size):
+    elif not inside(centre(box), frame.size):
         wrong = f"is not in {size}; give left, top, width and height in pixels of the frame"
     else:
         points = place(frame.bgr, _face_in(frame.bgr, box) or box)
@@ -153,7 +153,7 @@ def _confirmed(name: str, grey: Image, box: tuple[int, int, int, int]) -> bool:
     left, top = max(x - margin, 0), max(y - margin, 0)
     patch = np.ascontiguousarray(grey[top : y + h + margin, left : x + w + margin])
     near = _detect(name, patch, 2, max(20, round(0.7 * w)), round(1.4 * w))
-    return any(_overlap((x, y, w, h), (bx + left, by + top, bw, bh)) > 0.5 for bx, by, bw, bh in near)
+    return any(overlap((x, y, w, h), (bx + left, by + top, bw, bh)) > 0.5 for bx, by, bw, bh in near)
 
 
 def _face_in(image: Image, box: Box) -> Box | None:
@@ -169,14 +169,8 @@ def _face_in(image: Image, box: Box) -> Box | None:
         (fx / zoom + left, fy / zoom + top, fw / zoom, fh / zoom)
         for fx, fy, fw, fh in _detect("frontalface_alt2", np.asarray(grey, np.uint8), 2, smallest, max(grey.shape))
     ]
-    best = max(faces, key=lambda face: (_overlap(face, box), face), default=None)
-    return best if best is not None and _overlap(best, box) > 0.35 else None
-
-
-def _overlap(a: Box, b: Box) -> float:
-    """Common area over joint area of two boxes."""
-    common = common_area(a, b)
-    return common / (a[2] * a[3] + b[2] * b[3] - common)
+    best = max(faces, key=lambda face: (overlap(face, box), face), default=None)
+    return best if best is not None and overlap(best, box) > 0.35 else None
 
 
 def _start(frame: Frame, box: Box, points: dict[str, Point], parts: Sequence[str], origin: str) -> Start:

@@ -35,7 +35,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.spans import runs
+from facetrack_cli.core.spans import spans
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -251,7 +251,7 @@ def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
         known = np.isfinite(values)  # of angle and size, pairs may be missing where points are not
         return np.interp(grid, time_s[known], values[known]) if known.any() else np.zeros(len(grid))
 
-    def spans(kind: str, label: str, begin: int, end: int) -> Iterator[Span]:
+    def of_kind(kind: str, label: str, begin: int, end: int) -> Iterator[Span]:
         # grid times are rounding errors away from the rows'; where rows are far apart, a span may hold none
         first = int(np.searchsorted(time_s, grid[begin] - dt / 4))
         after = int(np.searchsorted(time_s, grid[begin] + (end - begin - 0.25) * dt))
@@ -266,13 +266,13 @@ def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
     for kind, signal, rate in signals:
         for begin, end, label in _moving(signal, dt, rate, LABELS[kind]):
             busy[begin:end] = True
-            yield from spans(kind, label, begin, end)
+            yield from of_kind(kind, label, begin, end)
     for begin, end, label in _swinging(x, y, dt):
         busy[begin:end] = True
-        yield from spans("nods", label, begin, end)
-    for begin, end in runs(~busy):
+        yield from of_kind("nods", label, begin, end)
+    for begin, end in spans(~busy):
         if (end - begin) * dt >= STILL_S:
-            yield from spans("still", "still", begin, end)
+            yield from of_kind("still", "still", begin, end)
 
 
 def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> Iterator[tuple[int, int, str]]:
@@ -281,7 +281,7 @@ def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> It
     slope = np.gradient(_kernel(rate.smooth_s / dt), dt)
     begin_above = max(rate.begin, NOISE * _noise(signal) * _left_by(slope))
     for sign, label in zip((-1, 1), labels, strict=True):
-        for begin, end in runs(sign * speed > rate.last):
+        for begin, end in spans(sign * speed > rate.last):
             fast = np.max(sign * speed[begin:end]) > begin_above
             change = abs(smooth[end - 1] - smooth[begin])
             if fast and (end - begin) * dt >= LEAST_S and change >= rate.change:
@@ -301,7 +301,7 @@ def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
             more = (b - a + 1) // 2
             width = np.ptp(side[max(0, a - more) : b + more + 1])
             quick[n] = SWING_S[0] <= (b - a) * dt <= SWING_S[1] and abs(light[b] - light[a]) >= ACROSS * width
-        for a, b in runs(quick):
+        for a, b in spans(quick):
             if b - a >= SWINGS:
                 found.append((_leaves(light, turns[a], turns[a + 1]), _reaches(light, turns[b - 1], turns[b]), label))
     after = 0
