@@ -53,8 +53,8 @@ def place(folder, frame, part):
 def save(window):
     window.here("save").click()
     window.here("confirm-yes").click()
-    window.until("window.facetrack.ended || !document.getElementById('lack').hidden")
-    assert not window.seen("lack"), window.text("lack")
+    window.until("window.facetrack.ended || !document.getElementById('problem').hidden")
+    assert not window.seen("problem"), window.text("problem")
 
 
 def test_a_lost_track_is_put_right_and_what_follows_changes_alone(command, windows, out):
@@ -74,7 +74,7 @@ def test_a_lost_track_is_put_right_and_what_follows_changes_alone(command, windo
     assert window.tell("draft.targets") == {} and len(window.tell("corrections")) == 1
     assert lines(out) == before, "nothing is written until it is saved"
     save(window)
-    said = window.text("saved-said")
+    said = window.text("saved-messages")
     assert f"{out / 'corrected.init.yaml'}: written" in said and f"{out / 'trajectory.csv'}: written" in said
     code, _ = running.ended()
     assert code == 0
@@ -117,7 +117,7 @@ def test_only_the_rows_up_to_the_next_correction_change(fix, windows, out):
     assert rows(window) == between
     window.here("undo").click()
     idle(window, 4)
-    assert rows(window) == after and session.first_fault is None
+    assert rows(window) == after and session.first_error is None
 
 
 def test_what_something_covers_is_not_learned(fix, windows, out):
@@ -142,7 +142,7 @@ def test_what_something_covers_is_not_learned(fix, windows, out):
 
 
 def rows(window):
-    return window.page.evaluate("fetch('api/rows?from=0&to=99').then((got) => got.json())")["frames"]
+    return window.page.evaluate("fetch('api/rows?first=0&last=99').then((got) => got.json())")["frames"]
 
 
 def test_by_keys_alone(fix, windows, out):
@@ -231,7 +231,7 @@ def test_a_second_window_sees_what_is_tracked_and_waits(fix, windows, out, monke
     assert one.tell("rows") == other.tell("rows") and len(other.tell("corrections")) == 1
     save(one)
     other.until("window.facetrack.ended")
-    assert other.text("saved-said") == one.text("saved-said") and session.first_fault is None
+    assert other.text("saved-messages") == one.text("saved-messages") and session.first_error is None
 
 
 @pytest.mark.parametrize("screen", [DESK, PHONE, {**SMALL, "color_scheme": "dark"}], ids=["desk", "phone", "small"])
@@ -244,9 +244,9 @@ def test_all_is_in_the_window_large_enough_and_legible(fix, windows, out, screen
         if found := wrong_looks(window, fingers="has_touch" in screen):
             wrong[face] = found
 
-    window.until("window.facetrack.doubtful !== null")
+    window.until("window.facetrack.review !== null")
     look("begun")
-    for tab in ("parts", "doubtful", "corrections"):
+    for tab in ("parts", "review", "corrections"):
         window.here(f"tab-{tab}").click()
         look(tab)
     window.here("tab-parts").click()

@@ -130,9 +130,9 @@ def move(window, part, by, target="face"):
 def save(window):
     window.here("save").click()
     window.here("confirm-yes").click()
-    window.until("window.facetrack.ended || !document.getElementById('lack').hidden")
-    assert not window.seen("lack"), window.text("lack")
-    return window.text("saved-said")
+    window.until("window.facetrack.ended || !document.getElementById('problem').hidden")
+    assert not window.seen("problem"), window.text("problem")
+    return window.text("saved-messages")
 
 
 @pytest.fixture
@@ -157,12 +157,12 @@ def test_a_head_that_is_lost_is_put_right_by_the_mouse(command, windows, made, o
     before = lines(folder)
     running = command("fix", folder)
     window = windows(running.url)
-    [worst, *_] = window.tell("doubtful")
+    [worst, *_] = window.tell("review")
     window.until_shown(worst)
-    assert worst > CUT and window.tell("looked") == {"target": "head", "part": "box"}, "it begins where it is worst"
+    assert worst > CUT and window.tell("highlighted") == {"target": "head", "part": "box"}, "it begins where it is worst"
     window.press("Home")
-    window.here("tab-doubtful").click()
-    window.here(f"doubtful-{worst}").click()
+    window.here("tab-review").click()
+    window.here(f"review-{worst}").click()
     window.until_shown(worst)
     assert window.tell("rows")[0][CONFIDENCE] < 0.5
     was = table(window)
@@ -178,7 +178,7 @@ def test_a_head_that_is_lost_is_put_right_by_the_mouse(command, windows, made, o
     assert np.abs(np.subtract(middle, there)).max() <= 1 and np.allclose((width, height), (w, h), atol=0.011)
     window.here("track").click()
     idle(window, 1)
-    assert window.text("message").startswith(f"Tracked anew from frame {CUT}") and not window.face("head")
+    assert window.text("message").startswith(f"Tracked from frame {CUT}") and not window.face("head")
     now = table(window)
     assert now[:CUT] == was[:CUT] and all(new != old for new, old in zip(now[CUT:], was[CUT:], strict=True))
     assert [k for k, [cell] in enumerate(now) if cell[BY_HAND]] == [CUT]
@@ -209,14 +209,14 @@ def test_a_head_that_is_lost_is_put_right_by_keys_alone(fix, windows, out):
     before = lines(folder)
     session, url = fix(folder)
     window = windows(url)
-    doubtful = window.tell("doubtful")
+    doubtful = window.tell("review")
     window.until_shown(doubtful[0])
     shown = [doubtful[0]]
     for _ in doubtful[1:]:
         window.press("w")
         shown.append(window.tell("frame"))
     window.press("w")
-    assert shown == doubtful and window.text("message") == "Every doubtful frame was looked at."
+    assert shown == doubtful and window.text("message") == "You have reviewed every frame of the list."
     window.press("Home", "n")
     assert window.tell("frame") == min(doubtful)
     window.press("n", "Shift+N")
@@ -248,7 +248,7 @@ def test_a_head_that_is_lost_is_put_right_by_keys_alone(fix, windows, out):
     assert np.allclose(correction.given.box, [left, top, width + 1, height], atol=0.011)
     after = lines(folder)
     assert [key[0] for key in after if after[key] != before[key]] == [*range(CUT, FRAMES)]
-    assert session.first_fault is None
+    assert session.first_error is None
 
 
 def corner(window):
@@ -277,7 +277,7 @@ def test_what_is_not_there_and_there_again(fix, windows, out):
     window.press("Shift+X")
     assert window.face()["absent"] is True
     window.here("absent-face").click()
-    assert window.tell("draft.targets") == {} and window.text("absent-face") == "Not there"
+    assert window.tell("draft.targets") == {} and window.text("absent-face") == "Set absent"
     window.here("absent-face").click()
     window.press("t")
     idle(window, 1)
@@ -287,7 +287,7 @@ def test_what_is_not_there_and_there_again(fix, windows, out):
     assert [[cell[:7] for cell in row] for row in gone[5:]] == [[absent] * 5] * (FRAMES - 5)
     assert [k for k, row in enumerate(gone) if all(cell[BY_HAND] for cell in row)] == [5]
     window.here("tab-corrections").click()
-    assert "not there" in window.text("correction-5-face")
+    assert "absent" in window.text("correction-5-face")
 
     go_to(window, 9)
     window.here("tab-parts").click()
@@ -346,7 +346,7 @@ def test_drags_and_corrections_are_taken_back(fix, windows, out):
     window.here("undo").click()
     idle(window, 4)
     assert table(window) == was and window.tell("corrections") == [] and not window.tell("canUndo")
-    assert window.here("undo").is_disabled() and session.first_fault is None
+    assert window.here("undo").is_disabled() and session.first_error is None
 
 
 # --- more than one window, and none ----------------------------------------------------------------------------------
@@ -378,7 +378,7 @@ def test_the_slower_of_two_windows_is_told(fix, windows, out):
     free.set()
     for route in stopped:
         route.continue_()
-    other.until("!document.getElementById('lack').hidden")
+    other.until("!document.getElementById('problem').hidden")
     assert session.rows_revision == 0 and other.tell("corrections") == []
     other.until("!window.facetrack.busy")
     assert other.tell("draft") == one.tell("draft") == session.draft.to_json()
@@ -396,7 +396,7 @@ def test_a_tab_that_is_closed_while_tracking_changes_nothing(fix, windows, out, 
     window.until_sent()
     draft = window.tell("draft")
     window.page.reload()
-    window.until("!!window.facetrack?.picture")
+    window.until("!!window.facetrack?.image")
     window.until_shown(20)
     assert window.tell("draft") == draft, "it is there after a reload"
     window.press("t")
@@ -416,7 +416,7 @@ def test_a_tab_that_is_closed_while_tracking_changes_nothing(fix, windows, out, 
     assert other.tell("draft") == draft
     other.press("t")
     idle(other, 3)
-    assert table(other) == rows and session.first_fault is None and session.ended is None
+    assert table(other) == rows and session.first_error is None and session.ended is None
 
 
 # --- through the clip ------------------------------------------------------------------------------------------------
@@ -492,14 +492,14 @@ def test_what_was_moved_and_not_tracked_is_not_forgotten(fix, windows, out):
     window.drag(window.tell("rows")[0][:2], (60, 60))
     assert window.tell("draft") == draft and "frame 20 is not tracked yet" in window.text("message")
     window.here("save").click()
-    window.until("!document.getElementById('lack').hidden")
-    assert "frame 20 is not tracked yet" in window.text("lack") and not window.seen("confirm")
+    window.until("!document.getElementById('problem').hidden")
+    assert "frame 20 is not tracked yet" in window.text("problem") and not window.seen("confirm")
     window.here("go-back").click()
     window.until_shown(20)
     assert not window.seen("elsewhere")
     window.press("Escape", ".")
     window.until_shown(21)
-    window.here("throw-away").click()
+    window.here("discard-elsewhere").click()
     assert window.tell("draft.targets") == {} and window.tell("frame") == 21 and not window.seen("elsewhere")
     window.press("Control+z")
     assert window.tell("draft") == draft
@@ -512,7 +512,7 @@ def test_what_was_moved_and_not_tracked_is_not_forgotten(fix, windows, out):
     window.here("save").click()
     window.here("confirm-yes").click()
     window.until("window.facetrack.ended")
-    assert files(folder) == before and session.first_fault is None, "nothing was corrected in the end"
+    assert files(folder) == before and session.first_error is None, "nothing was corrected in the end"
 
 
 # --- fingers, and several targets ------------------------------------------------------------------------------------

@@ -102,7 +102,7 @@ def through(window):
     yield "proposed"
     window.here("part-face-nose").click()
     window.press("Enter", "Control+s")
-    window.until("!document.getElementById('lack').hidden")
+    window.until("!document.getElementById('problem').hidden")
     yield "lacking"
     window.press("Escape", ".")
     window.until_shown(1)
@@ -187,14 +187,14 @@ def test_a_4k_picture_comes_as_small_as_it_is_shown(clips, pick, windows):
 
     def magnified():
         """Whether what is seen to the upper left and right is what is there, eight times as large."""
-        pointed = window.page.evaluate("(at) => window.facetrack.toPicture(...at)", list(window.at(1003, 998)))
+        pointed = window.page.evaluate("(at) => window.facetrack.toImage(...at)", list(window.at(1003, 998)))
         places = np.array([(0.2, 0.2), (0.8, 0.2)]) * side
         spots = np.round(pointed + (places - side / 2) / 8).astype(int)
         return np.array_equal(window.pixels("magnifier", places), [truth[spot[1], spot[0]] for spot in spots])
 
     until(magnified, "the very pixels", window.page.wait_for_timeout)
     window.mouse.wheel(0, -1500)
-    window.until("window.facetrack.picture.reduce === 1")
+    window.until("window.facetrack.image.reduce === 1")
     window.click(1003, 998)
     assert np.abs(np.subtract(window.face()["points"]["nose"], (1003, 998))).max() <= 0.6
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Start, TargetStart
-from facetrack_cli.editor.web.pictures import Pictures
 from facetrack_cli.tracking.start import PARTS, read_init
 from tests.support.browser import until
 from tests.support.media import write_pictures, write_video
@@ -147,7 +146,7 @@ def test_arrows_nudge_by_exact_steps(clips, pick, windows):
 def test_a_proposal_is_taken_corrected_and_saved(clips, pick, windows, tmp_path):
     _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1)
     window = windows(url)
-    window.here("take-picture-0").click()
+    window.here("take-image-0").click()
     assert window.text("progress") == "6 of 6"
     taken = window.face()
     near(taken["points"], POINTS, 4)
@@ -212,11 +211,11 @@ def test_what_is_lacking_is_said_and_shown(clips, pick, windows, tmp_path):
     window.click(160, 138)
     window.here("part-face-nose").click()
     window.here("save").click()
-    window.until("!document.getElementById('lack').hidden")
-    assert window.text("lack") == "still to choose: mouth_left, mouth_right, lip_upper and lip_lower of face"
+    window.until("!document.getElementById('problem').hidden")
+    assert window.text("problem") == "still to choose: mouth_left, mouth_right, lip_upper and lip_lower of face"
     assert window.tell("current.part") == "mouth_left" and not list(tmp_path.iterdir())
     window.click(137, 154)
-    assert not window.seen("lack") and window.here("save").is_enabled()
+    assert not window.seen("problem") and window.here("save").is_enabled()
 
 
 # --- by keys alone ---------------------------------------------------------------------------------------------------
@@ -314,20 +313,10 @@ def test_slider_and_keys_show_the_frame_that_they_name(clips, pick, windows):
     assert window.tell("draft.frame") == shown, "nothing is marked, so a start would be here"
 
 
-class Held(Pictures):
-    """Pictures that come only after `go`, but for the first one."""
-
-    def __init__(self, frames):
-        super().__init__(frames)
-        self.go = threading.Event()
-
-    def jpeg(self, index, reduce=1):
-        assert index == 0 or self.go.wait(60)
-        return super().jpeg(index, reduce)
-
-
-def test_fast_dragging_asks_for_few_frames_and_ends_with_the_right_one(clips, pick, windows):
-    session, url = pick(clips / "numbered.mp4", pictures=Held)
+def test_fast_dragging_requests_few_frames_and_ends_with_the_right_one(clips, pick, windows, monkeypatch):
+    session, url = pick(clips / "numbered.mp4")
+    go, jpeg = threading.Event(), session.images.jpeg  # images other than the first arrive only after `go`
+    monkeypatch.setattr(session.images, "jpeg", lambda index, reduce: (index == 0 or go.wait(60)) and jpeg(index, reduce))
     window = windows(url)
     box = window.here("frame-slider").bounding_box()
     middle = box["y"] + box["height"] / 2
@@ -339,11 +328,11 @@ def test_fast_dragging_asks_for_few_frames_and_ends_with_the_right_one(clips, pi
         passed.add(window.tell("frame"))
     window.mouse.up()
     frame = window.tell("frame")
-    assert len(passed) > 30 and 60 < frame < 100 and window.tell("picture.index") == 0
+    assert len(passed) > 30 and 60 < frame < 100 and window.tell("image.index") == 0
     x, y = window.at(32, 24)
     window.mouse.click(x, y)
     assert window.tell("draft.targets") == {}, "nothing can be placed in a picture that is not there"
-    session.pictures.go.set()
+    go.set()
     window.until_shown(frame)
     until(lambda: window.number() == frame, f"frame {frame}")
     asked = [int(path.partition("/")[2].partition(".")[0]) for path in window.asked if path.startswith("frame/")]
@@ -356,7 +345,7 @@ def test_fast_dragging_asks_for_few_frames_and_ends_with_the_right_one(clips, pi
 def test_marks_stay_with_their_frame_until_one_begins_elsewhere(clips, pick, windows, tmp_path):
     _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1, begun=BEGUN)
     window = windows(url)
-    window.until("document.getElementById('message').textContent.startsWith('begun with what a file')")
+    window.until("document.getElementById('message').textContent.startsWith('taken from a file')")
     before = window.tell("draft")
     window.here("following").click()
     window.until_shown(2)
@@ -430,7 +419,7 @@ def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
     window = windows(url)
     window.drag(*corners(BOX))
     window.here("rename-face").click()
-    for name, why in [("points", "word of the file itself"), ("1st", "letters, digits"), ("a/b", "letters, digits")]:
+    for name, why in [("points", "a key of init files"), ("1st", "letters, digits"), ("a/b", "letters, digits")]:
         window.here("name-field").fill(name)
         window.press("Enter")
         assert why in window.text("message") and list(window.tell("draft.targets")) == ["face"]
@@ -441,7 +430,7 @@ def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
         add(window, name)
         window.drag(*corners([20, 20, 40, 50]) if name == "hand" else corners([250, 180, 30, 30]))
     add(window, "hand")
-    assert "hand already" in window.text("message")
+    assert "There is already a target hand" in window.text("message")
     window.press("Escape")
     window.here("remove-ball").click()
     assert list(window.tell("draft.targets")) == ["somebody", "hand"] and not window.seen("target-ball")
@@ -486,7 +475,7 @@ def test_two_browsers_show_the_same_and_the_slower_one_is_told(clips, pick, wind
         one.click(*at)
     assert one.save() == f"{tmp_path / 'a.yaml'}: written"
     other.until("window.facetrack.ended")
-    assert other.text("saved-said") == one.text("saved-said") and other.text("save") == "Saved"
+    assert other.text("saved-messages") == one.text("saved-messages") and other.text("save") == "Saved"
     assert other.tell("draft") == one.tell("draft") == session.draft.to_json()
     other.press("Escape")
     other.click(200, 60)
@@ -509,9 +498,9 @@ def test_a_tab_that_is_closed_leaves_its_marks_to_the_next(clips, pick, windows)
     again.until_sent()
     draft = again.tell("draft")
     again.page.reload()
-    again.until("!!window.facetrack?.picture")
+    again.until("!!window.facetrack?.image")
     assert again.tell("draft") == draft and len(draft["targets"]["face"]["points"]) == 2
-    assert session.first_fault is None and session.ended is None
+    assert session.first_error is None and session.ended is None
 
 
 def test_a_command_that_was_stopped_is_missed(command, windows, tmp_path):
@@ -523,8 +512,8 @@ def test_a_command_that_was_stopped_is_missed(command, windows, tmp_path):
     running.process.terminate()
     code, said = running.ended()
     assert code == 143 and "a.init.unsaved.yaml" in said
-    window.until("window.facetrack.gone")
-    assert window.seen("gone") and "No answer" in window.text("gone")
+    window.until("window.facetrack.offline")
+    assert window.seen("offline") and "No answer" in window.text("offline")
     window.click(137, 154)
     window.here("save").click()
     window.until("document.getElementById('message').textContent.startsWith('Not saved')")
@@ -541,4 +530,4 @@ def test_a_wrong_token_shows_nothing(clips, pick, windows):
         said = window.page.content()
         assert answer.status == 403 and "lacks its token" in said
         assert token not in said and "face" not in said.replace("facetrack", "") and "<script" not in said
-    assert window.go(f"{base}/{token}").tell("picture.index") == 0, "the slash at the end may be forgotten"
+    assert window.go(f"{base}/{token}").tell("image.index") == 0, "the slash at the end may be forgotten"

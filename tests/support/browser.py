@@ -1,7 +1,7 @@
 """The page in a real Chromium without a screen: windows that tell what went wrong in them, and servers for them.
 
-Nothing here waits for a time: `Window.until` looks until a condition holds. The fixtures are known to every test by
-conftest.py; they skip where there is no playwright or no Chromium ($FACETRACK_CHROMIUM names one).
+Nothing here waits for a time: `Window.until` looks until a condition holds. The fixtures are known to the tests of the
+editor by its conftest.py; they skip where there is no playwright or no Chromium ($FACETRACK_CHROMIUM names one).
 """
 
 import contextlib
@@ -19,10 +19,8 @@ import pytest
 
 from facetrack_cli.editor.files.run_folder import open_run
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.web import server as server_module
 from facetrack_cli.editor.web.fix_session import FixSession
 from facetrack_cli.editor.web.pick_session import PickSession
-from facetrack_cli.editor.web.pictures import Pictures
 from facetrack_cli.editor.web.server import serving
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.video.seek import Frames
@@ -76,7 +74,7 @@ class Window:
 
     def go(self, url):
         self.page.goto(url)
-        self.until("!!window.facetrack?.picture")
+        self.until("!!window.facetrack?.image")
         self.size = self.page.evaluate("fetch('api/session').then((got) => got.json())")["size"]
         return self
 
@@ -102,7 +100,7 @@ class Window:
         self.until("window.facetrack.sent")
 
     def until_shown(self, frame):
-        self.until(f"window.facetrack.picture.index === {frame} && window.facetrack.frame === {frame}")
+        self.until(f"window.facetrack.image.index === {frame} && window.facetrack.frame === {frame}")
 
     def here(self, name):
         """The element of a data-testid."""
@@ -116,7 +114,7 @@ class Window:
 
     def said(self):
         """All that the page has to say: of a file, of what is lacking, of the last deed."""
-        return [self.text(name) for name in ("gone", "lack", "message") if self.seen(name) and self.text(name)]
+        return [self.text(name) for name in ("offline", "problem", "message") if self.seen(name) and self.text(name)]
 
     def face(self, target="face"):
         return self.tell(f"draft.targets.{target}")
@@ -181,9 +179,9 @@ class Window:
     def save(self):
         """Save by the button, and wait until the page says that all is over."""
         self.here("save").click()
-        self.until("window.facetrack.ended || !document.getElementById('lack').hidden")
-        assert not self.seen("lack"), self.text("lack")
-        return self.text("saved-said")
+        self.until("window.facetrack.ended || !document.getElementById('problem').hidden")
+        assert not self.seen("problem"), self.text("problem")
+        return self.text("saved-messages")
 
 
 def until(look, what, pause=lambda ms: time.sleep(ms / 1000)):
@@ -258,9 +256,8 @@ def chromium():
 
 
 @pytest.fixture
-def served(monkeypatch):
-    """What a test opens and closes when its windows are gone."""
-    monkeypatch.setattr(server_module, "POLL_S", 0.005)
+def served():
+    """What a test opens, closed when its windows are gone."""
     with contextlib.ExitStack() as stack:
         yield stack
 
@@ -283,10 +280,10 @@ def command(served):
 def pick(served):
     """Serves `facetrack init --pick` in this process: pick(clip, out, config, ...) gives its session and its URL."""
 
-    def serve(clip, out=None, config=None, pictures=Pictures, **more):
+    def serve(clip, out=None, config=None, **more):
         recipe = None if config is None else load_recipe(config)
         frames = served.enter_context(Frames(clip))
-        session = PickSession(clip, frames, pictures(frames), out=out, recipe=recipe, **more)
+        session = PickSession(clip, frames, out=out, recipe=recipe, **more)
         return session, served.enter_context(serving(session)).url
 
     return serve
@@ -302,7 +299,7 @@ def fix(served):
         frames = served.enter_context(Frames(run.clip))
         fixer = Fixer(run, frames.read)
         served.callback(fixer.close)
-        session = FixSession(fixer, frames, Pictures(frames), **more)
+        session = FixSession(fixer, frames, **more)
         return session, served.enter_context(serving(session)).url
 
     return serve
@@ -321,4 +318,4 @@ def go_to(window, frame):
 def idle(window, revision):
     """Wait until so many steps were taken, and their rows are here."""
     window.until(f"window.facetrack.rowsRevision === {revision} && !window.facetrack.busy && !window.facetrack.job")
-    assert not window.seen("lack"), window.text("lack")
+    assert not window.seen("problem"), window.text("problem")

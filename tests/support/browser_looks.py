@@ -38,7 +38,7 @@ FAINT = """() => {
   const found = [];
   let looked = 0;
   for (const one of (open ?? document.body).querySelectorAll("*")) {
-    if (!written(one) || !one.checkVisibility({visibilityProperty: true}) || one.closest(".unseen, noscript, :disabled")) continue;
+    if (!written(one) || !one.checkVisibility({visibilityProperty: true}) || one.closest(".visually-hidden, noscript, :disabled")) continue;
     const ink = rgba(getComputedStyle(one).color);
     let opacity = 1;
     for (let up = one; up; up = up.parentElement) opacity *= Number(getComputedStyle(up).opacity);
