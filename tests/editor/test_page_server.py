@@ -278,7 +278,8 @@ def test_images(shared):
 
 def test_numbers_of_a_query_are_checked(shared):
     reductions = ["reduce=3", "reduce=0", "reduce=-2", "reduce=16", "reduce=", "reduce=x", "reduce=1e1", "reduce=nan",
-                  "reduce=%C2%B2", "reduce=" + "9" * 300, "reduce=1&reduce=2", "&".join(f"a{k}=1" for k in range(40))]  # fmt: skip
+                  "reduce=%C2%B2", "reduce=" + "9" * 300, "reduce=1&reduce=2",
+                  "&".join(f"a{k}=1" for k in range(40))]  # fmt: skip
     regions = ["", "x=0&y=0&w=8", "x=0&y=0&w=0&h=8", "x=0&y=0&w=5000&h=8", "x=0.5&y=0&w=8&h=8", "x=0&x=1&y=0&w=8&h=8",
                f"x={'9' * 5000}&y=0&w=8&h=8"]  # fmt: skip
     paths = [f"api/frame/3.jpg?{query}" for query in reductions] + [f"api/crop/3.png?{query}" for query in regions]
@@ -347,8 +348,8 @@ def test_a_draft_that_is_not_well_formed_is_refused_in_one_line(shared):
         None, [], {"frame": -1, "targets": {}}, {"frame": 1.5, "targets": {}}, {"frame": True, "targets": {}},
         {"frame": 0}, {"frame": 10**30, "targets": {}}, {"frame": 0, "targets": []},
         {"frame": 0, "targets": {}, "more": 1}, {"frame": 0, "targets": {"face": []}},
-        {"frame": 0, "targets": {"a b": {}}}, {"frame": 0, "targets": {"": {}}}, {"frame": 0, "targets": {"\ud800": {}}},
-        {"frame": 0, "targets": {f"t{k}": {} for k in range(21)}},
+        {"frame": 0, "targets": {"a b": {}}}, {"frame": 0, "targets": {"": {}}},
+        {"frame": 0, "targets": {"\ud800": {}}}, {"frame": 0, "targets": {f"t{k}": {} for k in range(21)}},
         *({"frame": 0, "targets": {"face": target}} for target in targets),
     ]:  # fmt: skip
         got = client.ask("PUT", "api/draft", {"base": 0, "draft": draft})

@@ -22,6 +22,7 @@ export class Magnifier {
     this.crop = null; // {frame, x, y, w, h, bitmap}
     this.requesting = false;
     this.at = null;
+    window.addEventListener("resize", () => this.#hideNow());
   }
 
   /** Shows the frame around (x, y), pixels, beside the pointer: "touch", "mouse" or "keys". */
@@ -37,10 +38,12 @@ export class Magnifier {
 
   hide(after = 0) {
     clearTimeout(this.hiding);
-    this.hiding = setTimeout(() => {
-      this.at = null;
-      this.canvas.hidden = true;
-    }, after);
+    this.hiding = setTimeout(() => this.#hideNow(), after);
+  }
+
+  #hideNow() {
+    this.at = null;
+    this.canvas.hidden = true;
   }
 
   toggle() {
