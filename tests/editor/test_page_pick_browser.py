@@ -145,6 +145,14 @@ def test_arrows_nudge_by_exact_steps(clips, pick, windows):
 def test_a_proposal_is_taken_corrected_and_saved(clips, pick, windows, tmp_path):
     _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1)
     window = windows(url)
+    window.until("window.facetrack.proposals.length")
+    [left, top, width, _] = window.get("proposals")[0]["targets"]["face"]["box"]
+
+    def dashed():
+        edge = window.image(np.arange(left, left + width), [top - 0.5])
+        return (np.abs(edge - (255, 205, 80)).max(axis=-1) < 40).any()
+
+    until(dashed, "the box of the proposal", window.page.wait_for_timeout)
     window.click_on("take-image-0")
     assert window.text("progress") == "6 of 6"
     taken = window.face()

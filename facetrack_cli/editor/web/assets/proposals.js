@@ -44,6 +44,7 @@ export class Proposals {
     if (store.frame === frame) store.proposals = this.known.get(frame)?.proposals ?? [];
     else this.#rest();
     this.update();
+    this.stage.draw();
   }
 
   take(index, as = null) {
