@@ -427,8 +427,12 @@ def test_picked_saved_and_run(clips, start, tmp_path, facetrack):
         *("-o", "-", "--format", "json"),
     )
     assert (code, err) == (0, "")
-    header = json.loads(out)
-    assert header["init"]["frame"] == 1
+    run = json.loads(out)
+    assert run["init"]["frame"] == 1
+    [target] = run["frames"][0]["targets"]
+    assert {part["status"] for part in target["parts"]} == {"init"}
+    for part in target["parts"]:
+        assert np.allclose((part["x"], part["y"]), POINTS[part["part"]], atol=0.01)
 
 
 def test_stopped_before_it_is_saved(clips, start, tmp_path):

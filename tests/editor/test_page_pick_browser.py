@@ -1,12 +1,10 @@
 """facetrack init --pick as its users meet it: a start is chosen in a real browser, by mouse and by keys."""
 
-import csv
 import threading
 
 import numpy as np
 import pytest
 
-from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.tracking.start import PARTS, read_init
 from tests.support.browser import until
@@ -50,8 +48,8 @@ def near(points, others, within):
 # --- by the mouse ----------------------------------------------------------------------------------------------------
 
 
-def test_a_box_and_five_points_are_picked_saved_and_tracked(command, windows, tmp_path):
-    saved, out = tmp_path / "a.init.yaml", tmp_path / "out"
+def test_a_box_and_five_points_are_picked_and_saved(command, windows, tmp_path):
+    saved = tmp_path / "a.init.yaml"
     running = command("init", CLIP, "--pick", "-o", saved)
     window = windows(running.url)
     assert (window.text("clip-name"), window.text("progress")) == (CLIP.name, "0 of 5")
@@ -67,13 +65,6 @@ def test_a_box_and_five_points_are_picked_saved_and_tracked(command, windows, tm
     face = start.targets["face"]
     assert (start.frame, list(start.targets), list(face.box)) == (0, ["face"], BOX)
     near(face.points, POINTS, 0.6)
-
-    arguments = ["run", CLIP, "--init", saved, "-o", out, "--stop", "3", "--no-video", "-q"]
-    assert main([str(one) for one in arguments]) == 0
-    with (out / "trajectory.csv").open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["frame"] == "0"]
-    assert {row["status"] for row in rows} == {"init"}
-    near({row["part"]: (float(row["x"]), float(row["y"])) for row in rows}, face.points, 0.01)
     code, err = running.ended()
     assert code == 0 and f"{saved}: written" in err
 
@@ -461,9 +452,7 @@ def test_two_windows_show_the_same_and_the_slower_one_is_told(clips, pick, windo
     other.until("window.facetrack.draft.targets.face.points.nose[0] === 150")
     assert other.text("message") == "Changed in another window."
 
-    held, free = [], threading.Event()  # until then, the other one receives no state
-    other.page.route("**/api/state", lambda route: route.continue_() if free.is_set() else held.append(route))
-    until(lambda: held, "the next time that it asks", other.page.wait_for_timeout)
+    release = other.hold("api/state", "api/draft")  # until then, the other one does not know of the next click
     one.click(137, 154)
     one.until_sent()
     theirs = one.get("draft")
@@ -472,14 +461,12 @@ def test_two_windows_show_the_same_and_the_slower_one_is_told(clips, pick, windo
     other.press("Shift+ArrowRight")
     mine = other.get("draft")
     assert mine["targets"]["face"]["points"] == {"nose": [160, 130]}
+    release()
     other.until_message("Another window was faster")
     assert other.get("draft") == theirs == session.draft.to_json()
     other.press("Control+z")
     other.until_sent()
     assert other.get("draft") == mine == session.draft.to_json()
-    free.set()
-    for route in held:
-        route.continue_()
     one.until("Object.keys(window.facetrack.draft.targets.face.points).length === 1")
 
     for part, at in list(POINTS.items())[1:]:
@@ -518,7 +505,7 @@ def test_a_tab_that_is_closed_leaves_its_marks_to_the_next(clips, pick, windows)
 def test_a_command_that_was_stopped_is_reported(command, windows, tmp_path):
     running = command("init", CLIP, "--pick", "-o", tmp_path / "a.init.yaml")
     window = windows(running.url)
-    window.expected = ["ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE"]
+    window.expected = ["net::ERR_"]  # of any kind, by what the process was about to send
     window.click(160, 138)
     window.until_sent()
     running.process.terminate()

@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -43,15 +44,41 @@ const wait = window.setTimeout.bind(window);
 const sooner = {250: 30, 300: 50, 1000: 150};
 window.setTimeout = (call, ms, ...given) => wait(call, sooner[ms] ?? ms, ...given);
 """
-# the middle of an element that a click there reaches, as soon as it is visible and enabled
-CLICKABLE = """(id) => {
+# the middle of an element, as soon as it is visible and enabled and a click there reaches it; if the element then moves
+# away, nothing receives the click, and `hit` is false
+AIM = """(id) => {
   const element = document.querySelector(`[data-testid="${id}"]`);
   if (!element || element.disabled || !element.checkVisibility({visibilityProperty: true})) return null;
   element.scrollIntoViewIfNeeded();
   const {x, y, width, height} = element.getBoundingClientRect();
   const at = [x + width / 2, y + height / 2];
-  return element.contains(document.elementFromPoint(...at)) ? at : null;
+  if (!element.contains(document.elementFromPoint(...at))) return null;
+  const events = ["pointerdown", "mousedown", "pointerup", "mouseup", "click"];
+  let hit = true;
+  const guard = (event) => {
+    if (element.contains(event.target)) return;
+    hit = false;
+    event.stopImmediatePropagation();
+    event.preventDefault();
+  };
+  for (const name of events) window.addEventListener(name, guard, true);
+  window.hit = () => {
+    for (const name of events) window.removeEventListener(name, guard, true);
+    return hit;
+  };
+  return at;
 }"""
+# in the page, since every look from outside is slow
+UNTIL = """([given, atMost]) => new Promise((done) => {
+  const check = %s;
+  const ends = performance.now() + atMost;
+  const look = () => {
+    const found = check(given);
+    if (found || performance.now() > ends) done(found);
+    else window.setTimeout(look, 5);
+  };
+  look();
+})"""
 # from a copy, since a canvas that is read often is drawn differently
 PIXELS = """([id, places]) => {
   const canvas = document.getElementById(id);
@@ -69,7 +96,7 @@ class Window:
         self.page, self.context = page, page.context
         self.keyboard, self.mouse = page.keyboard, page.mouse
         self.expected, self.errors, self.requests = [], [], []
-        self.size = self._fingers = None
+        self._fingers = None
         self._listeners = {
             "console": self._console,
             "pageerror": lambda error: self.errors.append(f"uncaught: {error}"),
@@ -92,7 +119,6 @@ class Window:
     def go(self, url):
         self.page.goto(url)
         self.until("!!window.facetrack?.image")
-        self.size = self.page.evaluate("fetch('api/session').then((got) => got.json())")["size"]
         return self
 
     def release(self):
@@ -103,6 +129,30 @@ class Window:
             self._fingers.detach()
         return [one for one in self.errors if not any(re.search(known, one) for known in self.expected)]
 
+    def hold(self, *paths):
+        """Requests to these paths of the server wait until the function that this returns is called.
+
+        Returns once one to the first path waits.
+        """
+        held, free = [], threading.Event()
+
+        def hold(route):
+            if free.is_set():
+                route.continue_()
+            else:
+                held.append(route)
+
+        def release():
+            free.set()
+            for route in held:
+                route.continue_()
+
+        for path in paths:
+            self.page.route(f"**/{path}", hold)
+        waits = lambda: any(route.request.url.endswith(paths[0]) for route in held)  # noqa: E731
+        until(waits, f"a request to {paths[0]}", self.page.wait_for_timeout)
+        return release
+
     # what there is
 
     def get(self, what):
@@ -110,11 +160,11 @@ class Window:
         return self.page.evaluate(f"window.facetrack.{what}")
 
     def until(self, script, given=None):
-        """What the script, or the function, gives as soon as it is true."""
-        try:
-            return until(lambda: self.page.evaluate(script, given), script, self.page.wait_for_timeout)
-        except AssertionError as e:
-            raise AssertionError(f"{e}; the page says {self.messages()}, errors: {self.errors}") from None
+        """The first true value of the expression, or of the function of `given`."""
+        check = script if script.startswith("(") else f"() => ({script})"
+        found = self.page.evaluate(UNTIL % check, [given, AT_MOST_S * 1000])
+        assert found, f"waited in vain for {script}; the page says {self.messages()}, errors: {self.errors}"
+        return found
 
     def until_sent(self):
         """The server has the draft of this window."""
@@ -146,12 +196,21 @@ class Window:
     def face(self, target="face"):
         return self.get(f"draft.targets.{target}")
 
-    def at(self, x, y):
+    @property
+    def size(self):
+        return self.page.evaluate("fetch('api/session').then((got) => got.json())")["size"]
+
+    def on_screen(self, *places):
         """From pixels of the frame to the window's."""
-        return tuple(self.page.evaluate("([x, y]) => window.facetrack.toScreen(x, y)", [x, y]))
+        places = [list(map(float, place)) for place in places]
+        return self.page.evaluate("(places) => places.map((place) => window.facetrack.toScreen(...place))", places)
+
+    def at(self, x, y):
+        return tuple(self.on_screen((x, y))[0])
 
     def scale(self):
-        return self.at(1, 0)[0] - self.at(0, 0)[0]
+        (left, _), (right, _) = self.on_screen((0, 0), (1, 0))
+        return right - left
 
     def pixels(self, canvas, places):
         """(n, 3) BGR of a canvas at places in its own pixels."""
@@ -178,11 +237,16 @@ class Window:
 
     def click_on(self, name):
         """In the middle of the element of a data-testid, once the mouse reaches it."""
-        self.mouse.click(*self.until(CLICKABLE, name))
+
+        def hit():
+            self.mouse.click(*self.until(AIM, name))
+            return self.page.evaluate("window.hit()")
+
+        until(hit, f"a click on {name}")
 
     def drag(self, *places, drop=True):
         """Press at the first place of the frame, go by the others, and let go at the last."""
-        first, *others = (self.at(*place) for place in places)
+        first, *others = self.on_screen(*places)
         self.mouse.move(*first)
         self.mouse.down()
         for place in others:
@@ -196,7 +260,7 @@ class Window:
 
     def touch(self, kind, *places):
         """`kind` start, move or end; `places` of the frame, one for each finger that is down."""
-        self.fingers(kind, *(self.at(*place) for place in places))
+        self.fingers(kind, *self.on_screen(*places))
 
     def fingers(self, kind, *places):
         """As `touch`, at places of the window, which stay while the image moves."""
@@ -223,7 +287,7 @@ def until(look, what, pause=lambda ms: time.sleep(ms / 1000)):
     ends = time.monotonic() + AT_MOST_S
     while not (found := look()):
         assert time.monotonic() < ends, f"waited in vain for {what}"
-        pause(5)
+        pause(10)
     return found
 
 
