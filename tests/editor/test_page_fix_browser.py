@@ -112,7 +112,7 @@ def files(folder):
 def table(window):
     """The cells of all frames as the page has them; the frame that is shown stays."""
     window.until("window.facetrack.rowsRevision !== null")
-    shown, found = window.get("frame"), window.page.evaluate(TABLE)
+    shown, found = window.get("frame"), window.evaluate(TABLE)
     assert None not in found and window.get("frame") == shown
     return found
 
@@ -227,7 +227,7 @@ def test_a_lost_head_is_corrected_by_keys_alone(fix, windows, out):
     window.press("Control+s")
     window.until("document.getElementById('confirm').open")
     assert "corrected.init.yaml" in window.text("confirm-text") and window.text("confirm-title") == "Save 1 correction?"
-    assert window.page.evaluate("document.activeElement.id") == "confirm-yes"
+    assert window.evaluate("document.activeElement.id") == "confirm-yes"
     window.press("Enter")
     window.until("window.facetrack.ended")
     [correction] = read_init(folder / "corrected.init.yaml").corrections
@@ -425,16 +425,16 @@ def test_two_windows_of_which_one_is_closed_while_tracking(fix, windows, out, he
 def test_the_timeline_leads_to_frames_and_shows_what_is_corrected(fix, windows, out):
     _, url = fix(out("face"))
     window = windows(url)
-    assert window.page.evaluate(MARKS) == []
+    assert window.evaluate(MARKS) == []
     for revision, frame in enumerate((30, 10), 1):
         go_to(window, frame)
         move(window, "nose", (6, 4))
-        until(lambda: window.page.evaluate(MARKS), "a mark", window.page.wait_for_timeout)
-        marks = dict(window.page.evaluate(MARKS))
+        until(lambda: window.evaluate(MARKS), "a mark", window.page.wait_for_timeout)
+        marks = dict(window.evaluate(MARKS))
         assert marks[frame] is False and len(marks) == revision, "hollow while it is not tracked"
         window.press("t")
         idle(window, revision)
-    until(lambda: window.page.evaluate(MARKS) == [[10, True], [30, True]], "two marks", window.page.wait_for_timeout)
+    until(lambda: window.evaluate(MARKS) == [[10, True], [30, True]], "two marks", window.page.wait_for_timeout)
 
     box = window.here("timeline").bounding_box()
     place = lambda frame: (box["x"] + 11 + frame / (FRAMES - 1) * (box["width"] - 22), box["y"] + box["height"] / 2)  # noqa: E731
@@ -462,7 +462,7 @@ def test_it_plays_and_stops(fix, windows, out):
     window.until("window.facetrack.frame > 6")
     window.press("k")
     frame = window.get("frame")
-    window.page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    window.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     assert window.get("frame") == frame < FRAMES - 1 and not window.get("playing")
     window.press("k")
     window.until(f"window.facetrack.frame > {frame}")

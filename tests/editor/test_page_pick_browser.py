@@ -1,5 +1,6 @@
 """facetrack init --pick as its users meet it: a start is chosen in a real browser, by mouse and by keys."""
 
+import re
 import threading
 
 import numpy as np
@@ -93,7 +94,7 @@ def test_a_point_is_dragged_under_the_magnifier(clips, pick, windows):
 
 def magnified(window, truth, at):
     """Whether the magnifier shows the exact pixels around a place, larger than the window does."""
-    side = window.page.evaluate("document.getElementById('magnifier').width")
+    side = window.evaluate("document.getElementById('magnifier').width")
     row = side * (5 if at[1] < truth.shape[0] / 2 else 3) // 8  # one that is within the frame
     line = window.pixels("magnifier", [(x + 0.5, row) for x in range(side)])
     edges = np.flatnonzero((line[1:] != line[:-1]).any(axis=1))
@@ -272,14 +273,14 @@ def test_every_control_is_reached_by_tab_and_has_a_name(clips, pick, windows):
     window.until("window.facetrack.proposals.length")
     reached = []
     where = "(document.activeElement.dataset.slot ? 'a part' : document.activeElement.dataset.testid) ?? 'BODY'"
-    while (now := window.press("Tab") or window.page.evaluate(where)) not in reached and now != "BODY":
+    while (now := window.press("Tab") or window.evaluate(where)) not in reached and now != "BODY":
         reached.append(now)
     there = {"help-open", "stage", "zoom-out", "zoom-fit", "zoom-in", "following", "frame-slider", "frame-number",
              "previous", "take-0", "rename-face", "remove-face", "a part", "add-target", "save"}  # fmt: skip
     assert set(reached) >= there
     nameless = """[...document.querySelectorAll('button, input, canvas')].filter((one) => one.checkVisibility()
       && !(one.ariaLabel || one.innerText?.trim() || one.labels?.length)).map((one) => one.outerHTML)"""
-    assert window.page.evaluate(nameless) == []
+    assert window.evaluate(nameless) == []
 
 
 # --- through the clip ------------------------------------------------------------------------------------------------
@@ -338,7 +339,7 @@ def test_fast_dragging_requests_few_frames_and_ends_with_the_right_one(clips, pi
     go.set()
     window.until_shown(frame)
     until(lambda: window.number() == frame, f"frame {frame}")
-    requested = [int(path.partition("/")[2].partition(".")[0]) for path in window.requests if path.startswith("frame/")]
+    requested = [int(found[1]) for one in window.requests() if (found := re.search(r"/frame/(\d+)\.jpg", one))]
     on_the_way = [one for one in requested if one and abs(one - frame) > 2]
     assert frame in requested and len(on_the_way) <= 4, "one at a time, and only the latest"
     window.mouse.click(x, y)

@@ -36,6 +36,7 @@ PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobil
 SMALL = {"viewport": {"width": 320, "height": 568}, "has_touch": True, "is_mobile": True}
 AT_MOST_S = 20.0
 READY = "open this page: "
+FUNCTION = re.compile(r"\([^()]*\) =>")
 
 # the page asks and sends more often than for users
 PREPARE = """
@@ -43,6 +44,7 @@ document.addEventListener('securitypolicyviolation', (e) => console.error('CSP: 
 const wait = window.setTimeout.bind(window);
 const sooner = {250: 30, 300: 50, 1000: 150};
 window.setTimeout = (call, ms, ...given) => wait(call, sooner[ms] ?? ms, ...given);
+performance.setResourceTimingBufferSize(10_000);
 """
 # the middle of an element, as soon as it is visible and enabled and a click there reaches it; if the element then moves
 # away, nothing receives the click, and `hit` is false
@@ -69,13 +71,17 @@ AIM = """(id) => {
   return at;
 }"""
 # in the page, since every look from outside is slow
-UNTIL = """([given, atMost]) => new Promise((done) => {
+UNTIL = """([given, atMost]) => new Promise((done, fail) => {
   const check = %s;
   const ends = performance.now() + atMost;
   const look = () => {
-    const found = check(given);
-    if (found || performance.now() > ends) done(found);
-    else window.setTimeout(look, 5);
+    try {
+      const found = check(given);
+      if (found || performance.now() > ends) done(found);
+      else window.setTimeout(look, 5);
+    } catch (error) {
+      fail(error);
+    }
   };
   look();
 })"""
@@ -95,13 +101,12 @@ class Window:
     def __init__(self, page):
         self.page, self.context = page, page.context
         self.keyboard, self.mouse = page.keyboard, page.mouse
-        self.expected, self.errors, self.requests = [], [], []
+        self.expected, self.errors = [], []
         self._fingers = None
         self._listeners = {
             "console": self._console,
             "pageerror": lambda error: self.errors.append(f"uncaught: {error}"),
             "crash": lambda _: self.errors.append("the tab crashed"),
-            "request": self._request,
         }
         for event, listener in self._listeners.items():
             page.on(event, listener)
@@ -109,12 +114,6 @@ class Window:
     def _console(self, message):
         if message.type in ("error", "warning", "assert"):
             self.errors.append(f"{message.type}: {message.text}")
-
-    def _request(self, request):
-        parts = urlsplit(request.url)
-        self.requests.append(request.url.partition("/api/")[2])
-        if parts.scheme not in ("data", "blob", "about") and parts.hostname != "127.0.0.1":
-            self.errors.append(f"requested from another machine: {request.url}")
 
     def go(self, url):
         self.page.goto(url)
@@ -125,8 +124,11 @@ class Window:
         """What went wrong in it; its page may be used again afterwards."""
         for event, listener in self._listeners.items():
             self.page.remove_listener(event, listener)
-        if self._fingers is not None and not self.page.is_closed():
-            self._fingers.detach()
+        if not self.page.is_closed():
+            others = [one for one in self.requests() if urlsplit(one).hostname not in ("127.0.0.1", None)]
+            self.errors += [f"requested from another machine: {one}" for one in others]
+            if self._fingers is not None:
+                self._fingers.detach()
         return [one for one in self.errors if not any(re.search(known, one) for known in self.expected)]
 
     def hold(self, *paths):
@@ -155,14 +157,24 @@ class Window:
 
     # what there is
 
+    def evaluate(self, script, given=None):
+        """The value of the expression, or of the function of `given`; as JSON, since playwright's own form is slow."""
+        value = f"({script})(JSON.parse(given))" if FUNCTION.match(script) else f"({script})"
+        call = f"async (given) => JSON.stringify((await {value}) ?? null)"
+        return json.loads(self.page.evaluate(call, json.dumps(given)))
+
     def get(self, what):
         """A property of window.facetrack, as in draft.targets.face.box."""
-        return self.page.evaluate(f"window.facetrack.{what}")
+        return self.evaluate(f"window.facetrack.{what}")
+
+    def requests(self):
+        """The addresses that were requested since the page was loaded."""
+        return self.evaluate("performance.getEntriesByType('resource').map((one) => one.name)")
 
     def until(self, script, given=None):
         """The first true value of the expression, or of the function of `given`."""
-        check = script if script.startswith("(") else f"() => ({script})"
-        found = self.page.evaluate(UNTIL % check, [given, AT_MOST_S * 1000])
+        check = script if FUNCTION.match(script) else f"() => ({script})"
+        found = self.evaluate(UNTIL % check, [given, AT_MOST_S * 1000])
         assert found, f"waited in vain for {script}; the page says {self.messages()}, errors: {self.errors}"
         return found
 
@@ -198,12 +210,12 @@ class Window:
 
     @property
     def size(self):
-        return self.page.evaluate("fetch('api/session').then((got) => got.json())")["size"]
+        return self.evaluate("fetch('api/session').then((got) => got.json())")["size"]
 
     def on_screen(self, *places):
         """From pixels of the frame to the window's."""
         places = [list(map(float, place)) for place in places]
-        return self.page.evaluate("(places) => places.map((place) => window.facetrack.toScreen(...place))", places)
+        return self.evaluate("(places) => places.map((place) => window.facetrack.toScreen(...place))", places)
 
     def at(self, x, y):
         return tuple(self.on_screen((x, y))[0])
@@ -214,12 +226,12 @@ class Window:
 
     def pixels(self, canvas, places):
         """(n, 3) BGR of a canvas at places in its own pixels."""
-        return np.array(self.page.evaluate(PIXELS, [canvas, [list(map(float, one)) for one in places]]), int)
+        return np.array(self.evaluate(PIXELS, [canvas, [list(map(float, one)) for one in places]]), int)
 
     def image(self, xs, ys):
         """(len(ys), len(xs), 3) BGR of the frame as it is shown, at places of the frame."""
         corner, box, scale = self.at(0, 0), self.here("stage").bounding_box(), self.scale()
-        ratio = self.page.evaluate("devicePixelRatio")
+        ratio = self.evaluate("devicePixelRatio")
         left, top = corner[0] - box["x"], corner[1] - box["y"]
         places = [((left + x * scale) * ratio, (top + y * scale) * ratio) for y in ys for x in xs]
         return self.pixels("stage", places).reshape(len(ys), len(xs), 3)
@@ -240,7 +252,7 @@ class Window:
 
         def hit():
             self.mouse.click(*self.until(AIM, name))
-            return self.page.evaluate("window.hit()")
+            return self.evaluate("window.hit()")
 
         until(hit, f"a click on {name}")
 

@@ -63,15 +63,15 @@ def wrong_looks(window, screens):
         size = screen["viewport"]
         if len(screens) > 1:
             window.page.set_viewport_size(size)
-            window.page.evaluate(DRAWN)
+            window.evaluate(DRAWN)
         for scheme in ("light", "dark"):
             window.page.emulate_media(color_scheme=scheme)
-            width, room, *scrolled = window.page.evaluate(WIDER)
-            looked, faint = window.page.evaluate(FAINT)
+            width, room, *scrolled = window.evaluate(WIDER)
+            looked, faint = window.evaluate(FAINT)
             assert looked > 2
-            small = window.page.evaluate(TOO_SMALL) if "has_touch" in screen else []
+            small = window.evaluate(TOO_SMALL) if "has_touch" in screen else []
             wrong = [*(("faint", one) for one in faint), *(("small", one) for one in small)]
-            wrong += [("outside", one) for one in window.page.evaluate(OUTSIDE)]
+            wrong += [("outside", one) for one in window.evaluate(OUTSIDE)]
             if width > room or scrolled != [0, 0]:
                 wrong.append(("scrolls", f"{width} in {room}, {scrolled}"))
             found += [(f"{size['width']} {scheme}", *one) for one in wrong]
