@@ -7,7 +7,6 @@ import cv2
 import pytest
 
 from facetrack_cli.__main__ import main
-from tests.support.browser import chromium, command, fix, pick, served, windows  # noqa: F401 -- for every test, and one browser
 from tests.support.samples import FOLDER
 
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits

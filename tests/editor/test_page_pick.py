@@ -1,4 +1,4 @@
-"""facetrack init --pick: what the page is told and sent, what is saved, and how the command ends."""
+"""facetrack init --pick without a browser: what the page receives and sends, what is saved, how the command ends."""
 
 import json
 import os
@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,16 +20,14 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.cli.commands import init as init_command
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
-from facetrack_cli.editor.web import serve as run_module
 from facetrack_cli.editor.web import server as server_module
 from facetrack_cli.editor.web import session as session_module
 from facetrack_cli.editor.web.draft import Draft, DraftTarget
 from facetrack_cli.editor.web.pick_session import PickSession
-from facetrack_cli.editor.web.pictures import Pictures
-from facetrack_cli.editor.web.requirements import LackingError, start_of, wants
+from facetrack_cli.editor.web.requirements import MissingError, requirements, start_of
 from facetrack_cli.editor.web.server import serving
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.start import PARTS, name_targets, read_init
+from facetrack_cli.tracking.start import PARTS, name_targets, read_init, write_init
 from facetrack_cli.tracking.start.haar import find_faces
 from facetrack_cli.video.seek import Frames
 from tests.support.media import write_pictures
@@ -61,7 +60,7 @@ def clips(tmp_path_factory):
 def picking(clip, out=None, config=None, **more):
     recipe = None if config is None else load_recipe(config)
     with Frames(clip) as frames:
-        session = PickSession(clip, frames, Pictures(frames), out=out, recipe=recipe, **more)
+        session = PickSession(clip, frames, out=out, recipe=recipe, **more)
         with serving(session) as server:
             client = Client(server.url)
             try:
@@ -72,13 +71,11 @@ def picking(clip, out=None, config=None, **more):
 
 @pytest.fixture(autouse=True)
 def hurry(monkeypatch):
-    """Nobody looks on: what is over is over."""
-    monkeypatch.setattr(server_module, "POLL_S", 0.005)
-    monkeypatch.setattr(run_module, "POLL_S", 0.005)
+    """The server stops as soon as a client was told of the end."""
     monkeypatch.setattr(session_module, "LINGER_S", 0.0)
 
 
-# --- what is wanted --------------------------------------------------------------------------------------------------
+# --- what is required ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -92,24 +89,24 @@ def hurry(monkeypatch):
         ("head_hands", [(name, "needed", []) for name in ("head", "left_hand", "right_hand")]),
     ],
 )
-def test_what_a_recipe_wants(clips, config, expected):
+def test_what_a_recipe_requires(clips, config, expected):
     with picking(clips / "face", config=config) as (client, _):
-        told = client.get("api/session").json
-    assert [(want["target"], want["box"], want["points"]) for want in told["wants"]] == expected
-    assert told["free"] == (config != "head_hands")
-    assert (told["mode"], told["clip"], told["recipe"], told["size"]) == ("pick", "face", config, [320, 240])
-    assert told["frames"] == {"first": 0, "last": 2, "exact": True}
-    for want in told["wants"]:
-        assert set(want["about"]) == {*want["points"], "box"} and all(want["about"].values())
-    assert "brows to the chin" in told["wants"][0]["about"]["box"]
+        about = client.get("api/session").json
+    assert [(one["target"], one["box"], one["points"]) for one in about["requirements"]] == expected
+    assert about["free"] == (config != "head_hands")
+    assert (about["mode"], about["clip"], about["recipe"], about["size"]) == ("pick", "face", config, [320, 240])
+    assert about["frames"] == {"first": 0, "last": 2, "exact": True}
+    for one in about["requirements"]:
+        assert set(one["about"]) == {*one["points"], "box"} and all(one["about"].values())
+    assert "brows to the chin" in about["requirements"][0]["about"]["box"]
 
 
-def test_a_single_point_wants_a_box_to_measure_by(tmp_path):
+def test_a_single_point_requires_a_box_as_unit_of_length(tmp_path):
     text = (FOLDER.parent / "configs" / "factorized_transition.yaml").read_text()
     path = tmp_path / "one.yaml"
     path.write_text(re.sub(r"parts: .*", "parts: [nose]", text))
-    [want] = wants(load_recipe(str(path)))
-    assert (want["box"], want["points"]) == ("needed", ["nose"])
+    [one] = requirements(load_recipe(str(path)))
+    assert (one["box"], one["points"]) == ("needed", ["nose"])
 
 
 # --- proposals -------------------------------------------------------------------------------------------------------
@@ -160,7 +157,7 @@ def test_hands_are_proposed_with_the_head(clips):
     assert "colour" in grey["note"]
 
 
-def test_the_same_frame_is_never_looked_at_twice_at_once(clips, monkeypatch):
+def test_requests_at_the_same_time_look_for_faces_once(clips, monkeypatch):
     from threading import Event, Thread
 
     began, go, looked = Event(), Event(), []
@@ -205,7 +202,7 @@ def test_the_same_frame_is_never_looked_at_twice_at_once(clips, monkeypatch):
         ("head_hands", {**HANDS, "foot": FACE}, "the recipe follows head, left_hand, right_hand, and no foot; "),
     ],
 )  # fmt: skip
-def test_a_draft_that_is_no_start_yet_says_what_is_missing(clips, tmp_path, config, targets, said):
+def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path, config, targets, said):
     out = tmp_path / "a.init.yaml"
     with picking(clips / "face", out, config) as (client, session):
         assert client.put_draft(1, **targets).status == 200
@@ -214,14 +211,14 @@ def test_a_draft_that_is_no_start_yet_says_what_is_missing(clips, tmp_path, conf
         assert "the page:" not in got.json["error"] and len(got.json["error"].splitlines()) == 1
         state = client.get("api/state").json
         assert state["job"] is None and state["ended"] is None
-    assert session.first_fault is None
+    assert session.first_error is None
     assert not list(tmp_path.iterdir())
 
 
 def test_a_frame_that_is_not_there_cannot_be_chosen(clips):
     with picking(clips / "face") as (client, _):
         got = client.put_draft(3, face=FACE)
-        assert got.status == 400 and "the clip ends with 2" in got.json["error"]
+        assert got.status == 404 and got.json["error"] == "there is no frame 3; they go from 0 to 2"
 
 
 @pytest.mark.parametrize(
@@ -244,7 +241,7 @@ def test_what_is_saved_is_what_was_chosen(clips, tmp_path, config, targets, suff
         assert client.put_draft(1, **targets).status == 200
         assert client.save().status == 202
         state = client.until(lambda state: state["ended"])
-        assert state["ended"] == {"said": [f"{out}: written"], "next": "facetrack run x"}
+        assert state["ended"] == {"messages": [f"{out}: written"], "next": "facetrack run x"}
         wait_for(session.over, "the end")
     start = read_init(out)
     assert start.frame == 1 and list(start.targets) == list(targets)
@@ -282,14 +279,14 @@ def test_windows_and_corrections_of_the_file_before_are_kept(clips, tmp_path):
     with picking(clips / "face", out, begun=begun) as (client, _):
         state = client.get("api/state").json
         assert state["draft"]["targets"]["face"]["points"]["nose"] == POINTS["nose"]
-        assert state["message"] == "begun with what old.yaml holds"
+        assert state["message"] == "taken from old.yaml"
         client.put_draft(1, face=FACE)
         client.save()
-        said = client.until(lambda state: state["ended"])["ended"]["said"]
+        messages = client.until(lambda state: state["ended"])["ended"]["messages"]
     start = read_init(out)
     assert start.targets["face"].windows == {"nose": (25, 25)}
     assert [one.frame for one in start.corrections] == [2]
-    assert said[1] == "corrections that were left out, since they come before it or are of no target: 1"
+    assert messages[1] == "corrections left out, since they come before the start or have no target: 1"
 
 
 @pytest.mark.parametrize("names", [["face"], ["head", "foot"]])
@@ -313,9 +310,10 @@ def test_a_box_to_begin_with_has_its_points(clips):
 def test_what_the_page_cannot_check_is_checked_by_the_engine(clips):
     recipe = load_recipe("contour_histogram")
     draft = Draft(0, {"face": DraftTarget((1, 1, 40, 40))})
-    assert start_of(draft, wants(recipe), (320, 240), None, recipe, None).targets["face"].box == (1, 1, 40, 40)
-    with pytest.raises(LackingError, match="starts at frame 0, but the clip ends with frame -1"):
-        start_of(draft, wants(recipe), (320, 240), 0, recipe, None)
+    required = requirements(recipe)
+    assert start_of(draft, required, (320, 240), None, recipe, None).targets["face"].box == (1, 1, 40, 40)
+    with pytest.raises(MissingError, match="starts at frame 0, but the clip ends with frame -1"):
+        start_of(draft, required, (320, 240), 0, recipe, None)
 
 
 NAMES = ["face", "frame", "box", "corrections", "windows_", "null", "yes", "On", "Infinity", "nan", "hand-2", "_"]
@@ -333,19 +331,22 @@ TARGETS = a_target(INSIDE, SIDES) | st.builds(DraftTarget) | a_target(INSIDE | O
 
 
 @pytest.mark.parametrize("config", [None, "contour_histogram"])
-def test_any_draft_is_a_start_or_lacks_something(config):
+def test_any_draft_is_a_start_that_is_read_back_or_lacks_something(config, tmp_path):
     recipe = None if config is None else load_recipe(config)
-    wanted = wants(recipe)
+    required = requirements(recipe)
 
     @settings(max_examples=40, deadline=None)
     @given(st.builds(Draft, st.integers(0, 4), st.dictionaries(st.sampled_from(NAMES), TARGETS, max_size=3)))
     def check(draft):
         try:
-            start = start_of(draft, wanted, (320, 240), 5, recipe, None)
-        except LackingError as e:
+            start = start_of(draft, required, (320, 240), 5, recipe, None)
+        except MissingError as e:
             assert len(str(e).splitlines()) == 1
         else:
             assert start.frame == draft.frame and start.targets
+            for name in ("start.yaml", "start.json"):
+                write_init(tmp_path / name, start, overwrite=True)
+                assert replace(read_init(tmp_path / name), origin=start.origin) == start
 
     check()
 
@@ -426,8 +427,12 @@ def test_picked_saved_and_run(clips, start, tmp_path, facetrack):
         *("-o", "-", "--format", "json"),
     )
     assert (code, err) == (0, "")
-    header = json.loads(out)
-    assert header["init"]["frame"] == 1
+    run = json.loads(out)
+    assert run["init"]["frame"] == 1
+    [target] = run["frames"][0]["targets"]
+    assert {part["status"] for part in target["parts"]} == {"init"}
+    for part in target["parts"]:
+        assert np.allclose((part["x"], part["y"]), POINTS[part["part"]], atol=0.01)
 
 
 def test_stopped_before_it_is_saved(clips, start, tmp_path):
@@ -455,7 +460,7 @@ def test_stopped_before_it_is_saved(clips, start, tmp_path):
 
 
 def test_without_overwrite_nothing_is_served(clips, tmp_path, monkeypatch, facetrack):
-    monkeypatch.setattr("facetrack_cli.editor.web.serve.serving", None)
+    monkeypatch.setattr(server_module, "serving", None)
     (tmp_path / "a.yaml").write_text("mine")
     said = refusal(facetrack("init", "IN/face", "--pick", "-o", tmp_path / "a.yaml"), 2)
     assert "a.yaml: exists already; replace it with --overwrite" in said
@@ -490,7 +495,7 @@ def drive(monkeypatch, act):
         Thread(target=act, args=(Client(url),)).start()
         return False
 
-    monkeypatch.setattr(run_module.webbrowser, "open", visit)
+    monkeypatch.setattr(server_module.webbrowser, "open", visit)
 
 
 def test_overwrite_begins_with_the_file(clips, tmp_path, monkeypatch, facetrack):
@@ -517,13 +522,13 @@ def test_overwrite_begins_with_the_file(clips, tmp_path, monkeypatch, facetrack)
     assert seen[1] == {"frame": 1, "targets": {}}
 
 
-def test_what_was_not_saved_is_gone_on_with(clips, tmp_path, monkeypatch, facetrack):
+def test_what_was_not_saved_is_continued(clips, tmp_path, monkeypatch, facetrack):
     kept = tmp_path / "a.unsaved.yaml"
     kept.write_text(json.dumps({"frame": 1, "face": FACE}))
 
     def act(client):
         state = client.get("api/state").json
-        assert state["message"] == f"begun with what {kept} holds"
+        assert state["message"] == f"taken from {kept}"
         client.save()
         client.until(lambda state: state["ended"])
         client.close()
@@ -535,7 +540,7 @@ def test_what_was_not_saved_is_gone_on_with(clips, tmp_path, monkeypatch, facetr
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["a.yaml"], "what is saved is not kept twice"
 
 
-def test_an_error_of_ours_is_told_at_the_end(clips, tmp_path, monkeypatch, facetrack):
+def test_an_internal_error_is_reported_at_the_end(clips, tmp_path, monkeypatch, facetrack):
     def act(client):
         assert client.get("api/proposals/0").status == 500
         client.put_draft(1, face=FACE)
@@ -549,7 +554,7 @@ def test_an_error_of_ours_is_told_at_the_end(clips, tmp_path, monkeypatch, facet
     monkeypatch.setattr("facetrack_cli.editor.web.proposals.find_faces", broken)
     drive(monkeypatch, act)
     code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
-    assert code == 0 and "an error that is our fault, not yours: ZeroDivisionError: odd" in err
+    assert code == 0 and "while the page was open: internal error; please report it: ZeroDivisionError: odd" in err
     assert "Traceback" not in err
 
 

@@ -1,15 +1,17 @@
-"""The page in a real Chromium without a screen: windows that tell what went wrong in them, and servers for them.
+"""The page in a real Chromium without a screen: windows that record what goes wrong in them, and servers for them.
 
-Nothing here waits for a time: `Window.until` looks until a condition holds. The fixtures are known to every test by
-conftest.py; they skip where there is no playwright or no Chromium ($FACETRACK_CHROMIUM names one).
+Nothing here waits for a time: `Window.until` looks until a condition holds. The fixtures are known to the tests of the
+editor by its conftest.py; they skip where there is no playwright or no Chromium ($FACETRACK_CHROMIUM names one).
 """
 
 import contextlib
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -19,10 +21,8 @@ import pytest
 
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.run_folder import open_run
-from facetrack_cli.editor.web import server as server_module
 from facetrack_cli.editor.web.fix_session import FixSession
 from facetrack_cli.editor.web.pick_session import PickSession
-from facetrack_cli.editor.web.pictures import Pictures
 from facetrack_cli.editor.web.server import serving
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.video.seek import Frames
@@ -36,8 +36,55 @@ PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobil
 SMALL = {"viewport": {"width": 320, "height": 568}, "has_touch": True, "is_mobile": True}
 AT_MOST_S = 20.0
 READY = "open this page: "
+FUNCTION = re.compile(r"\([^()]*\) =>")
 
-WATCH = "document.addEventListener('securitypolicyviolation', (e) => console.error('CSP: ' + e.violatedDirective))"
+# the page asks and sends more often than for users
+PREPARE = """
+document.addEventListener('securitypolicyviolation', (e) => console.error('CSP: ' + e.violatedDirective));
+const wait = window.setTimeout.bind(window);
+const sooner = {250: 30, 300: 50, 1000: 150};
+window.setTimeout = (call, ms, ...given) => wait(call, sooner[ms] ?? ms, ...given);
+performance.setResourceTimingBufferSize(10_000);
+"""
+# the middle of an element, as soon as it is visible and enabled and a click there reaches it; if the element then moves
+# away, nothing receives the click, and `hit` is false
+AIM = """(id) => {
+  const element = document.querySelector(`[data-testid="${id}"]`);
+  if (!element || element.disabled || !element.checkVisibility({visibilityProperty: true})) return null;
+  element.scrollIntoViewIfNeeded();
+  const {x, y, width, height} = element.getBoundingClientRect();
+  const at = [x + width / 2, y + height / 2];
+  if (!element.contains(document.elementFromPoint(...at))) return null;
+  const events = ["pointerdown", "mousedown", "pointerup", "mouseup", "click"];
+  let hit = true;
+  const guard = (event) => {
+    if (element.contains(event.target)) return;
+    hit = false;
+    event.stopImmediatePropagation();
+    event.preventDefault();
+  };
+  for (const name of events) window.addEventListener(name, guard, true);
+  window.hit = () => {
+    for (const name of events) window.removeEventListener(name, guard, true);
+    return hit;
+  };
+  return at;
+}"""
+# in the page, since every look from outside is slow
+UNTIL = """([given, atMost]) => new Promise((done, fail) => {
+  const check = %s;
+  const ends = performance.now() + atMost;
+  const look = () => {
+    try {
+      const found = check(given);
+      if (found || performance.now() > ends) done(found);
+      else window.setTimeout(look, 5);
+    } catch (error) {
+      fail(error);
+    }
+  };
+  look();
+})"""
 # from a copy, since a canvas that is read often is drawn differently
 PIXELS = """([id, places]) => {
   const canvas = document.getElementById(id);
@@ -49,60 +96,100 @@ PIXELS = """([id, places]) => {
 
 
 class Window:
-    """One tab in a browser of its own. What is not among `expected`, patterns of what may go wrong, fails the test."""
+    """One tab. An error in it that is not among `expected`, patterns, fails the test."""
 
-    def __init__(self, browser, options):
-        self.context = browser.new_context(**{**DESK, **options})
-        self.context.set_default_timeout(AT_MOST_S * 1000)
-        self.page = self.context.new_page()
-        self.keyboard, self.mouse = self.page.keyboard, self.page.mouse
-        self.expected, self.wrong, self.asked = [], [], []
-        self.size = self._fingers = None
-        self.page.add_init_script(WATCH)
-        self.page.on("console", self._heard)
-        self.page.on("pageerror", lambda error: self.wrong.append(f"uncaught: {error}"))
-        self.page.on("crash", lambda _: self.wrong.append("the tab crashed"))
-        self.page.on("request", self._request)
+    def __init__(self, page):
+        self.page, self.context = page, page.context
+        self.keyboard, self.mouse = page.keyboard, page.mouse
+        self.expected, self.errors = [], []
+        self._fingers = None
+        self._listeners = {
+            "console": self._console,
+            "pageerror": lambda error: self.errors.append(f"uncaught: {error}"),
+            "crash": lambda _: self.errors.append("the tab crashed"),
+        }
+        for event, listener in self._listeners.items():
+            page.on(event, listener)
 
-    def _heard(self, message):
+    def _console(self, message):
         if message.type in ("error", "warning", "assert"):
-            self.wrong.append(f"{message.type}: {message.text}")
-
-    def _request(self, request):
-        parts = urlsplit(request.url)
-        self.asked.append(request.url.partition("/api/")[2])
-        if parts.scheme not in ("data", "blob") and parts.hostname != "127.0.0.1":
-            self.wrong.append(f"asked another machine: {request.url}")
+            self.errors.append(f"{message.type}: {message.text}")
 
     def go(self, url):
         self.page.goto(url)
-        self.until("!!window.facetrack?.picture")
-        self.size = self.page.evaluate("fetch('api/session').then((got) => got.json())")["size"]
+        self.until("!!window.facetrack?.image")
         return self
 
-    def close(self):
-        self.context.close()
-        return [one for one in self.wrong if not any(re.search(known, one) for known in self.expected)]
+    def release(self):
+        """What went wrong in it; its page may be used again afterwards."""
+        for event, listener in self._listeners.items():
+            self.page.remove_listener(event, listener)
+        if not self.page.is_closed():
+            others = [one for one in self.requests() if urlsplit(one).hostname not in ("127.0.0.1", None)]
+            self.errors += [f"requested from another machine: {one}" for one in others]
+            if self._fingers is not None:
+                self._fingers.detach()
+        return [one for one in self.errors if not any(re.search(known, one) for known in self.expected)]
+
+    def hold(self, *paths):
+        """Requests to these paths of the server wait until the function that this returns is called.
+
+        Returns once one to the first path waits.
+        """
+        held, free = [], threading.Event()
+
+        def hold(route):
+            if free.is_set():
+                route.continue_()
+            else:
+                held.append(route)
+
+        def release():
+            free.set()
+            for route in held:
+                route.continue_()
+
+        for path in paths:
+            self.page.route(f"**/{path}", hold)
+        waits = lambda: any(route.request.url.endswith(paths[0]) for route in held)  # noqa: E731
+        until(waits, f"a request to {paths[0]}", self.page.wait_for_timeout)
+        return release
 
     # what there is
 
-    def tell(self, what):
+    def evaluate(self, script, given=None):
+        """The value of the expression, or of the function of `given`; as JSON, since playwright's own form is slow."""
+        value = f"({script})(JSON.parse(given))" if FUNCTION.match(script) else f"({script})"
+        call = f"async (given) => JSON.stringify((await {value}) ?? null)"
+        return json.loads(self.page.evaluate(call, json.dumps(given)))
+
+    def get(self, what):
         """A property of window.facetrack, as in draft.targets.face.box."""
-        return self.page.evaluate(f"window.facetrack.{what}")
+        return self.evaluate(f"window.facetrack.{what}")
+
+    def requests(self):
+        """The addresses that were requested since the page was loaded."""
+        return self.evaluate("performance.getEntriesByType('resource').map((one) => one.name)")
 
     def until(self, script, given=None):
-        """What the script, or the function, gives as soon as it is true."""
-        try:
-            return until(lambda: self.page.evaluate(script, given), script, self.page.wait_for_timeout)
-        except AssertionError as e:
-            raise AssertionError(f"{e}; the page says {self.said()}, and went wrong: {self.wrong}") from None
+        """The first true value of the expression, or of the function of `given`."""
+        check = script if FUNCTION.match(script) else f"() => ({script})"
+        found = self.evaluate(UNTIL % check, [given, AT_MOST_S * 1000])
+        assert found, f"waited in vain for {script}; the page says {self.messages()}, errors: {self.errors}"
+        return found
 
     def until_sent(self):
-        """The server has what is marked here."""
+        """The server has the draft of this window."""
         self.until("window.facetrack.sent")
 
     def until_shown(self, frame):
-        self.until(f"window.facetrack.picture.index === {frame} && window.facetrack.frame === {frame}")
+        self.until(f"window.facetrack.image.index === {frame} && window.facetrack.frame === {frame}")
+
+    def until_visible(self, element_id):
+        self.until(f"!document.getElementById('{element_id}').hidden")
+
+    def until_message(self, start):
+        self.until("(start) => document.getElementById('message').textContent.startsWith(start)", start)
 
     def here(self, name):
         """The element of a data-testid."""
@@ -111,48 +198,67 @@ class Window:
     def text(self, name):
         return self.here(name).inner_text()
 
-    def seen(self, name):
+    def visible(self, name):
         return self.here(name).is_visible()
 
-    def said(self):
-        """All that the page has to say: of a file, of what is lacking, of the last deed."""
-        return [self.text(name) for name in ("gone", "lack", "message") if self.seen(name) and self.text(name)]
+    def messages(self):
+        """Everything that the page says: that the server is away, a problem, the last action."""
+        return [self.text(name) for name in ("offline", "problem", "message") if self.visible(name) and self.text(name)]
 
     def face(self, target="face"):
-        return self.tell(f"draft.targets.{target}")
+        return self.get(f"draft.targets.{target}")
+
+    @property
+    def size(self):
+        return self.evaluate("fetch('api/session').then((got) => got.json())")["size"]
+
+    def on_screen(self, *places):
+        """From pixels of the frame to the window's."""
+        places = [list(map(float, place)) for place in places]
+        return self.evaluate("(places) => places.map((place) => window.facetrack.toScreen(...place))", places)
 
     def at(self, x, y):
-        """From pixels of the picture to the window's."""
-        return tuple(self.page.evaluate("([x, y]) => window.facetrack.toScreen(x, y)", [x, y]))
+        return tuple(self.on_screen((x, y))[0])
 
     def scale(self):
-        return self.at(1, 0)[0] - self.at(0, 0)[0]
+        (left, _), (right, _) = self.on_screen((0, 0), (1, 0))
+        return right - left
 
     def pixels(self, canvas, places):
         """(n, 3) BGR of a canvas at places in its own pixels."""
-        return np.array(self.page.evaluate(PIXELS, [canvas, [list(map(float, one)) for one in places]]), int)
+        return np.array(self.evaluate(PIXELS, [canvas, [list(map(float, one)) for one in places]]), int)
 
-    def picture(self, xs, ys):
-        """(len(ys), len(xs), 3) BGR of the picture as it is shown, at places of the picture."""
+    def image(self, xs, ys):
+        """(len(ys), len(xs), 3) BGR of the frame as it is shown, at places of the frame."""
         corner, box, scale = self.at(0, 0), self.here("stage").bounding_box(), self.scale()
-        ratio = self.page.evaluate("devicePixelRatio")
+        ratio = self.evaluate("devicePixelRatio")
         left, top = corner[0] - box["x"], corner[1] - box["y"]
         places = [((left + x * scale) * ratio, (top + y * scale) * ratio) for y in ys for x in xs]
         return self.pixels("stage", places).reshape(len(ys), len(xs), 3)
 
     def number(self):
-        """Which frame the picture says it is: of clips whose frames are `numbered`."""
+        """The number in the image: of clips whose frames are `numbered`."""
         width, height = self.size
-        return number(self.picture((np.arange(16) + 0.5) * width / 16, np.linspace(height * 0.2, height * 0.8, 16)))
+        return number(self.image((np.arange(16) + 0.5) * width / 16, np.linspace(height * 0.2, height * 0.8, 16)))
 
     # mouse, keys and fingers
 
     def click(self, x, y):
+        """At a place of the frame."""
         self.mouse.click(*self.at(x, y))
 
+    def click_on(self, name):
+        """In the middle of the element of a data-testid, once the mouse reaches it."""
+
+        def hit():
+            self.mouse.click(*self.until(AIM, name))
+            return self.evaluate("window.hit()")
+
+        until(hit, f"a click on {name}")
+
     def drag(self, *places, drop=True):
-        """Press at the first place of the picture, go by the others, and let go at the last."""
-        first, *others = (self.at(*place) for place in places)
+        """Press at the first place of the frame, go by the others, and let go at the last."""
+        first, *others = self.on_screen(*places)
         self.mouse.move(*first)
         self.mouse.down()
         for place in others:
@@ -165,11 +271,11 @@ class Window:
             self.keyboard.press(key)
 
     def touch(self, kind, *places):
-        """`kind` start, move or end; `places` of the picture, one for each finger that is down."""
-        self.fingers(kind, *(self.at(*place) for place in places))
+        """`kind` start, move or end; `places` of the frame, one for each finger that is down."""
+        self.fingers(kind, *self.on_screen(*places))
 
     def fingers(self, kind, *places):
-        """As `touch`, at places of the window, which stay while the picture moves."""
+        """As `touch`, at places of the window, which stay while the image moves."""
         self._fingers = self._fingers or self.context.new_cdp_session(self.page)
         points = [dict(zip("xy", place, strict=True), id=k) for k, place in enumerate(places)]
         self._fingers.send("Input.dispatchTouchEvent", {"type": f"touch{kind.title()}", "touchPoints": points})
@@ -179,11 +285,13 @@ class Window:
         self.touch("end")
 
     def save(self):
-        """Save by the button, and wait until the page says that all is over."""
-        self.here("save").click()
-        self.until("window.facetrack.ended || !document.getElementById('lack').hidden")
-        assert not self.seen("lack"), self.text("lack")
-        return self.text("saved-said")
+        """Save by the button, agree if the page asks, and wait for the end; the messages that are shown then."""
+        self.click_on("save")
+        if self.get("mode") == "fix":
+            self.click_on("confirm-yes")
+        self.until("window.facetrack.ended || !document.getElementById('problem').hidden")
+        assert not self.visible("problem"), self.text("problem")
+        return self.text("saved-messages")
 
 
 def until(look, what, pause=lambda ms: time.sleep(ms / 1000)):
@@ -195,20 +303,54 @@ def until(look, what, pause=lambda ms: time.sleep(ms / 1000)):
     return found
 
 
-class Windows:
-    """Opens windows, and closes them all with a word about what went wrong in them."""
+class Pages:
+    """Pages of one browser, by their options; a page that was given back is used again: to start one is slow."""
 
     def __init__(self, browser):
-        self.browser, self.open = browser, []
+        self._browser, self._free = browser, {}
+
+    def take(self, options):
+        free = self._free.setdefault(json.dumps(options, sort_keys=True), [])
+        if free:
+            return free.pop()
+        context = self._browser.new_context(**options)
+        context.set_default_timeout(AT_MOST_S * 1000)
+        page = context.new_page()
+        page.add_init_script(PREPARE)
+        return page
+
+    def give_back(self, page, options):
+        try:
+            page.unroute_all()
+            page.mouse.up()
+            page.goto("about:blank")
+            page.emulate_media(color_scheme="null", reduced_motion="null")
+            page.set_viewport_size(options["viewport"])
+        except Exception:  # it was closed by its test, or does not want to leave
+            page.context.close()
+        else:
+            self._free[json.dumps(options, sort_keys=True)].append(page)
+
+
+class Windows:
+    """Opens windows; at the end they are closed, and what went wrong in any of them fails the test."""
+
+    def __init__(self, pages):
+        self.pages, self.open = pages, []
 
     def __call__(self, url=None, **options):
-        self.open.append(Window(self.browser, options))
-        return self.open[-1] if url is None else self.open[-1].go(url)
+        options = {**DESK, **options}
+        window = Window(self.pages.take(options))
+        self.open.append((window, options))
+        return window if url is None else window.go(url)
 
     def close(self):
-        wrong = [one for window in self.open for one in window.close()]
+        errors = []
+        for window, options in self.open:
+            errors += window.release()
+            self.pages.give_back(window.page, options)
         self.open = []
-        assert not wrong, "\n".join(wrong)
+        assert not errors, "\n".join(errors)
 
 
 class Command:
@@ -236,8 +378,8 @@ class Command:
 
 
 @pytest.fixture(scope="session")
-def chromium():
-    """One browser for all tests."""
+def pages():
+    """The pages of one browser for all tests."""
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as e:
@@ -253,22 +395,21 @@ def chromium():
             browser = driver.chromium.launch(executable_path=program, args=arguments)
         except Exception as e:
             pytest.skip(f"{program} cannot be started: {(str(e).splitlines() or [repr(e)])[0]}")
-        yield browser
+        yield Pages(browser)
         browser.close()
 
 
 @pytest.fixture
-def served(monkeypatch):
-    """What a test opens and closes when its windows are gone."""
-    monkeypatch.setattr(server_module, "POLL_S", 0.005)
+def served():
+    """What a test opens, closed when its windows are gone."""
     with contextlib.ExitStack() as stack:
         yield stack
 
 
 @pytest.fixture
-def windows(chromium, served):
+def windows(pages, served):
     """Opens a window, by default at a desk: windows(url, **options of playwright's new_context)."""
-    opener = Windows(chromium)
+    opener = Windows(pages)
     yield opener
     opener.close()
 
@@ -283,10 +424,10 @@ def command(served):
 def pick(served):
     """Serves `facetrack init --pick` in this process: pick(clip, out, config, ...) gives its session and its URL."""
 
-    def serve(clip, out=None, config=None, pictures=Pictures, **more):
+    def serve(clip, out=None, config=None, **more):
         recipe = None if config is None else load_recipe(config)
         frames = served.enter_context(Frames(clip))
-        session = PickSession(clip, frames, pictures(frames), out=out, recipe=recipe, **more)
+        session = PickSession(clip, frames, out=out, recipe=recipe, **more)
         return session, served.enter_context(serving(session)).url
 
     return serve
@@ -301,14 +442,14 @@ def fix(served):
         frames = served.enter_context(Frames(run.clip))
         fixer = Fixer(run, frames.read)
         served.callback(fixer.close)
-        session = FixSession(fixer, frames, Pictures(frames), **more)
+        session = FixSession(fixer, frames, **more)
         return session, served.enter_context(serving(session)).url
 
     return serve
 
 
 def go_to(window, frame):
-    """Of a run that is put right: show the frame, with its rows, ready for keys."""
+    """Of a run: show the frame, with its rows, ready for keys."""
     window.press("p", "f")
     window.keyboard.type(str(frame))
     window.press("Enter")
@@ -320,4 +461,4 @@ def go_to(window, frame):
 def idle(window, revision):
     """Wait until so many steps were taken, and their rows are here."""
     window.until(f"window.facetrack.rowsRevision === {revision} && !window.facetrack.busy && !window.facetrack.job")
-    assert not window.seen("lack"), window.text("lack")
+    assert not window.visible("problem"), window.text("problem")

@@ -1,16 +1,17 @@
-"""What can be wrong with how a page looks, whatever it shows: no room, nothing to hit, too faint to read."""
+"""What can be wrong with the look of a page, whatever it shows: no room, too small for a finger, too faint to read."""
 
 WIDER = "[document.scrollingElement.scrollWidth, innerWidth, scrollX, scrollY]"
+DRAWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 OUTSIDE = """[...document.querySelectorAll('button, input, canvas')].filter((one) => {
   const {left, right, width} = one.getBoundingClientRect();
   return one.checkVisibility() && width && (left < -0.5 || right > innerWidth + 0.5);
 }).map((one) => one.dataset.testid ?? one.id)"""
 TOO_SMALL = """[...document.querySelectorAll('button, input')].filter((one) => {
-  // a tick is hit by its label too
+  // the label of a checkbox can be clicked, too
   const {width, height} = (one.type === 'checkbox' ? one.closest('label') : one).getBoundingClientRect();
   return one.checkVisibility() && (Math.round(width * 10) < 400 || Math.round(height * 10) < 400);
 }).map((one) => `${one.dataset.testid ?? one.id}: ${one.offsetWidth}x${one.offsetHeight}`)"""
-# what is written where, in which ink, on which ground; over the picture the ground is the worse of black and white
+# what is written where, in which colour, on which ground; over the image the ground is the worse of black and white
 FAINT = """() => {
   const probe = new OffscreenCanvas(1, 1).getContext("2d", {willReadFrequently: true});
   const rgba = (ink) => {
@@ -38,7 +39,7 @@ FAINT = """() => {
   const found = [];
   let looked = 0;
   for (const one of (open ?? document.body).querySelectorAll("*")) {
-    if (!written(one) || !one.checkVisibility({visibilityProperty: true}) || one.closest(".unseen, noscript, :disabled")) continue;
+    if (!written(one) || !one.checkVisibility({visibilityProperty: true}) || one.closest(".visually-hidden, noscript, :disabled")) continue;
     const ink = rgba(getComputedStyle(one).color);
     let opacity = 1;
     for (let up = one; up; up = up.parentElement) opacity *= Number(getComputedStyle(up).opacity);
@@ -54,15 +55,24 @@ FAINT = """() => {
 }"""  # noqa: E501
 
 
-def wrong_looks(window, *, fingers):
-    """What there is, a line each: text of less contrast than 4.5 to 1, what is outside of the window, what scrolls it;
-    for `fingers`, what is smaller than 40 pixels."""
-    width, room, *scrolled = window.page.evaluate(WIDER)
-    looked, faint = window.page.evaluate(FAINT)
-    assert looked > 2
-    small = window.page.evaluate(TOO_SMALL) if fingers else []
-    outside = window.page.evaluate(OUTSIDE)
-    found = [
-        f"{what}: {one}" for what, all_ in [("faint", faint), ("small", small), ("outside", outside)] for one in all_
-    ]
-    return found if width <= room and scrolled == [0, 0] else [*found, f"scrolls: {width} in {room}, {scrolled}"]
+def wrong_looks(window, screens):
+    """What is wrong, a tuple each, in each of these screens, dark and light: text of less contrast than 4.5 to 1, what
+    is outside of the window, what scrolls it; for fingers, what is smaller than 40 pixels. The first screen stays."""
+    found = []
+    for screen in reversed(screens):
+        size = screen["viewport"]
+        if len(screens) > 1:
+            window.page.set_viewport_size(size)
+            window.evaluate(DRAWN)
+        for scheme in ("light", "dark"):
+            window.page.emulate_media(color_scheme=scheme)
+            width, room, *scrolled = window.evaluate(WIDER)
+            looked, faint = window.evaluate(FAINT)
+            assert looked > 2
+            small = window.evaluate(TOO_SMALL) if "has_touch" in screen else []
+            wrong = [*(("faint", one) for one in faint), *(("small", one) for one in small)]
+            wrong += [("outside", one) for one in window.evaluate(OUTSIDE)]
+            if width > room or scrolled != [0, 0]:
+                wrong.append(("scrolls", f"{width} in {room}, {scrolled}"))
+            found += [(f"{size['width']} {scheme}", *one) for one in wrong]
+    return found

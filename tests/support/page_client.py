@@ -1,4 +1,4 @@
-"""What a browser asks of the page's server, without a browser."""
+"""Requests to the page's server, without a browser."""
 
 import http.client
 import json

@@ -120,8 +120,7 @@ def _page(fixer: Fixer, frames: Frames, stop: Stop, *, video: bool, port: int, b
     """Serve the page until it is saved or stopped; the exit code."""
     from facetrack_cli.editor.run_folder import UNSAVED
     from facetrack_cli.editor.web.fix_session import FixSession
-    from facetrack_cli.editor.web.pictures import Pictures
-    from facetrack_cli.editor.web.serve import run_page
+    from facetrack_cli.editor.web.server import run_page
 
     def say(line: str) -> None:
         click.echo(line, err=True)
@@ -132,7 +131,7 @@ def _page(fixer: Fixer, frames: Frames, stop: Stop, *, video: bool, port: int, b
         many = len(unsaved) > 1
         said = f"{len(unsaved)} corrections were" if many else "one correction was"
         say(f"{folder / UNSAVED}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
-    session = FixSession(fixer, frames, Pictures(frames), video=video, unsaved=unsaved)
+    session = FixSession(fixer, frames, video=video, unsaved=unsaved)
     run_page(session, stop, say, port=port, browse=browse)
     if session.ended is None:
         kept = folder / UNSAVED
@@ -143,7 +142,7 @@ def _page(fixer: Fixer, frames: Frames, stop: Stop, *, video: bool, port: int, b
             )
         say(f"facetrack: {stop.reason}; {what}")
         return stop.code if stop.code is not None else ExitCode.FAULT
-    for line in session.ended["said"]:
+    for line in session.ended["messages"]:
         say(line)
     say(f"next: {session.ended['next']}")
     return ExitCode.DONE

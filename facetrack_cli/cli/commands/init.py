@@ -130,8 +130,7 @@ def _pick(
 ) -> int:
     """Let somebody choose on the page; the exit code."""
     from facetrack_cli.editor.web.pick_session import PickSession
-    from facetrack_cli.editor.web.pictures import Pictures
-    from facetrack_cli.editor.web.serve import run_page
+    from facetrack_cli.editor.web.server import run_page
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.tracking.start import read_init, write_init
@@ -150,7 +149,6 @@ def _pick(
         session = PickSession(
             clip,
             frames,
-            Pictures(frames),
             out=path,
             overwrite=overwrite,
             recipe=recipe,
@@ -168,7 +166,7 @@ def _pick(
         kept.unlink(missing_ok=True)
     if path is None and session.saved is not None:
         write_init(sys.stdout, session.saved, clip=clip.name)
-    for line in session.ended["said"]:
+    for line in session.ended["messages"]:
         click.echo(line, err=True)
     click.echo(f"next: {session.ended['next']}", err=True)
     return ExitCode.DONE

@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from facetrack_cli.core.types import Start
-from facetrack_cli.editor.web.draft import Draft, Json, draft_of
+from facetrack_cli.core.types import Box, Start
+from facetrack_cli.editor.web.draft import Draft, draft_of
 from facetrack_cli.editor.web.proposals import Proposer
-from facetrack_cli.editor.web.requirements import ORIGIN, LackingError, carried, fitted, start_of, wants
-from facetrack_cli.editor.web.routes import RefusedError
-from facetrack_cli.editor.web.session import Report, Session
+from facetrack_cli.editor.web.requirements import ORIGIN, MissingError, carried, fitted, requirements, start_of
+from facetrack_cli.editor.web.session import RefusedError, Session
+from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.tracking.start import write_init
 from facetrack_cli.tracking.start.preview import write_preview
-
-if TYPE_CHECKING:
-    from facetrack_cli.core.types import Box
-    from facetrack_cli.editor.web.pictures import Pictures
-    from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.seek import Frames
 
 
 class PickSession(Session):
-    """A start to be, in frame `first` to begin with. `begun` is what the file held that will be replaced.
+    """A start to be chosen, at first in frame `frame`. `begun` is the start of the file that will be replaced.
 
-    Save writes to `out`, and a picture of it to `preview`; without `out` the start is left in `saved`, to be printed.
-    `box`, of a face in that frame, is drawn with its points to begin with. Raises InputError if there is no such frame,
+    Save writes to `out`, and an image of it to `preview`; without `out` the start is left in `saved`, to be printed.
+    `box`, of a face in that frame, gives the first draft, with its points. Raises InputError if there is no such frame,
     or no face can be in that box.
     """
 
@@ -35,7 +30,6 @@ class PickSession(Session):
         self,
         clip: Path,
         frames: Frames,
-        pictures: Pictures,
         *,
         out: Path | None,
         overwrite: bool = False,
@@ -50,71 +44,57 @@ class PickSession(Session):
         self.next, self.preview = next_, preview
         self.begun = begun = None if begun is None else fitted(begun, recipe)
         self.saved: Start | None = None
-        self._drawn = False
-        wanted = wants(recipe)
-        self._wants = wanted
-        self._propose = Proposer(frames, recipe, wanted[0]["points"])
+        self._previewed = False
+        self._required = requirements(recipe)
+        proposer = Proposer(frames, recipe, self._required[0]["points"])
         shown = frame if frame is not None else begun.frame if begun is not None else 0
-        first = frames.read(shown)  # or an InputError before anything is served
+        first = frames.read(shown)  # raises InputError before anything is served
         if box is not None:
-            draft = self._propose.in_box(first, box, str(clip))
+            draft = proposer.in_box(first, box, str(clip))
         else:
             draft = draft_of(shown, begun.targets if begun is not None else {})
-        self._at_first = draft if box is None else None
-        super().__init__(
-            clip=clip.name or str(clip),
-            recipe=None if recipe is None else recipe.name,
-            frames=frames,
-            pictures=pictures,
-            saves_to="standard output" if out is None else str(out),
-            wants=wanted,
-            free=recipe is None or not recipe.followed,
-            draft=draft,
-        )
+        self._unchanged = draft if box is None else None
+        about = {
+            "clip": clip.name or str(clip),
+            "recipe": None if recipe is None else recipe.name,
+            "requirements": self._required,
+            "free": recipe is None or not recipe.followed,
+            "saves_to": "standard output" if out is None else str(out),
+        }
+        super().__init__(frames, proposer, draft, about)
         if begun is not None and box is None:
-            self.message = f"begun with what {begun.origin} holds"
-
-    def proposals(self, index: int) -> Json:
-        return self._propose(index)
-
-    def check_draft(self, draft: Draft) -> None:
-        if self.frames.exact and draft.frame >= self.frames.count:
-            raise RefusedError(400, f"there is no frame {draft.frame}; the clip ends with {self.frames.count - 1}")
+            self.message = f"taken from {begun.origin}"
 
     def save(self, draft: Draft) -> None:
         frames = self.frames.count if self.frames.exact else None
         try:
-            start = start_of(draft, self._wants, self.frames.size, frames, self.recipe, self.begun)
-        except LackingError as e:
+            start = start_of(draft, self._required, self.frames.size, frames, self.recipe, self.begun)
+        except MissingError as e:
             raise RefusedError(422, str(e)) from None
         if frames is None:
             self.frames.read(start.frame)  # how long the clip is may be known only then
-        self.begin("writing the init file", None, lambda report: self._write(start, report), of=draft)
+        self.begin("writing the init file", lambda _: self._write(start), saves=draft)
 
     def unsaved(self) -> Start | None:
         """What was chosen and not saved; None if that is nothing, or nothing new."""
         with self.lock:
             draft = self.draft
-            if self.ended is not None or draft == self._at_first:
+            if self.ended is not None or draft == self._unchanged:
                 return None
-        chosen = {name: one.rounded() for name, one in draft.targets.items() if one.box is not None or one.points}
+        chosen = draft.placed()
         return carried(Start(draft.frame, chosen, ORIGIN), self.begun) if chosen else None
 
-    def close(self) -> None:
-        super().close()
-        self._propose.close()
-
-    def _write(self, start: Start, report: Report) -> None:
-        said = []
+    def _write(self, start: Start) -> None:
+        messages = []
         if self.preview is not None:
             frame = self.frames.read(start.frame)
-            write_preview(self.preview, frame, start, overwrite=self.overwrite or self._drawn)
-            self._drawn = True  # if what follows fails, the next attempt may replace it
-            said.append(f"{self.preview}: the start drawn on frame {start.frame}")
+            write_preview(self.preview, frame, start, overwrite=self.overwrite or self._previewed)
+            self._previewed = True  # if what follows fails, the next attempt may replace it
+            messages.append(f"{self.preview}: the start drawn on frame {start.frame}")
         if self.out is not None:
             write_init(self.out, start, clip=self.clip.name, overwrite=self.overwrite)
-        said.append(f"{self.out}: written" if self.out is not None else "standard output: what was chosen")
+        messages.append(f"{self.out}: written" if self.out is not None else "standard output: what was chosen")
         if self.begun is not None and (lost := len(self.begun.corrections) - len(start.corrections)):
-            said.append(f"corrections that were left out, since they come before it or are of no target: {lost}")
+            messages.append(f"corrections left out, since they come before the start or have no target: {lost}")
         self.saved = start
-        self.end(said, self.next)
+        self.end(messages, self.next)

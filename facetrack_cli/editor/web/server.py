@@ -1,7 +1,7 @@
-"""The page's server: on the loopback address alone, and only for who knows the token in its address.
+"""The page's server: on the loopback address alone, and only for those who know the token in its address.
 
-A page of another site cannot ask it: the host that the browser was sent to must be a loopback name, or a name of that
-site might lead here (DNS rebinding), and what changes anything must come from this very page.
+A page of another site cannot use it: the host that the browser was sent to must be a loopback name, since a name of
+that site may resolve to this machine (DNS rebinding), and requests with an origin must come from this very page.
 """
 
 from __future__ import annotations
@@ -15,29 +15,31 @@ import secrets
 import socketserver
 import sys
 import threading
+import time
+import webbrowser
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
+from pathlib import PurePath
 from typing import Any, Final
-from urllib.parse import parse_qsl
+from urllib.parse import parse_qs
 
-from facetrack_cli.core.errors import FacetrackError, UsageError
-from facetrack_cli.editor.web.routes import Answer, RefusedError, Request, Route
-from facetrack_cli.editor.web.session import Session
+from pydantic import TypeAdapter, ValidationError, validate_call
+
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.editor.web.session import Answer, RefusedError, Session, internal_error
 
 ADDRESS: Final = "127.0.0.1"
-MOST_BODY: Final = 256 * 1024  # bytes: a draft of the most targets and points that may be has fewer
-MOST_DRAINED: Final = 4 * 1024 * 1024  # of a body that is refused, so that its sender gets to read why
-MOST_FIELDS: Final = 16
-IDLE_S: Final = 60.0  # until a connection that asks for nothing is closed
+MOST_BODY: Final = 256 * 1024  # bytes: the largest draft has fewer
+MOST_READ: Final = 4 * 1024 * 1024  # of a body that is refused, so that its sender receives the answer
+IDLE_S: Final = 60.0  # until a connection without requests is closed
 POLL_S: Final = 0.1
 
 KINDS: Final = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
-    ".svg": "image/svg+xml",
 }
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; "
@@ -50,47 +52,39 @@ HEADERS: Final = {
     "Cross-Origin-Opener-Policy": "same-origin",
 }
 _HOST = re.compile(r"(?:localhost|127\.0\.0\.1|\[::1\])(?::[0-9]{1,5})?", re.IGNORECASE)
-_NUMBER = "([0-9]{1,9})"
+_BODY = TypeAdapter(dict[str, Any])
 
 
 @lru_cache(maxsize=1)
-def assets() -> Mapping[str, str]:
-    """The files of the page in the package, by name, with their kinds: nothing else is ever served."""
-    files = resources.files("facetrack_cli.editor.web").joinpath("assets")
-    if not files.is_dir():
-        return {}
-    found = {}
-    for file in files.iterdir():
-        kind = KINDS.get(os.path.splitext(file.name)[1])  # noqa: PTH122 -- a resource need not be a path
-        if kind is not None and file.is_file():
-            found[file.name] = kind
-    return found
+def assets() -> Mapping[str, Answer]:
+    """The files of the page by name; no other file is ever served."""
+    files = resources.files("facetrack_cli.editor.web").joinpath("assets").iterdir()
+    kinds = [(file, KINDS.get(PurePath(file.name).suffix)) for file in files]
+    return {file.name: Answer(file.read_bytes(), kind=kind) for file, kind in kinds if kind is not None}
 
 
 class Server(ThreadingHTTPServer):
-    """One session, at `url`. Raises UsageError if the port cannot be had; 0 is any that is free."""
+    """One session, at `url`. Raises UsageError if the port is taken; 0 is any free port."""
 
     daemon_threads = True
     block_on_close = False
     request_queue_size = 64
-    allow_reuse_address = os.name != "nt"  # there it would let two servers share a port
+    allow_reuse_address = os.name != "nt"  # on Windows it would let two servers share a port
 
     def __init__(self, session: Session, port: int = 0) -> None:
         self.session = session
         self.token = secrets.token_urlsafe(32)
-        self.table: list[tuple[str, re.Pattern[str], Callable[[Request], Any]]] = [
-            (route.method, _pattern(route), route.handler) for route in (*session.shared_routes(), *session.routes())
+        self.routes: list[tuple[str, re.Pattern[str], Callable[..., Any]]] = [
+            (route.method, _pattern(route.path), validate_call(route.handler)) for route in session.routes()
         ]
         try:
             super().__init__((ADDRESS, port), _Handler)
         except OSError as e:
-            reason = e.strerror or str(e)
-            raise UsageError(
-                f"--port {port}: {reason.lower()}; give another one, or none for any that is free"
-            ) from None
+            reason = (e.strerror or str(e)).lower()
+            raise UsageError(f"--port {port}: {reason}; give another one, or none for any free port") from None
 
     def server_bind(self) -> None:
-        socketserver.TCPServer.server_bind(self)  # http.server's asks the network for the name of this machine
+        socketserver.TCPServer.server_bind(self)  # that of http.server asks the network for this machine's name
         self.server_name, self.server_port = ADDRESS, self.socket.getsockname()[1]
 
     @property
@@ -98,15 +92,15 @@ class Server(ThreadingHTTPServer):
         return f"http://{ADDRESS}:{self.server_port}/{self.token}/"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A tab that was closed is nothing; anything else is remembered."""
+        """A tab that was closed is no error; anything else is recorded."""
         error = sys.exc_info()[1]
         if isinstance(error, Exception) and not isinstance(error, OSError):
-            self.session.fault(error)
+            self.session.record(error)
 
 
 @contextlib.contextmanager
 def serving(session: Session, port: int = 0) -> Iterator[Server]:
-    """The server of a session at work in threads of its own, for the length of a `with`."""
+    """The server of a session, running in threads of its own for the length of a `with`."""
     with Server(session, port) as server:
         thread = threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True)
         thread.start()
@@ -118,8 +112,28 @@ def serving(session: Session, port: int = 0) -> Iterator[Server]:
             session.close()
 
 
-def _pattern(route: Route) -> re.Pattern[str]:
-    return re.compile(_NUMBER.join(re.escape(piece) for piece in route.path.split("{}")))
+def run_page(
+    session: Session, stop: Callable[[], bool], say: Callable[[str], None], *, port: int = 0, browse: bool = False
+) -> None:
+    """Say where the page is, and return when it has ended or `stop` says so; a running job is waited for.
+
+    Port 0 is any free port. Raises UsageError if the port is taken.
+    """
+    with serving(session, port) as server:
+        at = server.server_port
+        say(f"open this page: {server.url}")
+        say(f"from another machine: ssh -L {at}:127.0.0.1:{at} HOST, then open the same address there; Ctrl-C ends it")
+        if browse:  # in a thread, since a browser of the terminal returns only when it is closed
+            threading.Thread(target=_browse, args=(server.url, say), daemon=True).start()
+        while not (session.over() or stop()):
+            time.sleep(POLL_S)
+    if session.first_error is not None:
+        say(f"facetrack: warning: while the page was open: {internal_error(session.first_error)}")
+
+
+def _browse(url: str, say: Callable[[str], None]) -> None:
+    if not webbrowser.open(url):
+        say("no browser can be opened from here; open the page yourself")
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -127,41 +141,40 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "facetrack", ""
     timeout = IDLE_S
-    disable_nagle_algorithm = True  # headers and body go out one after the other
-
-    def do_GET(self) -> None:
-        self._answer("GET")
-
-    def do_PUT(self) -> None:
-        self._answer("PUT")
-
-    def do_POST(self) -> None:
-        self._answer("POST")
+    disable_nagle_algorithm = True  # headers and body are sent one after the other
 
     def log_message(self, format: str, *args: Any) -> None:
         pass
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """What http.server refuses by itself, in our shape."""
+        """What http.server refuses by itself, in our form."""
         self.close_connection = True
-        self._send(Answer({"error": (message or "refused")[:200]}, int(code)))
+        self._send(_encoded(Answer({"error": (message or "refused")[:200]}, int(code))))
 
-    def _answer(self, method: str) -> None:
-        self._unread = self._length()
+    def do_GET(self) -> None:
+        # the body is always read, or the rest of it would be taken for the next request
+        self._length = self._body_length()
+        readable = self._length is not None and self._length <= MOST_READ
+        self.close_connection = self.close_connection or not readable
+        self._data = self.rfile.read(self._length) if readable else b""
+        if readable and len(self._data) != self._length:
+            raise ConnectionResetError
         try:
-            answer = _packed(self._route(method))
+            answer = _encoded(self._route(self.command))
         except RefusedError as e:
             answer = Answer({"error": str(e), **e.more}, e.code)
+        except ValidationError as e:
+            answer = Answer({"error": _reason(e)}, 400)
         except FacetrackError as e:
-            answer = Answer({"error": " ".join(str(e).splitlines())}, 422)
+            missing = self.command == "GET" and isinstance(e, InputError)  # as a frame that cannot be decoded
+            answer = Answer({"error": " ".join(str(e).splitlines())}, 404 if missing else 422)
         except (ConnectionError, TimeoutError):  # the page has gone
             raise
         except Exception as e:
-            self.server.session.fault(e)
-            told = f"this is our fault, not yours: {type(e).__name__}: {e}"
-            answer = Answer({"error": " ".join(told.splitlines())}, 500)
-        self._drain()
-        self._send(answer)
+            answer = Answer({"error": self.server.session.record(e)}, 500)
+        self._send(_encoded(answer))
+
+    do_PUT = do_POST = do_GET  # noqa: N815
 
     def _route(self, method: str) -> Answer:
         hosts = self.headers.get_all("Host", [])
@@ -169,47 +182,40 @@ class _Handler(BaseHTTPRequestHandler):
             raise RefusedError(
                 403, "this page is for localhost and 127.0.0.1 alone; open the address that facetrack printed"
             )
-        if not self._is_of_the_page(hosts[0].strip().lower()):
-            raise RefusedError(403, "asked by a page of another origin")
+        if not self._same_origin(hosts[0].strip().lower()):
+            raise RefusedError(403, "requested by a page of another origin")
         path, _, query = self.path.partition("?")
         _, _, rest = path.partition("/")
         token, slash, below = rest.partition("/")
         if not path.startswith("/") or not hmac.compare_digest(token.encode(), self.server.token.encode()):
-            raise RefusedError(403, "the address lacks its token; open the whole one that facetrack printed")
+            raise RefusedError(403, "the address lacks its token; open the whole address that facetrack printed")
         if not slash:
             return Answer(b"", 308, "text/plain", (("Location", f"/{self.server.token}/"),))
-        kind = assets().get(below or "index.html")
-        if kind is not None:
-            if method != "GET":
-                raise RefusedError(405, f"{method} is not for this address")
-            return Answer(_asset(below or "index.html"), kind=kind)
-        return self._api(method, below, query)
-
-    def _is_of_the_page(self, host: str) -> bool:
-        """Whether the origin, if one is given, is this page's own, as it is called through a tunnel."""
-        origins = [one.strip().lower() for one in self.headers.get_all("Origin", [])]
-        # a browser that may not say from where it comes calls that null; no page can forge the other header
-        known = origins == ["null"] and self.headers.get_all("Sec-Fetch-Site") == ["same-origin"]
-        return not origins or known or origins == [f"http://{host}"]
-
-    def _api(self, method: str, path: str, query: str) -> Answer:
-        known = False
-        for wanted, pattern, handler in self.server.table:
-            found = pattern.fullmatch(path)
-            if found is None:
-                continue
-            known = True
-            if wanted == method:
-                body = self._body() if method != "GET" else {}
-                numbers = tuple(int(number) for number in found.groups())
-                answer = handler(Request(numbers, _query(query), body))
-                return answer if isinstance(answer, Answer) else Answer(answer)
-        if known:
+        asset = assets().get(below or "index.html")
+        if asset is not None and method == "GET":
+            return asset
+        found = [(wanted, pattern.fullmatch(below), handler) for wanted, pattern, handler in self.server.routes]
+        matches = {wanted: (match, handler) for wanted, match, handler in found if match is not None}
+        if asset is None and not matches:
+            raise RefusedError(404, "there is nothing at this address")
+        if method not in matches:
             raise RefusedError(405, f"{method} is not for this address")
-        raise RefusedError(404, "there is nothing at this address")
+        match, handler = matches[method]
+        body = {} if method == "GET" else self._body()
+        fields = parse_qs(query, keep_blank_values=True)  # a list, if given twice, is refused by any handler
+        once = {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
+        answer = handler(**{**once, **body, **match.groupdict()})
+        return answer if isinstance(answer, Answer) else Answer(answer)
 
-    def _length(self) -> int | None:
-        """Bytes of the body that is to come; None if that cannot be told."""
+    def _same_origin(self, host: str) -> bool:
+        """Whether the origin, if there is one, is that of this page, as it is called through a tunnel."""
+        origins = [one.strip().lower() for one in self.headers.get_all("Origin", [])]
+        # a browser that hides the origin sends null; no page can forge the other header
+        hidden = origins == ["null"] and self.headers.get_all("Sec-Fetch-Site") == ["same-origin"]
+        return not origins or hidden or origins == [f"http://{host}"]
+
+    def _body_length(self) -> int | None:
+        """Bytes of the body that follows; None if that is unknown."""
         found = self.headers.get_all("Content-Length", [])
         if self.headers.get("Transfer-Encoding") is not None or len(found) > 1:
             return None
@@ -217,68 +223,36 @@ class _Handler(BaseHTTPRequestHandler):
         return int(text) if text.isascii() and text.isdigit() and len(text) < 16 else None
 
     def _body(self) -> dict[str, Any]:
-        if self._unread is None:
-            raise RefusedError(411, "how long the body is must be said, once")
-        if self._unread > MOST_BODY:
-            raise RefusedError(413, f"{self._unread} bytes are too many; {MOST_BODY} are taken")
-        data = self.rfile.read(self._unread)
-        if len(data) < self._unread:
-            raise ConnectionResetError
-        self._unread = 0
-        if not data:  # of what says all in its address
-            return {}
-        try:
-            found = json.loads(data.decode("utf-8"), parse_constant=_refuse_constant)
-        except (ValueError, RecursionError):
-            raise RefusedError(400, "the body is no JSON") from None
-        if not isinstance(found, dict):
-            raise RefusedError(400, "the body is no JSON object")
-        return found
-
-    def _drain(self) -> None:
-        """What nobody has read would be taken for the next request."""
-        if self._unread is None or self._unread > MOST_DRAINED:
-            self.close_connection = True
-            return
-        while self._unread:
-            piece = self.rfile.read(min(self._unread, 1 << 16))
-            if not piece:
-                raise ConnectionResetError
-            self._unread -= len(piece)
+        if self._length is None:
+            raise RefusedError(411, "the length of the body must be given, once")
+        if self._length > MOST_BODY:
+            raise RefusedError(413, f"{self._length} bytes are too many; at most {MOST_BODY} are accepted")
+        return _BODY.validate_json(self._data or b"{}")
 
     def _send(self, answer: Answer) -> None:
-        body = _packed(answer).body
         self.send_response(answer.code)
         self.send_header("Content-Type", answer.kind)
-        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Content-Length", str(len(answer.body)))
         for name, value in (*HEADERS.items(), *answer.headers):
             self.send_header(name, value)
         if self.close_connection:
             self.send_header("Connection", "close")
         self.end_headers()
-        self.wfile.write(body)
+        self.wfile.write(answer.body)
 
 
-def _packed(answer: Answer) -> Answer:
+def _pattern(path: str) -> re.Pattern[str]:
+    return re.compile(re.sub(r"\\{(\w+)\\}", r"(?P<\1>[0-9]{1,9})", re.escape(path)))
+
+
+def _encoded(answer: Answer) -> Answer:
     """With its JSON as bytes."""
     if isinstance(answer.body, bytes):
         return answer
     return answer._replace(body=json.dumps(answer.body, separators=(",", ":"), allow_nan=False).encode())
 
 
-def _query(text: str) -> dict[str, str]:
-    try:
-        pairs = parse_qsl(text, keep_blank_values=True, max_num_fields=MOST_FIELDS)
-    except ValueError:
-        raise RefusedError(400, f"more than {MOST_FIELDS} fields after the ?") from None
-    if len(dict(pairs)) < len(pairs):
-        raise RefusedError(400, "a field after the ? is given twice")
-    return dict(pairs)
-
-
-def _asset(name: str) -> bytes:
-    return resources.files("facetrack_cli.editor.web").joinpath("assets", name).read_bytes()
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(name)
+def _reason(error: ValidationError) -> str:
+    """The first thing that is not valid, in one line."""
+    first = error.errors(include_url=False)[0]
+    return " ".join(": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]])).splitlines())

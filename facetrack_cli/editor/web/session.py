@@ -1,116 +1,132 @@
-"""What choosing targets and correcting them have in common: a draft, of which there is one, and who may change it.
+"""What choosing targets and correcting them have in common: one draft, which several windows may change.
 
-A subclass says what is wanted, proposes, and saves; what only it serves is its own table of routes. Every method may
-be called from several threads at once. Whatever takes long runs as the one job, in a thread of its own.
+A subclass says what is required, saves, and adds routes of its own. Every method may be called from several threads at
+once. What takes long runs as the one job, in a thread of its own.
 """
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar, Final, Literal, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeAlias
 
-from facetrack_cli.core.errors import FacetrackError, InputError
-from facetrack_cli.editor.web.draft import Draft, DraftError, Json, read_draft
-from facetrack_cli.editor.web.routes import Answer, RefusedError, Request, Route
+from pydantic import Field, StrictInt
 
-if TYPE_CHECKING:
-    from facetrack_cli.editor.web.pictures import Pictures
-    from facetrack_cli.video.seek import Frames
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.editor.retrack import StoppedError
+from facetrack_cli.editor.web.draft import Draft, Json
+from facetrack_cli.editor.web.frame_images import FrameImages
+from facetrack_cli.editor.web.proposals import Proposer
+from facetrack_cli.video.seek import Frames
 
-LINGER_S: Final = 2.0  # after the last client was told that all is over
-LAST_S: Final = 5.0  # after it was over, told or not
-LARGEST_CROP: Final = 1024  # pixels of a side
+LINGER_S: Final = 2.0  # after a client was first told of the end
+LAST_S: Final = 5.0  # after the end, if no client asks
+CropSide: TypeAlias = Annotated[int, Field(ge=1, le=1024)]
 Report: TypeAlias = Callable[[int, "int | None"], None]  # done, and in all if that is known
 
 
+class RefusedError(Exception):
+    """An answer in the 400s: its code, one line, and what else the JSON has."""
+
+    def __init__(self, code: int, message: str, more: Mapping[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.code, self.more = code, more or {}
+
+
+class Answer(NamedTuple):
+    """What a route returns if it is not JSON with code 200: a `body` is JSON's value, or bytes of that `kind`."""
+
+    body: Any
+    code: int = 200
+    kind: str = "application/json"
+    headers: tuple[tuple[str, str], ...] = ()
+
+
+class Route(NamedTuple):
+    """An address below the token; {name} in the `path` stands for a whole number, as in api/frame/{frame}.jpg.
+
+    The handler takes the numbers of the path, the fields of the query and the members of the JSON body by their names.
+    Its annotations say what is valid (pydantic); all else is refused (400). It returns the value of the JSON answer, or
+    an Answer, and may raise RefusedError. An InputError becomes 404 of a GET; any other FacetrackError becomes 422.
+    """
+
+    method: Literal["GET", "PUT", "POST"]
+    path: str
+    handler: Callable[..., Any]
+
+
 class Session(ABC):
-    """One page, until it is saved or stopped. `saves_to` is what the page calls the place that it writes to."""
+    """One page, until it is saved or stopped.
+
+    `about` is what the page shows of it: {"clip", "recipe", "requirements", "free", "saves_to"} and more. Frames go
+    from `first` to `last`, None for the clip's last frame.
+    """
 
     mode: ClassVar[Literal["pick", "fix"]]
 
     def __init__(
         self,
-        *,
-        clip: str,
-        recipe: str | None,
         frames: Frames,
-        pictures: Pictures,
-        saves_to: str,
-        wants: Sequence[Json],
-        free: bool,
+        proposer: Proposer,
         draft: Draft,
+        about: Json,
+        *,
         first: int = 0,
         last: int | None = None,
     ) -> None:
-        self.frames = frames
-        self.pictures = pictures
-        self.first, self.last = first, last  # None: the clip's last frame
+        self.frames, self.images, self.draft = frames, FrameImages(frames), draft
+        self.first, self.last = first, last
         self.lock = threading.RLock()
-        self.stopping = threading.Event()  # a job looks at it now and then
-        self.draft = draft
-        self.revision = 0
-        self.rows_revision = 0
+        self.stopping = threading.Event()  # a job looks at it regularly
+        self.revision = self.rows_revision = 0
         self.can_undo = False
         self.message: str | None = None
         self.ended: Json | None = None
+        self.first_error: Exception | None = None  # of the program itself
+        self._proposer, self._about = proposer, about
         self._job: Json | None = None
         self._worker: threading.Thread | None = None
-        self._closing = False
+        self._saving = False
         self._ended_at = self._seen_at = 0.0
-        self.first_fault: Exception | None = None
-        self._about: Json = {
-            "mode": self.mode,
-            "clip": clip,
-            "recipe": recipe,
-            "wants": list(wants),
-            "free": free,
-            "saves_to": saves_to,
-        }
 
-    # what a subclass says
-
-    @abstractmethod
-    def proposals(self, index: int) -> Json:
-        """{"frame", "proposals", "note"} of a frame."""
+    # what a subclass defines
 
     @abstractmethod
     def save(self, draft: Draft) -> None:
-        """Begin the job that writes the draft and calls `end`; raises RefusedError (422) if it lacks something.
+        """Begin the job that writes the draft and calls `end`; raises RefusedError (422) if something is missing.
 
         Called without the lock.
         """
 
-    def check_draft(self, draft: Draft) -> None:  # noqa: B027 -- any draft will do
+    def check_draft(self, draft: Draft) -> None:  # noqa: B027 -- any draft is valid
         """Raises RefusedError (400) for a draft that this session cannot hold; called with the lock."""
 
-    def routes(self) -> Sequence[Route]:
-        """What it serves beyond `shared_routes`."""
-        return ()
+    def proposals(self, frame: int) -> Json:
+        """{"frame", "proposals", "note"} of a frame."""
+        return self._proposer(frame)
 
     # what a subclass may use
 
     def change(self, draft: Draft) -> None:
-        """Put another draft in the place of this one, for every client."""
+        """Replace the draft, for every client."""
         with self.lock:
             self.draft = draft
             self.revision += 1
 
-    def begin(self, what: str, total: int | None, work: Callable[[Report], None], *, of: Draft | None = None) -> None:
+    def begin(self, what: str, work: Callable[[Report], None], *, saves: Draft | None = None) -> None:
         """Run `work` as the job, in its own thread. Raises RefusedError (409) as `refuse_if_busy`.
 
-        What it raises becomes the message: one line, and the session goes on. With `of` it is the last job, of that
-        draft: refused (409) if there is another by now, and no draft is taken during it.
+        An error in it becomes the message, and the session continues. The job that `saves` a draft is refused (409) if
+        there is another draft by now; while it runs, the draft cannot be changed.
         """
         with self.lock:
             self.refuse_if_busy()
-            if of is not None and of is not self.draft:
-                raise RefusedError(409, "another window has changed the draft", self.state())
-            self._job = {"what": what, "done": 0, "total": total}
-            self._closing = of is not None
+            if saves is not None and saves is not self.draft:
+                raise self._stale()
+            self._job = {"what": what, "done": 0, "total": None}
+            self._saving = saves is not None
             self.message = None
             self._worker = threading.Thread(target=self._run, args=(work,), daemon=True)
             self._worker.start()
@@ -119,51 +135,40 @@ class Session(ABC):
         """Raises RefusedError (409) while a job runs, and after the end."""
         with self.lock:
             if self.ended is not None:
-                raise RefusedError(409, "all is saved, and this page is over", self.state())
+                raise RefusedError(409, "everything is saved, and this page has ended", self.state())
             if self._job is not None:
-                raise RefusedError(409, f"busy: {self._job['what']}; wait for its end", self.state())
+                raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
 
-    def fresh(self, base: object) -> Draft:
-        """The draft, if `base` is its revision. Raises RefusedError: 409, with the state, if not; 400 for no number."""
-        if isinstance(base, bool) or not isinstance(base, int):
-            raise RefusedError(400, "base is the revision of the draft, a whole number")
+    def current(self, base: int) -> Draft:
+        """The draft, if `base` is its revision; else raises RefusedError (409) with the state."""
         with self.lock:
             if base != self.revision:
-                raise RefusedError(409, "another window has changed the draft", self.state())
+                raise self._stale()
             return self.draft
 
-    def say(self, message: str | None) -> None:
-        """Have the page show one line, or none."""
+    def end(self, messages: Sequence[str], next_: str | None) -> None:
+        """Everything is done: show the `messages`, a line each, and the command to continue with."""
         with self.lock:
-            self.message = message
-
-    def end(self, said: Sequence[str], next_: str | None) -> None:
-        """All is done: `said`, a line each, and the command to go on with."""
-        with self.lock:
-            self.ended = {"said": list(said), "next": next_}
+            self.ended = {"messages": list(messages), "next": next_}
             self._ended_at = time.monotonic()
 
-    # what the server asks
+    # what the server uses
 
-    def shared_routes(self) -> Sequence[Route]:
+    def routes(self) -> Sequence[Route]:
         return (
-            Route("GET", "api/session", lambda _: self.about()),
-            Route("GET", "api/state", lambda _: self.told_state()),
+            Route("GET", "api/session", self.about),
+            Route("GET", "api/state", self.polled_state),
             Route("PUT", "api/draft", self._put_draft),
-            Route("GET", "api/frame/{}.jpg", self._frame),
-            Route("GET", "api/crop/{}.png", self._crop),
-            Route("GET", "api/proposals/{}", self._proposals),
+            Route("GET", "api/frame/{frame}.jpg", self._frame),
+            Route("GET", "api/crop/{frame}.png", self._crop),
+            Route("GET", "api/proposals/{frame}", self._proposals),
             Route("POST", "api/save", self._save),
         )
 
     def about(self) -> Json:
-        """What does not change while the page is open, but for how long the clip is known to be."""
-        return {
-            **self._about,
-            "size": list(self.frames.size),
-            "fps": float(self.frames.fps),
-            "frames": self._range(),
-        }
+        """What does not change while the page is open; only the last frame of the clip may become known later."""
+        fps = float(self.frames.fps)
+        return {"mode": self.mode, **self._about, "size": self.frames.size, "fps": fps, "frames": self._range()}
 
     def state(self) -> Json:
         """What changes."""
@@ -179,114 +184,97 @@ class Session(ABC):
                 "message": self.message,
             }
 
-    def told_state(self) -> Json:
-        """The state, and a note that a client was told of the end."""
+    def polled_state(self) -> Json:
+        """The state; remembers that a client was told of the end."""
         with self.lock:
             if self.ended is not None:
                 self._seen_at = time.monotonic()
             return self.state()
 
     def over(self) -> bool:
-        """Whether the server may go: it has ended, and the pages had time to hear of it."""
+        """Whether the server may stop: the session has ended, and the pages had time to learn of it."""
         with self.lock:
-            if self.ended is None:
-                return False
             now = time.monotonic()
-            told = self._seen_at > 0 and now - self._seen_at >= LINGER_S
-            return told or now - self._ended_at >= LAST_S
+            seen = self._seen_at > 0 and now - self._seen_at >= LINGER_S
+            return self.ended is not None and (seen or now - self._ended_at >= LAST_S)
 
     def close(self) -> None:
-        """Have the job end, and wait for it."""
+        """Stop the job, and wait for it."""
         self.stopping.set()
-        worker = self._worker
-        if worker is not None:
-            worker.join()
+        if self._worker is not None:
+            self._worker.join()
+        self._proposer.close()
+
+    def record(self, error: Exception) -> str:
+        """The line that reports an internal error; the first one is remembered for the end."""
+        with self.lock:
+            self.first_error = self.first_error or error
+        return internal_error(error)
 
     def _run(self, work: Callable[[Report], None]) -> None:
         def report(done: int, total: int | None) -> None:
             with self.lock:
                 self._job = {**(self._job or {}), "done": done, "total": total}
 
-        said: str | None = None
+        message: str | None = None
         try:
             work(report)
+        except StoppedError:
+            pass
         except FacetrackError as e:
-            said = str(e)
+            message = " ".join(str(e).splitlines())
         except Exception as e:
-            said = f"this is our fault, not yours: {type(e).__name__}: {e}"
-            self.fault(e)
+            message = self.record(e)
         finally:
             with self.lock:
                 self._job = None
-                self._closing = False
-                if said is not None:
-                    self.message = " ".join(said.splitlines())
+                self._saving = False
+                self.message = message or self.message
 
-    def fault(self, error: Exception) -> None:
-        """Remembers the first error of our own, for the end."""
-        with self.lock:
-            if self.first_fault is None:
-                self.first_fault = error
+    def _stale(self) -> RefusedError:
+        return RefusedError(409, "another window has changed the draft", self.state())
 
     def _range(self) -> Json:
         last = max(self.frames.count - 1, self.first) if self.last is None else self.last
         return {"first": self.first, "last": last, "exact": self.frames.exact or self.last is not None}
 
-    def _put_draft(self, request: Request) -> Json:
-        try:
-            draft = read_draft(request.body.get("draft"))
-        except DraftError as e:
-            raise RefusedError(400, str(e)) from None
+    def _check_frame(self, frame: int) -> None:
+        known = self._range()
+        if frame < self.first or (known["exact"] and frame > known["last"]):
+            raise RefusedError(404, f"there is no frame {frame}; they go from {self.first} to {known['last']}")
+
+    # handlers
+
+    def _put_draft(self, base: StrictInt, draft: Draft) -> Json:
         with self.lock:
-            self.fresh(request.body.get("base"))
-            if self.ended is not None or self._closing:
+            self.current(base)
+            if self.ended is not None or self._saving:
                 self.refuse_if_busy()
+            self._check_frame(draft.frame)
             self.check_draft(draft)
             self.message = None
             self.change(draft)
             return {"revision": self.revision}
 
-    def _save(self, request: Request) -> Answer:
-        draft = self.fresh(request.body.get("base"))
+    def _save(self, base: StrictInt) -> Answer:
+        draft = self.current(base)
         self.refuse_if_busy()
         self.save(draft)
         return Answer({"job": self.state()["job"]}, 202)
 
-    def _frame(self, request: Request) -> Answer:
-        index = self._index(request)
-        reduce = request.whole("reduce", 1, 8, 1)
-        if reduce not in (1, 2, 4, 8):
-            raise RefusedError(400, f"reduce is {reduce}; it may be 1, 2, 4 or 8")
-        with _past_end():
-            return Answer(self.pictures.jpeg(index, reduce), kind="image/jpeg")
+    def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
+        self._check_frame(frame)
+        return Answer(self.images.jpeg(frame, int(reduce)), kind="image/jpeg")
 
-    def _crop(self, request: Request) -> Answer:
-        index = self._index(request)
-        x, y = request.whole("x"), request.whole("y")
-        w, h = request.whole("w", 1, LARGEST_CROP), request.whole("h", 1, LARGEST_CROP)
-        width, height = self.frames.size
-        if not (-w < x < width and -h < y < height):
-            raise RefusedError(404, f"nothing of the picture of {width}x{height} pixels is there")
-        with _past_end():
-            return Answer(self.pictures.crop(index, x, y, w, h), kind="image/png")
+    def _crop(self, frame: int, x: int, y: int, w: CropSide, h: CropSide) -> Answer:
+        self._check_frame(frame)
+        return Answer(self.images.crop(frame, x, y, w, h), kind="image/png")
 
-    def _proposals(self, request: Request) -> Json:
-        index = self._index(request)
-        with _past_end():
-            return self.proposals(index)
-
-    def _index(self, request: Request) -> int:
-        [index] = request.numbers
-        known = self._range()
-        if index < self.first or (known["exact"] and index > known["last"]):
-            raise RefusedError(404, f"there is no frame {index}; they go from {self.first} to {known['last']}")
-        return index
+    def _proposals(self, frame: int) -> Json:
+        self._check_frame(frame)
+        return self.proposals(frame)
 
 
-@contextlib.contextmanager
-def _past_end() -> Iterator[None]:
-    """A frame that cannot be read is not there."""
-    try:
-        yield
-    except InputError as e:
-        raise RefusedError(404, str(e)) from None
+def internal_error(error: Exception) -> str:
+    """The line that reports an error of the program itself."""
+    return " ".join(f"internal error; please report it: {type(error).__name__}: {error}".splitlines())

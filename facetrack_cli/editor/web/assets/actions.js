@@ -1,26 +1,43 @@
-// What can be done to parts from the list and by keys: choose, put in the middle, nudge, remove.
+// What the keys and the list do to parts: choose, place in the middle, nudge, resize, remove.
 
-import { number, spoken } from "./dom.js";
+import { formatNumber, readable } from "./dom.js";
 import { colour } from "./draw.js";
-import { BOX, LEAST_BOX, same } from "./store.js";
+import { centreOf, clampBox, clampPoint, resizeBox } from "./geometry.js";
+import { BOX, sameSlot } from "./store.js";
 
-const WAYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-export const FAR = 25; // frames of a long step
+const DIRECTIONS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+export const LONG_STEP = 25; // frames
 
-export class Deeds {
+export class Actions {
   constructor({ store, stage, magnifier, gestures, clip, mode, say }) {
     Object.assign(this, { store, stage, magnifier, gestures, clip, mode, say });
+    this.fixes = store.mode === "fix";
   }
 
-  place(slot) {
+  #place(slot) {
     const { store } = this;
-    if (!this.mode.may(true)) return;
-    store.set(slot, middle(store, this.stage, slot));
+    if (!this.mode.canEdit(true)) return;
+    store.set(slot, this.#defaultValue(slot));
     store.advance(slot);
-    this.tell(slot);
+    this.#show(slot);
   }
 
-  tell(slot) {
+  // in the middle of its target's box, or of the visible part of the frame
+  #defaultValue(slot) {
+    const { store, stage } = this;
+    const { width, height } = stage.box;
+    const middle = clampPoint(stage.toImage(width / 2, height / 2), store.size).map(Math.round);
+    if (slot.part !== BOX) {
+      const box = store.draft.targets[slot.target]?.box;
+      return box ? clampPoint(centreOf(box), store.size) : middle;
+    }
+    const { scale } = stage.view;
+    const side = Math.max(Math.round(Math.min(...store.size, width / scale, height / scale) / 3), 8);
+    return [middle[0] - (side >> 1), middle[1] - (side >> 1), side, side];
+  }
+
+  // shows where a slot is
+  #show(slot) {
     const { store } = this;
     const value = store.value(slot);
     if (!value) return;
@@ -29,49 +46,55 @@ export class Deeds {
       this.magnifier.show(...value, "keys", colour(store, slot.target));
       this.magnifier.hide(2500);
     }
-    // the magnifier says it, too
-    const kind = store.mode === "fix" && slot.part !== BOX ? "quiet" : "info";
-    this.say(`${spoken(slot.part)} of ${spoken(slot.target)} at ${value.map(number).join(", ")}`, kind);
+    const kind = this.fixes && slot.part !== BOX ? "quiet" : "info"; // the magnifier shows it, too
+    this.say(`${readable(slot.part)} of ${readable(slot.target)} at ${value.map(formatNumber).join(", ")}`, kind);
   }
 
-  /** A part of the list; by a key also put in the middle, if it is nowhere. */
+  /** A part of the list; if it was chosen by a key and has no place, it is placed in the middle. */
   choose(slot, byKey) {
     const { store } = this;
     if (store.ended) return;
-    store.arm(slot);
-    if (byKey && !store.value(slot)) this.place(slot);
-    else this.tell(slot);
+    store.choose(slot);
+    if (byKey && !store.value(slot)) this.#place(slot);
+    else this.#show(slot);
     this.stage.canvas.focus({ preventScroll: true });
   }
 
-  /** Enter on the picture. */
+  #select(slot) {
+    this.store.select(slot);
+    this.#show(slot);
+    this.stage.canvas.focus({ preventScroll: true });
+  }
+
+  /** Enter on the image. */
   enter() {
     const { store } = this;
     if (store.ended || ![this.stage.canvas, document.body].includes(document.activeElement)) return false;
-    if (store.mode === "fix") {
-      if (store.current && !store.value(store.current)) this.place(store.current);
-      else if (store.looked) this.#select(store.looked);
-      else this.say(store.isEmpty() ? "N goes to the next doubtful frame." : "Ctrl+Enter tracks from here.");
-      return true;
-    }
-    const open = store.current && !store.value(store.current) ? store.current : store.next(store.selected);
-    if (open) this.place(open);
-    else this.say("All is there. Ctrl+S saves."); // never by one Enter too many
+    const open = store.current && !store.value(store.current) ? store.current : store.nextMissing(store.selected);
+    if (open) this.#place(open);
+    else if (!this.fixes)
+      this.say("All parts are placed. Ctrl+S saves."); // Enter itself never saves
+    else if (store.highlighted) this.#select(store.highlighted);
+    else this.say(store.isEmpty() ? "N goes to the next frame to review." : "Ctrl+Enter tracks from here.");
     return true;
   }
 
   arrow(event) {
     const { store } = this;
-    const [dx, dy] = WAYS[event.key];
-    const selected = store.value(store.selected) ? store.selected : null;
-    if (!selected) return dx && !event.ctrlKey && !event.altKey ? this.clip.by(dx * (event.shiftKey ? FAR : 1)) : false;
-    if (!this.mode.may(true)) return true;
+    const [dx, dy] = DIRECTIONS[event.key];
+    const slot = store.value(store.selected) ? store.selected : null;
+    const ctrl = event.ctrlKey || event.metaKey;
+    if (!slot) return dx && !ctrl && !event.altKey ? this.clip.by(dx * (event.shiftKey ? LONG_STEP : 1)) : false;
+    if (!this.mode.canEdit(true)) return true;
+    if (ctrl && slot.part !== BOX) return false;
     const step = event.shiftKey ? 10 : event.altKey ? 0.25 : 1;
-    if (event.ctrlKey || event.metaKey) {
-      if (selected.part !== BOX) return false;
-      stretch(store, dx * step, dy * step);
-    } else nudge(store, dx * step, dy * step);
-    this.tell(selected);
+    const [x, y, ...rest] = store.value(slot);
+    const moved = [x + dx * step, y + dy * step, ...rest];
+    const resized = () => resizeBox([x, y, ...rest], [1, 1], dx * step, dy * step);
+    const value = rest.length ? clampBox(ctrl ? resized() : moved, store.size) : clampPoint(moved, store.size);
+    // successive nudges of the same slot are one step of undo
+    store.set(slot, value, `${ctrl ? "resize" : "nudge"} ${slot.target} ${slot.part}`);
+    this.#show(slot);
     return true;
   }
 
@@ -79,121 +102,40 @@ export class Deeds {
   step(by) {
     const { store } = this;
     const all = store.slots();
-    const from = store.selected ?? store.current ?? store.looked;
-    const at = all.findIndex((slot) => same(slot, from));
+    const from = store.selected ?? store.current ?? store.highlighted;
+    const at = all.findIndex((slot) => sameSlot(slot, from));
     const slot = all[at < 0 && by < 0 ? all.length - 1 : (at + by + all.length) % all.length];
     if (!slot) return;
-    if (store.mode === "fix" && store.value(slot)) this.#select(slot);
+    if (this.fixes && store.value(slot)) this.#select(slot);
     else this.choose(slot, false);
   }
 
-  #select(slot) {
-    this.store.pick(slot);
-    this.tell(slot);
-    this.stage.canvas.focus({ preventScroll: true });
-  }
-
-  remove() {
+  /** Removes a mark; in a run it is again as it was tracked. */
+  remove(slot = this.store.selected ?? this.store.highlighted) {
     const { store } = this;
-    const slot = store.selected ?? store.looked;
-    if (store.mode === "pick") return store.value(slot) && this.mode.may(true) && remove(store, slot);
-    if (!slot || !(store.drafted(slot) || store.gone(slot)) || !this.mode.may(true)) return false;
-    store.takeBack(slot);
-    this.say(`${spoken(slot.part)} of ${spoken(slot.target)} is as it was tracked.`);
+    const marked = slot && (this.fixes ? store.drafted(slot) || store.markedAbsent(slot) : store.value(slot));
+    if (!marked || !this.mode.canEdit(true)) return false;
+    if (this.fixes) {
+      store.revert(slot);
+      this.say(`${readable(slot.part)} of ${readable(slot.target)} is as it was tracked.`);
+    } else {
+      store.set(slot, null);
+      Object.assign(store, { current: slot, selected: null });
+      store.emit("draft");
+    }
     return true;
   }
 
   escape() {
     const { store } = this;
-    if (store.live) return this.gestures.cancel();
+    if (store.beforeGesture) return this.gestures.cancel();
     this.magnifier.hide();
-    if (store.mode === "fix") store.pick(null);
+    if (this.fixes) store.select(null);
     else {
       store.selected = null;
-      if (store.value(store.current)) store.current = store.next();
+      if (store.value(store.current)) store.current = store.nextMissing();
       store.emit("draft");
     }
     return true;
   }
-}
-
-// What can be done to a part: put it somewhere, nudge, resize, remove. Within the picture, as the server will ask.
-
-const clamp = (value, low, high) => Math.min(Math.max(value, low), Math.max(low, high));
-
-/** A point on a pixel of the picture. */
-export const inside = ([x, y], [width, height]) => [clamp(x, 0, width - 1), clamp(y, 0, height - 1)];
-
-/** A box moved so that its centre is in the picture; its edges may stand out, as a face may. */
-export function held([left, top, w, h], [width, height]) {
-  return [clamp(left, -(w - 1) / 2, width - 1 - (w - 1) / 2), clamp(top, -(h - 1) / 2, height - 1 - (h - 1) / 2), w, h];
-}
-
-/** The box between two places, in whole pixels, both of them in it, cut to the picture. */
-export function between(a, b, size) {
-  const [ax, ay] = inside(a, size).map(Math.round);
-  const [bx, by] = inside(b, size).map(Math.round);
-  return [Math.min(ax, bx), Math.min(ay, by), Math.abs(ax - bx) + 1, Math.abs(ay - by) + 1];
-}
-
-/** A box whose edges moved: `sx`, `sy` say which, -1 left or top, 1 right or bottom, 0 neither. */
-export function resized([left, top, w, h], [sx, sy], dx, dy, least = LEAST_BOX) {
-  if (sx < 0) dx = Math.min(dx, w - least);
-  if (sy < 0) dy = Math.min(dy, h - least);
-  return [
-    sx < 0 ? left + dx : left,
-    sy < 0 ? top + dy : top,
-    sx ? Math.max(w + sx * dx, Math.min(least, w)) : w,
-    sy ? Math.max(h + sy * dy, Math.min(least, h)) : h,
-  ];
-}
-
-/** As fine as can be seen: a quarter of a pixel where pixels are large. */
-export function snapped([x, y], scale) {
-  const step = scale >= 2 ? 0.25 : scale >= 1 ? 0.5 : 1;
-  return [Math.round(x / step) * step, Math.round(y / step) * step];
-}
-
-/** Where a part is put by the keyboard: in the middle of its target's box, or of what is seen of the picture. */
-export function middle(store, stage, slot) {
-  const { width, height } = stage.box;
-  const seen = inside(stage.spot(width / 2, height / 2), store.size).map(Math.round);
-  if (slot.part !== BOX) {
-    const box = store.draft.targets[slot.target]?.box;
-    return box ? inside([box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2], store.size) : seen;
-  }
-  const side = Math.max(
-    Math.round(Math.min(...store.size, width / stage.view.scale, height / stage.view.scale) / 3),
-    8,
-  );
-  return [seen[0] - (side >> 1), seen[1] - (side >> 1), side, side];
-}
-
-/** Moves what is selected by (dx, dy) pixels; nudges of the same mark are one step of undo. */
-export function nudge(store, dx, dy) {
-  const slot = store.selected;
-  const value = store.value(slot);
-  if (!value) return false;
-  const [x, y, ...rest] = value;
-  const moved = rest.length ? held([x + dx, y + dy, ...rest], store.size) : inside([x + dx, y + dy], store.size);
-  store.set(slot, moved, `nudge ${slot.target} ${slot.part}`);
-  return true;
-}
-
-/** Moves the right and the bottom edge of the selected box. */
-export function stretch(store, dx, dy) {
-  const slot = store.selected;
-  const value = slot?.part === BOX && store.value(slot);
-  if (!value) return false;
-  store.set(slot, held(resized(value, [1, 1], dx, dy), store.size), `stretch ${slot.target}`);
-  return true;
-}
-
-export function remove(store, slot) {
-  if (!store.value(slot)) return false;
-  store.set(slot, null);
-  store.current = slot;
-  store.selected = null;
-  store.emit("draft");
-  return true;
 }

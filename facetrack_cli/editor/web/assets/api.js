@@ -1,9 +1,9 @@
-// The server's addresses. All are relative to the page, so the token and a tunnel's port take care of themselves.
+// Requests to the server. Addresses are relative to the page, which has the token and the port of a tunnel.
 
 const BASE = new URL("api/", document.baseURI);
-const PATIENCE = 20_000; // ms: a long clip may have to be read up to a frame
+const TIMEOUT = 20_000; // ms: a long clip may have to be read up to a frame
 
-/** The server said no: `status` is its code, `body` what it said. */
+/** The server refused: `status` is the code, `body` the answer. */
 export class Refused extends Error {
   constructor(status, body) {
     super(body?.error ?? `the server answered ${status}`);
@@ -12,28 +12,28 @@ export class Refused extends Error {
   }
 }
 
-/** Nobody answers at this address any more. */
-export class Gone extends Error {}
+/** There is no answer from this address any more. */
+export class Unreachable extends Error {}
 
-async function ask(path, { method = "GET", body, signal } = {}) {
-  const patience = AbortSignal.timeout(PATIENCE);
-  const options = { method, cache: "no-store", signal: signal ? either(signal, patience) : patience };
+/** The answer, read by `read`: a Response to a value. */
+async function request(path, read, { method = "GET", body, signal } = {}) {
+  const timeout = AbortSignal.timeout(TIMEOUT);
+  const options = { method, cache: "no-store", signal: signal ? either(signal, timeout) : timeout };
   if (body !== undefined) {
     options.body = JSON.stringify(body);
     options.headers = { "Content-Type": "application/json" };
   }
-  let answer;
   try {
-    answer = await fetch(new URL(path, BASE), options);
+    const answer = await fetch(new URL(path, BASE), options);
+    if (answer.ok) return await read(answer);
+    throw new Refused(answer.status, await answer.json().catch(() => null));
   } catch (error) {
-    if (signal?.aborted) throw error;
-    throw new Gone("the server does not answer");
+    if (error instanceof Refused || signal?.aborted) throw error;
+    throw new Unreachable("the server does not answer");
   }
-  if (answer.ok) return answer;
-  throw new Refused(answer.status, await answer.json().catch(() => null));
 }
 
-// AbortSignal.any is missing from tablets of a few years ago
+// AbortSignal.any is missing in tablets of a few years ago
 function either(first, second) {
   const both = new AbortController();
   for (const signal of [first, second]) {
@@ -43,30 +43,15 @@ function either(first, second) {
   return both.signal;
 }
 
-async function json(path, options) {
-  const answer = await ask(path, options);
-  try {
-    return await answer.json();
-  } catch {
-    throw new Gone("the server stopped in the middle of an answer");
-  }
-}
-
-async function blob(path, signal) {
-  const answer = await ask(path, { signal });
-  try {
-    return await answer.blob();
-  } catch (error) {
-    if (signal?.aborted) throw error;
-    throw new Gone("the server stopped in the middle of a picture");
-  }
-}
+const json = (path, options) => request(path, (answer) => answer.json(), options);
+const blob = (path, signal) => request(path, (answer) => answer.blob(), { signal });
 
 export const session = () => json("session");
 export const state = () => json("state");
-export const proposals = (frame, signal) => json(`proposals/${frame}`, { signal });
+export const proposals = (frame) => json(`proposals/${frame}`);
+export const rows = (first, last) => json(`rows?first=${first}&last=${last}`);
+export const overview = (bins) => json(`overview?bins=${bins}`);
 export const putDraft = (base, draft) => json("draft", { method: "PUT", body: { base, draft } });
-export const post = (what, body) => json(what, { method: "POST", body });
-export const get = (path, signal) => json(path, { signal });
-export const picture = (frame, reduce, signal) => blob(`frame/${frame}.jpg?reduce=${reduce}`, signal);
+export const post = (path, body) => json(path, { method: "POST", body });
+export const frameImage = (frame, reduce, signal) => blob(`frame/${frame}.jpg?reduce=${reduce}`, signal);
 export const crop = (frame, x, y, w, h) => blob(`crop/${frame}.png?x=${x}&y=${y}&w=${w}&h=${h}`);

@@ -1,132 +1,118 @@
 // Puts the page together.
 
-import { Deeds } from "./actions.js";
+import { Actions } from "./actions.js";
 import * as api from "./api.js";
 import { debug } from "./debug.js";
-import { $, write } from "./dom.js";
-import { marks } from "./draw.js";
-import { Fix, overview } from "./fix.js";
+import { $, setText } from "./dom.js";
+import { draftLayer } from "./draw.js";
+import { firstOverview, Fix } from "./fix.js";
 import { FixList } from "./fix_list.js";
 import { FixStore } from "./fix_store.js";
 import { Frames } from "./frames.js";
 import { Gestures } from "./gestures.js";
-import { Keys, keytable } from "./keys.js";
-import { List } from "./list.js";
+import { keyHelp, keyTable, listenToKeys } from "./keys.js";
+import { PickList } from "./list.js";
 import { Magnifier } from "./magnifier.js";
 import { Pick } from "./pick.js";
 import { Clip } from "./playback.js";
-import { Save } from "./save.js";
+import { Save, showProblem } from "./save.js";
 import { Stage } from "./stage.js";
 import { Store } from "./store.js";
 import { Sync } from "./sync.js";
 
-const FADES = 8000; // ms until a message that needs no deed goes
+const FADES = 8000; // ms until a message disappears, if it is no error
 
-function say(words, kind = "info") {
+/** Shows a line at the bottom; `kind` is info, warning, error, or quiet: for screen readers alone. */
+function say(text, kind = "info") {
   const line = $("message");
   line.dataset.kind = kind;
-  write(line, words);
+  setText(line, text);
   clearTimeout(say.timer);
-  if (kind !== "error") say.timer = setTimeout(() => write(line, ""), FADES);
+  if (kind !== "error") say.timer = setTimeout(() => setText(line, ""), FADES);
 }
 
 async function start() {
   const [session, state] = await Promise.all([api.session(), api.state()]);
-  session.frames = state.frames ?? session.frames;
+  session.frames = state.frames;
   const fixes = session.mode === "fix";
-  const first = fixes ? await overview() : null;
-  if (first && isBlank(state.draft)) state.draft.frame = first.doubtful[0]?.frame ?? first.first;
+  const overview = fixes ? await firstOverview() : null;
+  if (fixes && !Object.keys(state.draft.targets).length) {
+    state.draft.frame = overview.doubtful[0]?.frame ?? overview.first;
+  }
   const store = fixes ? new FixStore(session, state.draft) : new Store(session, state.draft);
-  document.title = `${session.clip} – facetrack`;
-  write($("clip-name"), session.clip);
-  write($("recipe-name"), session.recipe ?? "");
-  $("recipe-name").hidden = !session.recipe;
-  $("save").title = `Write to ${session.saves_to} (Ctrl+S)`;
-  $("panel").setAttribute("aria-label", fixes ? "Parts, doubtful frames and corrections" : "Parts");
-  document.body.dataset.mode = session.mode;
+  showSession(session);
 
   const stage = new Stage($("stage"), session.size);
   const magnifier = new Magnifier($("magnifier"), stage, store);
   const frames = new Frames(store.bounds, {
-    onpicture: (picture) => {
-      stage.show(picture);
-      describe(store, picture);
+    onimage: (image) => {
+      stage.show(image);
+      $("stage").setAttribute("aria-label", `Frame ${image.index} of ${session.clip}`);
     },
     onrefused: (index, error) => {
       say(error.message, "error");
       sync.poll();
-      if (stage.picture && stage.picture.index !== index) store.show(stage.picture.index);
+      if (stage.image && stage.image.index !== index) store.show(stage.image.index);
     },
-    onwait: (waits) => $("view").classList.toggle("waits", waits),
+    onloading: (loading) => $("view").classList.toggle("loading", loading),
   });
   const want = () => frames.want(store.frame, stage.reduce);
 
-  let heard = null; // the last message of the server
+  let lastMessage = null; // of the server
   const sync = new Sync(store, state, {
     onstate: (now) => {
-      if (now.frames) {
-        frames.bounds = now.frames;
-        store.bound(now.frames);
-      }
-      if (now.message && now.message !== heard && !mode.hears?.()) say(now.message, "warning");
-      heard = now.message;
-      mode.state?.(now);
-      save.state(now);
+      frames.bounds = now.frames;
+      store.setBounds(now.frames);
+      if (now.message && now.message !== lastMessage && !mode.ownJob) say(now.message, "warning");
+      lastMessage = now.message;
+      mode.setState?.(now);
+      save.update(now);
     },
-    onothers: (lost) => {
-      if (mode.others) return mode.others(lost);
-      say(
-        lost
-          ? "Another window was faster: its start is shown now. Undo brings back yours."
-          : "Changed in another window.",
-        "warning",
-      );
+    onother: (lost) => mode.onOther(lost),
+    onoffline: () => {
+      $("offline").hidden = false;
+      if (save.accepted) setText($("offline-text"), "facetrack has ended; its terminal shows what it wrote.");
     },
-    ongone: () => {
-      $("gone").hidden = false;
-      if (save.accepted) write($("gone-text"), "facetrack has ended; its terminal says what it wrote.");
-    },
-    onback: () => {
-      $("gone").hidden = true;
+    ononline: () => {
+      $("offline").hidden = true;
       say("facetrack answers again.");
       want();
-      frames.retry();
+      frames.load();
     },
-    onrefused: (error) => say(`Not taken by facetrack: ${error.message}`, "error"),
+    onrefused: (error) => say(`Refused by facetrack: ${error.message}`, "error"),
   });
-  const lack = (words) => save.lack(words);
   const hovered = () => gestures.hovered;
-  const mode = first ? new Fix({ store, stage, sync, say, lack, hovered, first }) : new Pick({ store, stage, say });
-  const may = (loud) => mode.may(loud);
-  const gestures = new Gestures(stage, store, magnifier, { may, say });
-  stage.layers.push(marks(store, hovered));
+  const mode = fixes ? new Fix({ store, stage, sync, say, hovered, overview }) : new Pick({ store, stage, say });
+  const gestures = new Gestures(stage, store, magnifier, { canEdit: (explain) => mode.canEdit(explain), say });
+  stage.layers.push(draftLayer(store, hovered));
   const clip = new Clip(store);
-  const deeds = new Deeds({ store, stage, magnifier, gestures, clip, mode, say });
-  const choose = (slot, byKey) => deeds.choose(slot, byKey);
-  const list = first
-    ? new FixList(store, { choose, absent: (slots, whether) => mode.absent(slots, whether) })
-    : new List(store, { choose, may, say });
-  const save = new Save({ store, sync, say, onlack, title: () => (first && !mode.canUndo ? "Ended" : "Saved") });
-  mode.state?.(state);
-  save.state(state);
+  const actions = new Actions({ store, stage, magnifier, gestures, clip, mode, say });
+  const choose = (slot, byKey) => actions.choose(slot, byKey);
+  const list = fixes
+    ? new FixList(store, { choose, setAbsent: (slots, absent) => mode.setAbsent(slots, absent) })
+    : new PickList(store, { choose, remove: (slot) => actions.remove(slot), say });
+  const title = () => (fixes && !mode.canUndo ? "Ended" : "Saved");
+  const save = new Save({ store, sync, say, onmissing, title });
+  mode.setState?.(state);
+  save.update(state);
 
-  function onlack() {
-    const lacking = store.next();
-    if (lacking) store.pick(lacking);
+  function onmissing() {
+    const missing = store.nextMissing();
+    if (missing) store.select(missing);
     list.follow();
   }
 
   const does = {
-    say,
-    undo: () => (mode.undo ? mode.undo() : say(store.undo() ? "" : "There is nothing to take back.")),
-    redo: () => say(store.redo() ? "" : "There is nothing to do again."),
+    undo: () => (fixes ? mode.undo() : say(store.undo() ? "" : "There is nothing to undo.")),
+    redo: () => say(store.redo() ? "" : "There is nothing to redo."),
     zoom: (factor) => () => stage.zoomBy(factor),
     help: () => !$("help").open && $("help").showModal(),
-    save: () => void (mode.save ? mode.save(save) : save.save()),
+    save: () => void (fixes ? mode.save(save) : save.save()),
   };
-  const keys = new Keys(keytable({ store, stage, clip, list, gestures, magnifier, mode, deeds, does }));
-  $("help-keys").replaceChildren(...keys.help());
-  // the ring around the picture is for those who are at the keyboard
+  const table = keyTable({ store, stage, clip, list, gestures, magnifier, mode, actions, does, say });
+  listenToKeys(table);
+  $("help-keys").replaceChildren(...keyHelp(table));
+  // the ring around the image is for users of the keyboard
   document.addEventListener("keydown", () => document.body.classList.add("by-keys"), true);
   document.addEventListener("pointerdown", () => document.body.classList.remove("by-keys"), true);
   document.addEventListener("keyup", (event) => event.key === " " && (gestures.panning = false));
@@ -134,7 +120,7 @@ async function start() {
 
   // --- buttons
 
-  const press = (id, deed) => $(id).addEventListener("click", deed);
+  const press = (id, action) => $(id).addEventListener("click", action);
   press("undo", does.undo);
   press("redo", does.redo);
   press("save", does.save);
@@ -147,29 +133,29 @@ async function start() {
     dialog.addEventListener("click", (event) => event.target === dialog && dialog.close());
   }
 
-  // --- what depends on what
+  // --- what depends on the view and on the store
 
   let reducing;
   stage.onview = () => {
-    write($("zoom-level"), stage.fitted ? "Fit" : `${Math.round(stage.view.scale * 100)} %`);
+    setText($("zoom-level"), stage.fitted ? "Fit" : `${Math.round(stage.view.scale * 100)} %`);
     clearTimeout(reducing);
-    reducing = setTimeout(want, 120); // finer pixels once zooming rests
+    reducing = setTimeout(want, 120); // a finer image once the zoom rests
     mode.update();
   };
   const changed = () => {
     stage.draw();
-    $("undo").disabled = !(mode.undoes ?? store.past.length) || store.ended;
+    $("undo").disabled = !(fixes ? mode.undoable : store.past.length) || store.ended;
     $("redo").disabled = !store.future.length || store.ended;
-    if (store.mode === "pick" && !store.next()) save.lack("");
+    if (!fixes && !store.nextMissing()) showProblem("");
   };
   store.addEventListener("draft", changed);
-  store.addEventListener("commit", () => save.lack(""));
+  store.addEventListener("commit", () => showProblem(""));
   store.addEventListener("frame", () => {
     gestures.cancel();
     want();
     stage.draw();
   });
-  window.addEventListener("beforeunload", (event) => sync.dirty && sync.gone && event.preventDefault());
+  window.addEventListener("beforeunload", (event) => sync.dirty && sync.offline && event.preventDefault());
   changed();
   stage.onview();
   want();
@@ -177,18 +163,22 @@ async function start() {
   document.body.classList.add("ready");
 }
 
-const isBlank = ({ targets }) => !Object.keys(targets).length;
-
-// what a screen reader is told of the picture
-function describe(store, { index }) {
-  $("stage").setAttribute("aria-label", `Frame ${index} of ${store.session.clip}`);
+function showSession({ clip, recipe, saves_to: place, mode }) {
+  document.title = `${clip} – facetrack`;
+  setText($("clip-name"), clip);
+  setText($("recipe-name"), recipe ?? "");
+  $("recipe-name").hidden = !recipe;
+  $("save").title = `Write to ${place} (Ctrl+S)`;
+  $("panel").setAttribute("aria-label", mode === "fix" ? "Parts, frames to review, corrections" : "Parts");
+  document.body.dataset.mode = mode;
 }
 
 start().catch((error) => {
-  $("gone").hidden = false;
-  write(
-    $("gone-text"),
-    error instanceof api.Refused ? error.message : "facetrack does not answer. Is it still running in its terminal?",
+  const refused = error instanceof api.Refused;
+  $("offline").hidden = false;
+  setText(
+    $("offline-text"),
+    refused ? error.message : "facetrack does not answer. Is it still running in its terminal?",
   );
-  if (!(error instanceof api.Refused || error instanceof api.Gone)) throw error;
+  if (!(refused || error instanceof api.Unreachable)) throw error;
 });

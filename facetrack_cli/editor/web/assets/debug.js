@@ -1,44 +1,42 @@
-// What tests look at: window.facetrack.
+// window.facetrack: what tests, and anybody in the console, may look at; nothing can be changed by it.
 
-/** What tests and the curious may look at; nothing can be changed by it. */
 export function debug({ store, stage, sync, mode }) {
-  const view = (name, get) => [name, { get, enumerable: true }];
-  const shifted = (x, y, sign) => {
+  const views = {
+    draft: () => store.draft,
+    frame: () => store.frame,
+    image: () => (stage.image ? { index: stage.image.index, reduce: stage.image.reduce } : null),
+    zoom: () => stage.zoom,
+    mode: () => store.mode,
+    current: () => store.current,
+    selected: () => store.selected,
+    proposals: () => store.proposals,
+    revision: () => sync.revision,
+    sent: () => !sync.dirty && !sync.sending,
+    offline: () => sync.offline,
+    ended: () => store.ended,
+    busy: () => store.busy,
+    // of correcting a run
+    rowsRevision: () => (mode.rows?.isCurrent(store.frame) ? mode.rows.revision : null),
+    rows: () => mode.rows?.frame(store.frame) ?? null,
+    job: () => sync.state.job,
+    highlighted: () => store.highlighted ?? null,
+    corrections: () => mode.corrections ?? null,
+    review: () => mode.review?.frames.map(({ frame }) => frame) ?? null,
+    playing: () => mode.play?.on ?? false,
+    canUndo: () => sync.state.can_undo,
+  };
+  const shifted = ([x, y], sign) => {
     const { left, top } = stage.canvas.getBoundingClientRect();
     return [x + sign * left, y + sign * top];
   };
-  return Object.freeze(
-    Object.defineProperties(
-      {
-        /** From pixels of the picture to CSS pixels of the window, [x, y]. */
-        toScreen: (x, y) => shifted(...stage.place(x, y), 1),
-        /** From CSS pixels of the window to pixels of the picture, [x, y]. */
-        toPicture: (x, y) => stage.spot(...shifted(x, y, -1)),
-      },
-      Object.fromEntries([
-        view("draft", () => structuredClone(store.draft)),
-        view("frame", () => store.frame),
-        view("picture", () => (stage.picture ? { index: stage.picture.index, reduce: stage.picture.reduce } : null)),
-        view("zoom", () => stage.zoom),
-        view("mode", () => store.mode),
-        view("current", () => structuredClone(store.current)),
-        view("selected", () => structuredClone(store.selected)),
-        view("proposals", () => structuredClone(store.proposals)),
-        view("revision", () => sync.revision),
-        view("sent", () => !sync.dirty && !sync.running),
-        view("gone", () => sync.gone),
-        view("ended", () => store.ended),
-        // of putting a run right
-        view("rowsRevision", () => (mode.rows?.fresh(store.frame) ? mode.rows.revision : null)),
-        view("rows", () => structuredClone(mode.rows?.frame(store.frame) ?? null)),
-        view("job", () => structuredClone(sync.state.job)),
-        view("busy", () => store.busy ?? false),
-        view("looked", () => structuredClone(store.looked ?? null)),
-        view("corrections", () => structuredClone(mode.corrections ?? null)),
-        view("doubtful", () => mode.doubtful?.frames.map(({ frame }) => frame) ?? null),
-        view("playing", () => mode.play?.on ?? false),
-        view("canUndo", () => sync.state.can_undo),
-      ]),
-    ),
-  );
+  const found = {
+    /** From pixels of the frame to CSS pixels of the window, [x, y]. */
+    toScreen: (x, y) => shifted(stage.toCanvas(x, y), 1),
+    /** From CSS pixels of the window to pixels of the frame, [x, y]. */
+    toImage: (x, y) => stage.toImage(...shifted([x, y], -1)),
+  };
+  for (const [name, view] of Object.entries(views)) {
+    Object.defineProperty(found, name, { get: () => structuredClone(view()), enumerable: true });
+  }
+  return Object.freeze(found);
 }

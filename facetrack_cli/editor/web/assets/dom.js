@@ -1,6 +1,7 @@
-// Small helpers for elements.
+// Helpers for elements and for texts.
 
 export const $ = (id) => document.getElementById(id);
+export const TOUCH = window.matchMedia("(pointer: coarse)");
 
 /** An element with attributes and children; functions become listeners, false and null attributes are left out. */
 export function make(tag, attributes = {}, ...children) {
@@ -14,61 +15,77 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+/** A button that is no submit button; its test id is `id`. */
+export const button = (id, attributes, ...children) =>
+  make("button", { type: "button", "data-testid": id, ...attributes }, ...children);
+
 /** One of the page's symbols, as an SVG. */
-export function icon(name) {
+export function icon(name, className = "icon") {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  svg.setAttribute("class", "icon");
+  svg.setAttribute("class", className);
   svg.setAttribute("aria-hidden", "true");
   const use = document.createElementNS("http://www.w3.org/2000/svg", "use");
-  use.setAttribute("href", `#icon-${name}`);
+  use.setAttribute("href", `#${name}`);
   svg.append(use);
   return svg;
 }
 
-/** Changes a text only if it differs, so that it is not read out anew. */
-export function write(element, words) {
-  if (element.textContent !== words) element.textContent = words;
+/** A small square in the colour of a target. */
+export function swatch(colour) {
+  const element = make("span", { class: "swatch", "aria-hidden": "true" });
+  element.style.backgroundColor = colour; // a style attribute would be against the page's policy
+  return element;
 }
 
-/** Draws the eye to an element. */
+/** Changes a text only if it differs, so that a screen reader does not read it again. */
+export function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** Shows an element for a moment more clearly. */
 export function flash(element) {
   element.classList.remove("flash");
-  void element.offsetWidth; // so that the animation begins anew
+  void element.offsetWidth; // so that the animation starts again
   element.classList.add("flash");
 }
 
-/** The arrow keys go through the buttons of a list, of which one is reached by Tab. */
-export function rove(root, selector, forth = "ArrowDown", back = "ArrowUp") {
+/** Scrolls the panel, and nothing else, until an element in it is visible. */
+export function scrollPanelTo(element) {
+  const scroller = $("panel-body");
+  const [box, at] = [scroller.getBoundingClientRect(), element.getBoundingClientRect()];
+  if (!at.height) return;
+  if (at.top < box.top) scroller.scrollTop += at.top - box.top - 8;
+  else if (at.bottom > box.bottom) scroller.scrollTop += at.bottom - box.bottom + 8;
+}
+
+/** The arrow keys go through the buttons of a list, one of which is reached by Tab. */
+export function rovingFocus(root, selector, forward = "ArrowDown", back = "ArrowUp") {
   const all = () => [...root.querySelectorAll(selector)];
   const only = (chosen) => all().forEach((one) => (one.tabIndex = one === chosen ? 0 : -1));
   root.addEventListener("focusin", (event) => event.target.matches(selector) && only(event.target));
   root.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || ![forth, back].includes(event.key)) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || ![forward, back].includes(event.key)) return;
     const buttons = all();
     const at = buttons.indexOf(event.target.closest(selector) ?? event.target.closest("li")?.querySelector(selector));
     if (at < 0) return;
-    buttons[Math.min(Math.max(at + (event.key === forth ? 1 : -1), 0), buttons.length - 1)].focus();
+    buttons[Math.min(Math.max(at + (event.key === forward ? 1 : -1), 0), buttons.length - 1)].focus();
     event.preventDefault();
     event.stopPropagation();
   });
 }
 
-export const number = (value) => String(Math.round(value * 100) / 100);
-export const spoken = (part) => part.replaceAll("_", " ");
-
-// One of several panels at a time.
-
+/** One of several panels at a time. */
 export class Tabs {
   constructor(root) {
     this.buttons = [...root.querySelectorAll("[role=tab]")];
-    this.panels = this.buttons.map((button) => document.getElementById(button.getAttribute("aria-controls")));
-    for (const [at, button] of this.buttons.entries()) {
+    this.panels = this.buttons.map((tab) => $(tab.getAttribute("aria-controls")));
+    for (const [at, tab] of this.buttons.entries()) {
       this.panels[at].setAttribute("role", "tabpanel");
-      this.panels[at].setAttribute("aria-labelledby", button.id);
-      button.addEventListener("click", () => this.open(at));
-      button.addEventListener("focus", () => this.open(at));
+      this.panels[at].setAttribute("aria-labelledby", tab.id);
+      tab.addEventListener("click", () => this.open(at));
+      tab.addEventListener("focus", () => this.open(at));
     }
-    rove(root, "[role=tab]", "ArrowRight", "ArrowLeft");
+    rovingFocus(root, "[role=tab]", "ArrowRight", "ArrowLeft");
     this.open(0);
   }
 
@@ -76,39 +93,34 @@ export class Tabs {
     if (this.at === at) return;
     this.panels[at].parentElement.scrollTop = 0;
     this.at = at;
-    this.buttons.forEach((button, i) => {
-      button.setAttribute("aria-selected", String(i === at));
-      button.tabIndex = i === at ? 0 : -1;
+    this.buttons.forEach((tab, i) => {
+      tab.setAttribute("aria-selected", String(i === at));
+      tab.tabIndex = i === at ? 0 : -1;
       this.panels[i].hidden = i !== at;
     });
   }
 }
 
-// A question before what cannot be taken back.
-
-/** Whether the user wants it; `yes` is on the button that says so. */
-export function confirmed(title, text, yes) {
+/** Asks before a step that cannot be undone; whether the user agrees. `yes` is the text of that button. */
+export function askToConfirm(title, text, yes) {
   const dialog = $("confirm");
   if (dialog.open) return Promise.resolve(false);
-  write($("confirm-title"), title);
-  write($("confirm-text"), text);
-  write($("confirm-yes"), yes);
-  return new Promise((tell) => {
-    let answer = false;
-    const agree = () => {
-      answer = true;
-      dialog.close();
-    };
-    const deny = () => dialog.close();
-    const closed = () => {
-      $("confirm-yes").removeEventListener("click", agree);
-      $("confirm-no").removeEventListener("click", deny);
-      dialog.removeEventListener("close", closed);
-      tell(answer);
-    };
-    $("confirm-yes").addEventListener("click", agree);
-    $("confirm-no").addEventListener("click", deny);
-    dialog.addEventListener("close", closed);
+  setText($("confirm-title"), title);
+  setText($("confirm-text"), text);
+  setText($("confirm-yes"), yes);
+  return new Promise((resolve) => {
+    dialog.returnValue = "";
+    $("confirm-yes").onclick = () => dialog.close("yes");
+    $("confirm-no").onclick = () => dialog.close();
+    dialog.onclose = () => resolve(dialog.returnValue === "yes");
     dialog.showModal();
   });
 }
+
+// --- texts
+
+export const formatNumber = (value) => String(Math.round(value * 100) / 100);
+export const readable = (part) => part.replaceAll("_", " ");
+export const percent = (share) => `${Math.round(share * 100)} %`;
+export const plural = (n, one, more = `${one}s`) => `${n} ${n === 1 ? one : more}`;
+export const capitalized = (text) => `${text[0].toUpperCase()}${text.slice(1)}`;

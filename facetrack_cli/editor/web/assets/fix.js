@@ -1,175 +1,151 @@
-// Putting a run right: what may be moved, what is to be done next, and what the server says of it.
+// Correcting a run: what may be moved, what comes next, and the server's state.
 
 import * as api from "./api.js";
-import { $, confirmed, flash, spoken, Tabs, write } from "./dom.js";
-import { colour } from "./draw.js";
-import { DOUBT, words } from "./fix_list.js";
-import { Work } from "./jobs.js";
+import { $, askToConfirm, capitalized, plural, readable, setText, Tabs, TOUCH } from "./dom.js";
+import { describe } from "./fix_list.js";
+import { isUncertain } from "./fix_store.js";
+import { Jobs } from "./jobs.js";
+import { Mode } from "./mode.js";
 import { Play } from "./playback.js";
-import { Proposals } from "./proposals.js";
-import { Doubtful } from "./review.js";
+import { Review } from "./review.js";
 import { Rows } from "./rows.js";
+import { showProblem } from "./save.js";
 import { BOX } from "./store.js";
 import { Timeline } from "./timeline.js";
-import { tracks } from "./tracks.js";
+import { trackLayer } from "./tracks.js";
 
-const ABOUT = ["moved", "gone", "absent"];
+const BINS = 400; // of the first overview, until the width of the timeline is known
 
-/** The whole of the run in few numbers, for the frame to begin with and the first look. */
-export const overview = () => api.get("overview?bins=400");
+export const firstOverview = () => api.overview(BINS);
 
-export class Fix {
-  constructor({ store, stage, sync, say, lack, hovered, first }) {
-    Object.assign(this, { store, stage, sync, say, lack });
+export class Fix extends Mode {
+  constructor({ store, stage, sync, say, hovered, overview }) {
+    super(
+      { store, stage, say },
+      {
+        // proposals may improve what is uncertain, and what was moved already
+        wanted: () => !store.busy && !this.play.on && anyPart(store, (one) => isUncertain(one) || isChanged(one)),
+        ontaken: ({ label }) => say(`Took ${label}. Check it, then track from here.`),
+      },
+    );
     this.canUndo = false;
-    this.shown = true; // the tracks over the picture
+    this.shown = true; // the tracks over the image
     this.revision = null; // of the rows
-    this.corrections = first.corrections;
+    this.corrections = overview.corrections;
     this.rows = store.rows = new Rows(store, () => store.emit("draft"));
-    stage.layers.unshift(tracks(store, this.rows, { shown: () => this.shown, hovered }));
-    this.work = new Work(store, sync, {
+    stage.layers.unshift(trackLayer(store, this.rows, { shown: () => this.shown, hovered }));
+    this.jobs = new Jobs(store, sync, {
       say,
-      lack,
-      known: () => this.corrections,
-      renewed: () => this.#renewed(),
+      corrections: () => this.corrections,
+      refreshed: () => this.#refreshed(),
     });
     this.play = new Play(store);
-    this.doubtful = new Doubtful(store, { say, remove: (one) => this.work.remove(one) });
-    this.timeline = new Timeline(store, () => this.#renew());
+    this.review = new Review(store, { say, remove: (one) => this.jobs.remove(one) });
+    this.timeline = new Timeline(store, () => this.#refresh());
     this.tabs = new Tabs($("tabs"));
-    this.proposals = new Proposals(store, stage, {
-      may: (loud) => this.may(loud),
-      // what is moved already may be better by a proposal, too
-      wanted: () => !store.busy && !this.play.on && any(store, (told) => poor(told) || ABOUT.includes(told.kind)),
-      ontaken: ({ label }) => say(`Took ${label}. Look whether it is right, then track from here.`),
-    });
-    this.#take(first);
-    const [worst] = this.doubtful.frames;
-    if (store.isEmpty() && worst?.frame === store.frame) this.doubtful.worst();
-    for (const name of ["frame", "draft"]) store.addEventListener(name, () => this.update());
-    TOUCH.addEventListener("change", () => this.update());
-    const press = (id, deed) => $(id).addEventListener("click", deed);
-    press("track", () => this.work.track());
-    press("track-elsewhere", () => this.work.track());
-    press("go-back", () => this.goBack());
-    press("throw-away", () => this.throwAway());
-    press("discard", () => this.throwAway());
-    press("doubt-on", () => this.doubtful.next(1));
-    press("doubt-back", () => this.doubtful.next(-1));
+    this.#show(overview);
+    const [worst] = this.review.frames;
+    if (store.isEmpty() && worst?.frame === store.frame) this.review.worst();
+    const press = (id, action) => $(id).addEventListener("click", action);
+    press("track", () => this.jobs.track());
+    press("track-elsewhere", () => this.jobs.track());
+    press("discard-elsewhere", () => this.discard());
+    press("discard", () => this.discard());
+    press("review-next", () => this.review.next(1));
+    press("review-previous", () => this.review.next(-1));
   }
 
-  /** Whether marks may be changed in the frame that is shown; `loud` tells the user why not. */
-  may(loud) {
-    const { store } = this;
+  get loaded() {
+    return super.loaded && this.rows.isCurrent(this.store.frame);
+  }
+
+  canEdit(explain) {
     this.play.stop();
-    const no = (why, kind) => {
-      if (loud) this.say(why, kind);
-      return false;
-    };
-    if (store.ended) return false;
-    if (store.busy) return no("Wait for the end of what is being tracked; you may look around meanwhile.", "warning");
-    if (!store.isHere()) {
-      if (loud) flash($("elsewhere"));
-      return no(
-        `What was moved in frame ${store.draft.frame} is not tracked yet: track it (T), or throw it away.`,
-        "warning",
-      );
-    }
-    if (store.frame === store.bounds.first) {
-      return no(
-        "The run begins in this frame, which cannot be corrected; facetrack init chooses another start.",
-        "warning",
-      );
-    }
-    if (this.stage.picture?.index !== store.frame || !this.rows.fresh(store.frame)) {
-      return no(`Frame ${store.frame} is still on its way.`);
-    }
-    return true;
+    return super.canEdit(explain);
   }
 
-  // --- deeds
-
-  take(index, as = null) {
-    return this.proposals.take(index, as);
+  reasonAgainst() {
+    const { store } = this;
+    if (store.busy) return "Wait until the tracking has finished; you may look at other frames.";
+    if (!store.isHere())
+      return `What was moved in frame ${store.draft.frame} is not tracked yet: track it (T), or discard it.`;
+    if (store.frame > store.bounds.first) return null;
+    return "The first frame of the run cannot be corrected; facetrack init chooses another start.";
   }
 
-  goBack() {
-    if (!this.store.isEmpty()) this.store.show(this.store.draft.frame);
-  }
+  // --- actions
 
-  throwAway() {
+  discard() {
     const { store } = this;
     if (store.busy || store.ended || store.isEmpty()) return;
     const { frame } = store.draft;
-    const here = store.frame;
-    store.leave();
-    store.throwAway();
-    this.say(`What was moved in frame ${frame} is thrown away; undo brings it back.`);
-    if (here !== frame) store.show(here);
+    store.deselect();
+    store.discard();
+    this.say(`What was moved in frame ${frame} is discarded; undo restores it.`);
   }
 
-  /** Says that parts are not there, or that they are: then where, unless the tracker knows. */
-  absent(slots, whether) {
+  /** Marks parts as absent, or as present; a part that the tracker has no place of is then placed by the user. */
+  setAbsent(slots, absent) {
     const { store } = this;
-    if (!this.may(true)) return;
-    const names = slots.length > 1 ? spoken(slots[0].target) : called(store, slots[0]);
-    if (whether) {
+    if (!this.canEdit(true)) return;
+    const [{ target }] = slots;
+    const names = slots.length > 1 ? readable(target) : partName(store, slots[0]);
+    if (absent) {
       store.setAbsent(slots, true);
-      return this.say(`From frame ${store.frame} on, ${names} is not there.`);
+      return this.say(`Absent from frame ${store.frame} on: ${names}.`);
     }
-    if (slots.some((slot) => store.gone(slot))) store.setAbsent(slots, false);
-    const nowhere = slots.find((slot) => store.missing(slot));
-    if (!nowhere) return this.say(`${names}: there.`);
-    const { box, points } = store.group(nowhere.target);
-    const place = slots.length > 1 && box !== "no" && points.length ? { target: nowhere.target, part: BOX } : nowhere;
-    store.arm(place);
-    this.say(place.part === BOX ? `Draw the box of ${spoken(place.target)}.` : `Press where ${names} is.`);
+    if (slots.some((slot) => store.markedAbsent(slot))) store.setAbsent(slots, false);
+    const nowhere = slots.find((slot) => store.isAbsent(slot));
+    if (!nowhere) return this.say(`Present: ${names}.`);
+    const { box, points } = store.group(target);
+    const slot = slots.length > 1 && box !== "no" && points.length ? { target, part: BOX } : nowhere;
+    store.choose(slot);
+    this.say(slot.part === BOX ? `Draw the box of ${readable(target)}.` : `Click the place of ${names}.`);
   }
 
   toggleAbsent(whole) {
     const { store } = this;
-    const slot = store.selected ?? store.looked;
-    if (!slot) return this.say("Choose a part first: in the picture, or by [ and ].");
-    const slots = whole || store.around(slot) ? store.parts(slot.target) : [slot];
-    this.absent(slots, !slots.every((one) => store.missing(one)));
+    const slot = store.selected ?? store.highlighted;
+    if (!slot) return this.say("Choose a part first: in the image, or with [ and ].");
+    const slots = whole || store.isBoxOfPoints(slot) ? store.parts(slot.target) : [slot];
+    this.setAbsent(slots, !slots.every((one) => store.isAbsent(one)));
   }
 
   undo() {
     const { store } = this;
     if (store.undo()) this.say("");
-    else if (store.busy) this.may(true);
-    else if (this.canUndo) this.work.undo(this.corrections);
-    else this.say("There is nothing to take back.");
+    else if (store.busy) this.canEdit(true);
+    else if (this.canUndo) this.jobs.undo(this.corrections);
+    else this.say("There is nothing to undo.");
   }
 
-  get undoes() {
-    return !this.store.ended && (this.store.past.length > 0 || (this.canUndo && !this.store.busy));
+  get undoable() {
+    return this.store.past.length > 0 || (this.canUndo && !this.store.busy);
   }
 
-  /** Asks, since what the run's files held before is replaced. */
+  /** Asks first, since the files of the run are replaced. */
   async save(save) {
     const { store } = this;
-    if (store.ended || save.under) return;
-    if (store.busy) return void this.may(true);
+    if (store.ended || save.running) return;
+    if (store.busy) return void this.canEdit(true);
     if (!store.isEmpty()) {
       const { frame } = store.draft;
-      return this.lack(
-        `What was moved in frame ${frame} is not tracked yet: track it (T), or throw it away; then save.`,
+      return showProblem(
+        `What was moved in frame ${frame} is not tracked yet: track it (T), or discard it; then save.`,
       );
     }
     this.play.stop();
-    const some = this.canUndo;
-    const n = count(this.corrections.length, "correction");
-    const yes = some
-      ? await confirmed(
-          this.corrections.length ? `Save ${n}?` : "Save without corrections?",
-          `The trajectory of ${store.session.saves_to} is written anew, its annotated video too, and ` +
-            "corrected.init.yaml. What these files hold now is replaced.",
+    const count = this.corrections.length;
+    const yes = this.canUndo
+      ? await askToConfirm(
+          count ? `Save ${plural(count, "correction")}?` : "Save without corrections?",
+          `In ${store.session.saves_to}, the trajectory, the annotated video and corrected.init.yaml are written. ` +
+            "They replace the files that are there now.",
           "Save",
         )
-      : await confirmed(
+      : await askToConfirm(
           "There is nothing to save",
-          "Nothing was corrected since the page was opened; the run stays as it is.",
+          "Nothing was corrected since the page was opened. The run stays as it is.",
           "End facetrack",
         );
     if (!yes) return;
@@ -177,13 +153,9 @@ export class Fix {
     save.save();
   }
 
-  list() {
-    this.tabs.open(0);
-  }
-
-  toDoubtful() {
+  focusReview() {
     this.tabs.open(1);
-    $("doubtful").querySelector(".goes[tabindex='0']")?.focus();
+    $("review").querySelector(".goes[tabindex='0']")?.focus();
   }
 
   toggleShown() {
@@ -192,164 +164,127 @@ export class Fix {
     this.stage.draw();
   }
 
-  // --- what the server says
+  // --- the server's state
 
-  state(now) {
+  setState(now) {
     this.canUndo = now.can_undo;
-    this.work.state(now);
-    this.timeline.reached = this.work.reached;
+    this.jobs.update(now);
+    this.timeline.reached = this.jobs.reached;
     if (now.rows_revision !== this.revision) {
       this.revision = now.rows_revision;
       this.rows.renew(this.revision);
-      this.#renew();
-    } else if (this.failed) this.#renew();
+      this.#refresh();
+    } else if (this.failed) this.#refresh();
     this.timeline.draw();
     this.update();
   }
 
-  /** Whether it is told by whoever began the job. */
-  hears() {
-    return this.work.under;
-  }
-
-  /** What another window made of the draft. */
-  others(lost) {
-    if (this.store.busy) return;
-    const words = lost ? "Another window was faster: what it moved is shown now." : "Changed in another window.";
-    this.say(words, "warning");
-  }
-
-  // the overview anew; of several at once the last
-  #renew() {
-    const bins = this.timeline?.bins || 400;
+  // requests the overview again; of several requests at a time, the last one counts
+  #refresh() {
     this.failed = false;
-    const mine = (this.renewing = api
-      .get(`overview?bins=${bins}`)
-      .then((found) => this.renewing === mine && this.#take(found))
+    const mine = (this.refreshing = api
+      .overview(this.timeline?.bins || BINS)
+      .then((found) => this.refreshing === mine && this.#show(found))
       .catch((error) => {
-        if (!(error instanceof api.Gone || error instanceof api.Refused)) throw error;
+        if (!(error instanceof api.Unreachable || error instanceof api.Refused)) throw error;
         this.failed = true;
       }));
-    return mine;
   }
 
-  async #renewed() {
+  /** A job of this window, which reports it by itself. */
+  get ownJob() {
+    return this.jobs.running;
+  }
+
+  onOther(lost) {
+    if (this.store.busy) return;
+    const text = lost ? "Another window was faster; its change is shown now." : "Changed in another window.";
+    this.say(text, "warning");
+  }
+
+  async #refreshed() {
     let last;
-    while (last !== this.renewing) await (last = this.renewing);
+    while (last !== this.refreshing) await (last = this.refreshing);
     return this.corrections;
   }
 
-  #take(found) {
-    this.corrections = found.corrections;
-    this.doubtful.show(found);
-    this.timeline.show(found);
+  #show(overview) {
+    this.corrections = overview.corrections;
+    this.review.show(overview);
+    this.timeline.show(overview);
     this.update();
   }
 
   // --- what is shown
 
   update() {
-    if (!this.work) return;
-    this.#hint();
-    this.#elsewhere();
-    this.#deeds();
-    this.proposals.update();
-    this.stage.draw();
-  }
-
-  #hint() {
     const { store } = this;
-    const slot = store.current ?? store.selected ?? store.looked;
-    const [title, text] = hint(store, slot);
-    write($("hint-title"), title);
-    write($("hint-text"), text);
-    $("hint").style.setProperty("--hint", slot && !store.ended ? colour(store, slot.target) : "var(--accent)");
-  }
-
-  #elsewhere() {
-    const { store } = this;
-    const away = !store.isHere() && !store.ended && !store.busy;
-    $("elsewhere").hidden = !away;
-    if (!away) return;
+    const slot = store.current ?? store.selected ?? store.highlighted;
     const { frame } = store.draft;
-    write($("elsewhere-text"), `What was moved in frame ${frame} is not tracked yet.`);
-    write($("track-elsewhere"), `Track from ${frame}`);
-    write($("go-back"), `Back to ${frame}`);
+    this.showHint(hint(store, slot), slot, `What was moved in frame ${frame} is not tracked yet.`);
+    setText($("track-elsewhere"), `Track from ${frame}`);
+    this.#updateButtons();
   }
 
-  #deeds() {
+  #updateButtons() {
     const { store } = this;
     const open = !store.isEmpty() && !store.ended;
     $("track").hidden = !open || store.busy;
     $("discard").hidden = !open || store.busy || !store.isHere();
     const placed = Object.values(store.draft.targets).some(({ box, points }) => box || Object.keys(points).length);
     $("learn").hidden = $("track").hidden || !store.session.learns || !placed;
-    write($("track"), store.isHere() ? "Track from here" : `Track from ${store.draft.frame}`);
-    $("undo").disabled = !this.undoes;
-    $("save").classList.toggle("plain", open || !this.canUndo);
-    const all = this.corrections.length;
-    if (store.ended || this.saving?.under) return;
+    setText($("track"), store.isHere() ? "Track from here" : `Track from ${store.draft.frame}`);
+    $("undo").disabled = store.ended || !this.undoable;
+    $("save").classList.toggle("primary", !open && this.canUndo);
+    if (store.ended || this.saving?.running) return;
+    const count = this.corrections.length;
     $("save").disabled = store.busy;
-    write($("save-label"), !open && this.canUndo && all ? `Save ${count(all, "correction")}` : "Save");
+    setText($("save-label"), !open && this.canUndo && count ? `Save ${plural(count, "correction")}` : "Save");
   }
 }
 
-// What is to be done next with a run that is put right, in words.
+// --- texts
 
-export const TOUCH = window.matchMedia("(pointer: coarse)");
-export const count = (n, one, more = `${one}s`) => `${n} ${n === 1 ? one : more}`;
-
-/** How a part is called in a sentence. */
-export function called(store, { target, part }) {
-  if (part === BOX) return spoken(target);
-  return store.layout.length > 1 ? `${spoken(part)} of ${spoken(target)}` : spoken(part);
+/** The name of a slot in a sentence. */
+function partName(store, { target, part }) {
+  if (part === BOX) return readable(target);
+  return store.layout.length > 1 ? `${readable(part)} of ${readable(target)}` : readable(part);
 }
 
-/** Whether what is told of any part of the frame passes a test. */
-export function any(store, test) {
-  return store.layout.some(({ target }) => store.parts(target).some((slot) => test(store.told(slot))));
-}
+const isChanged = ({ kind }) => ["moved", "marked", "absent"].includes(kind);
+const anyPart = (store, test) => store.allParts().some((slot) => test(store.report(slot)));
 
-/** Whether somebody should look at what is told of a part. */
-export const poor = ({ kind, confidence }) => kind === "lost" || (confidence ?? 1) < DOUBT;
-
-/** [title, text] for a frame, and for the part that is chosen in it, if any. */
-export function hint(store, slot) {
+// [title, text] for the frame, or for the slot that is chosen in it
+function hint(store, slot) {
   const frame = `Frame ${store.frame}`;
-  if (store.ended) return ["Done", "This page has done its work; you may close it."];
+  if (store.ended) return ["Done", "You may close this page."];
   if (store.frame === store.bounds.first) {
-    const next = TOUCH.matches ? "" : " N goes to the next doubtful one.";
-    return ["The run begins here", `This frame cannot be corrected.${next}`];
+    const next = TOUCH.matches ? "" : " N goes to the next frame to review.";
+    return ["The first frame of the run", `It cannot be corrected.${next}`];
   }
-  if (store.busy) return [frame, "You may look around meanwhile."];
-  if (store.current) return armed(store, store.current);
-  if (slot) return chosen(store, slot);
+  if (store.busy) return [frame, "You may look at other frames."];
+  if (store.current) return [partName(store, store.current), howToPlace(store, store.current)];
+  if (slot) return [partName(store, slot), howToCorrect(store, slot)];
   if (!store.isEmpty() && store.isHere()) {
-    return [`${count(store.moved(), "part")} put right`, "If all is right in this frame now, track from here."];
+    return [`${plural(store.changed(), "part")} changed`, "If all of this frame is right now, track from here."];
   }
-  const doubt = any(store, poor);
-  return [frame, doubt ? "Drag what is wrong, or mark it as not there." : "Nothing is doubtful; drag what is wrong."];
+  const uncertain = anyPart(store, isUncertain);
+  return [frame, uncertain ? "Drag what is wrong, or set it absent." : "Nothing is uncertain. Drag what is wrong."];
 }
 
-function armed(store, slot) {
-  if (store.around(slot)) {
-    return [`All of ${spoken(slot.target)} anew`, "Draw its box; the points are placed in it by the picture."];
-  }
-  const press = TOUCH.matches ? "Tap where it is" : "Click where it is";
-  const how = slot.part === BOX ? "Draw its box, from corner to corner" : press;
-  const more = TOUCH.matches ? "" : "; Enter puts it in the middle";
-  return [called(store, slot), store.value(slot) ? `${how}, or drag it.` : `${how}${more}.`];
+function howToPlace(store, slot) {
+  if (store.isBoxOfPoints(slot)) return "Draw its box; all points are placed in it automatically.";
+  const click = TOUCH.matches ? "Tap its place" : "Click its place";
+  const how = slot.part === BOX ? "Draw its box, from corner to corner" : click;
+  const more = TOUCH.matches ? "" : "; Enter places it in the middle";
+  return store.value(slot) ? `${how}, or drag it.` : `${how}${more}.`;
 }
 
-function chosen(store, slot) {
-  const told = words(store.told(slot));
-  const how = TOUCH.matches ? "Drag it to its place." : "Drag it, or nudge it by the arrow keys. X: not there.";
-  if (store.missing(slot)) {
-    const again = TOUCH.matches ? "There again, if it is." : "X, if it is there again.";
-    return [called(store, slot), `Absent from here on. ${again}`];
+function howToCorrect(store, slot) {
+  if (store.isAbsent(slot)) {
+    return `Absent from here on. ${TOUCH.matches ? "Set present" : "X"}, if it is visible again.`;
   }
-  if (!told) return [called(store, slot), how];
-  const sure = told.endsWith("%") ? " sure" : "";
-  const said = told.replace("lost ", "lost, ");
-  return [called(store, slot), `${said[0].toUpperCase()}${said.slice(1)}${sure}. ${how}`];
+  const report = describe(store.report(slot));
+  const how = TOUCH.matches ? "Drag it to its place." : "Drag it, or nudge it with the arrow keys. X: absent.";
+  return report ? `${capitalized(report)}${report.endsWith("%") ? " confidence" : ""}. ${how}` : how;
 }

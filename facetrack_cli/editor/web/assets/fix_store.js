@@ -1,25 +1,28 @@
-// Putting a run right: what was tracked, and over it the draft, which is what was put right by hand in one frame.
+// The draft of a correction: what was tracked, and over it what the user moved or marked in one frame.
 
-import { BOX, empty, round, same, Store } from "./store.js";
+import { BOX, emptyTarget, round, Store } from "./store.js";
 
-// places of a part's cell, as api/rows has it
+// the members of a part's cell, as in api/rows
 export const CELL = { x: 0, y: 1, w: 2, h: 3, confidence: 5, status: 6, byHand: 7, corners: 8 };
+const DOUBT = 0.5; // a confidence below this is uncertain, as on the server
 
-/** Where a cell has a part: [x, y] of a point, [left, top, width, height] of a box; null if it is nowhere. */
+/** Where a cell has a part: [x, y] of a point, [left, top, width, height] of a box; null if it has no place. */
 export function placeOf(cell, part) {
   if (!cell || cell[CELL.x] === null || cell[CELL.status] === "absent") return null;
   const [x, y, w, h] = cell;
   return part === BOX ? [x - (w - 1) / 2, y - (h - 1) / 2, w, h].map(round) : [x, y];
 }
 
+/** Whether a part should be reviewed, by what is reported of it. */
+export const isUncertain = ({ kind, confidence }) => kind === "lost" || (confidence ?? 1) < DOUBT;
+
 export class FixStore extends Store {
   rows = null; // a Rows, once it is there
-  looked = null; // the part that was jumped to
-  busy = false; // while something is tracked
+  highlighted = null; // the slot because of which the frame is shown
 
   // --- what there is
 
-  /** Points before the box in which all of them would be placed anew. */
+  /** Points before the box in which all of them would be placed again. */
   slots() {
     return this.layout.flatMap(({ target, box, points }) => [
       ...points.map((part) => ({ target, part })),
@@ -27,13 +30,13 @@ export class FixStore extends Store {
     ]);
   }
 
-  /** A part's cell in the frame that is shown, null if it is not known (yet). */
+  /** A slot's cell in the frame that is shown, null if it is not known (yet). */
   cell(slot) {
     return this.rows?.cell(this.frame, slot) ?? null;
   }
 
-  /** Whether the box is that of all points, which is nowhere by itself. */
-  around(slot) {
+  /** Whether the box is that of all points, which has no place of its own. */
+  isBoxOfPoints(slot) {
     return slot.part === BOX && this.group(slot.target).points.length > 0;
   }
 
@@ -41,144 +44,136 @@ export class FixStore extends Store {
     return this.isHere() ? super.value(slot) : null;
   }
 
-  /** Whether the draft says anything of it, the box of all points included. */
-  spoken(slot) {
-    return this.drafted(slot) || this.gone(slot) || this.drafted({ target: slot.target, part: BOX });
-  }
-
-  /** Whether the draft says that it is not there. */
-  gone({ target, part }) {
+  /** Whether the draft marks it as absent. */
+  markedAbsent({ target, part }) {
     const absent = this.isHere() && this.draft.targets[target]?.absent;
     return absent === true || (!!absent && absent.includes(part));
   }
 
   value(slot) {
-    if (!slot) return null;
-    if (this.gone(slot)) return null;
+    if (!slot || this.markedAbsent(slot)) return null;
     return this.drafted(slot) ?? placeOf(this.cell(slot), slot.part);
   }
 
-  /** {kind: moved, gone, init, tracked, lost, absent or unknown; confidence, byHand} in the frame that is shown. */
-  told(slot) {
-    if (this.gone(slot)) return { kind: "gone" };
+  /** {kind: marked, moved, init, tracked, lost, absent or unknown; confidence, byHand} in the frame that is shown. */
+  report(slot) {
+    if (this.markedAbsent(slot)) return { kind: "marked" };
     if (this.drafted(slot)) return { kind: "moved" };
     const cell = this.cell(slot);
     if (!cell) return { kind: "unknown" };
     return { kind: cell[CELL.status], confidence: cell[CELL.confidence], byHand: cell[CELL.byHand] };
   }
 
-  missing(slot) {
-    return ["gone", "absent"].includes(this.told(slot).kind);
+  isAbsent(slot) {
+    return ["marked", "absent"].includes(this.report(slot).kind);
   }
 
-  /** The parts that a run has of a target. */
+  /** The slots that a run has of a target. */
   parts(target) {
     const { points } = this.group(target);
     return (points.length ? points : [BOX]).map((part) => ({ target, part }));
   }
 
-  moved() {
-    return this.layout.flatMap(({ target }) => this.parts(target)).filter((slot) => this.spoken(slot)).length;
+  /** The slots that a run has of all targets. */
+  allParts() {
+    return this.layout.flatMap(({ target }) => this.parts(target));
   }
 
-  /** Nothing is asked for: a part is placed by a click only if it was chosen in the list. */
-  next() {
+  /** How many parts the draft changes, those in the box of all points included. */
+  changed() {
+    const boxed = ({ target }) => this.drafted({ target, part: BOX });
+    return this.allParts().filter((slot) => this.drafted(slot) || this.markedAbsent(slot) || boxed(slot)).length;
+  }
+
+  /** Nothing is required: a click places a part only if it was chosen in the list. */
+  nextMissing() {
     return null;
   }
 
-  open() {
+  openSlot() {
     return this.current;
   }
 
   // --- selection
 
-  leave() {
-    this.selected = this.current = this.looked = null;
+  deselect() {
+    this.selected = this.current = this.highlighted = null;
   }
 
-  pick(slot) {
-    this.selected = slot;
-    this.current = null;
-    this.looked = null;
+  #select(selected, current, highlighted) {
+    Object.assign(this, { selected, current, highlighted });
     this.emit("draft");
   }
 
-  /** The next click in the picture says where it is. */
-  arm(slot) {
-    this.selected = this.current = slot;
-    this.looked = null;
-    this.emit("draft");
+  select(slot) {
+    this.#select(slot, null, null);
   }
 
-  /** Shows a frame because of this part of it. */
+  /** The next click in the frame places it. */
+  choose(slot) {
+    this.#select(slot, slot, null);
+  }
+
+  /** Shows a frame because of this slot. */
   jump(frame, slot = null) {
     this.show(frame);
-    this.selected = this.current = null;
-    this.looked = slot;
-    this.emit("draft");
+    this.#select(null, null, slot);
   }
 
   // --- changes
 
   drag(slot, value) {
     this.selected = slot;
-    this.looked = null;
+    this.highlighted = null;
     super.drag(slot, value);
   }
 
   put(draft, slot, value) {
-    const one = (draft.targets[slot.target] ??= empty());
+    const one = (draft.targets[slot.target] ??= emptyTarget());
     if (slot.part === BOX) {
       one.box = value && value.map(round);
-      if (value) Object.assign(one, { points: {}, absent: [] }); // all of it is placed anew
+      if (value) Object.assign(one, { points: {}, absent: [] }); // all points are placed again
     } else if (value) {
       one.box = null;
       one.points[slot.part] = value.map(round);
     } else delete one.points[slot.part];
-    if (value) this.#lack(one, slot, false);
-    this.#tidy(draft, slot.target);
+    if (value) this.#mark(one, slot, false);
+    this.removeIfEmpty(draft, slot.target);
   }
 
-  /** Says that parts of one target are not there, or takes that back. */
+  /** Marks slots of one target as absent, or removes the marks. */
   setAbsent(slots, absent) {
     this.change((draft) => {
       for (const slot of slots) {
-        const one = (draft.targets[slot.target] ??= empty());
+        const one = (draft.targets[slot.target] ??= emptyTarget());
         if (absent) {
           delete one.points[slot.part];
           one.box = null;
         }
-        this.#lack(one, slot, absent);
-        this.#tidy(draft, slot.target);
+        this.#mark(one, slot, absent);
+        this.removeIfEmpty(draft, slot.target);
       }
     });
-    this.looked = this.current = null;
-    this.selected = slots.length > 1 ? null : slots[0]; // so that the next key may take it back
-    this.emit("draft");
+    this.#select(slots.length > 1 ? null : slots[0], null, null); // so that the next key may revert it
   }
 
-  /** Takes back what the draft says of a part. */
-  takeBack(slot) {
-    if (!this.drafted(slot) && !this.gone(slot)) return false;
+  /** Removes from the draft what it has of a slot. */
+  revert(slot) {
     this.change((draft) => {
-      const one = draft.targets[slot.target];
-      this.#lack(one, slot, false);
+      this.#mark(draft.targets[slot.target], slot, false);
       this.put(draft, slot, null);
     });
     this.selected = slot;
     this.emit("draft");
-    return true;
   }
 
-  throwAway() {
-    if (this.isEmpty()) return false;
+  discard() {
     this.change((draft) => {
       draft.targets = {};
     });
-    return true;
   }
 
-  #lack(one, { target, part }, absent) {
+  #mark(one, { target, part }, absent) {
     const all = this.parts(target).map((slot) => slot.part);
     const listed = new Set(one.absent === true ? all : one.absent);
     if (absent) listed.add(part);
@@ -186,23 +181,14 @@ export class FixStore extends Store {
     one.absent = all.every((each) => listed.has(each)) ? true : all.filter((each) => listed.has(each));
   }
 
-  #tidy(draft, target) {
-    const { box, points, absent } = draft.targets[target];
-    if (!box && !Object.keys(points).length && absent !== true && !absent.length) delete draft.targets[target];
-  }
+  follow() {} // the page says what was moved elsewhere
 
-  follow() {} // the page tells of what is moved elsewhere
-
-  /** What was tracked is no draft any more, and nothing of it to be undone here. */
+  /** What was tracked is no draft any more, and its steps cannot be undone here. */
   adopt(draft) {
     super.adopt(draft);
     if (!this.isEmpty()) return;
     this.past = [];
     this.future = [];
     this.emit("draft");
-  }
-
-  isSelected(slot) {
-    return same(this.selected, slot);
   }
 }

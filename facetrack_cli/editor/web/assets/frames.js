@@ -1,94 +1,87 @@
-// Pictures of the clip: at most one request under way and one wanted, neighbours fetched ahead, a small cache.
+// Images of the frames: at most one request at a time and one that waits, neighbours in advance, a small cache.
 
 import * as api from "./api.js";
 
 const MOST_BYTES = 48e6; // of JPEGs kept
-const AHEAD = [1, -1, 2, -2];
+const NEIGHBOURS = [1, -1, 2, -2];
 
-/** Calls `onpicture({bitmap, index, reduce})` with the latest wanted, and with those on the way to it as they come. */
+/** Calls `onimage({bitmap, index, reduce})` with the latest wanted image, and with those on the way to it. */
 export class Frames {
-  constructor(bounds, { onpicture, onrefused, onwait }) {
+  constructor(bounds, { onimage, onrefused, onloading }) {
     this.bounds = bounds;
-    this.on = { onpicture, onrefused, onwait };
+    this.on = { onimage, onrefused, onloading };
     this.cache = new Map(); // "index/reduce" -> Blob, the oldest first
     this.bytes = 0;
     this.wanted = null;
     this.shown = null;
-    this.flight = null; // {index, reduce, ahead, stop}
+    this.request = null; // {index, reduce, ahead, abort}
     this.resting = false;
   }
 
   want(index, reduce) {
     if (this.shown?.index === index && this.shown.reduce <= reduce) {
       this.wanted = null;
-      this.on.onwait(false);
+      this.on.onloading(false);
     } else {
       this.wanted = { index, reduce };
-      this.on.onwait(true);
-      if (this.flight?.ahead) this.flight.stop.abort();
+      this.on.onloading(true);
+      if (this.request?.ahead) this.request.abort.abort();
     }
     clearTimeout(this.rest);
     this.resting = false;
-    // ahead only of somebody who goes through slowly or looks
+    // neighbours are requested only while the user rests at a frame
     this.rest = setTimeout(() => {
       this.resting = true;
-      this.#pump();
+      this.load();
     }, 150);
-    this.#pump();
+    this.load();
   }
 
-  retry() {
-    this.#pump();
-  }
-
-  async #pump() {
-    if (this.flight) return;
+  /** Requests what is wanted next; to be called again when the server is back. */
+  async load() {
+    if (this.request) return;
     const job = this.#next();
     if (!job) return;
-    this.flight = { ...job, stop: new AbortController() };
-    let onward = true;
+    this.request = { ...job, abort: new AbortController() };
+    let more = true;
     try {
-      const blob = this.#cached(job) ?? (await api.picture(job.index, job.reduce, this.flight.stop.signal));
+      const blob = this.#cached(job) ?? (await api.frameImage(job.index, job.reduce, this.request.abort.signal));
       this.#keep(job, blob);
       if (!job.ahead) await this.#show(job, blob);
     } catch (error) {
       if (error instanceof api.Refused && !job.ahead) {
         if (this.wanted?.index === job.index) this.wanted = null;
-        this.on.onwait(false);
+        this.on.onloading(false);
         this.on.onrefused(job.index, error);
       }
-      // without a server, wait until there is one again: `retry`
-      onward = !(error instanceof api.Gone) && !(job.ahead && error instanceof api.Refused);
+      more = !(error instanceof api.Unreachable) && !(job.ahead && error instanceof api.Refused);
     }
-    this.flight = null;
-    if (onward) this.#pump();
+    this.request = null;
+    if (more) this.load();
   }
 
   #next() {
     if (this.wanted) return { ...this.wanted, ahead: false };
     if (!this.resting || !this.shown) return null;
     const { index, reduce } = this.shown;
-    const near = AHEAD.map((step) => ({ index: index + step, reduce, ahead: true }));
+    const near = NEIGHBOURS.map((step) => ({ index: index + step, reduce, ahead: true }));
     const { first, last } = this.bounds;
     return near.find((job) => job.index >= first && job.index <= last && !this.cache.has(key(job))) ?? null;
   }
 
-  async #show(job, blob) {
+  async #show({ index, reduce }, blob) {
     const bitmap = await createImageBitmap(blob);
     const { wanted } = this;
-    if (wanted && (wanted.index !== job.index || wanted.reduce >= job.reduce)) {
-      this.shown?.bitmap.close?.();
-      this.shown = { bitmap, index: job.index, reduce: job.reduce };
-      if (wanted.index === job.index) {
-        this.wanted = null;
-        this.on.onwait(false);
-      }
-      this.on.onpicture(this.shown);
-    } else if (wanted && this.shown?.index !== job.index) {
-      this.shown?.bitmap.close?.();
-      this.shown = { bitmap, index: job.index, reduce: job.reduce }; // coarse first, then as fine as wanted
-      this.on.onpicture(this.shown);
-    } else bitmap.close?.();
+    // a coarse image, or another frame on the way, is shown only if nothing better is there
+    const better = wanted && (wanted.index !== index || wanted.reduce >= reduce);
+    if (!better && !(wanted && this.shown?.index !== index)) return bitmap.close?.();
+    this.shown?.bitmap.close?.();
+    this.shown = { bitmap, index, reduce };
+    if (better && wanted.index === index) {
+      this.wanted = null;
+      this.on.onloading(false);
+    }
+    this.on.onimage(this.shown);
   }
 
   #cached(job) {

@@ -1,40 +1,43 @@
-// What facetrack is asked to do with corrections: track from them, remove one, take the last step back.
+// The jobs of a correction: track from it, remove one, undo the last step.
 
 import * as api from "./api.js";
-import { $, spoken, write } from "./dom.js";
+import { $, capitalized, readable, setText } from "./dom.js";
+import { showProblem } from "./save.js";
 
-const ASKED = 250; // ms between two looks at a job
+const INTERVAL = 250; // ms between two requests for the state of a job
 
 const key = ({ frame, target }) => `${frame}/${target}`;
-const named = ({ frame, target }) => `${spoken(target)} in frame ${frame}`;
+const named = ({ frame, target }) => `${readable(target)} in frame ${frame}`;
 const listed = (all) => (all.length > 3 ? `${all.length} targets or frames` : all.map(named).join(", "));
 
-/** What became of a list of corrections, in words; empty if it is as before. */
+/** The difference between two lists of corrections, in words; empty if there is none. */
 export function changes(before, after) {
-  const known = (list, one) => list.find((other) => key(other) === key(one));
-  const gone = before.filter((one) => !known(after, one));
-  const come = after.filter((one) => !known(before, one));
-  const other = after.filter((one) => known(before, one) && JSON.stringify(known(before, one)) !== JSON.stringify(one));
-  const words = [];
-  if (gone.length) words.push(`${listed(gone)} is not corrected any more`);
-  if (come.length) words.push(`${listed(come)} is corrected again`);
-  if (other.length) words.push(`${listed(other)} is corrected as before`);
-  return words.join("; ");
+  const find = (list, one) => list.find((other) => key(other) === key(one));
+  const removed = before.filter((one) => !find(after, one));
+  const added = after.filter((one) => !find(before, one));
+  const other = after.filter((one) => find(before, one) && JSON.stringify(find(before, one)) !== JSON.stringify(one));
+  return [
+    removed.length && `${listed(removed)} is not corrected any more`,
+    added.length && `${listed(added)} is corrected again`,
+    other.length && `${listed(other)} is corrected as before`,
+  ]
+    .filter(Boolean)
+    .join("; ");
 }
 
-export class Work {
-  /** `known()` gives the corrections that there are; `renewed()` waits for the overview, and gives those of now. */
-  constructor(store, sync, { say, lack, known, renewed }) {
-    Object.assign(this, { store, sync, say, lack, known, renewed });
-    this.under = false;
-    this.job = null;
-    this.begun = false; // whether a job of ours was seen
-    this.span = null; // [first, last] frame that we asked to be tracked
+export class Jobs {
+  /** `corrections()` gives those that there are; `refreshed()` waits for the overview, and gives those of now. */
+  constructor(store, sync, { say, corrections, refreshed }) {
+    Object.assign(this, { store, sync, say, corrections, refreshed });
+    this.running = false; // a job of this window
+    this.job = null; // the server's, of any window
+    this.seen = false; // whether the server began the job of this window
+    this.span = null; // [first, last] frame that this window had tracked
   }
 
-  state({ job }) {
+  update({ job }) {
     this.job = job;
-    this.#busy();
+    this.store.busy = this.running || !!job;
     $("job").hidden = !this.store.busy;
     if (!this.store.busy) return;
     const bar = $("job-bar");
@@ -43,108 +46,104 @@ export class Work {
       bar.max = total;
       bar.value = Math.min(job.done, total);
     } else bar.removeAttribute("value");
-    if (job) this.begun = true;
-    write($("job-text"), job ? this.#told(job) : this.begun ? "Reading the new track …" : "Asking facetrack …");
+    if (job) this.seen = true;
+    setText(
+      $("job-text"),
+      job ? this.#describe(job) : this.seen ? "Reading the new track …" : "Waiting for facetrack …",
+    );
   }
 
-  /** The frames that were tracked anew so far, [first, last], if that is known. */
+  /** The frames that were tracked again so far, [first, last], if that is known. */
   get reached() {
     if (!this.span || !this.job) return null;
     const [first, last] = this.span;
     return [first, Math.min(first + this.job.done, last)];
   }
 
-  #told({ what, done, total }) {
-    const begun = `${what[0].toUpperCase()}${spoken(what).slice(1)}`;
-    if (this.reached) return `${begun}: frame ${this.reached[1]} of ${this.span[1]}`;
-    return total ? `${begun}: ${done} of ${total} frames` : `${begun} …`;
+  #describe({ what, done, total }) {
+    const title = capitalized(readable(what));
+    if (this.reached) return `${title}: frame ${this.reached[1]} of ${this.span[1]}`;
+    return total ? `${title}: ${done} of ${total} frames` : `${title} …`;
   }
 
   async track() {
     const { store } = this;
-    if (store.ended || store.live) return;
-    if (store.isEmpty()) return this.say("Nothing was moved: drag what is wrong, or mark it as not there (X).");
+    if (store.ended || store.beforeGesture) return;
+    if (store.isEmpty()) return this.say("Nothing was moved. Drag what is wrong, or mark it as absent (X).");
     const { frame, targets } = store.draft;
-    const names = Object.keys(targets).map(spoken).join(", ");
-    store.leave();
-    this.say(`Tracking anew from frame ${frame}: ${names}.`);
+    const names = Object.keys(targets).map(readable).join(", ");
+    store.deselect();
+    this.say(`Tracking from frame ${frame}: ${names}.`);
     const learn = $("learn-box").checked ? null : false;
-    $("learn-box").checked = true; // what is said of one correction is not said of the next
+    $("learn-box").checked = true; // the choice is for one correction
     const body = () => ({ base: this.sync.revision, learn });
-    const done = await this.#ask("track", body, [frame, this.#end(frame, targets)]);
-    if (done) this.say(`Tracked anew from frame ${frame}: ${names}.`);
+    const done = await this.#run("track", body, [frame, this.#end(frame, targets)]);
+    if (done) this.say(`Tracked from frame ${frame}: ${names}.`);
   }
 
-  // the last frame that is to be tracked anew: each target goes on to its next correction
+  // the last frame that is tracked again: each target is tracked up to its next correction
   #end(frame, targets) {
-    const { bounds } = this.store;
     const ends = Object.keys(targets).map((name) => {
-      const later = this.known().filter((one) => one.target === name && one.frame > frame);
-      return Math.min(bounds.last, ...later.map((one) => one.frame - 1));
+      const later = this.corrections().filter((one) => one.target === name && one.frame > frame);
+      return Math.min(this.store.bounds.last, ...later.map((one) => one.frame - 1));
     });
     return Math.max(...ends);
   }
 
   async remove({ frame, target }) {
-    if (await this.#ask("remove", () => ({ frame, target }), null)) {
-      this.say(`The correction of ${named({ frame, target })} is removed, and what followed from it tracked anew.`);
+    if (await this.#run("remove", () => ({ frame, target }))) {
+      this.say(`The correction of ${named({ frame, target })} is removed, and the frames after it are tracked again.`);
     }
   }
 
   async undo(before) {
-    if (!(await this.#ask("undo", () => ({}), null))) return;
-    this.say(`Taken back: ${changes(before, await this.renewed()) || "the last step"}.`);
+    if (!(await this.#run("undo", () => ({})))) return;
+    this.say(`Undone: ${changes(before, await this.refreshed()) || "the last step"}.`);
   }
 
   // whether it was done; if not, the user was told why
-  async #ask(what, body, span) {
+  async #run(path, body, span = null) {
     const { store, sync } = this;
     if (store.busy || store.ended) {
-      this.say("Wait for the end of what is being tracked.", "warning");
+      this.say("Wait until the tracking has finished.", "warning");
       return false;
     }
-    this.under = true;
-    this.span = span;
-    this.begun = false;
-    this.lack("");
-    this.state({ job: null });
+    Object.assign(this, { running: true, span, seen: false });
+    showProblem("");
+    this.update({ job: null });
     store.emit("draft");
-    let failed = null;
+    let problem = null;
     try {
       await sync.flush();
-      await api.post(what, body());
-      const state = await this.#followed();
-      failed = state?.message ?? null;
+      await api.post(path, body());
+      const state = await this.#finished();
+      problem = state?.message ?? null;
     } catch (error) {
-      if (error instanceof api.Gone) failed = "Not tracked: facetrack does not answer.";
+      if (error instanceof api.Unreachable) problem = "Not tracked: facetrack does not answer.";
       else if (error instanceof api.Refused) {
-        failed = error.message;
+        problem = error.message;
         sync.poll();
       } else throw error;
     } finally {
-      if (!failed) await this.renewed();
-      this.under = false;
-      this.span = null;
-      this.state({ job: sync.state.job });
+      if (!problem) await this.refreshed();
+      Object.assign(this, { running: false, span: null });
+      this.update({ job: sync.state.job });
     }
     store.emit("draft");
-    if (failed) {
+    if (problem) {
       this.say("");
-      this.lack(failed);
+      showProblem(problem);
     }
-    return !failed;
+    return !problem;
   }
 
-  async #followed() {
+  // the first state without a job
+  async #finished() {
     while (!this.store.ended) {
-      const state = await this.sync.fresh();
+      const state = await this.sync.pollAgain();
       if (state && !state.job) return state;
-      await new Promise((done) => setTimeout(done, ASKED));
+      await new Promise((resolve) => setTimeout(resolve, INTERVAL));
     }
     return null;
-  }
-
-  #busy() {
-    this.store.busy = this.under || !!this.job;
   }
 }

@@ -1,249 +1,171 @@
-// What every key does, in the order of the help; what has nothing to show goes with the line above it.
+// The keyboard: one table of what every key does, which is also shown as help.
 
-import { FAR } from "./actions.js";
+import { LONG_STEP } from "./actions.js";
 import { $, make } from "./dom.js";
 
-const isArrow = (event) => event.key.startsWith("Arrow");
-const either = (name) => plain(name, name.toUpperCase());
-const way = (event) => (event.shiftKey ? -1 : 1);
+const key = (show, text, test, action, always = false) => ({ show, text, test, action, always });
 
-/** `does` are undo, redo, save, help and zoom(factor). */
-export function keytable({ store, stage, clip, list, gestures, magnifier, mode, deeds, does }) {
+// tests of an event
+const plain =
+  (...names) =>
+  (event) =>
+    !event.ctrlKey && !event.metaKey && !event.altKey && names.includes(event.key);
+const letter = (name) => plain(name, name.toUpperCase());
+const ctrl =
+  (name, shift = false) =>
+  (event) =>
+    (event.ctrlKey || event.metaKey) && !event.altKey && event.shiftKey === shift && event.key.toLowerCase() === name;
+const arrow = (event) => event.key.startsWith("Arrow");
+const digit = (event) => plain(event.key)(event) && /^[1-9]$/.test(event.key);
+const enter = (event) => event.key === "Enter" && !event.ctrlKey && !event.metaKey;
+const ctrlEnter = (event) => event.key === "Enter" && (event.ctrlKey || event.metaKey);
+const redo = (event) => ctrl("z", true)(event) || ctrl("y")(event);
+
+/**
+ * Groups {title, keys} in the order of the help. A key without `show` is not in the help, one without `test` belongs to
+ * the line above it. An action that returns false leaves the key to the browser. `does` are undo, redo, save, help and
+ * zoom(factor).
+ */
+export function keyTable({ store, stage, clip, list, gestures, magnifier, mode, actions, does, say }) {
+  const direction = (event) => (event.shiftKey ? -1 : 1);
+  const toFrameNumber = () => $("frame-number").select() ?? $("frame-number").focus();
+  const toggleMagnifier = () => say(`Magnifier ${magnifier.toggle() ? "on" : "off"}.`);
+  const take = (event) => mode.proposals.take(Number(event.key) - 1);
+  const moving = [
+    key("← ↑ ↓ →", "move the selected mark by 1 pixel", arrow, (event) => actions.arrow(event)),
+    key("Shift or Alt and arrows", "by 10 pixels, or by a quarter of a pixel"),
+    key("Ctrl and arrows", "move the right and bottom edges of a box"),
+    key("[ and ]", "previous and next part", plain("[", "]"), (event) => actions.step(event.key === "]" ? 1 : -1)),
+  ];
+  const marks = [
+    key("Esc", "select nothing; stop drawing", plain("Escape"), () => actions.escape()),
+    key("1 … 9", "take what was found: face 1, face 2", digit, take),
+    key("M", "magnifier on or off", letter("m"), toggleMagnifier),
+  ];
+  const remove = (text) => key("Delete", text, plain("Delete", "Backspace"), () => actions.remove());
+  const review = {
+    title: "Review",
+    keys: [
+      key("N", "next frame to review (Shift: previous)", letter("n"), (event) => mode.review.next(direction(event))),
+      key("W", "the worst frame that is not reviewed yet", letter("w"), () => mode.review.worst()),
+      key("C", "next correction (Shift: previous)", letter("c"), (event) =>
+        mode.review.nextCorrection(direction(event)),
+      ),
+      key("K", "play or pause", letter("k"), () => mode.play.toggle()),
+      key("V", "hide or show the track", letter("v"), () => mode.toggleShown()),
+    ],
+  };
+  const correcting = {
+    title: "Correct",
+    keys: [
+      key("Enter", "in the list: choose the part; on the image: select the uncertain part", enter, () =>
+        actions.enter(),
+      ),
+      key("T or Ctrl+Enter", "track from here", letter("t"), () => void mode.jobs.track()),
+      key("", "", ctrlEnter, () => void mode.jobs.track()),
+      key("X", "the part is absent, or present (Shift: the whole target)", letter("x"), (event) =>
+        mode.toggleAbsent(event.shiftKey),
+      ),
+      ...moving,
+      key(
+        "Shift+Delete",
+        "discard what was moved",
+        (event) => plain("Delete")(event) && event.shiftKey,
+        () => mode.discard(),
+      ),
+      remove("the selected part as it was tracked"),
+      ...marks,
+    ],
+  };
+  const placing = {
+    title: "Marks",
+    keys: [
+      key("Enter", "in the list: place the part in the middle; on the image: go to the next part", enter, () =>
+        actions.enter(),
+      ),
+      ...moving,
+      remove("remove the selected mark"),
+      ...marks,
+    ],
+  };
   const fixes = store.mode === "fix";
-  const fix = (...keys) => (fixes ? keys : []);
-  const pick = (...keys) => (fixes ? [] : keys);
   return [
-    ...fix({
-      title: "Where to look",
-      keys: [
-        {
-          show: "N",
-          does: "next doubtful frame (Shift: the one before)",
-          test: either("n"),
-          deed: (e) => mode.doubtful.next(way(e)),
-        },
-        {
-          show: "W",
-          does: "the worst frame that was not looked at",
-          test: either("w"),
-          deed: () => mode.doubtful.worst(),
-        },
-        {
-          show: "C",
-          does: "next correction (Shift: the one before)",
-          test: either("c"),
-          deed: (e) => mode.doubtful.nextCorrection(way(e)),
-        },
-        { show: "K", does: "play or pause", test: either("k"), deed: () => mode.play.toggle() },
-        {
-          show: "V",
-          does: "hide or show the track, to see what lies below",
-          test: either("v"),
-          deed: () => mode.toggleShown(),
-        },
-      ],
-    }),
-    {
-      title: fixes ? "Putting right" : "Marks",
-      keys: [
-        ...pick({
-          show: "Enter",
-          does: "in the list: choose the part, and put it in the middle; on the picture: on to the next",
-          test: enter,
-          deed: () => deeds.enter(),
-        }),
-        ...fix(
-          {
-            show: "Enter",
-            does: "in the list: choose the part; on the picture: select the one that is doubtful",
-            test: enter,
-            deed: () => deeds.enter(),
-          },
-          { show: "T or Ctrl+Enter", does: "track from here", test: either("t"), deed: () => void mode.work.track() },
-          { test: (e) => e.key === "Enter" && (e.ctrlKey || e.metaKey), deed: () => void mode.work.track() },
-          {
-            show: "X",
-            does: "the part is not there, or there again (Shift: all of its target)",
-            test: either("x"),
-            deed: (e) => mode.toggleAbsent(e.shiftKey),
-          },
-        ),
-        { show: "← ↑ ↓ →", does: "nudge the selected mark by 1 pixel", test: isArrow, deed: (e) => deeds.arrow(e) },
-        { show: "Shift or Alt and arrows", does: "by 10 pixels, or by a quarter of one" },
-        { show: "Ctrl and arrows", does: "move a box's right and bottom edges" },
-        {
-          show: "[ and ]",
-          does: "previous and next part",
-          test: plain("[", "]"),
-          deed: (e) => deeds.step(e.key === "]" ? 1 : -1),
-        },
-        ...fix({
-          show: "Shift+Delete",
-          does: "throw away what was moved",
-          test: (e) => plain("Delete")(e) && e.shiftKey,
-          deed: () => mode.throwAway(),
-        }),
-        {
-          show: "Delete",
-          does: fixes ? "the selected part back to where it was tracked" : "remove the selected mark",
-          test: plain("Delete", "Backspace"),
-          deed: () => deeds.remove(),
-        },
-        {
-          show: "Esc",
-          does: "select nothing; end what is being drawn",
-          test: plain("Escape"),
-          deed: () => deeds.escape(),
-        },
-        {
-          show: "1 … 9",
-          does: "take what was found: face 1, face 2",
-          test: (e) => plain(e.key)(e) && /^[1-9]$/.test(e.key),
-          deed: (e) => mode.take(Number(e.key) - 1),
-        },
-        {
-          show: "M",
-          does: "magnifier on or off",
-          test: either("m"),
-          deed: () => does.say(`Magnifier ${magnifier.toggle() ? "on" : "off"}.`),
-        },
-      ],
-    },
+    ...(fixes ? [review, correcting] : [placing]),
     {
       title: "Clip",
       keys: [
-        { show: "← or →", does: "one frame, while no mark is selected (Shift: 25)" },
-        {
-          show: ", and .",
-          does: "one frame back or on, always",
-          test: plain(",", "."),
-          deed: (e) => clip.by(e.key === "," ? -1 : 1),
-        },
-        {
-          show: "Page_Up and Page_Down",
-          does: `${FAR} frames back or on`,
-          test: plain("PageUp", "PageDown"),
-          deed: (e) => clip.by(e.key === "PageUp" ? -FAR : FAR),
-        },
-        {
-          show: "Home and End",
-          does: "first and last frame",
-          test: plain("Home", "End"),
-          deed: (e) => store.show(e.key === "Home" ? store.bounds.first : store.bounds.last),
-        },
-        {
-          show: "F",
-          does: "type the number of a frame",
-          test: either("f"),
-          deed: () => $("frame-number").select() ?? $("frame-number").focus(),
-        },
-        {
-          show: "G",
-          does: `back to the frame of ${fixes ? "what was moved" : "the marks"}`,
-          test: either("g"),
-          deed: () => mode.goBack(),
-        },
-        ...pick({
-          show: "B",
-          does: "begin here: the marks are of this frame",
-          test: either("b"),
-          deed: () => mode.beginHere(),
-        }),
+        key("← or →", `one frame, while no mark is selected (Shift: ${LONG_STEP})`),
+        key(", and .", "one frame back or forward, always", plain(",", "."), (event) =>
+          clip.by(event.key === "," ? -1 : 1),
+        ),
+        key("Page_Up and Page_Down", `${LONG_STEP} frames back or forward`, plain("PageUp", "PageDown"), (event) =>
+          clip.by(event.key === "PageUp" ? -LONG_STEP : LONG_STEP),
+        ),
+        key("Home and End", "first and last frame", plain("Home", "End"), (event) =>
+          store.show(event.key === "Home" ? store.bounds.first : store.bounds.last),
+        ),
+        key("F", "type the number of a frame", letter("f"), toFrameNumber),
+        key("G", `go back to the frame of the ${fixes ? "moved parts" : "marks"}`, letter("g"), () =>
+          store.showDraftFrame(),
+        ),
+        ...(fixes ? [] : [key("B", "begin here: the marks are of this frame", letter("b"), () => mode.beginHere())]),
       ],
     },
     {
       title: "View",
       keys: [
-        { show: "+ or −", does: "zoom; the wheel, or two fingers, too", test: plain("+", "="), deed: does.zoom(1.25) },
-        { test: plain("-", "−"), deed: does.zoom(0.8) },
-        { show: "0", does: "the whole picture", test: plain("0"), deed: () => stage.toFit() },
-        {
-          show: "Space and drag",
-          does: "move the picture; the middle button, or two fingers, too",
-          test: (e) => e.key === " " && e.target === stage.canvas,
-          deed: () => (gestures.panning = true),
-        },
-        { show: "L", does: "to the list of parts", test: either("l"), deed: () => mode.list?.() ?? list.focus() },
-        ...fix({ show: "D", does: "to the list of doubtful frames", test: either("d"), deed: () => mode.toDoubtful() }),
-        { show: "P", does: "to the picture", test: either("p"), deed: () => stage.canvas.focus() },
-        { show: "?", does: "this help", test: plain("?"), deed: does.help },
+        key("+ or −", "zoom; also the wheel, or two fingers", plain("+", "="), does.zoom(1.25)),
+        key("", "", plain("-", "−"), does.zoom(0.8)),
+        key("0", "the whole frame", plain("0"), () => stage.toFit()),
+        key(
+          "Space and drag",
+          "move the image; also the middle button, or two fingers",
+          (event) => event.key === " " && event.target === stage.canvas,
+          () => (gestures.panning = true),
+        ),
+        key("L", "go to the list of parts", letter("l"), () => (fixes ? mode.tabs.open(0) : list.focus())),
+        ...(fixes ? [key("D", "go to the list of frames to review", letter("d"), () => mode.focusReview())] : []),
+        key("P", "go to the image", letter("p"), () => stage.canvas.focus()),
+        key("?", "this help", plain("?"), does.help),
       ],
     },
     {
-      title: "All of it",
+      title: "General",
       keys: [
-        {
-          show: "Ctrl+Z",
-          does: fixes ? "undo what was moved, then the last correction" : "undo",
-          test: ctrl("z"),
-          deed: does.undo,
-        },
-        {
-          show: "Ctrl+Shift+Z",
-          does: `redo (Ctrl+Y too)${fixes ? " what was moved" : ""}`,
-          test: (e) => ctrl("z", true)(e) || ctrl("y")(e),
-          deed: does.redo,
-        },
-        { show: "Ctrl+S", does: "save", test: ctrl("s"), deed: does.save, always: true },
+        key("Ctrl+Z", fixes ? "undo what was moved, then the last correction" : "undo", ctrl("z"), does.undo),
+        key("Ctrl+Shift+Z", `redo${fixes ? " what was moved" : ""}; also Ctrl+Y`, redo, does.redo),
+        key("Ctrl+S", "save", ctrl("s"), does.save, true),
       ],
     },
   ];
 }
 
-const enter = (event) => event.key === "Enter" && !event.ctrlKey && !event.metaKey;
-
-// The keyboard: one table, which is also what the help shows.
-
-/** Groups of {show, does, test(event), deed(event)}; a deed that gives back false leaves the key to the browser. */
-export class Keys {
-  constructor(table) {
-    this.table = table.flatMap(({ keys }) => keys);
-    this.groups = table;
-    document.addEventListener("keydown", (event) => this.#down(event));
-  }
-
-  #down(event) {
+/** Listens to the keys of a table. */
+export function listenToKeys(table) {
+  const keys = table.flatMap((group) => group.keys).filter(({ test }) => test);
+  document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented || event.isComposing) return;
     const { target } = event;
-    const writing = target.matches?.("input[type=text], input[type=number], textarea");
-    const own = target.matches?.("input[type=range]") && event.key.startsWith("Arrow");
-    const open = document.querySelector("dialog[open]");
-    for (const key of this.table) {
-      if (!key.test || !key.test(event)) continue;
-      if ((writing || own || open) && !key.always) return;
-      if (key.deed(event) === false) continue;
+    const typing = target.matches?.("input[type=text], input[type=number], textarea");
+    const slider = target.matches?.("input[type=range]") && arrow(event);
+    const dialog = document.querySelector("dialog[open]");
+    for (const { test, action, always } of keys) {
+      if (!test(event)) continue;
+      if ((typing || slider || dialog) && !always) return;
+      if (action(event) === false) continue;
       event.preventDefault();
       return;
     }
-  }
-
-  /** The table for the help. */
-  help() {
-    return this.groups.map(({ title, keys }) => {
-      const rows = keys
-        .filter(({ show }) => show)
-        .flatMap(({ show, does }) => [
-          make(
-            "dt",
-            {},
-            ...show
-              .split(" ")
-              .map((word) =>
-                word === "or" || word === "and" ? ` ${word} ` : make("kbd", {}, word.replaceAll("_", " ")),
-              ),
-          ),
-          make("dd", {}, does),
-        ]);
-      return make("section", {}, make("h3", {}, title), make("dl", {}, ...rows));
-    });
-  }
+  });
 }
 
-export const plain =
-  (...names) =>
-  (event) =>
-    !event.ctrlKey && !event.metaKey && !event.altKey && names.includes(event.key);
-export const ctrl =
-  (name, shift = false) =>
-  (event) =>
-    (event.ctrlKey || event.metaKey) && !event.altKey && event.shiftKey === shift && event.key.toLowerCase() === name;
+/** The table as elements of the help. */
+export function keyHelp(table) {
+  const shown = (word) => (["or", "and"].includes(word) ? ` ${word} ` : make("kbd", {}, word.replaceAll("_", " ")));
+  return table.map(({ title, keys }) => {
+    const rows = keys
+      .filter(({ show }) => show)
+      .flatMap(({ show, text }) => [make("dt", {}, ...show.split(" ").map(shown)), make("dd", {}, text)]);
+    return make("section", {}, make("h3", {}, title), make("dl", {}, ...rows));
+  });
+}

@@ -1,24 +1,24 @@
-// What there is to place: the groups of the list, one a target, and what a target may be called.
+// What is to be placed: the groups of the list, one for each target, and which names are allowed.
 
 const NAME = /^[A-Za-z_][A-Za-z0-9_-]{0,63}$/;
 const KEYS = ["frame", "box", "points", "windows", "corrections", "kept", "absent", "learn"];
 
-/** What is wrong with a name of a target or part; empty if nothing is. */
+/** What is wrong with a name of a target; empty if nothing is. */
 export function wrongName(name, taken) {
   if (!NAME.test(name)) return "A name has letters, digits, _ and -, and does not begin with a digit.";
-  if (KEYS.includes(name)) return `“${name}” is a word of the file itself; choose another.`;
-  return taken.includes(name) ? `There is a ${name} already.` : "";
+  if (KEYS.includes(name)) return `“${name}” is a key of init files; choose another name.`;
+  return taken.includes(name) ? `There is already a target ${name}.` : "";
 }
 
-/** The groups of the list: what is wanted, and what the draft has beside it. */
-export function arranged(session, draft) {
-  const { wants, free } = session;
-  let groups = wants.map((want) => group(want.target, want));
+/** The groups of the list: what is required, and what the draft has besides. */
+export function groupsOf(session, draft) {
+  const { requirements, free } = session;
+  let groups = requirements.map((one) => group(one.target, one));
   const names = Object.keys(draft.targets);
-  const strange = names.filter((name) => !wants.some((want) => want.target === name));
-  // where names are free, what is wanted goes by the names that there are
-  if (free && strange.length) groups = groups.filter(({ target }) => names.includes(target));
-  groups.push(...strange.map((name) => stranger(session, name)));
+  const others = names.filter((name) => !requirements.some((one) => one.target === name));
+  // where names are free, the requirements apply to the names that there are
+  if (free && others.length) groups = groups.filter(({ target }) => names.includes(target));
+  groups.push(...others.map((name) => addedGroup(session, name)));
   for (const one of groups) {
     const more = Object.keys(draft.targets[one.target]?.points ?? {}).filter((part) => !one.points.includes(part));
     one.points.push(...more);
@@ -27,9 +27,9 @@ export function arranged(session, draft) {
   return groups;
 }
 
-/** A target of the user's own; it wants what any target does, where names are free. */
-export function stranger({ wants, free }, target) {
-  const like = free && wants.length ? wants[0] : { box: "optional", points: [], about: {} };
+/** The group of a target that the user added; it requires the same as any target, where names are free. */
+export function addedGroup({ requirements, free }, target) {
+  const like = free && requirements.length ? requirements[0] : { box: "optional", points: [], about: {} };
   return { ...group(target, like), added: true };
 }
 

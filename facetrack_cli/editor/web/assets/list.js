@@ -1,26 +1,64 @@
-// The parts that are wanted, as a list to work through.
+// The list of the parts: what both pages share, and the list of those that a start requires.
 
-import { remove } from "./actions.js";
-import { $, icon, make, number, spoken, write } from "./dom.js";
+import { $, button, formatNumber, icon, make, readable, scrollPanelTo, setText, swatch } from "./dom.js";
 import { colour } from "./draw.js";
 import { wrongName } from "./layout.js";
-import { BOX, same } from "./store.js";
+import { sameSlot, slotId } from "./store.js";
 
-/** `choose(slot, byKey)` is called for a part of the list that is clicked, or entered by the keyboard. */
-export class List {
-  constructor(store, { choose, may, say }) {
-    Object.assign(this, { store, choose, may, say });
+/** Rows by the id of their slots: {slot, item, button, ...}. A subclass has `chosen`, `update` and what it shows. */
+export class PartList {
+  constructor(store, options) {
+    Object.assign(this, { store, ...options });
     this.root = $("parts");
     this.rows = new Map();
+    for (const name of ["draft", "frame"]) store.addEventListener(name, () => this.update());
+  }
+
+  focus() {
+    (this.rows.get(slotId(this.chosen)) ?? this.rows.values().next().value)?.button.focus();
+  }
+
+  /** Keeps the row of the chosen slot visible; without `again` only if it has changed. */
+  follow(again = true) {
+    const row = this.rows.get(slotId(this.chosen));
+    if (!row || (row === this.followed && !again)) return;
+    this.followed = row;
+    scrollPanelTo(row.item);
+  }
+
+  section(target, slots, ...tools) {
+    const title = make("h3", { id: `target-${target}` }, readable(target));
+    const head = make("div", { class: "target-head" }, swatch(colour(this.store, target)), title, ...tools);
+    const list = make("ul", { "aria-labelledby": `target-${target}` }, ...slots.map((slot) => this.row(slot)));
+    return make("section", { class: "target", "data-testid": `target-${target}` }, head, list);
+  }
+
+  /** The button that chooses a slot. */
+  partButton(slot, ...children) {
+    // a click without a mouse button comes from Enter, or from a screen reader
+    const click = (event) => this.choose(slot, event.detail === 0);
+    return button(`part-${slot.target}-${slot.part}`, { class: "part", "data-slot": slotId(slot), click }, ...children);
+  }
+
+  markRow({ slot, item, button }, tabbed, chosen, current) {
+    item.classList.toggle("current", chosen);
+    button.tabIndex = sameSlot(tabbed, slot) ? 0 : -1;
+    if (chosen) button.setAttribute("aria-current", current);
+    else button.removeAttribute("aria-current");
+  }
+}
+
+/** `choose(slot, byKey)` is called for a part that is clicked, or entered by the keyboard; `remove(slot)` removes it. */
+export class PickList extends PartList {
+  constructor(store, options) {
+    super(store, options);
     this.shape = "";
     this.root.addEventListener("keydown", (event) => this.#key(event));
-    store.addEventListener("draft", () => this.update());
-    store.addEventListener("frame", () => this.update());
     this.update();
   }
 
-  focus(slot = this.store.current) {
-    (this.rows.get(id(slot)) ?? this.rows.values().next().value)?.button.focus();
+  get chosen() {
+    return this.store.current;
   }
 
   update() {
@@ -31,33 +69,19 @@ export class List {
       this.#build();
     }
     const tabbed = store.current ?? store.slots()[0];
-    for (const [, row] of this.rows) {
+    for (const row of this.rows.values()) {
       const value = store.value(row.slot);
-      const current = same(store.current, row.slot);
-      row.item.classList.toggle("current", current);
-      row.item.classList.toggle("selected", !!value && same(store.selected, row.slot));
+      const optional = store.isOptional(row.slot);
+      this.markRow(row, tabbed, sameSlot(store.current, row.slot), "step");
+      row.item.classList.toggle("selected", !!value && sameSlot(store.selected, row.slot));
       row.item.classList.toggle("done", !!value);
       row.clear.hidden = !value || store.ended;
-      row.button.tabIndex = same(tabbed, row.slot) ? 0 : -1;
-      if (current) row.button.setAttribute("aria-current", "step");
-      else row.button.removeAttribute("aria-current");
-      write(row.numbers, value ? shown(value) : store.optional(row.slot) ? "if you like" : "");
-      write(row.spoken, value ? ", placed" : store.optional(row.slot) ? ", optional" : ", lacking");
+      setText(row.numbers, value ? shown(value) : optional ? "optional" : "");
+      setText(row.status, value ? ", placed" : optional ? "" : ", missing");
     }
     const { done, of } = store.progress();
-    write($("progress"), of ? `${done} of ${of}` : "");
+    setText($("progress"), of ? `${done} of ${of}` : "");
     this.follow(false);
-  }
-
-  /** The current row is kept in sight, the list alone being scrolled. */
-  follow(anew = true) {
-    const row = this.rows.get(id(this.store.current));
-    if (!row || (row === this.followed && !anew)) return;
-    this.followed = row;
-    const scroller = $("panel-body");
-    const [box, at] = [scroller.getBoundingClientRect(), row.item.getBoundingClientRect()];
-    if (at.top < box.top) scroller.scrollTop += at.top - box.top - 8;
-    else if (at.bottom > box.bottom) scroller.scrollTop += at.bottom - box.bottom + 8;
   }
 
   #build() {
@@ -66,85 +90,70 @@ export class List {
     this.rows.clear();
     const free = store.session.free && !store.ended;
     this.root.replaceChildren(...store.layout.map((group) => this.#group(group, free)));
-    if (free) this.root.append(this.#adder());
+    if (free) {
+      const add = button("add-target", { class: "adder" }, icon("icon-plus"), "Target");
+      add.addEventListener("click", () =>
+        this.#askName(add, "Name of the target", "", (name) => store.addTarget(name)),
+      );
+      this.root.append(add);
+    }
     if (focused) this.rows.get(focused)?.button.focus();
   }
 
-  #group({ target, box, points }, free) {
+  #group({ target }, free) {
     const { store } = this;
-    const swatch = make("span", { class: "swatch", "aria-hidden": "true" });
-    swatch.style.backgroundColor = colour(store, target);
-    const slots = [...(box === "no" ? [] : [BOX]), ...points].map((part) => ({ target, part }));
-    const head = make("div", { class: "target-head" }, swatch, make("h3", { id: `target-${target}` }, spoken(target)));
-    if (free) {
-      const renames = () =>
-        this.#ask(head, "New name", target, (name) => store.rename(target, name), names(store, target));
-      head.append(
-        make("button", { class: "small", type: "button", click: renames, "data-testid": `rename-${target}` }, "Rename"),
-        make(
-          "button",
-          {
-            class: "small",
-            type: "button",
-            click: () => store.removeTarget(target),
-            "data-testid": `remove-${target}`,
-          },
-          "Remove",
-        ),
-      );
-    }
-    const list = make("ul", { "aria-labelledby": `target-${target}` }, ...slots.map((slot) => this.#row(slot)));
-    return make("section", { class: "target", "data-testid": `target-${target}` }, head, list);
+    const slots = store.slots().filter((slot) => slot.target === target);
+    const rename = ({ currentTarget }) => {
+      const head = currentTarget.closest(".target-head");
+      this.#askName(head, "New name", target, (name) => store.rename(target, name));
+    };
+    const remove = () => store.removeTarget(target);
+    const tools = [
+      button(`rename-${target}`, { class: "small", click: rename }, "Rename"),
+      button(`remove-${target}`, { class: "small", click: remove }, "Remove"),
+    ];
+    return this.section(target, slots, ...(free ? tools : []));
   }
 
-  #row(slot) {
+  row(slot) {
     const numbers = make("span", { class: "numbers" });
-    const said = make("span", { class: "unseen" });
-    const button = make(
-      "button",
-      { class: "part", type: "button", "data-slot": id(slot), "data-testid": `part-${slot.target}-${slot.part}` },
-      make("span", { class: "tick", "aria-hidden": "true" }, icon("tick")),
-      make("span", { class: "name" }, spoken(slot.part)),
-      said,
-      numbers,
+    const status = make("span", { class: "visually-hidden" });
+    const tick = make("span", { class: "tick", "aria-hidden": "true" }, icon("icon-tick"));
+    const choose = this.partButton(slot, tick, make("span", { class: "name" }, readable(slot.part)), status, numbers);
+    const clear = button(
+      `clear-${slot.target}-${slot.part}`,
+      {
+        class: "clear",
+        tabindex: "-1",
+        "aria-label": `Remove ${readable(slot.part)} of ${readable(slot.target)}`,
+        click: () => this.remove(slot),
+      },
+      icon("icon-cross"),
     );
-    // a click without a button of the mouse is Enter, or a screen reader's
-    button.addEventListener("click", (event) => this.choose(slot, event.detail === 0));
-    const clear = make(
-      "button",
-      { class: "clear", type: "button", tabindex: "-1", "data-testid": `clear-${slot.target}-${slot.part}` },
-      icon("cross"),
-    );
-    clear.setAttribute("aria-label", `Remove ${spoken(slot.part)} of ${spoken(slot.target)}`);
-    clear.addEventListener("click", () => this.may(true) && remove(this.store, slot));
-    const item = make("li", {}, button, clear);
-    this.rows.set(id(slot), { slot, item, button, clear, numbers, spoken: said });
+    const item = make("li", {}, choose, clear);
+    this.rows.set(slotId(slot), { slot, item, button: choose, clear, numbers, status });
     return item;
   }
 
-  #adder() {
-    const add = make("button", { class: "adder", type: "button", "data-testid": "add-target" }, icon("plus"), "Target");
-    add.addEventListener("click", () =>
-      this.#ask(add, "Name of the target", "", (name) => this.store.addTarget(name), names(this.store)),
-    );
-    return add;
-  }
-
-  // a field in place of what was clicked
-  #ask(place, label, value, done, taken) {
-    const input = make("input", { type: "text", value, "aria-label": label, placeholder: label, spellcheck: "false" });
-    input.setAttribute("data-testid", "name-field");
-    input.setAttribute("autocapitalize", "off");
-    input.setAttribute("autocomplete", "off");
-    const form = make("form", { class: "ask" }, input);
-    form.append(make("button", { class: "small", type: "submit" }, "OK"));
-    const close = () => {
-      if (form.isConnected) form.replaceWith(place);
-    };
+  // a field for a name in the place of what was clicked
+  #askName(place, label, value, done) {
+    const input = make("input", {
+      type: "text",
+      value,
+      "aria-label": label,
+      placeholder: label,
+      "data-testid": "name-field",
+      spellcheck: "false",
+      autocapitalize: "off",
+      autocomplete: "off",
+    });
+    const form = make("form", { class: "ask" }, input, make("button", { class: "small", type: "submit" }, "OK"));
+    const close = () => form.isConnected && form.replaceWith(place);
     form.addEventListener("submit", (event) => {
       event.preventDefault();
       const name = input.value.trim().replaceAll(" ", "_");
       if (name === value) return close();
+      const taken = this.store.layout.map(({ target }) => target).filter((other) => other !== value);
       const wrong = wrongName(name, taken);
       if (wrong) return this.say(wrong, "error");
       close();
@@ -171,17 +180,14 @@ export class List {
     const at = all.indexOf(here);
     const to = { ArrowDown: at + 1, ArrowUp: at - 1 }[event.key];
     if (to !== undefined) this.rows.get(all[Math.min(Math.max(to, 0), all.length - 1)]).button.focus();
-    else if (event.key === "Delete" || event.key === "Backspace") {
-      if (this.may(true)) remove(this.store, this.rows.get(here).slot);
-    } else return;
+    else if (event.key === "Delete" || event.key === "Backspace") this.remove(this.rows.get(here).slot);
+    else return;
     event.preventDefault();
     event.stopPropagation();
   }
 }
 
-const id = (slot) => (slot ? `${slot.target}/${slot.part}` : "");
-const names = (store, but) => store.layout.map(({ target }) => target).filter((name) => name !== but);
-const shown = (value) =>
-  value.length === 2
-    ? value.map(number).join(", ")
-    : `${number(value[0])}, ${number(value[1])} · ${number(value[2])} × ${number(value[3])}`;
+const shown = (value) => {
+  const [x, y, w, h] = value.map(formatNumber);
+  return value.length === 2 ? `${x}, ${y}` : `${x}, ${y} · ${w} × ${h}`;
+};

@@ -1,11 +1,14 @@
-// True pixels beside the pointer, with a cross hair: asked for without loss, and drawn without smoothing.
+// The pixels under the pointer, magnified, with a cross hair: from a lossless image, and without smoothing.
 
 import * as api from "./api.js";
+import { formatNumber } from "./dom.js";
+import { LABEL_FONT, LABEL_GROUND } from "./draw.js";
+import { clamp } from "./geometry.js";
 
-const AROUND = 64; // pixels of the picture that are asked for, to each side
+const AROUND = 64; // pixels of the frame that are requested, to each side
 const LARGEST = 208; // CSS pixels of a side
 const LEAST = 112;
-const FROM_TOUCH = 56; // CSS pixels from what points: a finger covers more
+const FROM_TOUCH = 56; // CSS pixels from the pointer: a finger covers more
 const FROM_MOUSE = 28;
 const EDGE = 8;
 
@@ -16,28 +19,31 @@ export class Magnifier {
     this.stage = stage;
     this.store = store;
     this.enabled = true;
-    this.known = null; // {frame, x, y, w, h, bitmap}
-    this.asked = null; // the request under way
+    this.crop = null; // {frame, x, y, w, h, bitmap}
+    this.requesting = false;
     this.at = null;
+    window.addEventListener("resize", () => this.#hideNow());
   }
 
-  /** Shows the picture around (x, y), pixels, beside what points there: "touch", "mouse" or "keys". */
+  /** Shows the frame around (x, y), pixels, beside the pointer: "touch", "mouse" or "keys". */
   show(x, y, by, ink) {
     if (!this.enabled) return;
-    clearTimeout(this.leave);
+    clearTimeout(this.hiding);
     this.at = { x, y, by, ink };
     this.canvas.hidden = false;
-    this.#lie();
-    this.#ask();
+    this.#place();
+    this.#request();
     this.#paint();
   }
 
   hide(after = 0) {
-    clearTimeout(this.leave);
-    this.leave = setTimeout(() => {
-      this.at = null;
-      this.canvas.hidden = true;
-    }, after);
+    clearTimeout(this.hiding);
+    this.hiding = setTimeout(() => this.#hideNow(), after);
+  }
+
+  #hideNow() {
+    this.at = null;
+    this.canvas.hidden = true;
   }
 
   toggle() {
@@ -47,17 +53,17 @@ export class Magnifier {
   }
 
   // beside the pointer and not lower, on the side that has room, smaller where neither has
-  #lie() {
+  #place() {
     const { x, y, by } = this.at;
     const corner = this.stage.canvas.getBoundingClientRect();
-    const [sx, sy] = this.stage.place(x, y);
+    const [sx, sy] = this.stage.toCanvas(x, y);
     const [px, py] = [corner.left + sx, corner.top + sy];
     const gap = by === "touch" ? FROM_TOUCH : FROM_MOUSE;
     const room = { left: px - gap - EDGE, right: window.innerWidth - px - gap - EDGE };
     const right = room.right >= LARGEST || room.right >= room.left;
     const side = Math.max(Math.min(LARGEST, right ? room.right : room.left, window.innerHeight / 3), LEAST);
     const left = right ? px + gap : px - gap - side;
-    const fit = (value, length) => Math.min(Math.max(value, EDGE), length - side - EDGE);
+    const fit = (value, length) => clamp(value, EDGE, length - side - EDGE);
     Object.assign(this.canvas.style, {
       width: `${side}px`,
       height: `${side}px`,
@@ -72,44 +78,44 @@ export class Magnifier {
   }
 
   get #reach() {
-    return this.side / 2 / this.#times; // pixels of the picture to each side that are seen
+    return this.side / 2 / this.#times; // visible pixels of the frame, to each side
   }
 
-  // always more than the picture itself shows
+  // always larger than the canvas shows them
   get #times() {
-    return Math.min(Math.max(8, Math.ceil(this.stage.view.scale * 2)), 40);
+    return clamp(Math.ceil(this.stage.view.scale * 2), 8, 40);
   }
 
   #covers() {
-    const { known, at, store } = this;
-    if (!known || known.frame !== store.frame) return false;
+    const { crop, at, store } = this;
+    if (!crop || crop.frame !== store.frame) return false;
     const [width, height] = this.stage.size;
     const reach = this.#reach + 1;
     return (
-      known.x <= Math.max(at.x - reach, 0) &&
-      known.y <= Math.max(at.y - reach, 0) &&
-      known.x + known.w >= Math.min(at.x + reach, width) &&
-      known.y + known.h >= Math.min(at.y + reach, height)
+      crop.x <= Math.max(at.x - reach, 0) &&
+      crop.y <= Math.max(at.y - reach, 0) &&
+      crop.x + crop.w >= Math.min(at.x + reach, width) &&
+      crop.y + crop.h >= Math.min(at.y + reach, height)
     );
   }
 
-  async #ask() {
-    if (this.asked || !this.at || this.#covers()) return;
+  async #request() {
+    if (this.requesting || !this.at || this.#covers()) return;
     const [width, height] = this.stage.size;
-    const low = (value, length) => Math.min(Math.max(Math.round(value) - AROUND, 0), length - 1);
+    const low = (value, length) => clamp(Math.round(value) - AROUND, 0, length - 1);
     const [x, y] = [low(this.at.x, width), low(this.at.y, height)];
     const [w, h] = [Math.min(2 * AROUND + 1, width - x), Math.min(2 * AROUND + 1, height - y)];
     const frame = this.store.frame;
-    this.asked = { frame, x, y };
+    this.requesting = true;
     try {
       const bitmap = await createImageBitmap(await api.crop(frame, x, y, w, h));
-      this.known?.bitmap.close?.();
-      this.known = { frame, x, y, w, h, bitmap };
-      this.asked = null;
+      this.crop?.bitmap.close?.();
+      this.crop = { frame, x, y, w, h, bitmap };
+      this.requesting = false;
       this.#paint();
-      this.#ask();
+      this.#request();
     } catch {
-      this.asked = null; // the picture as it is shown serves until the next time
+      this.requesting = false; // until the next time, the image on the canvas is shown
     }
   }
 
@@ -123,13 +129,13 @@ export class Magnifier {
     context.fillRect(0, 0, side, side);
     context.imageSmoothingEnabled = false;
     const from = (left, top) => [side / 2 + (left - 0.5 - at.x) * times, side / 2 + (top - 0.5 - at.y) * times];
-    const { picture } = stage;
-    if (picture?.index === this.store.frame) {
-      context.drawImage(picture.bitmap, ...from(0, 0), stage.size[0] * times, stage.size[1] * times);
+    const { image } = stage;
+    if (image?.index === this.store.frame) {
+      context.drawImage(image.bitmap, ...from(0, 0), stage.size[0] * times, stage.size[1] * times);
     }
-    const { known } = this;
-    if (known?.frame === this.store.frame) {
-      context.drawImage(known.bitmap, ...from(known.x, known.y), known.w * times, known.h * times);
+    const { crop } = this;
+    if (crop?.frame === this.store.frame) {
+      context.drawImage(crop.bitmap, ...from(crop.x, crop.y), crop.w * times, crop.h * times);
     }
     this.#cross(times);
   }
@@ -137,7 +143,7 @@ export class Magnifier {
   #cross(times) {
     const { context, side, at } = this;
     const middle = side / 2;
-    const free = Math.max(times * 0.75, 6); // the pixel that is meant stays free
+    const free = Math.max(times * 0.75, 6); // the pixel in the middle stays visible
     context.beginPath();
     for (const sign of [-1, 1]) {
       context.moveTo(middle + sign * free, middle);
@@ -153,13 +159,13 @@ export class Magnifier {
     context.stroke();
     context.fillStyle = at.ink;
     context.fillRect(middle - 1, middle - 1, 2, 2);
-    const words = `${at.x.toFixed(2).replace(/\.?0+$/, "")}, ${at.y.toFixed(2).replace(/\.?0+$/, "")}`;
-    context.font = "600 12px system-ui, sans-serif";
-    const width = context.measureText(words).width;
-    context.fillStyle = "rgb(10 14 18 / 78%)";
+    const text = `${formatNumber(at.x)}, ${formatNumber(at.y)}`;
+    context.font = LABEL_FONT;
+    const width = context.measureText(text).width;
+    context.fillStyle = LABEL_GROUND;
     context.fillRect(0, side - 20, width + 14, 20);
     context.fillStyle = "#fff";
     context.textBaseline = "middle";
-    context.fillText(words, 7, side - 9.5);
+    context.fillText(text, 7, side - 9.5);
   }
 }

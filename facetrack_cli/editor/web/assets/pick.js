@@ -1,117 +1,74 @@
-// Choosing a start: the part that comes next, and marks that are of another frame.
+// Choosing a start: the part that comes next, and marks of another frame.
 
-import { $, flash, spoken, write } from "./dom.js";
-import { colour } from "./draw.js";
-import { Proposals } from "./proposals.js";
+import { $, capitalized, readable, TOUCH } from "./dom.js";
+import { Mode } from "./mode.js";
 import { BOX } from "./store.js";
 
-const TOUCH = window.matchMedia("(pointer: coarse)");
+// by mouse and by finger
 const HOW = {
   open: {
     box: ["Drag across it, from corner to corner.", "Draw across it, from corner to corner."],
-    point: ["Click it in the picture.", "Tap it; keep the finger down to look closely."],
+    point: ["Click it in the image.", "Tap it; keep the finger down to see it magnified."],
   },
   placed: {
     box: ["Drag it, or its handles; arrow keys nudge.", "Drag it, or its handles."],
-    point: ["Drag it, or nudge it by the arrow keys.", "Drag it to put it right."],
+    point: ["Drag it, or nudge it with the arrow keys.", "Drag it to correct it."],
   },
 };
 
-export class Pick {
-  constructor({ store, stage, say }) {
-    Object.assign(this, { store, stage, say });
-    this.proposals = new Proposals(store, stage, {
-      may: (loud) => this.may(loud),
+export class Pick extends Mode {
+  constructor(options) {
+    super(options, {
       ontaken: ({ label }) => {
-        const { done, of } = store.progress();
-        say(`Took ${label}. ${done === of ? "Look whether all marks are right, then save." : ""}`);
+        const { done, of } = this.store.progress();
+        this.say(`Took ${label}.${done === of ? " Check that every mark is right, then save." : ""}`);
       },
     });
-    for (const name of ["frame", "draft"]) store.addEventListener(name, () => this.update());
     $("begin-here").addEventListener("click", () => this.beginHere());
-    $("go-back").addEventListener("click", () => this.goBack());
-    TOUCH.addEventListener("change", () => this.update());
     this.update();
   }
 
-  /** Whether marks may be changed in the frame that is shown; `loud` tells the user why not. */
-  may(loud) {
+  reasonAgainst() {
     const { store } = this;
-    if (store.ended) return false;
-    if (!store.isHere()) {
-      if (loud) {
-        this.say(
-          `The start is in frame ${store.draft.frame}. Begin here instead (B), or go back to it (G).`,
-          "warning",
-        );
-        flash($("elsewhere"));
-      }
-      return false;
-    }
-    if (this.stage.picture?.index !== store.frame) {
-      if (loud) this.say(`Frame ${store.frame} is still on its way.`);
-      return false;
-    }
-    return true;
+    return store.isHere()
+      ? null
+      : `The start is in frame ${store.draft.frame}. Begin here instead (B), or go back (G).`;
   }
 
   beginHere() {
     const { store } = this;
     if (store.isHere() || store.ended) return;
     store.beginHere();
-    this.say(`The start is in frame ${store.frame} now, with all marks where they were: put them right.`);
+    this.say(`The start is in frame ${store.frame} now; the marks are where they were. Correct them.`);
   }
 
-  goBack() {
-    if (!this.store.isEmpty()) this.store.show(this.store.draft.frame);
-  }
-
-  take(index, as = null) {
-    return this.proposals.take(index, as);
+  onOther(lost) {
+    const faster = "Another window was faster; its start is shown now. Undo restores yours.";
+    this.say(lost ? faster : "Changed in another window.", "warning");
   }
 
   update() {
-    this.#hint();
-    this.#elsewhere();
-    this.proposals.update();
-    this.stage.draw();
-  }
-
-  // --- what comes next
-
-  #hint() {
     const { store } = this;
-    const { current } = store;
-    const { done, of } = store.progress();
-    const title = $("hint-title");
-    if (store.ended) {
-      write(title, "Saved");
-      write($("hint-text"), "This page has done its work; you may close it.");
-    } else if (!current) {
-      write(title, done ? (done === of ? "All there" : `${of - done} to go`) : "Nothing chosen yet");
-      write(
-        $("hint-text"),
-        done ? "Look whether every mark is right, then save." : "Take a face that was found, or choose a part.",
-      );
-    } else {
-      const { about, target } = store.group(current.target);
-      const many = store.layout.length > 1;
-      const box = current.part === BOX;
-      write(title, box ? `Box of ${spoken(target)}` : `${spoken(current.part)}${many ? ` of ${spoken(target)}` : ""}`);
-      const what = about?.[current.part];
-      const placed = store.value(current);
-      const how = HOW[placed ? "placed" : "open"][box ? "box" : "point"][TOUCH.matches ? 1 : 0];
-      write($("hint-text"), `${what ? `${what[0].toUpperCase()}${what.slice(1)}. ` : ""}${how}`);
-    }
-    $("hint").style.setProperty("--hint", current && !store.ended ? colour(store, current.target) : "var(--accent)");
+    const elsewhere = `The marks are of frame ${store.draft.frame}; this is frame ${store.frame}.`;
+    this.showHint(hint(store), store.current, elsewhere);
   }
+}
 
-  #elsewhere() {
-    const { store } = this;
-    const away = !store.isHere() && !store.ended;
-    $("elsewhere").hidden = !away;
-    if (!away) return;
-    write($("elsewhere-text"), `These marks are of frame ${store.draft.frame}; you look at frame ${store.frame}.`);
-    write($("go-back"), `Back to ${store.draft.frame}`);
-  }
+// [title, text]
+function hint(store) {
+  const { current, layout } = store;
+  const { done, of } = store.progress();
+  if (store.ended) return ["Saved", "You may close this page."];
+  if (!current && !done) return ["Nothing chosen yet", "Take a face that was found, or choose a part."];
+  if (!current)
+    return [
+      done === of ? "All parts are placed" : `${of - done} missing`,
+      "Check that every mark is right, then save.",
+    ];
+  const { about, target } = store.group(current.target);
+  const box = current.part === BOX;
+  const point = `${readable(current.part)}${layout.length > 1 ? ` of ${readable(target)}` : ""}`;
+  const what = about?.[current.part];
+  const how = HOW[store.value(current) ? "placed" : "open"][box ? "box" : "point"][TOUCH.matches ? 1 : 0];
+  return [box ? `Box of ${readable(target)}` : point, `${what ? `${capitalized(what)}. ` : ""}${how}`];
 }

@@ -1,4 +1,4 @@
-// Through the clip: slider, buttons, a field for the frame.
+// Through the clip: slider, buttons, a field for the number of the frame; and playing it.
 
 import { $, icon } from "./dom.js";
 
@@ -47,35 +47,32 @@ function clock(seconds) {
   return `${h ? `${h}:${two(m)}` : m}:${s.toFixed(1).padStart(4, "0")}`;
 }
 
-// The clip at its own speed: frames that do not come in time are left out, never queued.
-
+/** Plays the clip at its own speed: frames whose images do not arrive in time are skipped. */
 export class Play {
   constructor(store) {
     this.store = store;
     this.on = false;
     this.button = $("play");
     this.button.addEventListener("click", () => this.toggle());
-    // whoever goes elsewhere wants to look
+    // any other change of the frame stops it
     store.addEventListener("frame", () => this.on && !this.own && this.stop());
   }
 
   toggle() {
     if (this.on) return this.stop();
     const { store } = this;
-    if (store.ended || store.live) return;
+    if (store.ended || store.beforeGesture) return;
     if (store.frame >= store.bounds.last) store.show(store.bounds.first);
-    this.on = true;
     this.from = store.frame;
     this.since = performance.now();
-    this.#look();
+    this.#setOn(true);
     this.#tick();
   }
 
   stop() {
     if (!this.on) return;
-    this.on = false;
     cancelAnimationFrame(this.due);
-    this.#look();
+    this.#setOn(false);
   }
 
   #tick() {
@@ -90,9 +87,11 @@ export class Play {
     });
   }
 
-  #look() {
-    this.button.replaceChildren(icon(this.on ? "pause" : "play"));
-    this.button.setAttribute("aria-label", this.on ? "Pause" : "Play");
-    this.button.title = this.on ? "Pause (K)" : "Play (K)";
+  #setOn(on) {
+    this.on = on;
+    const text = on ? "Pause" : "Play";
+    this.button.replaceChildren(icon(`icon-${text.toLowerCase()}`));
+    this.button.setAttribute("aria-label", text);
+    this.button.title = `${text} (K)`;
   }
 }

@@ -1,11 +1,11 @@
-// Where to look: the frames of least confidence, and what was corrected, as lists and by keys.
+// Which frames to review: those of low confidence, and what was corrected, as lists and by keys.
 
-import { $, icon, make, rove, spoken, write } from "./dom.js";
+import { $, button, icon, make, percent, readable, rovingFocus, setText } from "./dom.js";
 import { label } from "./draw.js";
 
 const FEW = 3; // names of parts in a line
 
-export class Doubtful {
+export class Review {
   /** `remove(correction)` is called by its button. */
   constructor(store, { say, remove }) {
     Object.assign(this, { store, say, remove });
@@ -13,10 +13,10 @@ export class Doubtful {
     this.corrections = [];
     this.seen = new Set();
     this.shape = "";
-    rove($("doubtful"), ".goes");
-    rove($("corrections"), ".goes");
-    store.addEventListener("frame", () => this.#here());
-    store.addEventListener("draft", () => this.#list());
+    rovingFocus($("review"), ".goes");
+    rovingFocus($("corrections"), ".goes");
+    store.addEventListener("frame", () => this.#showCurrent());
+    store.addEventListener("draft", () => this.#update());
   }
 
   show({ doubtful, corrections }) {
@@ -27,162 +27,139 @@ export class Doubtful {
     }
     this.frames = [...frames.values()];
     for (const one of this.frames) {
-      // what was tracked anew is another doubt
+      // a frame that was tracked again is to be reviewed again
       one.key = `${one.frame} ${one.parts.map(({ target, part, confidence }) => [target, part, confidence]).join(" ")}`;
     }
     this.corrections = corrections;
-    this.#list();
+    this.#update();
   }
 
   // --- from one to the next
 
-  next(way) {
-    const sorted = [...this.frames].sort((a, b) => way * (a.frame - b.frame));
-    const to = sorted.find(({ frame }) => way * (frame - this.store.frame) > 0);
-    if (to) this.#look(to);
-    else
-      this.say(
-        this.frames.length ? `No doubtful frame ${way > 0 ? "after" : "before"} this one.` : "No frame is doubtful.",
-      );
+  next(direction) {
+    const to = this.#nearest(this.frames, direction);
+    const none = `No frame to review ${direction > 0 ? "after" : "before"} this one.`;
+    if (to) this.#showFrame(to);
+    else this.say(this.frames.length ? none : "There is no frame to review.");
   }
 
   worst() {
     const to = this.frames.find(({ key }) => !this.seen.has(key));
-    if (to) this.#look(to);
-    else this.say(this.frames.length ? "Every doubtful frame was looked at." : "No frame is doubtful.");
+    if (to) this.#showFrame(to);
+    else this.say(this.frames.length ? "You have reviewed every frame of the list." : "There is no frame to review.");
   }
 
-  nextCorrection(way) {
-    const sorted = [...this.corrections].sort((a, b) => way * (a.frame - b.frame));
-    const to = sorted.find(({ frame }) => way * (frame - this.store.frame) > 0);
-    if (to) this.#visit(to);
-    else if (!this.corrections.length) this.say("Nothing is corrected.");
-    else this.say(`No correction ${way > 0 ? "after" : "before"} this frame.`);
+  nextCorrection(direction) {
+    const to = this.#nearest(this.corrections, direction);
+    const none = `No correction ${direction > 0 ? "after" : "before"} this frame.`;
+    if (to) this.#showCorrection(to);
+    else this.say(this.corrections.length ? none : "Nothing is corrected.");
   }
 
-  #look(one) {
+  // the next in one direction, 1 or -1
+  #nearest(all, direction) {
+    const sorted = [...all].sort((a, b) => direction * (a.frame - b.frame));
+    return sorted.find(({ frame }) => direction * (frame - this.store.frame) > 0);
+  }
+
+  #showFrame(one) {
     const [{ target, part }] = one.parts;
     this.seen.add(one.key);
     this.store.jump(one.frame, { target, part });
-    this.say(`Frame ${one.frame}: ${this.#told(one)}`, "quiet");
+    const lost = isLost(one) ? "lost, " : "";
+    this.say(`Frame ${one.frame}: ${this.#names(one.parts)}, ${lost}${percent(one.parts[0].confidence)}`, "quiet");
   }
 
-  #visit(one) {
+  #showCorrection(one) {
     this.store.jump(one.frame, one.parts.length ? { target: one.target, part: one.parts[0] } : null);
-    this.say(`Frame ${one.frame}: ${spoken(one.target)}, ${this.#what(one)}`, "quiet");
-  }
-
-  // --- words
-
-  #names(parts) {
-    const names = parts.map((one) => spoken(label(this.store, one)));
-    return names.length > FEW ? `${names.slice(0, FEW).join(", ")}, ${names.length - FEW} more` : names.join(", ");
-  }
-
-  #told({ parts }) {
-    const sure = `${Math.round(parts[0].confidence * 100)} %`;
-    return `${this.#names(parts)}, ${parts.some(({ status }) => status === "lost") ? "lost, " : ""}${sure}`;
-  }
-
-  #what({ target, parts, absent }) {
-    const words = [];
-    const names = (list) => list.map(spoken).join(", ");
-    if (parts.length) words.push(parts[0] === "box" ? "box by hand" : `${names(parts)} by hand`);
-    const all = absent === true;
-    if (all) words.push("not there");
-    else if (absent.length) words.push(`${names(absent)} not there`);
-    return words.join("; ") || `${spoken(target)} begins anew`;
+    this.say(`Frame ${one.frame}: ${readable(one.target)}, ${describe(one)}`, "quiet");
   }
 
   // --- the lists
 
-  #list() {
-    const { store } = this;
-    const shape = JSON.stringify([this.frames, this.corrections, [...this.seen], store.busy, store.ended]);
+  #update() {
+    const { store, frames, corrections } = this;
+    const shape = JSON.stringify([frames, corrections, [...this.seen], store.busy, store.ended]);
     if (shape !== this.shape) {
       this.shape = shape;
       const focused = document.activeElement?.dataset?.goes;
-      $("doubtful").replaceChildren(...this.frames.map((one) => this.#frame(one)));
-      $("corrections").replaceChildren(...this.corrections.map((one) => this.#correction(one)));
+      $("review").replaceChildren(...frames.map((one) => this.#frameItem(one)));
+      $("corrections").replaceChildren(...corrections.map((one) => this.#correctionItem(one)));
       if (focused) document.querySelector(`[data-goes="${focused}"]`)?.focus();
-      for (const id of ["doubtful", "corrections"]) {
+      for (const id of ["review", "corrections"]) {
         const [first] = $(id).querySelectorAll(".goes");
         if (first && !$(id).contains(document.activeElement)) first.tabIndex = 0;
       }
     }
-    write($("doubtful-count"), this.frames.length ? String(this.frames.length) : "");
-    write($("corrections-count"), this.corrections.length ? String(this.corrections.length) : "");
+    setText($("review-count"), frames.length ? String(frames.length) : "");
+    setText($("corrections-count"), corrections.length ? String(corrections.length) : "");
     const none = "No part is lost, and none has a confidence below 50 %.";
-    write($("doubtful-note"), this.frames.length ? "The worst first; grey is what was looked at." : none);
-    write(
-      $("corrections-note"),
-      this.corrections.length ? "" : "Nothing is corrected yet. Drag what is wrong, then track from there.",
-    );
-    $("corrections-note").hidden = !!this.corrections.length;
-    $("doubt-on").disabled = $("doubt-back").disabled = !this.frames.length;
-    this.#here();
+    setText($("review-note"), frames.length ? "The worst frame first. Frames in grey are reviewed." : none);
+    $("corrections-note").hidden = corrections.length > 0;
+    $("review-next").disabled = $("review-previous").disabled = !frames.length;
+    this.#showCurrent();
   }
 
-  #frame(one) {
-    const lost = one.parts.some(({ status }) => status === "lost");
+  #names(parts) {
+    const names = parts.map((one) => readable(label(this.store, one)));
+    return names.length > FEW ? `${names.slice(0, FEW).join(", ")}, ${names.length - FEW} more` : names.join(", ");
+  }
+
+  #frameItem(one) {
+    const lost = isLost(one);
     const seen = this.seen.has(one.key);
-    const sure = `${lost ? "lost " : ""}${Math.round(one.parts[0].confidence * 100)} %`;
-    const button = make(
-      "button",
-      {
-        type: "button",
-        class: "goes",
-        tabindex: "-1",
-        "data-goes": `d${one.frame}`,
-        "data-testid": `doubtful-${one.frame}`,
-      },
+    const goes = button(
+      `review-${one.frame}`,
+      { class: "goes", tabindex: "-1", "data-goes": `r${one.frame}`, click: () => this.#showFrame(one) },
       make("span", { class: "at" }, String(one.frame)),
       make("span", { class: "what" }, this.#names(one.parts)),
-      make("span", { class: `sure${lost ? " bad" : ""}` }, sure),
-      make("span", { class: "unseen" }, seen ? ", looked at" : ""),
-    );
-    button.addEventListener("click", () => this.#look(one));
-    return make("li", { class: seen ? "seen" : null, "data-frame": one.frame }, button);
-  }
-
-  #correction(one) {
-    const { frame, target } = one;
-    const button = make(
-      "button",
-      {
-        type: "button",
-        class: "goes",
-        tabindex: "-1",
-        "data-goes": `c${frame}${target}`,
-        "data-testid": `correction-${frame}-${target}`,
-      },
-      make("span", { class: "at" }, String(frame)),
       make(
         "span",
-        { class: "what" },
-        this.store.layout.length > 1 ? `${spoken(target)}: ${this.#what(one)}` : this.#what(one),
+        { class: `confidence${lost ? " bad" : ""}` },
+        `${lost ? "lost " : ""}${percent(one.parts[0].confidence)}`,
       ),
+      make("span", { class: "visually-hidden" }, seen ? ", reviewed" : ""),
     );
-    button.addEventListener("click", () => this.#visit(one));
-    const remove = make(
-      "button",
-      {
-        type: "button",
-        class: "clear",
-        "data-testid": `uncorrect-${frame}-${target}`,
-        disabled: this.store.busy || this.store.ended,
-      },
-      icon("cross"),
-    );
-    remove.setAttribute("aria-label", `Remove the correction of ${spoken(target)} in frame ${frame}`);
-    remove.title = "Remove, and track anew";
-    remove.addEventListener("click", () => this.remove(one));
-    return make("li", { "data-frame": frame }, button, remove);
+    return make("li", { class: seen ? "seen" : null, "data-frame": one.frame }, goes);
   }
 
-  #here() {
-    for (const item of document.querySelectorAll("#doubtful > li, #corrections > li")) {
+  #correctionItem(one) {
+    const { frame, target } = one;
+    const { busy, ended, layout } = this.store;
+    const goes = button(
+      `correction-${frame}-${target}`,
+      { class: "goes", tabindex: "-1", "data-goes": `c${frame}${target}`, click: () => this.#showCorrection(one) },
+      make("span", { class: "at" }, String(frame)),
+      make("span", { class: "what" }, `${layout.length > 1 ? `${readable(target)}: ` : ""}${describe(one)}`),
+    );
+    const remove = button(
+      `uncorrect-${frame}-${target}`,
+      {
+        class: "clear",
+        disabled: busy || ended,
+        "aria-label": `Remove the correction of ${readable(target)} in frame ${frame}`,
+        title: "Remove, and track again",
+        click: () => this.remove(one),
+      },
+      icon("icon-cross"),
+    );
+    return make("li", { "data-frame": frame }, goes, remove);
+  }
+
+  #showCurrent() {
+    for (const item of document.querySelectorAll("#review > li, #corrections > li")) {
       item.classList.toggle("current", Number(item.dataset.frame) === this.store.frame);
     }
   }
+}
+
+const isLost = ({ parts }) => parts.some(({ status }) => status === "lost");
+
+// a correction in a few words
+function describe({ target, parts, absent }) {
+  const names = (list) => list.map(readable).join(", ");
+  const moved = parts[0] === "box" ? "box by hand" : `${names(parts)} by hand`;
+  const marked = absent === true ? "absent" : `${names(absent)} absent`;
+  const texts = [...(parts.length ? [moved] : []), ...(absent === true || absent.length ? [marked] : [])];
+  return texts.join("; ") || `${readable(target)} begins again`;
 }

@@ -1,27 +1,32 @@
-// Save, what is lacking, and what comes after.
+// Save, and what is shown afterwards.
 
 import * as api from "./api.js";
-import { $, make, write } from "./dom.js";
+import { $, make, setText } from "./dom.js";
 
-/** What it says where a start is chosen, and where a run is put right. */
-const WORDS = {
+const TEXTS = {
   pick: {
-    faster: "Not saved: another window changed the start, or saves it. Look at it, then save again.",
+    conflict: "Not saved: another window has changed the start, or is saving it. Check it, then save again.",
     next: "To track from there:",
   },
   fix: {
-    faster: "Not saved: another window is at work on the run. Look at it, then save again.",
-    next: "For a report of it:",
+    conflict: "Not saved: another window is working on the run. Check it, then save again.",
+    next: "To make its report:",
   },
 };
 
+/** Shows a problem above the buttons, or hides it (""). */
+export function showProblem(text) {
+  $("problem").hidden = !text;
+  setText($("problem"), text);
+}
+
 export class Save {
-  /** `title()` is of what comes after. */
-  constructor({ store, sync, say, onlack, title = () => "Saved" }) {
-    Object.assign(this, { store, sync, say, onlack, title });
-    this.words = WORDS[store.mode];
-    write($("saved-for"), this.words.next);
-    this.under = false;
+  /** `title()` is the title of what is shown afterwards; `onmissing()` is called if something is missing. */
+  constructor({ store, sync, say, onmissing, title }) {
+    Object.assign(this, { store, sync, say, onmissing, title });
+    this.texts = TEXTS[store.mode];
+    setText($("saved-for"), this.texts.next);
+    this.running = false;
     this.accepted = false;
     $("copy").addEventListener("click", () => this.#copy());
     $("saved-close").addEventListener("click", () => $("saved").close());
@@ -29,78 +34,71 @@ export class Save {
 
   async save() {
     const { store, sync } = this;
-    if (this.under || store.ended || store.live) return;
-    this.under = true;
-    this.#busy(true);
-    this.lack("");
+    if (this.running || store.ended || store.beforeGesture) return;
+    this.#setRunning(true);
+    showProblem("");
     try {
       await sync.flush();
       await api.post("save", { base: sync.revision });
       this.accepted = true;
       this.say(`Writing ${store.session.saves_to} …`);
-      sync.fresh();
+      sync.pollAgain();
     } catch (error) {
-      this.under = false;
-      this.#busy(false);
-      if (error instanceof api.Gone) this.say("Not saved: facetrack does not answer.", "error");
+      this.#setRunning(false);
+      if (error instanceof api.Unreachable) this.say("Not saved: facetrack does not answer.", "error");
       else if (error.status === 409) {
-        this.say(this.words.faster, "warning");
+        this.say(this.texts.conflict, "warning");
         sync.poll();
       } else {
-        this.lack(error.message);
-        if (error.status === 422) this.onlack();
+        showProblem(error.message);
+        if (error.status === 422) this.onmissing();
       }
     }
   }
 
-  lack(words) {
-    $("lack").hidden = !words;
-    write($("lack"), words);
-  }
-
-  /** What the server says of a job, of an end, or of a failure. */
-  state({ ended, job, message }) {
+  /** The server's state: a job, the end, or a failure. */
+  update({ ended, job, message }) {
     if (ended && !this.store.ended) this.#end(ended);
     else if (this.accepted && !ended && !job && message) {
-      this.under = this.accepted = false;
-      this.#busy(false);
-      this.lack(message);
+      this.accepted = false;
+      this.#setRunning(false);
+      showProblem(message);
     }
   }
 
-  #busy(busy) {
-    $("save").disabled = busy;
-    write($("save-label"), busy ? "Saving …" : "Save");
+  #setRunning(running) {
+    this.running = running;
+    $("save").disabled = running;
+    setText($("save-label"), running ? "Saving …" : "Save");
   }
 
-  #end({ said, next }) {
+  #end({ messages, next }) {
     const { store } = this;
     store.ended = true;
     store.selected = store.current = null;
     store.emit("draft");
     document.body.classList.add("ended");
-    this.#busy(true);
-    write($("save-label"), this.title());
-    write($("saved-title"), this.title());
-    $("saved-said").replaceChildren(...said.map((line) => make("li", {}, line)));
+    $("save").disabled = true;
+    setText($("save-label"), this.title());
+    setText($("saved-title"), this.title());
+    $("saved-messages").replaceChildren(...messages.map((line) => make("li", {}, line)));
     $("saved-next").hidden = !next;
-    write($("next-command"), next ?? "");
+    setText($("next-command"), next ?? "");
     if (!$("saved").open) $("saved").showModal();
-    this.say(said.join(". "));
+    this.say(messages.join(". "));
   }
 
   async #copy() {
-    const words = $("next-command").textContent;
     let done = true;
     try {
-      await navigator.clipboard.writeText(words);
+      await navigator.clipboard.writeText($("next-command").textContent);
     } catch {
-      // not allowed, or no such thing: the old way, by a selection
+      // not allowed, or not available: by a selection
       getSelection().selectAllChildren($("next-command"));
       done = document.execCommand("copy");
     }
-    write($("copy"), done ? "Copied" : "Press Ctrl+C");
+    setText($("copy"), done ? "Copied" : "Press Ctrl+C");
     clearTimeout(this.copied);
-    this.copied = setTimeout(() => write($("copy"), "Copy"), 2500);
+    this.copied = setTimeout(() => setText($("copy"), "Copy"), 2500);
   }
 }

@@ -1,16 +1,19 @@
-// What is chosen so far (the draft), what is wanted, what is selected; undo and redo. Knows neither page nor server.
+// The draft, what is required, what is selected; undo and redo. It knows neither the page nor the server.
 
-import { arranged, stranger } from "./layout.js";
+import { clamp } from "./geometry.js";
+import { addedGroup, groupsOf } from "./layout.js";
 
 export const BOX = "box";
-export const LEAST_BOX = 6; // pixels of a side, as the server has it
 const MERGED = 1000; // ms: nudges that follow each other as fast are one step of undo
 const MOST_STEPS = 500;
 
-export const same = (a, b) => a === b || (!!a && !!b && a.target === b.target && a.part === b.part);
+/** A slot is a part of a target: {target, part}. */
+export const sameSlot = (a, b) => a === b || (!!a && !!b && a.target === b.target && a.part === b.part);
+export const slotId = (slot) => (slot ? `${slot.target}/${slot.part}` : "");
 export const round = (value) => Math.round(value * 100) / 100;
-
-export const empty = () => ({ box: null, points: {}, absent: [] });
+export const emptyTarget = () => ({ box: null, points: {}, absent: [] });
+const isEmptyTarget = ({ box, points, absent }) =>
+  !box && !Object.keys(points).length && absent !== true && !absent?.length;
 
 /** Events: "draft" (anything that is drawn or listed), "frame", "commit" (the draft is to be sent). */
 export class Store extends EventTarget {
@@ -22,15 +25,16 @@ export class Store extends EventTarget {
     this.bounds = session.frames;
     this.frame = draft.frame;
     this.draft = draft;
-    this.layout = arranged(session, draft);
+    this.layout = groupsOf(session, draft);
     this.past = [];
     this.future = [];
-    this.live = null; // the state before a gesture that is under way
-    this.current = null; // the part that a click places
-    this.selected = null; // the mark that arrow keys nudge
+    this.beforeGesture = null; // the state before a gesture that has not ended
+    this.current = null; // the slot that a click places
+    this.selected = null; // the slot that arrow keys nudge
     this.proposals = [];
+    this.busy = false; // while something is tracked
     this.ended = false;
-    this.current = this.next();
+    this.current = this.nextMissing();
   }
 
   emit(what) {
@@ -39,7 +43,7 @@ export class Store extends EventTarget {
 
   // --- what there is
 
-  /** All parts in the order of the list: {target, part}. */
+  /** All slots in the order of the list. */
   slots() {
     return this.layout.flatMap(({ target, box, points }) => [
       ...(box === "no" ? [] : [{ target, part: BOX }]),
@@ -57,58 +61,59 @@ export class Store extends EventTarget {
     return this.layout.find((one) => one.target === target);
   }
 
-  optional(slot) {
+  isOptional(slot) {
     const group = this.group(slot.target);
     return slot.part === BOX ? group.box !== "needed" : group.extra.includes(slot.part);
   }
 
   isEmpty() {
-    return Object.values(this.draft.targets).every(
-      (target) => !target.box && !Object.keys(target.points).length && target.absent !== true && !target.absent?.length,
-    );
+    return Object.values(this.draft.targets).every(isEmptyTarget);
   }
 
-  /** Whether what is done now belongs to the frame that is shown: a start is of one frame. */
+  /** Whether a change now belongs to the frame that is shown: a draft is of one frame. */
   isHere() {
     return this.isEmpty() || this.draft.frame === this.frame;
   }
 
-  /** The part that a click on free ground places, null if that moves the picture. */
-  open() {
+  /** The slot that a click on the frame places; null if a drag moves the image. */
+  openSlot() {
     return this.current && !this.value(this.current) ? this.current : null;
   }
 
-  /** The first part that is needed and lacking, from the one after `slot` on, then from the top; null if none is. */
-  next(slot = null) {
+  /** The first required slot without a value, from the one after `slot` on, then from the top; null if there is none. */
+  nextMissing(slot = null) {
     const all = this.slots();
-    const from = all.findIndex((one) => same(one, slot)) + 1;
-    const lacking = [...all.slice(from), ...all.slice(0, from)].filter((one) => !this.value(one));
-    const first = this.isEmpty() ? (lacking[0] ?? null) : null;
-    return lacking.find((one) => !this.optional(one)) ?? first;
+    const from = all.findIndex((one) => sameSlot(one, slot)) + 1;
+    const missing = [...all.slice(from), ...all.slice(0, from)].filter((one) => !this.value(one));
+    const first = this.isEmpty() ? (missing[0] ?? null) : null;
+    return missing.find((one) => !this.isOptional(one)) ?? first;
   }
 
   progress() {
-    const all = this.slots();
-    const needed = all.filter((slot) => !this.optional(slot) || this.value(slot));
+    const needed = this.slots().filter((slot) => !this.isOptional(slot) || this.value(slot));
     return { done: needed.filter((slot) => this.value(slot)).length, of: needed.length };
   }
 
   // --- the frame
 
   /** Called before another frame is shown. */
-  leave() {}
+  deselect() {}
 
   show(frame) {
     const { first, last } = this.bounds;
-    frame = Math.min(Math.max(Math.round(frame), first), last);
+    frame = clamp(Math.round(frame), first, last);
     if (!Number.isFinite(frame) || frame === this.frame) return;
-    this.leave();
+    this.deselect();
     this.frame = frame;
     if (this.isEmpty()) this.draft.frame = frame; // nothing belongs to a frame yet
     this.emit("frame");
   }
 
-  bound(frames) {
+  showDraftFrame() {
+    if (!this.isEmpty()) this.show(this.draft.frame);
+  }
+
+  setBounds(frames) {
     if (frames.last === this.bounds.last && frames.first === this.bounds.first) return;
     this.bounds = frames;
     this.show(this.frame);
@@ -125,26 +130,26 @@ export class Store extends EventTarget {
     const top = this.past.at(-1);
     const now = performance.now();
     if (merge && top?.merge === merge && now - top.at < MERGED) top.at = now;
-    else this.past.push({ ...before, merge, at: now, selected: this.selected });
+    else this.past.push({ ...before, merge, at: now });
     if (this.past.length > MOST_STEPS) this.past.shift();
     this.future = [];
   }
 
-  /** One step of undo: `edit` changes the draft or the layout in place. Steps of one `merge` in a row are one. */
+  /** One step of undo: `edit` changes the draft or the layout in place. Successive steps of one `merge` are one. */
   change(edit, merge = "") {
     if (this.ended) return;
     const before = this.#snapshot();
     if (this.isEmpty()) this.draft.frame = this.frame;
     edit(this.draft, this.layout);
     this.#remember(before, merge);
-    this.#settle(); // what is selected may be there no more
+    this.#checkSelection();
     this.emit("draft");
     this.emit("commit");
   }
 
-  /** A gesture begins: what `drag` does is one step, or none if it is cancelled. */
+  /** A gesture begins: what `drag` changes is one step, or none if it is cancelled. */
   begin() {
-    this.live = this.#snapshot();
+    this.beforeGesture = this.#snapshot();
     if (this.isEmpty()) this.draft.frame = this.frame;
   }
 
@@ -154,8 +159,8 @@ export class Store extends EventTarget {
   }
 
   commit() {
-    const before = this.live;
-    this.live = null;
+    const before = this.beforeGesture;
+    this.beforeGesture = null;
     if (!before) return;
     if (JSON.stringify(before.draft) !== JSON.stringify(this.draft)) {
       this.#remember(before, "");
@@ -165,21 +170,23 @@ export class Store extends EventTarget {
   }
 
   cancel() {
-    if (!this.live) return;
-    Object.assign(this, this.live);
-    this.live = null;
+    if (!this.beforeGesture) return;
+    Object.assign(this, this.beforeGesture);
+    this.beforeGesture = null;
     this.emit("draft");
   }
 
-  /** Puts a part into a draft, or takes it out of it (null). */
+  /** Puts a value into a draft, or removes it (null). */
   put(draft, slot, value) {
-    const target = (draft.targets[slot.target] ??= empty());
+    const target = (draft.targets[slot.target] ??= emptyTarget());
     if (slot.part === BOX) target.box = value && value.map(round);
     else if (value) target.points[slot.part] = value.map(round);
     else delete target.points[slot.part];
-    if (!value && !target.box && !Object.keys(target.points).length && !this.group(slot.target)?.added) {
-      delete draft.targets[slot.target];
-    }
+    if (!value && !this.group(slot.target)?.added) this.removeIfEmpty(draft, slot.target);
+  }
+
+  removeIfEmpty(draft, target) {
+    if (isEmptyTarget(draft.targets[target])) delete draft.targets[target];
   }
 
   set(slot, value, merge = "") {
@@ -191,12 +198,12 @@ export class Store extends EventTarget {
     this.change((draft, layout) => {
       for (const [name, given] of Object.entries(proposal.targets)) {
         const target = as ?? name;
-        if (!this.group(target)) layout.push(stranger(this.session, target));
-        draft.targets[target] = { ...empty(), box: given.box ?? null, points: { ...given.points } };
+        if (!this.group(target)) layout.push(addedGroup(this.session, target));
+        draft.targets[target] = { ...emptyTarget(), box: given.box ?? null, points: { ...given.points } };
       }
     });
     this.selected = null;
-    this.current = this.next();
+    this.current = this.nextMissing();
     this.emit("draft");
   }
 
@@ -206,14 +213,14 @@ export class Store extends EventTarget {
     });
   }
 
-  // --- targets of the user's own
+  // --- targets that the user adds
 
   addTarget(name) {
     this.change((draft, layout) => {
-      layout.push(stranger(this.session, name));
-      draft.targets[name] = empty();
+      layout.push(addedGroup(this.session, name));
+      draft.targets[name] = emptyTarget();
     });
-    this.pick(this.slots().find((slot) => slot.target === name) ?? null);
+    this.select(this.slots().find((slot) => slot.target === name) ?? null);
   }
 
   rename(from, to) {
@@ -228,40 +235,40 @@ export class Store extends EventTarget {
 
   removeTarget(name) {
     this.change((draft, layout) => {
-      layout.splice(
-        layout.findIndex((one) => one.target === name),
-        1,
-      );
+      const at = layout.findIndex((one) => one.target === name);
+      layout.splice(at, 1);
       delete draft.targets[name];
     });
   }
 
   // --- selection
 
-  pick(slot) {
+  select(slot) {
     this.selected = slot;
     if (slot) this.current = slot;
     this.emit("draft");
   }
 
-  /** The part that was chosen in the list. */
-  arm(slot) {
-    this.pick(slot);
+  /** The slot was chosen in the list. */
+  choose(slot) {
+    this.select(slot);
   }
 
-  /** After a part was placed: it stays selected for the arrow keys, the next one that is lacking becomes current. */
+  /** After a slot was placed: it stays selected for the arrow keys, the next missing one becomes current. */
   advance(slot) {
     this.selected = slot;
-    this.current = this.next(slot);
+    this.current = this.nextMissing(slot);
     this.emit("draft");
   }
 
-  #settle() {
+  // what is selected may not exist any more
+  #checkSelection() {
     const all = this.slots();
-    const known = (slot) => (all.some((one) => same(one, slot)) ? slot : null);
+    const known = (slot) => (all.some((one) => sameSlot(one, slot)) ? slot : null);
     this.selected = this.value(known(this.selected)) ? this.selected : null;
     const current = known(this.current);
-    this.current = current && (!this.value(current) || same(current, this.selected)) ? current : this.next();
+    const stays = current && (!this.value(current) || sameSlot(current, this.selected));
+    this.current = stays ? current : this.nextMissing();
   }
 
   // --- undo
@@ -275,32 +282,32 @@ export class Store extends EventTarget {
   }
 
   #step(from, to) {
-    if (this.ended || this.live || !from.length) return false;
+    if (this.ended || this.beforeGesture || !from.length) return false;
     const { draft, layout } = from.pop();
     to.push({ ...this.#snapshot(), merge: "", at: 0 });
     Object.assign(this, { draft, layout });
-    this.#settle();
-    if (!this.isEmpty() && draft.frame !== this.frame) this.show(draft.frame);
+    this.#checkSelection();
+    this.showDraftFrame();
     this.emit("draft");
     this.emit("commit");
     return true;
   }
 
-  /** Takes over what another window made of it; undo brings back what was here. */
+  /** Replaces the draft by that of another window; undo brings back what was here. */
   adopt(draft) {
     this.#remember(this.#snapshot(), "");
-    this.live = null;
+    this.beforeGesture = null;
     const wasHere = this.isHere();
     this.draft = structuredClone(draft);
-    this.layout = arranged(this.session, this.draft);
-    this.#settle();
+    this.layout = groupsOf(this.session, this.draft);
+    this.#checkSelection();
     if (this.isEmpty()) this.draft.frame = this.frame;
     else if (wasHere) this.follow();
     this.emit("draft");
   }
 
-  /** Goes along with another window to the frame of what it changed. */
+  /** Shows the frame of what another window changed. */
   follow() {
-    this.show(this.draft.frame);
+    this.showDraftFrame();
   }
 }

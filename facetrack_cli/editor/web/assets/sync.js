@@ -1,4 +1,4 @@
-// Keeps the draft here and at the server alike: sends ours, looks for another window's, tells if nobody answers.
+// Keeps the draft of this window and that of the server the same, and notices when the server does not answer.
 
 import * as api from "./api.js";
 
@@ -6,7 +6,7 @@ const REST = 250; // ms after the last change
 const POLL = 1000;
 const POLL_JOB = 300;
 
-/** Calls onstate(state), onothers(lost), ongone(), onback(), onrefused(error). */
+/** Calls onstate(state), onother(lost), onoffline(), ononline(), onrefused(error). */
 export class Sync {
   constructor(store, state, on) {
     this.store = store;
@@ -14,24 +14,24 @@ export class Sync {
     this.revision = state.revision;
     this.state = state;
     this.dirty = false;
-    this.running = null;
-    this.gone = false;
+    this.sending = null;
+    this.offline = false;
     store.addEventListener("commit", () => {
       this.dirty = true;
       clearTimeout(this.timer);
       this.timer = setTimeout(() => this.flush().catch(() => {}), REST);
     });
     document.addEventListener("visibilitychange", () => document.hidden || this.poll());
-    this.#again();
+    this.#schedule();
   }
 
-  /** Sends what is not sent yet; afterwards the server has our draft, or an error says why not. */
+  /** Sends what is not sent yet; afterwards the server has this draft, or the error says why not. */
   flush() {
     clearTimeout(this.timer);
-    this.running ??= this.#send().finally(() => {
-      this.running = null;
+    this.sending ??= this.#send().finally(() => {
+      this.sending = null;
     });
-    return this.running;
+    return this.sending;
   }
 
   async #send() {
@@ -40,33 +40,33 @@ export class Sync {
       try {
         const { revision } = await api.putDraft(this.revision, this.store.draft);
         this.revision = revision;
-        this.#answers();
+        this.#setOffline(false);
       } catch (error) {
         if (error instanceof api.Refused && error.status === 409 && error.body?.draft) {
-          this.#take(error.body, true);
+          this.#adopt(error.body, true);
           continue;
         }
         this.dirty = true;
-        if (error instanceof api.Gone) this.#lost();
+        if (error instanceof api.Unreachable) this.#setOffline(true);
         else this.on.onrefused(error);
         throw error;
       }
     }
   }
 
-  /** The server's state, null if nobody answers. */
+  /** The server's state, null without an answer. */
   poll() {
     clearTimeout(this.next);
     if (this.store.ended) return Promise.resolve(null);
     this.polling ??= this.#poll().finally(() => {
       this.polling = null;
-      this.#again();
+      this.#schedule();
     });
     return this.polling;
   }
 
-  /** As `poll`, but asked for from now on. */
-  async fresh() {
+  /** As `poll`, but of a request that begins now. */
+  async pollAgain() {
     await this.polling;
     return this.poll();
   }
@@ -74,42 +74,39 @@ export class Sync {
   async #poll() {
     try {
       const state = await api.state();
-      this.#answers();
-      if (state.revision > this.revision && !this.dirty && !this.running && !this.store.live) this.#take(state, false);
+      this.#setOffline(false);
+      const free = () => !this.sending && !this.store.beforeGesture;
+      if (state.revision > this.revision && !this.dirty && free()) this.#adopt(state, false);
       this.state = state;
       this.on.onstate(state);
-      if (this.dirty && !this.running && !this.store.live) this.flush().catch(() => {});
+      if (this.dirty && free()) this.flush().catch(() => {});
       return state;
     } catch (error) {
-      this.#lost(); // also if it refuses: another server is at this address now
-      if (!(error instanceof api.Gone || error instanceof api.Refused)) throw error;
+      this.#setOffline(true); // also if it refuses: another server has this address now
+      if (!(error instanceof api.Unreachable || error instanceof api.Refused)) throw error;
       return null;
     }
   }
 
-  #again() {
+  #schedule() {
     clearTimeout(this.next);
     if (!this.store.ended) this.next = setTimeout(() => this.poll(), this.state.job ? POLL_JOB : POLL);
   }
 
-  #take(state, lost) {
+  // takes the draft of another window; `lost`: a change of this window was too late
+  #adopt(state, lost) {
     this.revision = state.revision;
     this.state = state;
     if (JSON.stringify(state.draft) === JSON.stringify(this.store.draft)) return;
     this.store.adopt(state.draft);
-    this.on.onothers(lost);
+    this.on.onother(lost);
     this.on.onstate(state);
   }
 
-  #answers() {
-    if (!this.gone) return;
-    this.gone = false;
-    this.on.onback();
-  }
-
-  #lost() {
-    if (this.gone || this.store.ended) return;
-    this.gone = true;
-    this.on.ongone();
+  #setOffline(offline) {
+    if (offline === this.offline || (offline && this.store.ended)) return;
+    this.offline = offline;
+    if (offline) this.on.onoffline();
+    else this.on.ononline();
   }
 }

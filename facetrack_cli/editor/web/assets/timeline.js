@@ -1,22 +1,23 @@
-// The run at a glance, under the slider: confidence as a curve, what is lost or absent, corrections, where one is.
+// The run under the slider: confidence as a curve, what is lost or absent, the corrections, the frame that is shown.
 
-import { $ } from "./dom.js";
+import { $, plural } from "./dom.js";
 import { diamondPath } from "./draw.js";
+import { clamp } from "./geometry.js";
 
-const SLIDER = 11; // CSS pixels from its end to the middle of its thumb: frames lie under it
+const SLIDER = 11; // CSS pixels from its end to the middle of its thumb: the frames are below it
 const STRIP = 5; // CSS pixels below the curve: lost and absent
 const HEAD = 11; // above it: corrections
-const REST = 150; // ms after the last change of size
+const RESIZED = 150; // ms after the last change of size
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
 
 export class Timeline {
-  /** `ask(bins)` is called when the overview is wanted with as many. */
-  constructor(store, ask) {
-    Object.assign(this, { store, ask });
+  /** `request(bins)` is called when the overview is needed with so many bins. */
+  constructor(store, request) {
+    Object.assign(this, { store, request });
     this.canvas = $("timeline");
     this.context = this.canvas.getContext("2d");
     this.overview = null;
-    this.reached = null; // [first, last] frame that is being tracked anew
+    this.reached = null; // [first, last] frame that was tracked again so far
     this.bins = 0;
     new ResizeObserver(() => this.#resize()).observe(this.canvas);
     for (const name of ["frame", "draft"]) store.addEventListener(name, () => this.draw());
@@ -34,12 +35,8 @@ export class Timeline {
   show(overview) {
     this.overview = overview;
     const { doubtful, corrections } = overview;
-    const count = (n, one, more) => `${n} ${n === 1 ? one : more}`;
-    const words = [
-      count(doubtful.length, "doubtful stretch", "doubtful stretches"),
-      count(corrections.length, "correction", "corrections"),
-    ];
-    this.canvas.setAttribute("aria-label", `Confidence over the clip: ${words.join(", ")}`);
+    const counts = `${plural(doubtful.length, "stretch", "stretches")} to review, ${plural(corrections.length, "correction")}`;
+    this.canvas.setAttribute("aria-label", `Confidence over the clip: ${counts}`);
     this.draw();
   }
 
@@ -47,7 +44,7 @@ export class Timeline {
     const { left } = this.canvas.getBoundingClientRect();
     const { first, last } = this.store.bounds;
     const share = (event.clientX - left - SLIDER) / Math.max(this.width - 2 * SLIDER, 1);
-    this.store.show(first + Math.min(Math.max(share, 0), 1) * (last - first));
+    this.store.show(first + clamp(share, 0, 1) * (last - first));
   }
 
   #resize() {
@@ -64,9 +61,9 @@ export class Timeline {
     this.timer = setTimeout(
       () => {
         this.bins = bins;
-        this.ask(bins);
+        this.request(bins);
       },
-      this.bins ? REST : 0,
+      this.bins ? RESIZED : 0,
     );
   }
 
@@ -77,7 +74,7 @@ export class Timeline {
     });
   }
 
-  /** Where a frame lies, CSS pixels. */
+  /** The place of a frame, CSS pixels. */
   at(frame) {
     const { first, last } = this.store.bounds;
     return SLIDER + ((frame - first) / Math.max(last - first, 1)) * (this.width - 2 * SLIDER);
@@ -115,16 +112,15 @@ export class Timeline {
     const { first, last, bins, parts } = overview;
     const frames = last - first + 1;
     const edge = (bin) => first + Math.floor((bin * frames) / bins);
-    const whole = (x) => Math.round(x * this.ratio) / this.ratio; // or the seams would show
+    const whole = (x) => Math.round(x * this.ratio) / this.ratio; // or the seams would be visible
     const [left, right] = [SLIDER - 2, this.width - SLIDER + 2];
-    const side = (bin) => whole(Math.min(Math.max(this.at(edge(bin) - 0.5), left), right));
-    const span = (bin) => [side(bin), side(bin + 1)];
+    const side = (bin) => whole(clamp(this.at(edge(bin) - 0.5), left, right));
     const level = (value) => bottom - value * (bottom - top);
     const most = (name, bin) => Math.max(...parts.map((part) => part[name][bin]));
     const least = (bin) => parts.reduce((low, part) => Math.min(low, part.least[bin] ?? Infinity), Infinity);
     const steps = []; // [x0, y, x1] of the curve, null where nothing is known
     for (let bin = 0; bin < bins; bin++) {
-      const [x0, x1] = span(bin);
+      const [x0, x1] = [side(bin), side(bin + 1)];
       const value = least(bin);
       steps.push(Number.isFinite(value) ? [x0, level(value), x1] : null);
       const lost = most("lost", bin) > 0;

@@ -1,80 +1,81 @@
-// The run over the frame: boxes, points with their windows, and where they came from and go to.
+// The run over the frame: boxes, and points with their windows and trails.
+// The mark shows the status, as in facetrack's videos: a dot where tracked, a cross where lost, a diamond at a start.
 
-import { colour, diamond, frame, grips, label, LOST, ring, stroke, text } from "./draw.js";
+import { colour, diamond, drawBox, drawHandles, drawLabel, label, LOST, ring, stroke } from "./draw.js";
 import { CELL, placeOf } from "./fix_store.js";
-import { BOX, same } from "./store.js";
+import { percent } from "./dom.js";
+import { centreOf } from "./geometry.js";
+import { BOX, sameSlot } from "./store.js";
 
-// Status by form, as in facetrack's videos: a dot where tracked, a cross where lost, a diamond where it began.
-
-
-const TRAIL_S = 1; // of the past, and of what comes
+const TRAIL_S = 1; // of the past, and of the future
 const SAMPLES = 40; // of a trail to each side
-const FAINT = 0.4; // what is put right, and what goes with it
+const FAINT = 0.4; // what was moved, and the other parts of its target
 
-/** `shown()` says whether anything is drawn, `hovered()` which part is pointed at. */
-export function tracks(store, rows, { shown, hovered }) {
+/** `shown()` says whether anything is drawn, `hovered()` which slot is under the pointer. */
+export function trackLayer(store, rows, { shown, hovered }) {
   return (context, stage) => {
-    const at = stage.picture?.index;
+    const at = stage.image?.index;
     if (at === undefined || !shown() || !rows.frame(at)) return;
-    const here = at === store.frame; // else a picture on the way to it
-    const slots = store.layout.flatMap(({ target }) => store.parts(target));
+    const here = at === store.frame; // else an image on the way to it
+    const slots = store.allParts();
     const faint = ({ target }) => here && store.isHere() && !!store.draft.targets[target];
     for (const slot of slots) {
       context.globalAlpha = faint(slot) ? FAINT : 1;
-      trail(context, stage, rows, slot, at, colour(store, slot.target), store);
+      drawTrail(context, stage, rows, slot, at, colour(store, slot.target), store);
     }
-    // what is lost lies on top
+    // what is lost is drawn on top
     const lost = (slot) => rows.cell(at, slot)?.[CELL.status] === "lost";
     for (const slot of [...slots.filter((slot) => !lost(slot)), ...slots.filter(lost)]) {
       const cell = rows.cell(at, slot);
       if (!placeOf(cell, slot.part)) continue;
-      const chosen = here && (same(store.selected, slot) || same(store.looked, slot));
-      const moved = here && (store.drafted(slot) || store.gone(slot));
-      const titled = chosen || (here && same(hovered(), slot));
-      context.globalAlpha = faint(slot) && !chosen ? FAINT : 1;
-      if (moved) context.globalAlpha = FAINT;
-      mark(context, stage, store, slot, cell, { chosen: chosen && !moved, titled: titled && !moved });
-      if (moved) from(context, stage, store, slot, cell);
+      const chosen = here && (sameSlot(store.selected, slot) || sameSlot(store.highlighted, slot));
+      const changed = here && (store.drafted(slot) || store.markedAbsent(slot));
+      const titled = chosen || (here && sameSlot(hovered(), slot));
+      context.globalAlpha = changed || (faint(slot) && !chosen) ? FAINT : 1;
+      drawPart(context, stage, store, slot, cell, { chosen: chosen && !changed, titled: titled && !changed });
+      if (changed) drawMove(context, stage, store, slot, cell);
     }
     context.globalAlpha = 1;
   };
 }
 
-function mark(context, stage, store, slot, cell, { chosen, titled }) {
+function drawPart(context, stage, store, slot, cell, { chosen, titled }) {
   const lost = cell[CELL.status] === "lost";
   const own = colour(store, slot.target);
   const ink = lost ? LOST : own;
-  const [x, y] = stage.place(cell[CELL.x], cell[CELL.y]);
-  const selected = chosen && same(store.selected, slot);
+  const [x, y] = stage.toCanvas(cell[CELL.x], cell[CELL.y]);
   if (slot.part !== BOX) {
-    const faint = context.globalAlpha;
-    context.globalAlpha = faint * (chosen ? 0.75 : 0.35);
-    pane(context, stage, cell, ink, lost);
-    context.globalAlpha = faint;
-    sign(context, x, y, cell, ink, chosen ? 6.5 : 5);
+    const alpha = context.globalAlpha;
+    context.globalAlpha = alpha * (chosen ? 0.75 : 0.35);
+    // the window of the point
+    if (cell[CELL.w] && cell[CELL.h]) drawBox(context, stage, placeOf(cell, BOX), ink, 1, lost ? [4, 4] : []);
+    context.globalAlpha = alpha;
+    drawStatus(context, x, y, cell, ink, chosen ? 6.5 : 5);
     if (chosen) ring(context, x, y);
-    if (titled) text(context, named(store, slot, cell), x + 22, y - 16, ink);
+    if (titled) drawLabel(context, title(store, slot, cell), x + 22, y - 16, ink);
     return;
   }
   const outline = cell[CELL.corners];
-  if (outline) polygon(context, stage, outline, ink, chosen ? 2.5 : 2, lost ? [8, 6] : []);
-  else frame(context, stage, placeOf(cell, BOX), ink, chosen ? 2.5 : 2, lost ? [8, 6] : []);
-  sign(context, x, y, cell, ink, 4);
-  const [left, top] = corner(stage, cell);
+  const width = chosen ? 2.5 : 2;
+  const dash = lost ? [8, 6] : [];
+  if (outline) polygon(context, stage, outline, ink, width, dash);
+  else drawBox(context, stage, placeOf(cell, BOX), ink, width, dash);
+  drawStatus(context, x, y, cell, ink, 4);
   if (titled || store.layout.length > 1) {
-    text(context, titled ? named(store, slot, cell) : label(store, slot), left + 5, top - 14, ink);
+    const [left, top] = labelPlace(stage, cell);
+    drawLabel(context, titled ? title(store, slot, cell) : label(store, slot), left + 5, top - 14, ink);
   }
-  if (!selected) return;
-  if (outline) frame(context, stage, placeOf(cell, BOX), own, 1, [3, 4]);
-  grips(context, stage, placeOf(cell, BOX), own);
+  if (!chosen || !sameSlot(store.selected, slot)) return;
+  if (outline) drawBox(context, stage, placeOf(cell, BOX), own, 1, [3, 4]);
+  drawHandles(context, stage, placeOf(cell, BOX), own);
 }
 
-function named(store, slot, cell) {
-  const sure = cell[CELL.confidence];
-  return `${label(store, slot)}${sure === null ? "" : ` ${Math.round(sure * 100)} %`}`;
+function title(store, slot, cell) {
+  const confidence = cell[CELL.confidence];
+  return `${label(store, slot)}${confidence === null ? "" : ` ${percent(confidence)}`}`;
 }
 
-function sign(context, x, y, cell, ink, size) {
+function drawStatus(context, x, y, cell, ink, size) {
   const status = cell[CELL.status];
   if (status === "lost") {
     context.beginPath();
@@ -84,9 +85,9 @@ function sign(context, x, y, cell, ink, size) {
     }
     return stroke(context, ink, 2.5);
   }
+  context.fillStyle = ink;
   if (status === "init") {
     diamond(context, x, y, size * 1.3, ink, 2);
-    context.fillStyle = ink;
     if (cell[CELL.byHand]) context.fill();
     return;
   }
@@ -95,44 +96,35 @@ function sign(context, x, y, cell, ink, size) {
   context.lineWidth = 2;
   context.strokeStyle = "rgb(0 0 0 / 70%)";
   context.stroke();
-  context.fillStyle = ink;
   context.fill();
-}
-
-function pane(context, stage, cell, ink, lost) {
-  const [x, y, w, h] = cell;
-  if (!w || !h) return;
-  frame(context, stage, [x - (w - 1) / 2, y - (h - 1) / 2, w, h], ink, 1, lost ? [4, 4] : []);
 }
 
 function polygon(context, stage, corners, ink, width, dash) {
   context.beginPath();
-  for (const [x, y] of corners) context.lineTo(...stage.place(x, y));
+  for (const corner of corners) context.lineTo(...stage.toCanvas(...corner));
   context.closePath();
   stroke(context, ink, width, dash);
 }
 
-// where a name goes: above the leftmost of the upper corners
-function corner(stage, cell) {
+// above the leftmost of the upper corners
+function labelPlace(stage, cell) {
   const [x, y, w, h] = cell;
-  const places = cell[CELL.corners] ?? [[x - w / 2, y - h / 2]];
-  const all = places.map((place) => stage.place(...place));
-  return [Math.min(...all.map(([left]) => left)), Math.min(...all.map(([, top]) => top))];
+  const corners = (cell[CELL.corners] ?? [[x - w / 2, y - h / 2]]).map((corner) => stage.toCanvas(...corner));
+  return [Math.min(...corners.map(([left]) => left)), Math.min(...corners.map(([, top]) => top))];
 }
 
-// a line from where it was tracked to where it was put
-function from(context, stage, store, slot, cell) {
+// a line from where it was tracked to where it was moved
+function drawMove(context, stage, store, slot, cell) {
   const now = store.drafted(slot);
   if (!now) return;
-  const [x, y, w, h] = now;
   context.beginPath();
-  context.moveTo(...stage.place(cell[CELL.x], cell[CELL.y]));
-  context.lineTo(...stage.place(...(slot.part === BOX ? [x + (w - 1) / 2, y + (h - 1) / 2] : [x, y])));
+  context.moveTo(...stage.toCanvas(cell[CELL.x], cell[CELL.y]));
+  context.lineTo(...stage.toCanvas(...(slot.part === BOX ? centreOf(now) : now)));
   context.globalAlpha = 0.8;
   stroke(context, "#fff", 1, [3, 4]);
 }
 
-function trail(context, stage, rows, slot, at, ink, store) {
+function drawTrail(context, stage, rows, slot, at, ink, store) {
   const { first, last } = store.bounds;
   const reach = Math.max(Math.round(store.session.fps * TRAIL_S), 1);
   const step = Math.max(Math.ceil(reach / SAMPLES), 1);
@@ -141,18 +133,18 @@ function trail(context, stage, rows, slot, at, ink, store) {
     let before = rows.cell(at, slot);
     for (let k = step; k <= reach; k += step) {
       const index = at + sign * k;
-      // the later of two is where a correction begins anew
-      const later = sign < 0 ? before : rows.cell(index, slot);
       const cell = index < first || index > last ? null : rows.cell(index, slot);
+      // the track starts again at a correction, which is in the later one of the two
+      const later = sign < 0 ? before : cell;
       if (!placeOf(cell, slot.part) || !placeOf(before, slot.part) || later?.[CELL.byHand]) break;
       context.beginPath();
-      context.moveTo(...stage.place(before[CELL.x], before[CELL.y]));
-      context.lineTo(...stage.place(cell[CELL.x], cell[CELL.y]));
+      context.moveTo(...stage.toCanvas(before[CELL.x], before[CELL.y]));
+      context.lineTo(...stage.toCanvas(cell[CELL.x], cell[CELL.y]));
       const lost = [before, cell].some((one) => one[CELL.status] === "lost");
       context.globalAlpha = alpha * (1 - k / (reach + step)) * (sign < 0 ? 0.95 : 0.6);
       context.lineWidth = sign < 0 ? 2 : 1.25;
       context.strokeStyle = lost ? LOST : ink;
-      if (sign < 0 || k % (2 * step)) context.stroke(); // what comes is dashed
+      if (sign < 0 || k % (2 * step)) context.stroke(); // the future is dashed
       before = cell;
     }
   }
