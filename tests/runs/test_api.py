@@ -1,0 +1,116 @@
+"""The Python interface: the examples of docs/python.md and README, and what they promise."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import facetrack_cli as facetrack
+from facetrack_cli.__main__ import main
+from facetrack_cli.trajectory.writers import csv_frames
+from tests.support.samples import FOLDER
+from tests.test_docs import ROOT, blocks
+
+CLIP = FOLDER / "expressions.mp4"
+NOISE = np.random.default_rng(1).integers(0, 256, (60, 80, 3), dtype=np.uint8)
+
+
+@pytest.fixture(scope="module")
+def images():
+    """The first eight frames of a clip, as an array (T, H, W, 3)."""
+    from facetrack_cli.video.source import open_source
+
+    with open_source(CLIP, stop=8) as source:
+        return np.stack([frame.bgr for frame in source])
+
+
+def test_every_example_of_the_page_runs(tmp_path, monkeypatch):
+    pytest.importorskip("pandas")
+    (tmp_path / "sample_videos").symlink_to(FOLDER)
+    monkeypatch.chdir(tmp_path)
+    session = {}
+    found = blocks(ROOT / "docs" / "python.md", "python")
+    assert len(found) >= 7
+    for block in found:
+        exec(compile(block, "docs/python.md", "exec"), session)
+    assert len(session["trajectory"].frames) == 50 and session["trajectory"].header["complete"]
+    assert session["box"].names == (("face", "box"),) and session["hand"].targets == ("hand",)
+    assert session["recipe"].filter.particles == 200 and session["recipe"].motion.sigma.root.value == 0.12
+    assert np.hypot(session["ours"].x - session["true"].x, session["ours"].y - session["true"].y).mean() < 3
+    assert set(session["table"].part) == {part for _, part in session["trajectory"].names}
+    assert session["image"].shape == (240, 320, 3) and (tmp_path / "frame.png").stat().st_size > 1000
+
+
+def test_the_example_of_readme_runs(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    (block,) = blocks(ROOT / "README.md", "python")
+    exec(block, {})
+    assert capsys.readouterr().out.startswith("49 1")
+
+
+def test_a_video_gives_the_rows_of_the_command_line(tmp_path):
+    assert main(["run", str(CLIP), "--config", "sir", "--stop", "6", "--seed", "4", "--no-video", "-q",
+                 "-o", str(tmp_path / "out")]) == 0  # fmt: skip
+    found = facetrack.track_video(CLIP, "sir", stop=6, seed=4)
+    written = (tmp_path / "out" / "trajectory.csv").read_text().splitlines(keepends=True)
+    assert "".join(csv_frames(found)) == "".join(written[1:])
+    assert found.header["recipe"]["name"] == "sir" and found.header["seed"] == 4
+
+
+@pytest.mark.parametrize("wrap", [np.asarray, list, iter, lambda images: (image.copy() for image in images)])
+def test_images_of_any_kind_give_the_rows_of_the_video(images, wrap):
+    init = FOLDER / "expressions.init.yaml"
+    rows = [result.rows for result in facetrack.track_frames(wrap(images), "sir", init=init)]
+    expected = facetrack.track_video(CLIP, "sir", init=init, stop=len(images))
+    assert len(rows) == len(images)
+    for frame, one in enumerate(rows):
+        np.testing.assert_array_equal(one.x, expected.at(frame).x)
+
+
+def test_results_come_as_images_come(images):
+    given = []
+
+    def camera():
+        for image in images:
+            given.append(image)
+            yield image
+
+    found = facetrack.track_frames(camera(), "sir", init=FOLDER / "expressions.init.yaml")
+    assert [len(given) for _ in itertools.islice(found, 3)] == [1, 2, 3]
+
+
+def test_a_grey_image_is_tracked_and_drawn(images):
+    grey = images.mean(axis=3).astype(np.uint8)
+    *_, last = facetrack.track_frames(grey, "ncc", init=(110, 60, 90, 100))
+    assert facetrack.draw(last).shape == images[0].shape and last.rows.status[0] in ("tracked", "lost")
+
+
+@pytest.mark.parametrize(
+    ("images", "message"),
+    [
+        ([np.zeros((8, 8, 3))], r"image 0: is float64 \(8, 8, 3\); give \(height, width, 3\) uint8"),
+        ([np.zeros((8, 8, 4), np.uint8)], r"image 0: is uint8 \(8, 8, 4\)"),
+        ([NOISE, NOISE[:, 1:]], "image 1: is 79x60, not 80x60 as the first"),
+        ([], "there is no frame 0"),
+    ],
+)
+def test_images_that_are_none_are_refused(images, message):
+    with pytest.raises(facetrack.InputError, match=message):
+        list(facetrack.track_frames(images, "histogram", init=(5, 5, 40, 40)))
+
+
+def test_mistakes_raise_the_line_of_the_command(tmp_path):
+    with pytest.raises(facetrack.InputError, match=r"none\.mp4: "):
+        facetrack.track_video(tmp_path / "none.mp4", "sir")
+    with pytest.raises(facetrack.RecipeError, match="particle"):
+        facetrack.load_recipe("sir", {"filter.particle": 5})
+    with pytest.raises(facetrack.InputError, match="neither a file, a box"):
+        facetrack.track_video(CLIP, "histogram", init=(1, 2, 3))
+    with pytest.raises(facetrack.FacetrackError, match="no_such"):
+        facetrack.track_video(CLIP, "no_such")
+
+
+def test_only_public_names_are_there():
+    assert all(getattr(facetrack, name) is not None for name in facetrack.__all__)
+    with pytest.raises(AttributeError, match="nothing"):
+        facetrack.nothing  # noqa: B018
