@@ -16,9 +16,9 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Mask, Result, Start
 from facetrack_cli.evaluation.boxes import SUCCESS_THRESHOLDS, BoxMeasures, measure_boxes, share_above
-from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap, variant
+from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.plan import find_plan_start, variant
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.formats.read import read_truth

@@ -49,10 +49,10 @@ from annotator import BOUND, Outcome, Truth, Way, Work
 from facetrack_cli.core.errors import FacetrackError, InputError, RecipeError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start
-from facetrack_cli.evaluation.experiments.compare import default_truth, variant
+from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe
-from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.plan import find_plan_start, variant
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import haar_start
 from facetrack_cli.trajectory.formats.read import read_truth

@@ -1,14 +1,43 @@
-"""Values of options that several commands take."""
+"""Options that several commands take: alone, and in groups that reach a command as one value."""
 
 from __future__ import annotations
 
+import functools
+import os
+import sys
+from collections.abc import Callable
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import click
 
+from facetrack_cli.core.errors import OutputError, UsageError
+
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from facetrack_cli.core.types import Box
+    from facetrack_cli.evaluation.rows import Pair
+    from facetrack_cli.trajectory.table import Table
+
+Function: TypeAlias = Callable[..., Any]
+Decorator: TypeAlias = Callable[[Function], Function]
+
+
+def grouped(name: str, kind: Any, *options: Decorator) -> Decorator:
+    """A decorator for `options` that a command takes as one argument `name`: `kind`, a named tuple of their values."""
+
+    def decorate(command: Function) -> Function:
+        def called(*args: Any, **values: Any) -> Any:
+            return command(*args, **{name: kind(*(values.pop(field) for field in kind._fields))}, **values)
+
+        wrapped: Function = functools.wraps(command)(called)
+        for option in reversed(options):
+            wrapped = option(wrapped)
+        return wrapped
+
+    return decorate
 
 
 class Whole(click.IntRange):
@@ -17,29 +46,65 @@ class Whole(click.IntRange):
     name = "whole number"
 
 
+FILE: Any = click.Path(path_type=Path)
 FRAME = Whole(min=0)
-# those of formats/read.py, which is not imported, so that helps come at once
-TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
-truth_format = click.option(
-    "--truth-format",
-    metavar="FORMAT",
-    type=click.Choice(TRUTH_FORMATS),
-    default="auto",
-    help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
+FIGURES = ("png", "svg", "pdf")  # those of report/figures/style.py, which would load numpy
+
+# --- one by one ----------------------------------------------------------------------------------------------------
+
+
+def _figure_file(ctx: click.Context, param: click.Parameter, value: str | None) -> Path | None:
+    if value == "":
+        raise OutputError("--out is empty; name a file that ends in .png, .svg or .pdf")
+    if value is not None and Path(value).suffix[1:].lower() not in FIGURES:
+        raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
+    return None if value is None else Path(value)
+
+
+def figure_file(default: str) -> Decorator:
+    """--out of a figure; `default` says in words where it goes without."""
+    told = f"File to write: .png, .svg or .pdf [default: {default}]."
+    return click.option("-o", "--out", metavar="FILE", callback=_figure_file, help=told)
+
+
+def array_file(what: str, default: str) -> Decorator:
+    """--out of an .npz file that holds a `what`, as a gallery."""
+
+    def check(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
+        if value.suffix != ".npz":
+            raise UsageError(f"{value}: a {what} is an .npz file; let its name end so")
+        return value
+
+    told = f"Where the {what} goes."
+    return click.option(
+        "-o", "--out", metavar="FILE", type=FILE, callback=check, default=default, show_default=True, help=told
+    )
+
+
+config = click.option(
+    "--config", metavar="RECIPE", default="factorized", show_default=True, help="Recipe: a file, or a name."
 )
-shift = click.option(
-    "--shift",
-    metavar="N",
-    type=int,
-    help="Add N to the frame numbers of the truth; 0 takes them as they are even if another shift would fit better.",
+overrides = click.option(
+    "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
 )
-partial = click.option(
-    "--partial", is_flag=True, help="Take the frames that both have, though truth or trajectory lacks some."
+gallery = click.option(
+    "--gallery",
+    metavar="FILE",
+    help="People to recognise, as facetrack gallery fit writes them; for recipes of affine targets.",
 )
+clip = click.option("--clip", metavar="INPUT", type=FILE, help="The clip, if it is elsewhere now.")
+title = click.option("--title", metavar="TEXT", help="Title of the page [default: clip and recipe].")
 target = click.option("--target", metavar="NAME[/PART]", help="One target, or one part of it, alone.")
+overwrite = click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
+quiet = click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
 
 
-def box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | None:
+def jobs(what: str) -> Decorator:
+    """--jobs, of which `what` says what so many of them share."""
+    return click.option("-j", "--jobs", "workers", metavar="N", type=Whole(min=1), default=1, help=what)
+
+
+def _box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | None:
     """`left,top,width,height` in pixels."""
     if value is None:
         return None
@@ -52,7 +117,41 @@ def box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | 
     return (x, y, w, h)
 
 
-def rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fraction | None:
+def box(told: str) -> Decorator:
+    """--box, which is what `told` says."""
+    return click.option("--box", metavar="X,Y,W,H", callback=_box, help=told)
+
+
+# --- in groups -----------------------------------------------------------------------------------------------------
+
+
+class Extent(NamedTuple):
+    """Where the tracks of a clip begin, and its frames: --init, --box, --start, --stop and --fps."""
+
+    init: Path | Literal["haar"] | None
+    box: Box | None
+    start: int
+    stop: int | None
+    fps: Fraction | None
+
+    def check(self, *clips: Path) -> None:
+        """UsageError where they contradict each other, or have no meaning for these clips."""
+        if self.init is not None and self.box is not None:
+            raise UsageError("--init and --box both say where the track starts; give one of them")
+        if self.stop is not None and self.stop <= self.start:
+            told = f"after --start {self.start}" if self.start else "at all"
+            raise UsageError(f"--stop {self.stop} leaves no frame {told}; it is the frame to stop before")
+        if self.fps is not None and all(one.is_file() for one in clips):
+            raise UsageError("--fps is for image folders; a video brings its own rate")
+
+
+def _init(ctx: click.Context, param: click.Parameter, value: str | None) -> Path | str | None:
+    if value == "":
+        raise UsageError("--init is empty; name an init file, or haar to look for a face")
+    return Path(value) if value not in (None, "haar") else value
+
+
+def _rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fraction | None:
     """Frames per second."""
     if value is None:
         return None
@@ -65,22 +164,139 @@ def rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fract
     return found
 
 
-init = click.option(
-    "--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip."
+def extent(start: str) -> Decorator:
+    """The options of an `Extent`, of which `start` explains --start."""
+    return grouped(
+        "extent",
+        Extent,
+        click.option(
+            "--init",
+            metavar="FILE",
+            callback=_init,
+            help="Init file; `haar` looks for a face even if one lies beside the clip.",
+        ),
+        box("The face, head or hand in the first frame, in pixels."),
+        click.option("--start", metavar="N", type=FRAME, default=0, help=start),
+        click.option("--stop", metavar="N", type=FRAME, help="Frame to stop before."),
+        click.option("--fps", metavar="RATE", callback=_rate, help="Frames per second of image folders."),
+    )
+
+
+# those of trajectory/formats/read.py, which is not imported, so that helps come at once
+TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
+FORMAT: Any = click.Choice(TRUTH_FORMATS)
+
+
+class Truth(NamedTuple):
+    """A file of ground truth and how to read it; `path` None without --truth."""
+
+    path: Path | None
+    form: str
+    shift: int | None
+    partial: bool
+    target: str | None
+
+    def refuse_without_file(self, *, target: bool) -> None:
+        """UsageError for an option that says how to use a file which is not named; --target only if `target`."""
+        given = {
+            "--truth-format": self.form != "auto",
+            "--shift": self.shift is not None,
+            "--partial": self.partial,
+            "--target": target and self.target,
+        }
+        if self.path is None and (idle := [option for option, value in given.items() if value]):
+            raise UsageError(f"{idle[0]} says how to use ground truth; give its file with --truth FILE")
+
+    def read(self) -> Table:
+        from facetrack_cli.trajectory.formats.read import read_truth
+
+        assert self.path is not None
+        return read_truth(self.path, self.form, shift=self.shift or 0)
+
+    def pairs(self, ours: Table, theirs: Table, note: Callable[[str], None]) -> list[Pair]:
+        """The rows of a trajectory beside those of the ground truth; `note` gets what to know of it."""
+        from facetrack_cli.evaluation.match import match
+
+        return match(ours, theirs, partial=self.partial, select=self.target, check_shift=self.shift is None, note=note)
+
+
+def truth(told: str) -> Decorator:
+    """The options of a `Truth`, of which `told` explains --truth."""
+    return grouped(
+        "truth",
+        Truth,
+        click.option("--truth", "path", metavar="FILE", type=FILE, help=told),
+        click.option(
+            "--truth-format",
+            "form",
+            metavar="FORMAT",
+            type=FORMAT,
+            default="auto",
+            help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
+        ),
+        click.option(
+            "--shift",
+            metavar="N",
+            type=int,
+            help="Add N to the frame numbers of the ground truth; 0 takes them as they are even if another shift would "
+            "fit better.",
+        ),
+        click.option(
+            "--partial", is_flag=True, help="Take the frames that both have, though ground truth or track lacks some."
+        ),
+        target,
+    )
+
+
+class Page(NamedTuple):
+    """The page in the browser."""
+
+    port: int | None
+    browse: bool
+
+    def refuse(self, remedy: str) -> None:
+        """UsageError if there is to be no page, but an option of it was given."""
+        if self.port is not None or self.browse:
+            raise UsageError(f"{'--open' if self.port is None else '--port'} is for the page; {remedy}")
+
+
+page = grouped(
+    "page",
+    Page,
+    click.option(
+        "--port",
+        metavar="N",
+        type=Whole(min=1, max=65535),
+        help="Port of the page on this machine [default: any that is free].",
+    ),
+    click.option("--open", "browse", is_flag=True, help="Also open the page in the browser."),
 )
-face_box = click.option(
-    "--box", metavar="X,Y,W,H", callback=box, help="The face, head or hand in the first frame, in pixels."
-)
-gallery = click.option(
-    "--gallery",
-    metavar="FILE",
-    help="People to recognise, as facetrack gallery fit writes them; for recipes of affine targets.",
-)
-overwrite_file = click.option("--overwrite", is_flag=True, help="Replace the file that is there already.")
-port = click.option(
-    "--port",
-    metavar="N",
-    type=Whole(min=1, max=65535),
-    help="Port of the page on this machine [default: any that is free].",
-)
-browse = click.option("--open", "browse", is_flag=True, help="Also open the page in the browser.")
+
+# --- what commands print -------------------------------------------------------------------------------------------
+
+
+def say(line: str) -> None:
+    """A line on standard error, also where a name holds line breaks."""
+    click.echo(" ".join(line.splitlines()), err=True)
+
+
+def colour() -> bool:
+    """Whether standard output shows colours."""
+    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def check_figure(path: Path, overwrite: bool, *inputs: Path) -> None:
+    """Refuse before the work a figure that cannot be written, or drawn for want of matplotlib."""
+    from facetrack_cli.core.files import check_new
+    from facetrack_cli.report.figures.style import need_matplotlib
+
+    check_new(path, overwrite=overwrite, inputs=inputs)
+    need_matplotlib()
+
+
+def write_figure(path: Path, figure: Figure, overwrite: bool, dpi: float = 120.0) -> None:
+    """In the form that the file's ending names."""
+    from facetrack_cli.core.files import write_new
+    from facetrack_cli.report.figures.style import render
+
+    write_new(path, render(figure, path.suffix[1:].lower(), dpi=dpi), overwrite=overwrite)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -13,14 +14,53 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Box, Start, TargetStart
+from facetrack_cli.recipe.gallery_option import with_gallery
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.job import HAAR, Job
 from facetrack_cli.runs.seeds import Plan
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import find_start, place_start
+from facetrack_cli.tracking.build.affine import check_gallery
 from facetrack_cli.tracking.start import find_init
 from facetrack_cli.trajectory.table import Table
 from facetrack_cli.video.source import open_source
+
+OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
+
+
+def variant(given: str) -> tuple[str, tuple[str, ...]]:
+    """A recipe and its overrides, from `name`, a file, or `name:key=value,key=value`."""
+    name, colon, rest = given.partition(":")
+    if not colon or "=" not in rest or Path(given).exists():
+        return given, ()
+    return name, tuple(re.split(OVERRIDES, rest))
+
+
+def labels(given: Sequence[str]) -> list[str]:
+    """A label for each --config that differs from all others: the recipe's name, else its path, and its overrides.
+
+    Raises UsageError for one that is given twice.
+    """
+    parsed = [variant(text) for text in given]
+    stems = [(Path(name).stem if Path(name).suffix else name, overrides) for name, overrides in parsed]
+    short = [f"{stem}:{','.join(overrides)}" if overrides else stem for stem, overrides in stems]
+    found = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
+    twice = next((text for text in found if found.count(text) > 1), None)
+    if twice is not None:
+        raise UsageError(f"--config {twice} is given twice; a recipe is compared with others")
+    return found
+
+
+def load_recipes(asked: Sequence[tuple[str, Sequence[str]]], gallery: str | None) -> list[Recipe]:
+    """The recipes of names or files and their overrides, with the people of a gallery (see `with_gallery`).
+
+    The gallery is read where it must be good: where it is given for all, or a single recipe names one.
+    """
+    recipes = with_gallery([load_recipe(name, overrides) for name, overrides in asked], gallery)
+    for recipe in recipes if gallery is not None or len(recipes) == 1 else ():
+        check_gallery(recipe)
+    return recipes
 
 
 def refuse_seed(overrides: Sequence[str]) -> None:
@@ -33,27 +73,11 @@ class Begin(NamedTuple):
     """A clip, what says where its tracks begin (see `find_plan_start`), and the frame to end before."""
 
     clip: Path
-    init: Path | Literal["haar"] | None
-    box: Box | None
-    stop: int | None
-    fps: Fraction | None
+    init: Path | Literal["haar"] | None = None
+    box: Box | None = None
     start: int = 0
-
-    @classmethod
-    def of(
-        cls, clip: Path, init: str | None, box: Box | None, stop: int | None, fps: Fraction | None, start: int = 0
-    ) -> Begin:
-        """From options; UsageError where they contradict each other."""
-        if init is not None and box is not None:
-            raise UsageError("--init and --box both say where the track starts; give one of them")
-        if init == "":
-            raise UsageError("--init is empty; name an init file, or haar to look for a face")
-        if stop is not None and stop <= start:
-            told = f"after --start {start}" if start else "at all"
-            raise UsageError(f"--stop {stop} leaves no frame {told}; it is the frame to stop before")
-        if fps is not None and clip.is_file():
-            raise UsageError("--fps is for image folders; a video brings its own rate")
-        return cls(clip, None if init is None else HAAR if init == HAAR else Path(init), box, stop, fps, start)
+    stop: int | None = None
+    fps: Fraction | None = None
 
     def plan(self, label: str, recipe: Recipe, seeds: int, truth: Table | None, stopped: Stop) -> Plan:
         """A recipe with seeds 0 to `seeds` - 1."""
@@ -71,7 +95,7 @@ class Begin(NamedTuple):
         return Plan(label, self.clip, recipe, start, tuple(range(seeds)), self.stop, self.fps)
 
     def picture_size(self) -> tuple[int, int]:
-        """(width, height) of the clip's pictures."""
+        """(width, height) of the clip's frames."""
         with open_source(self.clip, fps=self.fps) as source:
             return source.size
 

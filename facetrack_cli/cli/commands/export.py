@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from facetrack_cli.cli import options
+from facetrack_cli.cli.options import FILE, say
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -31,11 +33,11 @@ OF_MEDIA = ("coco", "eaf")
 
 
 @click.command()
-@click.argument("trajectory", metavar="TRAJECTORY", type=click.Path(path_type=Path))
+@click.argument("trajectory", metavar="TRAJECTORY", type=FILE)
 @click.option("--to", "form", required=True, type=click.Choice(list(ENDINGS)), help="Format, as below.")
 @click.option("-o", "--out", metavar="FILE", help="File to write [default: beside TRAJECTORY]; - standard output.")
-@click.option("--target", "select", metavar="NAME[/PART]", help="One target, or one part of it, alone.")
-@click.option("--media", metavar="FILE", type=click.Path(path_type=Path), help="Clip it was tracked in (coco, eaf).")
+@options.target
+@click.option("--media", metavar="FILE", type=FILE, help="Clip it was tracked in (coco, eaf).")
 @click.option(
     "--box",
     "around",
@@ -43,12 +45,12 @@ OF_MEDIA = ("coco", "eaf")
     help="A box around points encloses their windows [default], or their centres alone.",
 )
 @click.option("--drop-lost", is_flag=True, help="Write lost rows as not known, not with the estimate.")
-@click.option("--overwrite", is_flag=True, help="Replace a file that is there already.")
+@options.overwrite
 def command(
     trajectory: Path,
     form: str,
     out: str | None,
-    select: str | None,
+    target: str | None,
     media: Path | None,
     around: Around | None,
     drop_lost: bool,
@@ -77,7 +79,7 @@ def command(
     dlc, nan in otb and got10k, a failure in vot.
 
     eaf has tiers for lost parts, motion to the left, right, up and down, tilt, size, nods and shakes: as seen in the
-    picture plane. It needs the video, coco the picture's size: both stand in a trajectory.json, else give --media.
+    image plane. It needs the video, coco the size of the frames: both stand in a trajectory.json, else give --media.
 
     \b
     Examples:
@@ -89,7 +91,7 @@ def command(
     \b
     Exit codes: 0 done, 2 usage or output, 3 input.
     """
-    from facetrack_cli.core.files import check_new
+    from facetrack_cli.core.files import StreamSink, check_new, write_new
     from facetrack_cli.trajectory.header import clip_of
     from facetrack_cli.trajectory.select import blank_lost, choose
     from facetrack_cli.trajectory.table import read_trajectory
@@ -102,7 +104,7 @@ def command(
         raise UsageError("--drop-lost is not for eaf, which has a tier for what was lost; leave it out")
     if out == "":
         raise OutputError("--out is empty; name a file, or - for standard output")
-    table = choose(read_trajectory(trajectory), select)
+    table = choose(read_trajectory(trajectory), target)
     path = None if out == "-" else Path(out) if out else table.path.with_name(table.path.stem + ENDINGS[form])
     if path is not None:
         check_new(path, overwrite=overwrite, inputs=(table.path, media, clip_of(table)))
@@ -111,9 +113,13 @@ def command(
     except InputError as e:
         # what is wrong within the table has no file's name yet
         raise e if str(e).startswith((str(table.path), str(media))) else InputError(f"{table.path}: {e}") from None
-    _write(text, path, overwrite)
-    if path is not None:
-        _tell(f"{path}: {_summary(table, form)}")
+    if path is None:
+        StreamSink(sys.stdout.buffer).finish(lambda _: text)
+        return
+    write_new(path, text.encode(errors="backslashreplace"), overwrite=overwrite)
+    frames = table.frames
+    begins = f"; line 1 is frame {frames[0]}" if form in ("otb", "got10k") and frames[0] else ""
+    say(f"{path}: {len(frames)} frames of {', '.join(table.targets) or 'one target'}{begins}")
 
 
 def _text(table: Table, form: str, path: Path | None, media: Path | None, around: Around) -> str:
@@ -157,7 +163,7 @@ def _clip(table: Table, media: Path | None) -> Path:
     if not is_there(clip):
         if media is not None:
             raise InputError(f"{clip}: no such file; correct --media")
-        _tell(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
+        say(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
     return clip
 
 
@@ -185,23 +191,3 @@ def _pictures(table: Table, media: Path | None) -> tuple[tuple[int, int], Callab
         raise InputError(f"{clip}: has {len(files)} images, and the track a frame {last}; name its folder with --media")
     names = [file.name for file in files] if files is not None else None
     return size, lambda frame: names[frame] if names is not None else f"{clip.stem}/{frame:06d}.png"
-
-
-def _write(text: str, path: Path | None, overwrite: bool) -> None:
-    from facetrack_cli.core.files import StreamSink, write_new
-
-    if path is None:
-        StreamSink(sys.stdout.buffer).finish(lambda _: text)
-    else:
-        write_new(path, text.encode(errors="backslashreplace"), overwrite=overwrite)
-
-
-def _tell(message: str) -> None:
-    """A line on standard error, also where a name holds line breaks."""
-    click.echo(" ".join(message.splitlines()), err=True)
-
-
-def _summary(table: Table, form: str) -> str:
-    frames = table.frames
-    begins = f"; line 1 is frame {frames[0]}" if form in ("otb", "got10k") and frames[0] else ""
-    return f"{len(frames)} frames of {', '.join(table.targets) or 'one target'}{begins}"

@@ -1,7 +1,8 @@
-"""facetrack gallery: learn who is who from pictures and videos, and draw it."""
+"""facetrack gallery: learn who is who from images and videos, and draw it."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from pathlib import Path
@@ -10,21 +11,18 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FRAME, Whole
-from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.cli.options import FILE, FRAME, Whole, say
+from facetrack_cli.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
-    from facetrack_cli.tracking.identity.faces import Faces
     from facetrack_cli.tracking.identity.gallery import Gallery
-    from facetrack_cli.tracking.identity.people import Reading
 
-JITTER = 4
 LEAST_SIDE, MOST_SIDE = 6, 128  # of a template, as in recipes
 
 
 @click.group()
 def command() -> None:
-    """Learn who is who from pictures and videos, and draw it.
+    """Learn who is who from images and videos, and draw it.
 
     A gallery is a file of faces with names, and of how faces differ. A recipe that recognises names people by it:
 
@@ -44,16 +42,8 @@ def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[i
 
 
 @command.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    default=Path("gallery.npz"),
-    show_default=True,
-    help="Where the gallery goes.",
-)
+@click.argument("folder", metavar="DIR", type=FILE)
+@options.array_file("gallery", "gallery.npz")
 @click.option(
     "--frames", metavar="N", type=Whole(1, 10_000), default=15, show_default=True, help="Frames of each video, at most."
 )
@@ -63,7 +53,7 @@ def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[i
     "--jitter",
     metavar="N",
     type=Whole(0, 100),
-    default=JITTER,
+    default=4,
     show_default=True,
     help="Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
 )
@@ -75,8 +65,8 @@ def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[i
     show_default=True,
     help="Points across and down a face; the recipe must have the same.",
 )
-@options.overwrite_file
-@click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
+@options.overwrite
+@options.quiet
 def fit(
     folder: Path,
     out: Path,
@@ -90,9 +80,9 @@ def fit(
 ) -> None:
     """Learn a gallery from a folder of people's folders.
 
-    A person's folder is called as the person is, and holds pictures, videos, or folders of a video's frames. Of each
-    picture the largest face is taken, of a video that of some frames, spread evenly. An init file beside a picture or
-    video, as anna1.init.yaml beside anna1.jpg, says where the face is.
+    A person's folder has the person's name, and holds images, videos, or folders of a video's frames. Of each image
+    the largest face is taken, of a video that of some frames, spread evenly. An init file beside an image or video, as
+    anna1.init.yaml beside anna1.jpg, says where the face is.
 
     \b
     Examples:
@@ -103,15 +93,22 @@ def fit(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
     from facetrack_cli.core.files import check_new
+    from facetrack_cli.runs.progress import progress
+    from facetrack_cli.tracking.identity.faces import read_faces
     from facetrack_cli.tracking.identity.fit import fit_gallery
-    from facetrack_cli.tracking.identity.people import Reading
+    from facetrack_cli.tracking.identity.people import Reading, count, find_people
 
-    if out.suffix != ".npz":
-        raise UsageError(f"{out}: a gallery is an .npz file; let its name end so")
     if stop is not None and stop <= start:
         raise UsageError(f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start")
     check_new(out, overwrite=overwrite)
-    faces = _read(folder, Reading(template, frames, start, stop, jitter), quiet)
+    reading = Reading(template, frames, start, stop, jitter)
+    with contextlib.closing(progress(quiet)) as shown:
+        people = find_people(folder, lambda line: shown.say(f"warning: {line}"))
+        total = count(people, reading)
+        shown.begin(folder.name, "frames", total)
+        faces = read_faces(
+            people, reading, lambda line: shown.say(f"warning: {line}"), lambda done: shown.update(done, total)
+        )
     try:
         gallery = fit_gallery(
             faces.patches,
@@ -128,77 +125,46 @@ def fit(
     if quiet:
         return
     wide = max(map(len, (*gallery.names, "person")))
-    click.echo(f"{'person':<{wide}}{'used':>8}{'skipped':>9}", err=True)
+    say(f"{'person':<{wide}}{'used':>8}{'skipped':>9}")
     for name in gallery.names:
-        click.echo(f"{name:<{wide}}{faces.used[name]:>8}{faces.skipped[name]:>9}", err=True)
+        say(f"{name:<{wide}}{faces.used[name]:>8}{faces.skipped[name]:>9}")
     for line in _summary(gallery):
-        click.echo(line, err=True)
-    click.echo(f"{out}: {len(gallery.names)} persons, {sum(gallery.counts)} pictures", err=True)
-
-
-def _read(folder: Path, reading: Reading, quiet: bool) -> Faces:
-    from facetrack_cli.runs.progress import progress
-    from facetrack_cli.tracking.identity.faces import read_faces
-    from facetrack_cli.tracking.identity.people import count, find_people
-
-    bar = progress(quiet)
-    try:
-        people = find_people(folder, lambda line: bar.say(f"warning: {line}"))
-        total = count(people, reading)
-        bar.begin(folder.name, "frames", total)
-        return read_faces(
-            people, reading, lambda line: bar.say(f"warning: {line}"), lambda done: bar.update(done, total)
-        )
-    finally:
-        bar.close()
+        say(line)
+    say(f"{out}: {len(gallery.names)} persons, {sum(gallery.counts)} images")
 
 
 @command.command()
-@click.argument("file", metavar="FILE", required=False, type=click.Path(path_type=Path), default=Path("gallery.npz"))
-@click.option(
-    "-o",
-    "--out",
-    metavar="PNG",
-    type=click.Path(path_type=Path),
-    help="Picture [default: beside FILE, as gallery.png].",
-)
-@options.overwrite_file
+@click.argument("file", metavar="FILE", required=False, type=FILE, default="gallery.npz")
+@options.figure_file("beside FILE, as gallery.png")
+@options.overwrite
 def show(file: Path, out: Path | None, overwrite: bool) -> None:
     """Summarise and draw a gallery; without FILE, gallery.npz.
 
-    The picture has the mean face, the first eigenfaces of each space, and everyone who is in it.
+    The figure has the mean face, the first eigenfaces of each space, and everyone who is in it.
 
     \b
     Examples:
       facetrack gallery show
-      facetrack gallery show people.npz -o people.png
+      facetrack gallery show people.npz -o people.pdf
     """
-    import cv2
-
-    from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.report.figures.gallery import draw_gallery
+    from facetrack_cli.report.figures.gallery import gallery_figure
     from facetrack_cli.tracking.identity.gallery import load_gallery
 
-    out = out or file.with_suffix(".png")
-    if out.suffix.lower() != ".png":
-        raise OutputError(f"{out}: the picture is a PNG; let its name end in .png")
     gallery = load_gallery(file)
-    check_new(out, overwrite=overwrite, inputs=[file])
-    grey = draw_gallery(gallery, file.name)[..., 0]
-    done, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    assert done
-    write_new(out, data.tobytes(), overwrite=overwrite)
+    out = out or file.with_suffix(".png")
+    options.check_figure(out, overwrite, file)
+    options.write_figure(out, gallery_figure(gallery, title=file.name), overwrite)
 
     rows, cols = gallery.shape
-    click.echo(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} pictures")
+    click.echo(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} images")
     click.echo(f"template: {cols} points across, {rows} down")
     if gallery.proportion is not None:
         click.echo(f"boxes: {gallery.proportion:.2f} times as wide as high")
     for line in _summary(gallery):
         click.echo(line)
-    for number, (name, pictures) in enumerate(zip(gallery.names, gallery.counts, strict=True), start=1):
-        click.echo(f"{number:>4} {name}: {pictures} picture{'s' if pictures != 1 else ''}")
-    click.echo(f"picture: {out}")
+    for number, (name, images) in enumerate(zip(gallery.names, gallery.counts, strict=True), start=1):
+        click.echo(f"{number:>4} {name}: {images} image{'s' if images != 1 else ''}")
+    click.echo(f"figure: {out}")
 
 
 def _summary(gallery: Gallery) -> list[str]:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from facetrack_cli.cli.options import FRAME, browse, port
-from facetrack_cli.cli.options import box as box_of
-from facetrack_cli.core.errors import ExitCode, InputError, OutputError, UsageError
+from facetrack_cli.cli import options
+from facetrack_cli.cli.options import FILE, FRAME, Page, say
+from facetrack_cli.core.errors import ExitCode, InputError, OutputError
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box, Frame, Start
@@ -20,7 +20,7 @@ SUFFIXES = (".yaml", ".yml", ".json")
 
 
 @click.command()
-@click.argument("clip", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("clip", metavar="INPUT", type=FILE)
 @click.option(
     "-o", "--out", metavar="FILE", help="File to write [default: <clip>.init.yaml beside the clip]; - stdout."
 )
@@ -30,24 +30,19 @@ SUFFIXES = (".yaml", ".yml", ".json")
     type=FRAME,
     help="Frame where the search begins, of --box, or shown first on the page.",
 )
-@click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face's box in that frame: place the points in it.")
+@options.box("The face's box in that frame: place the points in it.")
 @click.option(
     "--config",
     metavar="RECIPE",
     help="Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
 )
-@click.option(
-    "--preview", metavar="FILE.png", type=click.Path(path_type=Path), help="Also draw the result on its frame."
-)
+@click.option("--preview", metavar="FILE.png", type=FILE, help="Also draw the result on its frame.")
 @click.option("--pick", is_flag=True, help="Choose on a page in the browser: boxes and points are drawn on the frame.")
-@port
-@browse
+@options.page
 @click.option(
     "--overwrite", is_flag=True, help="Replace files that are there already; --pick begins with what they hold."
 )
-@click.pass_context
 def command(
-    ctx: click.Context,
     clip: Path,
     out: str | None,
     init_frame: int | None,
@@ -55,10 +50,9 @@ def command(
     config: str | None,
     preview: Path | None,
     pick: bool,
-    port: int | None,
-    browse: bool,
+    page: Page,
     overwrite: bool,
-) -> None:
+) -> int:
     """Write where the track of a clip begins, as a file to edit.
 
     INPUT is a video or a folder of images. The first face that the Haar cascades find, and five points of it (nose,
@@ -85,23 +79,24 @@ def command(
     path = None if out == "-" else Path(out) if out else default_path(clip)
     if out == "":
         raise OutputError("--out is empty; name a file, or - for standard output")
-    if not pick and (port is not None or browse):
-        raise UsageError(f"{'--port' if port is not None else '--open'} is for the page; add --pick")
+    if not pick:
+        page.refuse("add --pick")
     _check_outputs(clip, path, preview, overwrite)
     if pick:
-        ctx.exit(_pick(clip, path, init_frame, box, config, preview, port or 0, browse, overwrite))
+        return _pick(clip, path, init_frame, box, config, preview, page, overwrite)
     start, frame = _find(clip, init_frame or 0, box, config)
     if preview is not None:
         from facetrack_cli.tracking.start.preview import write_preview
 
         write_preview(preview, frame, start, overwrite=overwrite)
-        click.echo(f"{preview}: the start drawn on frame {start.frame}", err=True)
+        say(f"{preview}: the start drawn on frame {start.frame}")
     if path is None:
         write_init(sys.stdout, start, clip=clip.name)
     else:
         write_init(path, start, clip=clip.name, overwrite=overwrite)
         what = ", ".join(start.targets) if len(start.targets) > 1 else "a face"
-        click.echo(f"{path}: {what} in frame {start.frame}; edit it, then: {_next(clip, path, config)}", err=True)
+        say(f"{path}: {what} in frame {start.frame}; edit it, then: {_next(clip, path, config)}")
+    return ExitCode.DONE
 
 
 def _next(clip: Path, path: Path | None, config: str | None) -> str:
@@ -124,8 +119,7 @@ def _pick(
     box: Box | None,
     config: str | None,
     preview: Path | None,
-    port: int,
-    browse: bool,
+    page: Page,
     overwrite: bool,
 ) -> int:
     """Let somebody choose on the page; the exit code."""
@@ -134,18 +128,19 @@ def _pick(
     from facetrack_cli.editor.web.serve import run_page
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.tracking.start import read_init, write_init
+    from facetrack_cli.tracking.start import default_path, read_init, write_init
     from facetrack_cli.video.seek import Frames
 
     recipe = None if config is None else load_recipe(config)
-    kept = _unsaved_path(clip, path)
+    beside = path or default_path(clip)
+    kept = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
     begun, goes_on = None, box is None and kept.is_file()
     source = kept if goes_on else path
     if source is not None and source.is_file():
         try:
             begun = read_init(source)
         except InputError as e:  # it will be replaced in any case
-            click.echo(f"facetrack: warning: {e}; the page begins without it", err=True)
+            say(f"facetrack: warning: {e}; the page begins without it")
     with Frames(clip) as frames, Stop().listening() as stop:
         session = PickSession(
             clip,
@@ -160,26 +155,17 @@ def _pick(
             next_=_next(clip, path, config),
             preview=preview,
         )
-        run_page(session, stop, lambda line: click.echo(line, err=True), port=port, browse=browse)
+        run_page(session, stop, say, port=page.port or 0, browse=page.browse)
     if session.ended is None:
-        click.echo(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), clip, kept)}", err=True)
-        return stop.code if stop.code is not None else ExitCode.FAULT
+        say(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), clip, kept)}")
+        return stop.code or ExitCode.FAULT
     if goes_on:
         kept.unlink(missing_ok=True)
     if path is None and session.saved is not None:
         write_init(sys.stdout, session.saved, clip=clip.name)
-    for line in session.ended["said"]:
-        click.echo(line, err=True)
-    click.echo(f"next: {session.ended['next']}", err=True)
+    for line in (*session.ended["said"], f"next: {session.ended['next']}"):
+        say(line)
     return ExitCode.DONE
-
-
-def _unsaved_path(clip: Path, path: Path | None) -> Path:
-    """Where what was chosen and not saved is kept: beside the file that it was for."""
-    from facetrack_cli.tracking.start import default_path
-
-    beside = path if path is not None else default_path(clip)
-    return beside.with_name(f"{beside.stem}.unsaved.yaml")
 
 
 def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:

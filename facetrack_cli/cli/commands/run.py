@@ -10,14 +10,11 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FRAME, Whole, rate
+from facetrack_cli.cli.options import FILE, FRAME, Extent, Whole
 from facetrack_cli.core.errors import ExitCode, OutputError, UsageError
 from facetrack_cli.trajectory.row import FORMATS, Format
 
 if TYPE_CHECKING:
-    from fractions import Fraction
-
-    from facetrack_cli.core.types import Box
     from facetrack_cli.runs.job import Job, Outcome
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
@@ -34,15 +31,12 @@ def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> t
 
 
 @click.command()
-@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--config", metavar="RECIPE", default="factorized", show_default=True, help="Recipe: a file, or a name.")
-@click.option(
-    "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
-)
+@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=FILE)
+@options.config
+@options.overrides
 @click.option("--seed", metavar="N", type=Whole(min=0), help="Seed of the random numbers, instead of the recipe's.")
 @options.gallery
-@options.init
-@options.face_box
+@options.extent("First frame, from 0.")
 @click.option(
     "--init-frame", metavar="N", type=FRAME, help="Frame of --init or --box, or where the search for a face begins."
 )
@@ -57,43 +51,34 @@ def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     callback=_formats,
     help="csv, json, jsonl [default: csv,json; csv with -o -].",
 )
-@click.option("--start", metavar="N", type=FRAME, default=0, help="First frame, from 0.")
-@click.option("--stop", metavar="N", type=FRAME, help="Frame to stop before.")
-@click.option("--fps", metavar="RATE", callback=rate, help="Frames per second of image folders.")
-@click.option("--overwrite", is_flag=True, help="Replace results that are there already.")
+@options.overwrite
 @click.option("--fail-on-lost", is_flag=True, help="Exit with 4 if a part is lost in the last frame.")
 @click.option("--threads", metavar="N", type=Whole(min=1), help="Threads a clip [default: the cores, shared by -j].")
-@click.option("-j", "--jobs", "workers", metavar="N", type=Whole(min=1), default=1, help="Clips at a time.")
-@click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
-@click.pass_context
+@options.jobs("Clips at a time.")
+@options.quiet
 def command(
-    ctx: click.Context,
     inputs: tuple[Path, ...],
     config: str,
     overrides: tuple[str, ...],
     seed: int | None,
     gallery: str | None,
-    init: str | None,
-    box: Box | None,
+    extent: Extent,
     init_frame: int | None,
     out: str | None,
     no_video: bool,
     formats: tuple[Format, ...] | None,
-    start: int,
-    stop: int | None,
-    fps: Fraction | None,
     overwrite: bool,
     fail_on_lost: bool,
     threads: int | None,
     workers: int,
     quiet: bool,
-) -> None:
+) -> int:
     """Track faces, heads and hands in videos and image folders.
 
     Each INPUT gets a folder with annotated.mp4, trajectory.csv and trajectory.json. The track starts from --init or
     --box, else from <clip>.init.yaml beside the clip, else from the first face that a Haar cascade finds.
 
-    Recipes of points follow the features of a face; within --box they are placed by the picture. Recipes of regions
+    Recipes of points follow the features of a face; within --box the image says where they are. Recipes of regions
     follow whatever is in the box.
 
     With several INPUTs, --out holds a folder for each; one that fails does not stop the others.
@@ -112,26 +97,14 @@ def command(
     2 usage, recipe or output, 3 input, 4 lost (--fail-on-lost),
     5 some of several inputs failed, 130 interrupted, 143 terminated.
     """
-    from facetrack_cli.recipe.gallery_option import with_gallery
-    from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.batch import absolute, cores
-    from facetrack_cli.runs.job import HAAR, Job
+    from facetrack_cli.runs.job import Job
+    from facetrack_cli.runs.plan import load_recipes
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.tracking.build.affine import check_gallery
 
-    if init is not None and box is not None:
-        raise UsageError("--init and --box both say where the track starts; give one of them")
-    if stop is not None and stop <= start:
-        raise UsageError(f"--stop {stop} leaves no frame after --start {start}; it is the frame to stop before")
-    if fps is not None and all(clip.is_file() for clip in inputs):
-        raise UsageError("--fps is for image folders; a video brings its own rate")
-    if init == "":
-        raise UsageError("--init is empty; name an init file, or haar to look for a face")
-    if seed is not None:
-        overrides = (*overrides, f"seed={seed}")
-    [recipe] = with_gallery([load_recipe(config, overrides)], gallery)
-    check_gallery(recipe)
+    extent.check(*inputs)
+    [recipe] = load_recipes([(config, overrides if seed is None else (*overrides, f"seed={seed}"))], gallery)
     if fail_on_lost and not recipe.judges:
         raise UsageError(
             f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
@@ -148,21 +121,15 @@ def command(
                 out=folder,
                 formats=wanted,
                 video=not no_video and folder is not None,
-                init=None if init is None else HAAR if init == HAAR else Path(init),
-                box=box,
                 init_frame=init_frame,
-                start=start,
-                stop=stop,
-                fps=None if clip.is_file() else fps,
                 overwrite=overwrite,
                 threads=threads or max(1, cores() // workers),
+                **extent._replace(fps=None if clip.is_file() else extent.fps)._asdict(),
             )
             for clip, folder in zip(clips, folders, strict=True)
         ]
         code = _one(jobs[0], ending, shown) if len(jobs) == 1 else _several(jobs, workers, ending, shown)
-        if code is ExitCode.LOST and not fail_on_lost:
-            code = ExitCode.DONE
-    ctx.exit(code)
+    return ExitCode.DONE if code is ExitCode.LOST and not fail_on_lost else code
 
 
 def _places(
@@ -179,9 +146,8 @@ def _places(
         return [None], formats or ("csv",)
     if out == "":
         raise OutputError("--out is empty; name a folder, or - for standard output")
-    names = folders(clips, recipe)
-    if out is not None and len(clips) == 1:
-        return [Path(out)], formats or ("csv", "json")
+    one = out is not None and len(clips) == 1
+    names = [""] if one else folders(clips, recipe)
     return [Path(out or ".") / name for name in names], formats or ("csv", "json")
 
 
@@ -201,9 +167,7 @@ def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
     _report(outcome, shown)
     if outcome.error is not None:
         raise outcome.error
-    if stop.code is not None:
-        return stop.code
-    return ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE
+    return stop.code or (ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE)
 
 
 def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> ExitCode:
@@ -223,10 +187,10 @@ def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> Exit
             named = "" if str(ended.clip) in ended.failure else f"{ended.clip}: "
             shown.error(f"facetrack: error: {named}{ended.failure}")
     shown.close()
-    if failed and stop.code is None:
-        shown.say(f"{failed} of {len(jobs)} inputs failed")
     if stop.code is not None:
         return stop.code
+    if failed:
+        shown.say(f"{failed} of {len(jobs)} inputs failed")
     return ExitCode.BATCH if failed else ExitCode.LOST if lost else ExitCode.DONE
 
 

@@ -18,13 +18,14 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Array, Mask, Whole
+from facetrack_cli.evaluation.match import match
 from facetrack_cli.trajectory.table import Series, Table
 
 HOLD = 5  # frames in a row that make leaving, or coming back, more than an excursion
@@ -125,6 +126,12 @@ def spreads(
         limit = fraction * target_size(tables, first.target)
         found.append(spread_of(*name, seeds, frames, positions, limit, _truth_at(known.get(name), frames)))
     return tuple(found)
+
+
+def matched(table: Table, truth: Table | None) -> list[Series]:
+    """The ground truth's series under the names of a run's."""
+    pairs = [] if truth is None else match(table, truth, partial=True, select=None, check_shift=False)
+    return [replace(pair.truth, target=pair.ours.target, part=pair.ours.part) for pair in pairs]
 
 
 def _truth_at(truth: Series | None, frames: Whole) -> Array | None:
