@@ -114,7 +114,7 @@ def fit(
             faces.patches,
             faces.persons,
             template,
-            pictures=faces.pictures,
+            images=faces.images,
             negatives=faces.negatives,
             proportion=faces.proportion,
         )
