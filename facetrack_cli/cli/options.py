@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
@@ -53,32 +53,30 @@ FIGURES = ("png", "svg", "pdf")  # those of report/figures/style.py, which would
 # --- one by one ----------------------------------------------------------------------------------------------------
 
 
-def _figure_file(ctx: click.Context, param: click.Parameter, value: str | None) -> Path | None:
-    if value == "":
+def _figure(value: str) -> Path:
+    if not value:
         raise OutputError("--out is empty; name a file that ends in .png, .svg or .pdf")
-    if value is not None and Path(value).suffix[1:].lower() not in FIGURES:
+    if Path(value).suffix[1:].lower() not in FIGURES:
         raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
-    return None if value is None else Path(value)
+    return Path(value)
 
 
 def figure_file(default: str) -> Decorator:
     """--out of a figure; `default` says in words where it goes without."""
     told = f"File to write: .png, .svg or .pdf [default: {default}]."
-    return click.option("-o", "--out", metavar="FILE", callback=_figure_file, help=told)
+    return click.option("-o", "--out", metavar="FILE", type=_figure, help=told)
 
 
-def array_file(what: str, default: str) -> Decorator:
+def array_file(what: str) -> Decorator:
     """--out of an .npz file that holds a `what`, as a gallery."""
 
-    def check(ctx: click.Context, param: click.Parameter, value: Path) -> Path:
-        if value.suffix != ".npz":
+    def parse(value: str) -> Path:
+        if Path(value).suffix != ".npz":
             raise UsageError(f"{value}: a {what} is an .npz file; let its name end so")
-        return value
+        return Path(value)
 
     told = f"Where the {what} goes."
-    return click.option(
-        "-o", "--out", metavar="FILE", type=FILE, callback=check, default=default, show_default=True, help=told
-    )
+    return click.option("-o", "--out", metavar="FILE", type=parse, default=f"{what}.npz", show_default=True, help=told)
 
 
 config = click.option(
@@ -104,10 +102,8 @@ def jobs(what: str) -> Decorator:
     return click.option("-j", "--jobs", "workers", metavar="N", type=Whole(min=1), default=1, help=what)
 
 
-def _box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | None:
+def _box(value: str) -> Box:
     """`left,top,width,height` in pixels."""
-    if value is None:
-        return None
     try:
         x, y, w, h = (float(part) for part in value.split(","))
     except ValueError:
@@ -119,7 +115,7 @@ def _box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box |
 
 def box(told: str) -> Decorator:
     """--box, which is what `told` says."""
-    return click.option("--box", metavar="X,Y,W,H", callback=_box, help=told)
+    return click.option("--box", metavar="X,Y,W,H", type=_box, help=told)
 
 
 # --- in groups -----------------------------------------------------------------------------------------------------
@@ -145,16 +141,14 @@ class Extent(NamedTuple):
             raise UsageError("--fps is for image folders; a video brings its own rate")
 
 
-def _init(ctx: click.Context, param: click.Parameter, value: str | None) -> Path | str | None:
-    if value == "":
+def _init(value: str) -> Path | str:
+    if not value:
         raise UsageError("--init is empty; name an init file, or haar to look for a face")
-    return Path(value) if value not in (None, "haar") else value
+    return value if value == "haar" else Path(value)
 
 
-def _rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fraction | None:
+def _rate(value: str) -> Fraction:
     """Frames per second."""
-    if value is None:
-        return None
     try:
         found = Fraction(value)
     except (ValueError, ZeroDivisionError):
@@ -172,13 +166,13 @@ def extent(start: str) -> Decorator:
         click.option(
             "--init",
             metavar="FILE",
-            callback=_init,
+            type=_init,
             help="Init file; `haar` looks for a face even if one lies beside the clip.",
         ),
         box("The face, head or hand in the first frame, in pixels."),
         click.option("--start", metavar="N", type=FRAME, default=0, help=start),
         click.option("--stop", metavar="N", type=FRAME, help="Frame to stop before."),
-        click.option("--fps", metavar="RATE", callback=_rate, help="Frames per second of image folders."),
+        click.option("--fps", metavar="RATE", type=_rate, help="Frames per second of image folders."),
     )
 
 
@@ -285,18 +279,13 @@ def colour() -> bool:
     return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
-def check_figure(path: Path, overwrite: bool, *inputs: Path) -> None:
-    """Refuse before the work a figure that cannot be written, or drawn for want of matplotlib."""
-    from facetrack_cli.core.files import check_new
-    from facetrack_cli.report.figures.style import need_matplotlib
+def write_figure(
+    path: Path, make: Callable[[], Figure], *, overwrite: bool, inputs: Iterable[Path] = (), dpi: float = 120.0
+) -> None:
+    """The figure, in the form that the file's ending names; refuses before `make` what would be refused after it."""
+    from facetrack_cli.core.files import check_new, write_new
+    from facetrack_cli.report.figures import need_matplotlib, render
 
     check_new(path, overwrite=overwrite, inputs=inputs)
     need_matplotlib()
-
-
-def write_figure(path: Path, figure: Figure, overwrite: bool, dpi: float = 120.0) -> None:
-    """In the form that the file's ending names."""
-    from facetrack_cli.core.files import write_new
-    from facetrack_cli.report.figures.style import render
-
-    write_new(path, render(figure, path.suffix[1:].lower(), dpi=dpi), overwrite=overwrite)
+    write_new(path, render(make(), path.suffix[1:].lower(), dpi=dpi), overwrite=overwrite)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.table import Table
 
 
-def _failure(ctx: click.Context, param: click.Parameter, value: str) -> float:
+def _failure(value: str) -> float:
     try:
         share = float(value)
     except ValueError:
@@ -54,7 +54,7 @@ def _failure(ctx: click.Context, param: click.Parameter, value: str) -> float:
     metavar="SHARE",
     default="0.1",
     show_default=True,
-    callback=_failure,
+    type=_failure,
     help="A point has failed above this normalised error; 300-W takes 0.08.",
 )
 @click.option("--json", "json_to", metavar="FILE", help="Write all measures as JSON; - is standard output.")

@@ -32,7 +32,7 @@ def command() -> None:
     """
 
 
-def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, int]:
+def _template(value: str) -> tuple[int, int]:
     """(rows, columns) of COLUMNSxROWS."""
     found = re.fullmatch(r"(\d{1,4})[xX](\d{1,4})", value.strip())
     if not found or not all(LEAST_SIDE <= int(side) <= MOST_SIDE for side in found.groups()):
@@ -43,7 +43,7 @@ def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[i
 
 @command.command()
 @click.argument("folder", metavar="DIR", type=FILE)
-@options.array_file("gallery", "gallery.npz")
+@options.array_file("gallery")
 @click.option(
     "--frames", metavar="N", type=Whole(1, 10_000), default=15, show_default=True, help="Frames of each video, at most."
 )
@@ -60,7 +60,7 @@ def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[i
 @click.option(
     "--template",
     metavar="WxH",
-    callback=_template,
+    type=_template,
     default="26x30",
     show_default=True,
     help="Points across and down a face; the recipe must have the same.",
@@ -152,8 +152,7 @@ def show(file: Path, out: Path | None, overwrite: bool) -> None:
 
     gallery = load_gallery(file)
     out = out or file.with_suffix(".png")
-    options.check_figure(out, overwrite, file)
-    options.write_figure(out, gallery_figure(gallery, title=file.name), overwrite)
+    options.write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=overwrite, inputs=[file])
 
     rows, cols = gallery.shape
     click.echo(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} images")

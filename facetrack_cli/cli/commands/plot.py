@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, Truth
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @click.command()
@@ -52,13 +56,15 @@ def command(
     """
     truth.refuse_without_file(target=False)
     path = out or (trajectory if trajectory.is_dir() else trajectory.parent) / "plot.png"
-    options.check_figure(path, overwrite)
-    from facetrack_cli.report.figures import page_figure
-    from facetrack_cli.trajectory.select import choose
-    from facetrack_cli.trajectory.table import read_trajectory
 
-    table = read_trajectory(trajectory)
-    pairs = None if truth.path is None else truth.pairs(table, truth.read(), options.say)
-    figure = page_figure(choose(table, truth.target), pairs, title=title, width=width)
-    options.write_figure(path, figure, overwrite, dpi)
+    def draw() -> Figure:
+        from facetrack_cli.report.figures import page_figure
+        from facetrack_cli.trajectory.select import choose
+        from facetrack_cli.trajectory.table import read_trajectory
+
+        table = read_trajectory(trajectory)
+        pairs = None if truth.path is None else truth.pairs(table, truth.read(), options.say)
+        return page_figure(choose(table, truth.target), pairs, title=title, width=width)
+
+    options.write_figure(path, draw, overwrite=overwrite, dpi=dpi)
     options.say(f"{trajectory} -> {path}")

@@ -22,16 +22,14 @@ def command() -> None:
     """
 
 
-def _parts(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    if value is None:
-        return None
+def _parts(value: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in value.split(",") if name.strip())
     if not names:
         raise click.BadParameter(f"{value!r}: name the parts with commas, such as nose,mouth_left,mouth_right")
     return names
 
 
-def _scale(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, str]:
+def _scale(value: str) -> tuple[str, str]:
     names = [name.strip() for name in value.split(",")]
     if len(names) != 2 or not all(names):
         raise click.BadParameter(f"{value!r}: name two parts with a comma, such as mouth_left,mouth_right")
@@ -40,13 +38,13 @@ def _scale(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 
 @command.command()
 @click.argument("truth", metavar="TRUTH.csv...", nargs=-1, required=True, type=FILE)
-@options.array_file("prior", "prior.npz")
-@click.option("--parts", metavar="LIST", callback=_parts, help="Parts to learn, with commas [default: all].")
+@options.array_file("prior")
+@click.option("--parts", metavar="LIST", type=_parts, help="Parts to learn, with commas [default: all].")
 @click.option("--stable", metavar="PART", default="nose", show_default=True, help="Part that registers the others.")
 @click.option(
     "--scale",
     metavar="A,B",
-    callback=_scale,
+    type=_scale,
     default="mouth_left,mouth_right",
     show_default=True,
     help="Parts whose distance in the first frame is the unit.",
@@ -110,9 +108,8 @@ def show(file: Path | None, out: Path | None, overwrite: bool) -> None:
     path = file or default_prior_path()
     prior = load_prior(path)
     out = out or (path.with_suffix(".png") if file else Path(path.with_suffix(".png").name))
-    options.check_figure(out, overwrite, path)
     sigma = suggested_sigma(prior)
-    options.write_figure(out, prior_figure(prior, sigma, title=path.name), overwrite)
+    options.write_figure(out, lambda: prior_figure(prior, sigma, title=path.name), overwrite=overwrite, inputs=[path])
 
     click.echo(f"{path.name}: {len(prior.shapes)} shapes of {len(prior.parts)} parts")
     click.echo(f"registered by {prior.stable}; unit: {prior.scale[0]} to {prior.scale[1]} in the first frame")

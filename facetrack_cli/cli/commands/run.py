@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from facetrack_cli.runs.signals import Stop
 
 
-def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[Format, ...] | None:
-    if value is None:
-        return None
+def _formats(value: str) -> tuple[Format, ...]:
     names = [name.strip().lower() for name in value.split(",") if name.strip()]
     unknown = [name for name in names if name not in FORMATS]
     if unknown or not names:
@@ -48,7 +46,7 @@ def _formats(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     "--format",
     "formats",
     metavar="LIST",
-    callback=_formats,
+    type=_formats,
     help="csv, json, jsonl [default: csv,json; csv with -o -].",
 )
 @options.overwrite
