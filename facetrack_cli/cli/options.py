@@ -25,6 +25,15 @@ Function: TypeAlias = Callable[..., Any]
 Decorator: TypeAlias = Callable[[Function], Function]
 
 
+def option(names: str, metavar: str, text: str, *, show_default: bool = True, **more: Any) -> Decorator:
+    """An option of one value, and what its help says; `names` as "-o --out"."""
+    return click.option(*names.split(), metavar=metavar, help=text, show_default=show_default, **more)
+
+
+def flag(names: str, text: str) -> Decorator:
+    return click.option(*names.split(), is_flag=True, help=text)
+
+
 def grouped(name: str, kind: Any, *options: Decorator) -> Decorator:
     """A decorator for `options` that a command takes as one argument `name`: `kind`, a named tuple of their values."""
 
@@ -64,7 +73,7 @@ def _figure(value: str) -> Path:
 def figure_file(default: str) -> Decorator:
     """--out of a figure; `default` says in words where it goes without."""
     told = f"File to write: .png, .svg or .pdf [default: {default}]."
-    return click.option("-o", "--out", metavar="FILE", type=_figure, help=told)
+    return option("-o --out", "FILE", told, type=_figure)
 
 
 def array_file(what: str) -> Decorator:
@@ -76,30 +85,24 @@ def array_file(what: str) -> Decorator:
         return Path(value)
 
     told = f"Where the {what} goes."
-    return click.option("-o", "--out", metavar="FILE", type=parse, default=f"{what}.npz", show_default=True, help=told)
+    return option("-o --out", "FILE", told, type=parse, default=f"{what}.npz")
 
 
-config = click.option(
-    "--config", metavar="RECIPE", default="factorized", show_default=True, help="Recipe: a file, or a name."
+config = option("--config", "RECIPE", "Recipe: a file, or a name.", default="factorized")
+overrides = option("--set overrides", "KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
+gallery = option(
+    "--gallery", "FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."
 )
-overrides = click.option(
-    "--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of the recipe; repeatable."
-)
-gallery = click.option(
-    "--gallery",
-    metavar="FILE",
-    help="People to recognise, as facetrack gallery fit writes them; for recipes of affine targets.",
-)
-clip = click.option("--clip", metavar="INPUT", type=FILE, help="The clip, if it is elsewhere now.")
-title = click.option("--title", metavar="TEXT", help="Title of the page [default: clip and recipe].")
-target = click.option("--target", metavar="NAME[/PART]", help="One target, or one part of it, alone.")
-overwrite = click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
-quiet = click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
+clip = option("--clip", "INPUT", "The clip, if it is elsewhere now.", type=FILE)
+title = option("--title", "TEXT", "Title of the page [default: clip and recipe].")
+target = option("--target", "NAME[/PART]", "One target, or one part of it, alone.")
+overwrite = flag("--overwrite", "Replace files that are there already.")
+quiet = flag("--quiet -q", "Say nothing but errors.")
 
 
 def jobs(what: str) -> Decorator:
     """--jobs, of which `what` says what so many of them share."""
-    return click.option("-j", "--jobs", "workers", metavar="N", type=Whole(min=1), default=1, help=what)
+    return option("-j --jobs workers", "N", what, type=Whole(min=1), default=1, show_default=False)
 
 
 def _box(value: str) -> Box:
@@ -115,7 +118,7 @@ def _box(value: str) -> Box:
 
 def box(told: str) -> Decorator:
     """--box, which is what `told` says."""
-    return click.option("--box", metavar="X,Y,W,H", type=_box, help=told)
+    return option("--box", "X,Y,W,H", told, type=_box)
 
 
 # --- in groups -----------------------------------------------------------------------------------------------------
@@ -163,16 +166,11 @@ def extent(start: str) -> Decorator:
     return grouped(
         "extent",
         Extent,
-        click.option(
-            "--init",
-            metavar="FILE",
-            type=_init,
-            help="Init file; `haar` looks for a face even if one lies beside the clip.",
-        ),
+        option("--init", "FILE", "Init file; `haar` looks for a face even if one lies beside the clip.", type=_init),
         box("The face, head or hand in the first frame, in pixels."),
-        click.option("--start", metavar="N", type=FRAME, default=0, help=start),
-        click.option("--stop", metavar="N", type=FRAME, help="Frame to stop before."),
-        click.option("--fps", metavar="RATE", type=_rate, help="Frames per second of image folders."),
+        option("--start", "N", start, type=FRAME, default=0, show_default=False),
+        option("--stop", "N", "Frame to stop before.", type=FRAME),
+        option("--fps", "RATE", "Frames per second of image folders.", type=_rate),
     )
 
 
@@ -219,25 +217,23 @@ def truth(told: str) -> Decorator:
     return grouped(
         "truth",
         Truth,
-        click.option("--truth", "path", metavar="FILE", type=FILE, help=told),
-        click.option(
-            "--truth-format",
-            "form",
-            metavar="FORMAT",
+        option("--truth path", "FILE", told, type=FILE),
+        option(
+            "--truth-format form",
+            "FORMAT",
+            f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
             type=FORMAT,
             default="auto",
-            help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
+            show_default=False,
         ),
-        click.option(
+        option(
             "--shift",
-            metavar="N",
-            type=int,
-            help="Add N to the frame numbers of the ground truth; 0 takes them as they are even if another shift would "
+            "N",
+            "Add N to the frame numbers of the ground truth; 0 takes them as they are even if another shift would "
             "fit better.",
+            type=int,
         ),
-        click.option(
-            "--partial", is_flag=True, help="Take the frames that both have, though ground truth or track lacks some."
-        ),
+        flag("--partial", "Take the frames that both have, though ground truth or track lacks some."),
         target,
     )
 
@@ -257,13 +253,10 @@ class Page(NamedTuple):
 page = grouped(
     "page",
     Page,
-    click.option(
-        "--port",
-        metavar="N",
-        type=Whole(min=1, max=65535),
-        help="Port of the page on this machine [default: any that is free].",
+    option(
+        "--port", "N", "Port of the page on this machine [default: any that is free].", type=Whole(min=1, max=65535)
     ),
-    click.option("--open", "browse", is_flag=True, help="Also open the page in the browser."),
+    flag("--open browse", "Also open the page in the browser."),
 )
 
 # --- what commands print -------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 from facetrack_cli.cli import options
+from facetrack_cli.cli.options import flag, option
 from facetrack_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
@@ -93,11 +94,11 @@ def results(folder: str, row: str) -> options.Decorator:
     return options.grouped(
         "results",
         Results,
-        click.option("-o", "--out", metavar="DIR", help=f"Folder for results [default: ./{folder}]."),
+        option("-o --out", "DIR", f"Folder for results [default: ./{folder}]."),
         click.option("--json", "printed", flag_value="json", help="Print JSON instead of the table."),
         click.option("--csv", "printed", flag_value="csv", help=f"Print CSV, a row a {row}, instead of the table."),
-        click.option("--no-plots", is_flag=True, help="Draw nothing."),
+        flag("--no-plots", "Draw nothing."),
         options.overwrite,
         options.jobs("Processes that share the runs."),
-        click.option("--quiet", "-q", is_flag=True, help="Print the table, and nothing else but errors."),
+        flag("--quiet -q", "Print the table, and nothing else but errors."),
     )

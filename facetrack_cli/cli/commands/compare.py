@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Extent, Truth, Whole
+from facetrack_cli.cli.options import FILE, Extent, Truth, Whole, option
 from facetrack_cli.cli.results import Results, results
 from facetrack_cli.core.errors import ExitCode
 
@@ -16,17 +16,16 @@ PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 
 @click.command()
 @click.argument("clip", metavar="INPUT", type=FILE)
-@click.option(
-    "--config",
-    "configs",
-    metavar="RECIPE",
+@option(
+    "--config configs",
+    "RECIPE",
+    "Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
     multiple=True,
     required=True,
-    help="Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
 )
-@click.option("--seeds", metavar="N", type=Whole(min=1), default=10, show_default=True, help="Runs of each, seed 0 on.")
-@click.option("--rank-by", metavar="MEASURE", help="Rank by this, as points.median_px or boxes.precision_20.")
-@click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Override a key of all; repeatable.")
+@option("--seeds", "N", "Runs of each, seed 0 on.", type=Whole(min=1), default=10)
+@option("--rank-by", "MEASURE", "Rank by this, as points.median_px or boxes.precision_20.")
+@option("--set overrides", "KEY=VALUE", "Override a key of all; repeatable.", multiple=True)
 @options.gallery
 @options.truth("Ground truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].")
 @options.extent("First frame, from 0, of --box or a face looked for.")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Truth
+from facetrack_cli.cli.options import FILE, Truth, option
 from facetrack_cli.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -33,33 +33,31 @@ def _failure(value: str) -> float:
 @options.truth(
     "File or folder of ground truth [default: <clip>.truth.csv beside the clip that a JSON trajectory names]."
 )
-@click.option(
-    "--format",
-    "results_format",
-    metavar="FORMAT",
+@option(
+    "--format results_format",
+    "FORMAT",
+    "How to read TRAJECTORY if another tracker wrote it: one of the same [default: by its shape].",
     type=options.FORMAT,
     default="auto",
-    help="How to read TRAJECTORY if another tracker wrote it: one of the same [default: by its shape].",
+    show_default=False,
 )
-@click.option(
+@option(
     "--normalise",
-    metavar="LENGTH",
-    default="size",
-    show_default=True,
-    help="Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
+    "LENGTH",
+    "Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
     "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
+    default="size",
 )
-@click.option(
+@option(
     "--failure",
-    metavar="SHARE",
+    "SHARE",
+    "A point has failed above this normalised error; 300-W takes 0.08.",
     default="0.1",
-    show_default=True,
     type=_failure,
-    help="A point has failed above this normalised error; 300-W takes 0.08.",
 )
-@click.option("--json", "json_to", metavar="FILE", help="Write all measures as JSON; - is standard output.")
-@click.option("--csv", "csv_to", metavar="FILE", help="Write a row a part and one of all as CSV; - is standard output.")
-@click.option("--plot", "plot_to", metavar="FILE.png", help="Draw how far confidence can be trusted (needs [plot]).")
+@option("--json json_to", "FILE", "Write all measures as JSON; - is standard output.")
+@option("--csv csv_to", "FILE", "Write a row a part and one of all as CSV; - is standard output.")
+@option("--plot plot_to", "FILE.png", "Draw how far confidence can be trusted (needs [plot]).")
 @options.overwrite
 def command(
     trajectory: Path,
@@ -94,21 +92,19 @@ def command(
     Exit codes: 0 done, 2 usage or output, 3 a trajectory or ground truth that
     cannot be read, or that do not belong together, 130 interrupted.
     """
-    outputs = {"--json": json_to, "--csv": csv_to, "--plot": plot_to}
-    files = _files(outputs, overwrite)
-    if plot_to is not None:
-        from facetrack_cli.report.figures.style import need_matplotlib
-
-        need_matplotlib()
-
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.summary import Options, evaluate
     from facetrack_cli.evaluation.summary_data import About, to_csv, to_json
     from facetrack_cli.evaluation.summary_table import to_text
     from facetrack_cli.evaluation.units import check_normalise
+    from facetrack_cli.report.figures import need_matplotlib
     from facetrack_cli.trajectory.formats.read import read_results
     from facetrack_cli.trajectory.header import clip_of, picture_of
 
+    wanted = {"--json": json_to, "--csv": csv_to, "--plot": plot_to}
+    files = _files(wanted, overwrite)
+    if plot_to is not None:
+        need_matplotlib()
     check_normalise(normalise)
     ours = read_results(trajectory, results_format)
     theirs = truth._replace(path=truth.path or _truth_beside(ours)).read()
@@ -120,36 +116,36 @@ def command(
     read_as = str(theirs.header.get("read_as", truth.form))
     about = About(ours.path, theirs.path, read_as, truth.shift or 0, ours.header.get("read_as"))
 
-    texts = {
-        option: make(evaluation, about)
-        for option, make in (("--json", to_json), ("--csv", to_csv))
-        if outputs[option] is not None
-    }
-    whole = {option: texts[option].encode(errors="backslashreplace") for option in files if option in texts}
+    made: dict[str, bytes] = {}
+    printed = ""
+    for name, make in (("--json", to_json), ("--csv", to_csv)):
+        if name in files:
+            made[name] = make(evaluation, about).encode(errors="backslashreplace")
+        elif wanted[name] is not None:
+            printed = make(evaluation, about)
     if plot_to is not None:
-        whole["--plot"] = _plot(evaluation, ours.path)
-    for option, content in whole.items():
-        write_new(files[option], content, overwrite=overwrite)
-        options.say(f"{trajectory} -> {files[option]}")
-    streamed = next((text for option, text in texts.items() if option not in files), None)
-    _print(to_text(evaluation, about, colour=options.colour()) if streamed is None else streamed)
+        made["--plot"] = _plot(evaluation, ours.path)
+    for name, content in made.items():
+        write_new(files[name], content, overwrite=overwrite)
+        options.say(f"{trajectory} -> {files[name]}")
+    _print(printed or to_text(evaluation, about, colour=options.colour()))
 
 
-def _files(outputs: dict[str, str | None], overwrite: bool) -> dict[str, Path]:
+def _files(wanted: dict[str, str | None], overwrite: bool) -> dict[str, Path]:
     """The files to write by their options; refused before anything is read if they cannot be."""
     from facetrack_cli.core.files import check_new
 
-    if outputs["--json"] == outputs["--csv"] == "-":
+    if wanted["--json"] == wanted["--csv"] == "-":
         raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
-    files = {option: Path(name) for option, name in outputs.items() if name is not None and name != "-"}
-    for option, path in files.items():
-        if not outputs[option]:
-            raise UsageError(f"{option} is empty; name a file")
+    files = {name: Path(file) for name, file in wanted.items() if file is not None and file != "-"}
+    for name, path in files.items():
+        if not wanted[name]:
+            raise UsageError(f"{name} is empty; name a file")
         check_new(path, overwrite=overwrite)
     if len({os.path.realpath(path) for path in files.values()}) < len(files):
         raise UsageError(f"{' and '.join(files)} name the same file; name one for each")
-    if outputs["--plot"] is not None and Path(outputs["--plot"]).suffix.lower() != ".png":
-        raise UsageError(f"--plot {outputs['--plot']}: the figure is a PNG; let its name end in .png")
+    if (plot := wanted["--plot"]) is not None and Path(plot).suffix.lower() != ".png":
+        raise UsageError(f"--plot {plot}: the figure is a PNG; let its name end in .png")
     return files
 
 

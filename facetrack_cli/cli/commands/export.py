@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, say
+from facetrack_cli.cli.options import FILE, flag, option, say
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -35,16 +35,16 @@ OF_MEDIA = ("coco", "eaf")
 @click.command()
 @click.argument("trajectory", metavar="TRAJECTORY", type=FILE)
 @click.option("--to", "form", required=True, type=click.Choice(list(ENDINGS)), help="Format, as below.")
-@click.option("-o", "--out", metavar="FILE", help="File to write [default: beside TRAJECTORY]; - standard output.")
+@option("-o --out", "FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
 @options.target
-@click.option("--media", metavar="FILE", type=FILE, help="Clip it was tracked in (coco, eaf).")
+@option("--media", "FILE", "Clip it was tracked in (coco, eaf).", type=FILE)
 @click.option(
     "--box",
     "around",
     type=click.Choice(["windows", "points"]),
     help="A box around points encloses their windows [default], or their centres alone.",
 )
-@click.option("--drop-lost", is_flag=True, help="Write lost rows as not known, not with the estimate.")
+@flag("--drop-lost", "Write lost rows as not known, not with the estimate.")
 @options.overwrite
 def command(
     trajectory: Path,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Page, say
+from facetrack_cli.cli.options import FILE, Page, flag, option, say
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
 
 if TYPE_CHECKING:
@@ -22,12 +22,10 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("run", metavar="RUN_DIR", type=FILE)
 @options.clip
-@click.option(
-    "--init", metavar="FILE", type=FILE, help="No page: take the corrections of this init file, and no others."
-)
-@click.option("--no-video", is_flag=True, help="Leave annotated.mp4 as it is.")
+@option("--init", "FILE", "No page: take the corrections of this init file, and no others.", type=FILE)
+@flag("--no-video", "Leave annotated.mp4 as it is.")
 @options.page
-@click.option("--quiet", "-q", is_flag=True, help="With --init: say nothing but errors.")
+@flag("--quiet -q", "With --init: say nothing but errors.")
 def command(run: Path, clip: Path | None, init: Path | None, no_video: bool, page: Page, quiet: bool) -> int:
     """Correct a finished run, on a page.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, FRAME, Whole, say
+from facetrack_cli.cli.options import FILE, FRAME, Whole, option, say
 from facetrack_cli.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -44,26 +44,22 @@ def _template(value: str) -> tuple[int, int]:
 @command.command()
 @click.argument("folder", metavar="DIR", type=FILE)
 @options.array_file("gallery")
-@click.option(
-    "--frames", metavar="N", type=Whole(1, 10_000), default=15, show_default=True, help="Frames of each video, at most."
-)
-@click.option("--start", metavar="N", type=FRAME, default=0, help="First frame of videos that is used.")
-@click.option("--stop", metavar="N", type=FRAME, help="Frame of videos before which to stop.")
-@click.option(
+@option("--frames", "N", "Frames of each video, at most.", type=Whole(1, 10_000), default=15)
+@option("--start", "N", "First frame of videos that is used.", type=FRAME, default=0, show_default=False)
+@option("--stop", "N", "Frame of videos before which to stop.", type=FRAME)
+@option(
     "--jitter",
-    metavar="N",
+    "N",
+    "Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
     type=Whole(0, 100),
     default=4,
-    show_default=True,
-    help="Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
 )
-@click.option(
+@option(
     "--template",
-    metavar="WxH",
+    "WxH",
+    "Points across and down a face; the recipe must have the same.",
     type=_template,
     default="26x30",
-    show_default=True,
-    help="Points across and down a face; the recipe must have the same.",
 )
 @options.overwrite
 @options.quiet

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, FRAME, Page, say
+from facetrack_cli.cli.options import FILE, FRAME, Page, flag, option, say
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError
 
 if TYPE_CHECKING:
@@ -21,27 +21,18 @@ SUFFIXES = (".yaml", ".yml", ".json")
 
 @click.command()
 @click.argument("clip", metavar="INPUT", type=FILE)
-@click.option(
-    "-o", "--out", metavar="FILE", help="File to write [default: <clip>.init.yaml beside the clip]; - stdout."
-)
-@click.option(
-    "--init-frame",
-    metavar="N",
-    type=FRAME,
-    help="Frame where the search begins, of --box, or shown first on the page.",
-)
+@option("-o --out", "FILE", "File to write [default: <clip>.init.yaml beside the clip]; - stdout.")
+@option("--init-frame", "N", "Frame where the search begins, of --box, or shown first on the page.", type=FRAME)
 @options.box("The face's box in that frame: place the points in it.")
-@click.option(
+@option(
     "--config",
-    metavar="RECIPE",
-    help="Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
+    "RECIPE",
+    "Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
 )
-@click.option("--preview", metavar="FILE.png", type=FILE, help="Also draw the result on its frame.")
-@click.option("--pick", is_flag=True, help="Choose on a page in the browser: boxes and points are drawn on the frame.")
+@option("--preview", "FILE.png", "Also draw the result on its frame.", type=FILE)
+@flag("--pick", "Choose on a page in the browser: boxes and points are drawn on the frame.")
 @options.page
-@click.option(
-    "--overwrite", is_flag=True, help="Replace files that are there already; --pick begins with what they hold."
-)
+@flag("--overwrite", "Replace files that are there already; --pick begins with what they hold.")
 def command(
     clip: Path,
     out: str | None,

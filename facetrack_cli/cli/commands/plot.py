@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Truth
+from facetrack_cli.cli.options import FILE, Truth, option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,17 +20,8 @@ if TYPE_CHECKING:
 @options.figure_file("plot.png beside TRAJECTORY")
 @options.overwrite
 @options.title
-@click.option(
-    "--width", metavar="INCHES", type=click.FloatRange(4, 40), default=10, show_default=True, help="Width of the page."
-)
-@click.option(
-    "--dpi",
-    metavar="N",
-    type=click.FloatRange(40, 600),
-    default=120,
-    show_default=True,
-    help="Pixels an inch of a PNG.",
-)
+@option("--width", "INCHES", "Width of the page.", type=click.FloatRange(4, 40), default=10)
+@option("--dpi", "N", "Pixels an inch of a PNG.", type=click.FloatRange(40, 600), default=120)
 def command(
     trajectory: Path, truth: Truth, out: Path | None, overwrite: bool, title: str | None, width: float, dpi: float
 ) -> None:

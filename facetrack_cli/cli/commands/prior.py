@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Whole, say
+from facetrack_cli.cli.options import FILE, Whole, option, say
 
 
 @click.group()
@@ -39,19 +39,16 @@ def _scale(value: str) -> tuple[str, str]:
 @command.command()
 @click.argument("truth", metavar="TRUTH.csv...", nargs=-1, required=True, type=FILE)
 @options.array_file("prior")
-@click.option("--parts", metavar="LIST", type=_parts, help="Parts to learn, with commas [default: all].")
-@click.option("--stable", metavar="PART", default="nose", show_default=True, help="Part that registers the others.")
-@click.option(
+@option("--parts", "LIST", "Parts to learn, with commas [default: all].", type=_parts)
+@option("--stable", "PART", "Part that registers the others.", default="nose")
+@option(
     "--scale",
-    metavar="A,B",
+    "A,B",
+    "Parts whose distance in the first frame is the unit.",
     type=_scale,
     default="mouth_left,mouth_right",
-    show_default=True,
-    help="Parts whose distance in the first frame is the unit.",
 )
-@click.option(
-    "--max-shapes", metavar="N", type=Whole(1, 10_000), default=500, show_default=True, help="Keep so many at most."
-)
+@option("--max-shapes", "N", "Keep so many at most.", type=Whole(1, 10_000), default=500)
 @options.overwrite
 @options.quiet
 def fit(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Whole
+from facetrack_cli.cli.options import FILE, Whole, flag, option
 from facetrack_cli.core.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -19,28 +19,22 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=FILE)
-@click.option(
-    "--config",
-    "configs",
-    metavar="RECIPE",
+@option(
+    "--config configs",
+    "RECIPE",
+    "Only this recipe, a file or a name; repeatable [default: all that have goldens].",
     multiple=True,
-    help="Only this recipe, a file or a name; repeatable [default: all that have goldens].",
 )
-@click.option("--set", "overrides", metavar="KEY=VALUE", multiple=True, help="Check with this key changed; repeatable.")
-@click.option(
-    "--gallery",
-    metavar="FILE",
-    type=FILE,
-    help="People that recipes with recognition know; a golden remembers its own.",
-)
-@click.option("--update", is_flag=True, help="Record goldens instead: of --config, else of all that have one.")
-@click.option("--seeds", metavar="N", type=Whole(min=20, max=500), help="Runs to record a golden from [default: 40].")
-@click.option("--stop", metavar="N", type=Whole(min=2), help="Record up to this frame only; for slow trackers.")
-@click.option("--junit", metavar="FILE", type=FILE, help="Write JUnit XML, for CI services.")
-@click.option("--json", "json_file", metavar="FILE", type=FILE, help="Write the results as JSON.")
+@option("--set overrides", "KEY=VALUE", "Check with this key changed; repeatable.", multiple=True)
+@option("--gallery", "FILE", "People that recipes with recognition know; a golden remembers its own.", type=FILE)
+@flag("--update", "Record goldens instead: of --config, else of all that have one.")
+@option("--seeds", "N", "Runs to record a golden from [default: 40].", type=Whole(min=20, max=500))
+@option("--stop", "N", "Record up to this frame only; for slow trackers.", type=Whole(min=2))
+@option("--junit", "FILE", "Write JUnit XML, for CI services.", type=FILE)
+@option("--json json_file", "FILE", "Write the results as JSON.", type=FILE)
 @options.overwrite
 @options.jobs("Goldens at a time.")
-@click.option("--quiet", "-q", is_flag=True, help="No progress.")
+@flag("--quiet -q", "No progress.")
 def command(
     folder: Path,
     configs: tuple[str, ...],

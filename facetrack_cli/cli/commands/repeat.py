@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Extent, Whole
+from facetrack_cli.cli.options import FILE, Extent, Whole, option
 from facetrack_cli.cli.results import Results, results
 from facetrack_cli.core.errors import ExitCode
 
@@ -15,19 +15,18 @@ from facetrack_cli.core.errors import ExitCode
 @click.command()
 @click.argument("clip", metavar="INPUT", type=FILE)
 @options.config
-@click.option("--seeds", metavar="N", type=Whole(min=2), default=20, show_default=True, help="Runs, from seed 0 on.")
+@option("--seeds", "N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
 @options.overrides
 @options.gallery
 @options.extent("First frame, from 0, of --box or a face looked for.")
-@click.option(
+@option(
     "--apart",
-    metavar="SHARE",
+    "SHARE",
+    "Share of the target's size beyond which a run is apart from the others.",
     type=click.FloatRange(0, min_open=True),
     default=0.25,
-    show_default=True,
-    help="Share of the target's size beyond which a run is apart from the others.",
 )
-@click.option("--truth", metavar="FILE", type=FILE, help="Ground truth, to say which runs are right.")
+@option("--truth", "FILE", "Ground truth, to say which runs are right.", type=FILE)
 @results("<clip>-<recipe>-repeat", "frame and part")
 def command(
     clip: Path,

@@ -8,14 +8,14 @@ from pathlib import Path
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Truth
+from facetrack_cli.cli.options import FILE, Truth, option
 from facetrack_cli.core.errors import OutputError
 
 
 @click.command()
 @click.argument("run", metavar="RUN_DIR", type=FILE)
 @options.truth("Measure against this file of ground truth.")
-@click.option("-o", "--out", metavar="FILE", type=FILE, help="The page [default: RUN_DIR/report.html].")
+@option("-o --out", "FILE", "The page [default: RUN_DIR/report.html].", type=FILE)
 @options.clip
 @options.title
 @options.overwrite

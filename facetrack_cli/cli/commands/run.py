@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, FRAME, Extent, Whole
+from facetrack_cli.cli.options import FILE, FRAME, Extent, Whole, flag, option
 from facetrack_cli.core.errors import ExitCode, OutputError, UsageError
 from facetrack_cli.trajectory.row import FORMATS, Format
 
@@ -32,26 +32,16 @@ def _formats(value: str) -> tuple[Format, ...]:
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=FILE)
 @options.config
 @options.overrides
-@click.option("--seed", metavar="N", type=Whole(min=0), help="Seed of the random numbers, instead of the recipe's.")
+@option("--seed", "N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
 @options.gallery
 @options.extent("First frame, from 0.")
-@click.option(
-    "--init-frame", metavar="N", type=FRAME, help="Frame of --init or --box, or where the search for a face begins."
-)
-@click.option(
-    "-o", "--out", metavar="DIR", help="Folder for results [default: ./<clip>-<recipe>]; - streams to stdout."
-)
-@click.option("--no-video", is_flag=True, help="Do not write annotated.mp4.")
-@click.option(
-    "--format",
-    "formats",
-    metavar="LIST",
-    type=_formats,
-    help="csv, json, jsonl [default: csv,json; csv with -o -].",
-)
+@option("--init-frame", "N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME)
+@option("-o --out", "DIR", "Folder for results [default: ./<clip>-<recipe>]; - streams to stdout.")
+@flag("--no-video", "Do not write annotated.mp4.")
+@option("--format formats", "LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats)
 @options.overwrite
-@click.option("--fail-on-lost", is_flag=True, help="Exit with 4 if a part is lost in the last frame.")
-@click.option("--threads", metavar="N", type=Whole(min=1), help="Threads a clip [default: the cores, shared by -j].")
+@flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
+@option("--threads", "N", "Threads a clip [default: the cores, shared by -j].", type=Whole(min=1))
 @options.jobs("Clips at a time.")
 @options.quiet
 def command(
