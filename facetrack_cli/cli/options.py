@@ -1,14 +1,26 @@
-"""Options that several commands take: alone, and in groups that reach a command as one value."""
+"""Commands as classes: each field is an option, and what several commands take is a group of them.
+
+class Repeat:
+    \"\"\"Show how far the runs of a recipe differ from seed to seed.\"\"\"
+
+    clip: Path = argument("INPUT")
+    seeds: int = option("--seeds", "N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
+    extent: Extent = group(Extent)
+
+    def run(self) -> int: ...
+
+command = verb(Repeat)
+"""
 
 from __future__ import annotations
 
-import functools
+import inspect
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import click
 
@@ -21,32 +33,7 @@ if TYPE_CHECKING:
     from facetrack_cli.evaluation.rows import Pair
     from facetrack_cli.trajectory.table import Table
 
-Function: TypeAlias = Callable[..., Any]
-Decorator: TypeAlias = Callable[[Function], Function]
-
-
-def option(names: str, metavar: str, text: str, *, show_default: bool = True, **more: Any) -> Decorator:
-    """An option of one value, and what its help says; `names` as "-o --out"."""
-    return click.option(*names.split(), metavar=metavar, help=text, show_default=show_default, **more)
-
-
-def flag(names: str, text: str) -> Decorator:
-    return click.option(*names.split(), is_flag=True, help=text)
-
-
-def grouped(name: str, kind: Any, *options: Decorator) -> Decorator:
-    """A decorator for `options` that a command takes as one argument `name`: `kind`, a named tuple of their values."""
-
-    def decorate(command: Function) -> Function:
-        def called(*args: Any, **values: Any) -> Any:
-            return command(*args, **{name: kind(*(values.pop(field) for field in kind._fields))}, **values)
-
-        wrapped: Function = functools.wraps(command)(called)
-        for option in reversed(options):
-            wrapped = option(wrapped)
-        return wrapped
-
-    return decorate
+FILE: Any = click.Path(path_type=Path)
 
 
 class Whole(click.IntRange):
@@ -55,54 +42,65 @@ class Whole(click.IntRange):
     name = "whole number"
 
 
-FILE: Any = click.Path(path_type=Path)
 FRAME = Whole(min=0)
-FIGURES = ("png", "svg", "pdf")  # those of report/figures/style.py, which would load numpy
-
-# --- one by one ----------------------------------------------------------------------------------------------------
 
 
-def _figure(value: str) -> Path:
-    if not value:
-        raise OutputError("--out is empty; name a file that ends in .png, .svg or .pdf")
-    if Path(value).suffix[1:].lower() not in FIGURES:
-        raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
-    return Path(value)
+class _Field(NamedTuple):
+    kind: type[click.Parameter]
+    names: tuple[str, ...]
+    more: dict[str, Any]
 
 
-def figure_file(default: str) -> Decorator:
-    """--out of a figure; `default` says in words where it goes without."""
-    told = f"File to write: .png, .svg or .pdf [default: {default}]."
-    return option("-o --out", "FILE", told, type=_figure)
+class _Group(NamedTuple):
+    kind: type[Any]
 
 
-def array_file(what: str) -> Decorator:
-    """--out of an .npz file that holds a `what`, as a gallery."""
-
-    def parse(value: str) -> Path:
-        if Path(value).suffix != ".npz":
-            raise UsageError(f"{value}: a {what} is an .npz file; let its name end so")
-        return Path(value)
-
-    told = f"Where the {what} goes."
-    return option("-o --out", "FILE", told, type=parse, default=f"{what}.npz")
+def option(names: str, metavar: str, text: str, **more: Any) -> Any:
+    """A field for an option, whose help says `text`; `names` as "-o --out". A default is shown."""
+    shown = {"metavar": metavar, "help": text, "show_default": "default" in more}
+    return _Field(click.Option, tuple(names.split()), shown | more)
 
 
-config = option("--config", "RECIPE", "Recipe: a file, or a name.", default="factorized")
-overrides = option("--set overrides", "KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
-gallery = option(
-    "--gallery", "FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."
-)
-clip = option("--clip", "INPUT", "The clip, if it is elsewhere now.", type=FILE)
-title = option("--title", "TEXT", "Title of the page [default: clip and recipe].")
-target = option("--target", "NAME[/PART]", "One target, or one part of it, alone.")
-overwrite = flag("--overwrite", "Replace files that are there already.")
-quiet = flag("--quiet -q", "Say nothing but errors.")
+def flag(names: str, text: str) -> Any:
+    return _Field(click.Option, tuple(names.split()), {"is_flag": True, "help": text})
 
 
-def jobs(what: str) -> Decorator:
-    """--jobs, of which `what` says what so many of them share."""
-    return option("-j --jobs workers", "N", what, type=Whole(min=1), default=1, show_default=False)
+def argument(metavar: str, **more: Any) -> Any:
+    """A field for a file or folder that is named without an option."""
+    return _Field(click.Argument, (), {"metavar": metavar, "type": FILE, **more})
+
+
+def group(kind: type[Any]) -> Any:
+    """A field for all options of another class, of which it will be an instance."""
+    return _Group(kind)
+
+
+def verb(kind: type[Any], name: str | None = None) -> click.Command:
+    """The command of a class: its docstring is the help, its fields are the options, and `run` does the work."""
+
+    def call(**values: Any) -> Any:
+        return _filled(kind, values).run()
+
+    return click.Command(name, params=list(_parameters(kind)), callback=call, help=inspect.cleandoc(kind.__doc__ or ""))
+
+
+def _parameters(kind: type[Any]) -> Iterator[click.Parameter]:
+    for name, field in vars(kind).items():
+        if isinstance(field, _Group):
+            yield from _parameters(field.kind)
+        elif isinstance(field, _Field):
+            yield field.kind([*field.names, name], **field.more)
+
+
+def _filled(kind: type[Any], values: dict[str, Any]) -> Any:
+    made = kind()
+    for name, field in vars(kind).items():
+        if isinstance(field, (_Field, _Group)):
+            vars(made)[name] = _filled(field.kind, values) if isinstance(field, _Group) else values[name]
+    return made
+
+
+# --- options that mean the same in several commands ----------------------------------------------------------------
 
 
 def _box(value: str) -> Box:
@@ -116,32 +114,48 @@ def _box(value: str) -> Box:
     return (x, y, w, h)
 
 
-def box(told: str) -> Decorator:
-    """--box, which is what `told` says."""
-    return option("--box", "X,Y,W,H", told, type=_box)
+def box_option(text: str) -> Any:
+    return option("--box", "X,Y,W,H", text, type=_box)
 
 
-# --- in groups -----------------------------------------------------------------------------------------------------
+def figure_file(default: str) -> Any:
+    """--out of a figure; `default` says in words where it goes without."""
+
+    def parse(value: str) -> Path:
+        if not value:
+            raise OutputError("--out is empty; name a file that ends in .png, .svg or .pdf")
+        if Path(value).suffix.lower() not in (".png", ".svg", ".pdf"):
+            raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
+        return Path(value)
+
+    return option("-o --out", "FILE", f"File to write: .png, .svg or .pdf [default: {default}].", type=parse)
 
 
-class Extent(NamedTuple):
-    """Where the tracks of a clip begin, and its frames: --init, --box, --start, --stop and --fps."""
+def array_file(what: str) -> Any:
+    """--out of an .npz file that holds a `what`, as a gallery."""
 
-    init: Path | Literal["haar"] | None
-    box: Box | None
-    start: int
-    stop: int | None
-    fps: Fraction | None
+    def parse(value: str) -> Path:
+        if Path(value).suffix != ".npz":
+            raise UsageError(f"{value}: a {what} is an .npz file; let its name end so")
+        return Path(value)
 
-    def check(self, *clips: Path) -> None:
-        """UsageError where they contradict each other, or have no meaning for these clips."""
-        if self.init is not None and self.box is not None:
-            raise UsageError("--init and --box both say where the track starts; give one of them")
-        if self.stop is not None and self.stop <= self.start:
-            told = f"after --start {self.start}" if self.start else "at all"
-            raise UsageError(f"--stop {self.stop} leaves no frame {told}; it is the frame to stop before")
-        if self.fps is not None and all(one.is_file() for one in clips):
-            raise UsageError("--fps is for image folders; a video brings its own rate")
+    return option("-o --out", "FILE", f"Where the {what} goes.", type=parse, default=f"{what}.npz")
+
+
+def jobs_option(text: str) -> Any:
+    return option("-j --jobs", "N", text, type=Whole(min=1), default=1, show_default=False)
+
+
+CONFIG = option("--config", "RECIPE", "Recipe: a file, or a name.", default="factorized")
+OVERRIDES = option("--set", "KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
+GALLERY = option(
+    "--gallery", "FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."
+)
+CLIP = option("--clip", "INPUT", "The clip, if it is elsewhere now.", type=FILE)
+TITLE = option("--title", "TEXT", "Title of the page [default: clip and recipe].")
+TARGET = option("--target", "NAME[/PART]", "One target, or one part of it, alone.")
+OVERWRITE = flag("--overwrite", "Replace files that are there already.")
+QUIET = flag("--quiet -q", "Say nothing but errors.")
 
 
 def _init(value: str) -> Path | str:
@@ -161,49 +175,67 @@ def _rate(value: str) -> Fraction:
     return found
 
 
-def extent(start: str) -> Decorator:
-    """The options of an `Extent`, of which `start` explains --start."""
-    return grouped(
-        "extent",
-        Extent,
-        option("--init", "FILE", "Init file; `haar` looks for a face even if one lies beside the clip.", type=_init),
-        box("The face, head or hand in the first frame, in pixels."),
-        option("--start", "N", start, type=FRAME, default=0, show_default=False),
-        option("--stop", "N", "Frame to stop before.", type=FRAME),
-        option("--fps", "RATE", "Frames per second of image folders.", type=_rate),
+class Extent:
+    """Where the tracks of a clip begin, and which of its frames are read."""
+
+    init: Path | Literal["haar"] | None = option(
+        "--init", "FILE", "Init file; `haar` looks for a face even if one lies beside the clip.", type=_init
     )
+    box: Box | None = box_option("The face, head or hand in the first frame, in pixels.")
+    start: int = option("--start", "N", "First frame, from 0.", type=FRAME, default=0, show_default=False)
+    stop: int | None = option("--stop", "N", "Frame to stop before.", type=FRAME)
+    fps: Fraction | None = option("--fps", "RATE", "Frames per second of image folders.", type=_rate)
+
+    def check(self, *clips: Path) -> None:
+        """UsageError where options contradict each other, or have no meaning for these clips."""
+        if self.init is not None and self.box is not None:
+            raise UsageError("--init and --box both say where the track starts; give one of them")
+        if self.stop is not None and self.stop <= self.start:
+            told = f"after --start {self.start}" if self.start else "at all"
+            raise UsageError(f"--stop {self.stop} leaves no frame {told}; it is the frame to stop before")
+        if self.fps is not None and all(one.is_file() for one in clips):
+            raise UsageError("--fps is for image folders; a video brings its own rate")
 
 
 # those of trajectory/formats/read.py, which is not imported, so that helps come at once
 TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
-FORMAT: Any = click.Choice(TRUTH_FORMATS)
 
 
-class Truth(NamedTuple):
-    """A file of ground truth and how to read it; `path` None without --truth."""
+def format_of(names: str, text: str) -> Any:
+    """How to read a file that another program may have written."""
+    text += " [default: by its shape]."
+    return option(names, "FORMAT", text, type=click.Choice(TRUTH_FORMATS), default="auto", show_default=False)
 
-    path: Path | None
-    form: str
-    shift: int | None
-    partial: bool
-    target: str | None
 
-    def refuse_without_file(self, *, target: bool) -> None:
-        """UsageError for an option that says how to use a file which is not named; --target only if `target`."""
+class TruthOptions:
+    """How a file of ground truth is read."""
+
+    truth_format: str = format_of("--truth-format", f"How to read it: {', '.join(TRUTH_FORMATS[1:])}")
+    shift: int | None = option(
+        "--shift",
+        "N",
+        "Add N to the frame numbers of the ground truth; 0 takes them as they are even if another shift would fit "
+        "better.",
+        type=int,
+    )
+    partial: bool = flag("--partial", "Take the frames that both have, though ground truth or track lacks some.")
+    target: str | None = TARGET
+
+    def refuse(self, *, target: bool) -> None:
+        """UsageError, since there is no file, for an option that says how to read it; for --target only if `target`."""
         given = {
-            "--truth-format": self.form != "auto",
+            "--truth-format": self.truth_format != "auto",
             "--shift": self.shift is not None,
             "--partial": self.partial,
             "--target": target and self.target,
         }
-        if self.path is None and (idle := [option for option, value in given.items() if value]):
+        if idle := [name for name, value in given.items() if value]:
             raise UsageError(f"{idle[0]} says how to use ground truth; give its file with --truth FILE")
 
-    def read(self) -> Table:
+    def read(self, path: Path) -> Table:
         from facetrack_cli.trajectory.formats.read import read_truth
 
-        assert self.path is not None
-        return read_truth(self.path, self.form, shift=self.shift or 0)
+        return read_truth(path, self.truth_format, shift=self.shift or 0)
 
     def pairs(self, ours: Table, theirs: Table, note: Callable[[str], None]) -> list[Pair]:
         """The rows of a trajectory beside those of the ground truth; `note` gets what to know of it."""
@@ -212,37 +244,13 @@ class Truth(NamedTuple):
         return match(ours, theirs, partial=self.partial, select=self.target, check_shift=self.shift is None, note=note)
 
 
-def truth(told: str) -> Decorator:
-    """The options of a `Truth`, of which `told` explains --truth."""
-    return grouped(
-        "truth",
-        Truth,
-        option("--truth path", "FILE", told, type=FILE),
-        option(
-            "--truth-format form",
-            "FORMAT",
-            f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
-            type=FORMAT,
-            default="auto",
-            show_default=False,
-        ),
-        option(
-            "--shift",
-            "N",
-            "Add N to the frame numbers of the ground truth; 0 takes them as they are even if another shift would "
-            "fit better.",
-            type=int,
-        ),
-        flag("--partial", "Take the frames that both have, though ground truth or track lacks some."),
-        target,
-    )
-
-
-class Page(NamedTuple):
+class Page:
     """The page in the browser."""
 
-    port: int | None
-    browse: bool
+    port: int | None = option(
+        "--port", "N", "Port of the page on this machine [default: any that is free].", type=Whole(min=1, max=65535)
+    )
+    browse: bool = flag("--open", "Also open the page in the browser.")
 
     def refuse(self, remedy: str) -> None:
         """UsageError if there is to be no page, but an option of it was given."""
@@ -250,16 +258,7 @@ class Page(NamedTuple):
             raise UsageError(f"{'--open' if self.port is None else '--port'} is for the page; {remedy}")
 
 
-page = grouped(
-    "page",
-    Page,
-    option(
-        "--port", "N", "Port of the page on this machine [default: any that is free].", type=Whole(min=1, max=65535)
-    ),
-    flag("--open browse", "Also open the page in the browser."),
-)
-
-# --- what commands print -------------------------------------------------------------------------------------------
+# --- what commands write -------------------------------------------------------------------------------------------
 
 
 def say(line: str) -> None:

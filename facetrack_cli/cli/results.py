@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from facetrack_cli.cli import options
-from facetrack_cli.cli.options import flag, option
+from facetrack_cli.cli.options import OVERWRITE, flag, jobs_option
 from facetrack_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
@@ -25,61 +24,55 @@ TABLES = ("json", "csv", "md")
 class Experiment(NamedTuple):
     """What a command of many runs works with: the wish to stop, the progress, and the folder of its results."""
 
-    stop: Stop
+    stopped: Stop
     shown: Progress
     folder: Folder
 
 
-class Results(NamedTuple):
-    """Where results go, and how many processes make them."""
+class Results:
+    """Where the results of many runs go, and how many processes make them."""
 
-    out: str | None
-    printed: str | None
-    no_plots: bool
-    overwrite: bool
-    workers: int
-    quiet: bool
+    as_json: bool = flag("--json", "Print JSON instead of the table.")
+    as_csv: bool = flag("--csv", "Print CSV instead of the table.")
+    no_plots: bool = flag("--no-plots", "Draw nothing.")
+    overwrite: bool = OVERWRITE
+    jobs: int = jobs_option("Processes that share the runs.")
+    quiet: bool = flag("--quiet -q", "Print the table, and nothing else but errors.")
 
     @contextlib.contextmanager
-    def open(self, clip: Path, folder: str, stem: str, plots: Sequence[str]) -> Iterator[Experiment]:
-        """For results named `stem`.json and so on in --out, or else `folder`; refuses at once what cannot be written.
-
-        Raises OutputError.
-        """
+    def open(self, clip: Path, out: str | None, folder: str, stem: str, plots: Sequence[str]) -> Iterator[Experiment]:
+        """For results named `stem`.json and so on in `out`, or else `folder`; OutputError where there can be none."""
         from facetrack_cli.core.output_folder import Folder
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop
 
         names = [*(f"{stem}.{ending}" for ending in TABLES), *(() if self.no_plots else plots)]
         with (
-            Stop().listening() as stop,
+            Stop().listening() as stopped,
             contextlib.closing(progress(self.quiet)) as shown,
-            Folder.of(self.out, folder, names, overwrite=self.overwrite, inputs=[clip]) as opened,
+            Folder.of(out, folder, names, overwrite=self.overwrite, inputs=[clip]) as opened,
         ):
-            yield Experiment(stop, shown, opened)
+            yield Experiment(stopped, shown, opened)
 
     def publish(
         self, found: Findings, stem: str, into: Experiment, figures: Callable[[], Iterable[tuple[str, bytes]]]
     ) -> None:
         """Write all files, without matplotlib all but the plots, and print the table, or the data."""
         try:
-            self._write(found, stem, into, figures)
+            for ending, text in zip(TABLES, (found.json(), found.csv(), found.sheet().markdown()), strict=True):
+                into.folder.write(f"{stem}.{ending}", text)
+            if not self.no_plots:
+                self._draw(into, figures)
         finally:  # what took long is not lost for a full disk
-            if self.printed is None:
-                found.sheet().show()
+            if self.as_json or self.as_csv:
+                click.echo(found.json() if self.as_json else found.csv(), nl=False)
             else:
-                click.echo(found.json() if self.printed == "json" else found.csv(), nl=False)
+                found.sheet().show()
         into.shown.say(f"{found.clip} -> {into.folder.summary()}")
 
-    def _write(
-        self, found: Findings, stem: str, into: Experiment, figures: Callable[[], Iterable[tuple[str, bytes]]]
-    ) -> None:
-        from facetrack_cli.report.figures.style import need_matplotlib
+    def _draw(self, into: Experiment, figures: Callable[[], Iterable[tuple[str, bytes]]]) -> None:
+        from facetrack_cli.report.figures import need_matplotlib
 
-        for ending, text in zip(TABLES, (found.json(), found.csv(), found.sheet().markdown()), strict=True):
-            into.folder.write(f"{stem}.{ending}", text)
-        if self.no_plots:
-            return
         try:
             need_matplotlib()
         except UsageError as e:
@@ -87,18 +80,3 @@ class Results(NamedTuple):
             return
         for name, png in figures():
             into.folder.write(name, png)
-
-
-def results(folder: str, row: str) -> options.Decorator:
-    """The options of `Results`: `folder` is the default of --out, `row` what a row of the CSV is."""
-    return options.grouped(
-        "results",
-        Results,
-        option("-o --out", "DIR", f"Folder for results [default: ./{folder}]."),
-        click.option("--json", "printed", flag_value="json", help="Print JSON instead of the table."),
-        click.option("--csv", "printed", flag_value="csv", help=f"Print CSV, a row a {row}, instead of the table."),
-        flag("--no-plots", "Draw nothing."),
-        options.overwrite,
-        options.jobs("Processes that share the runs."),
-        flag("--quiet -q", "Print the table, and nothing else but errors."),
-    )

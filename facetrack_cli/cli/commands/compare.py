@@ -4,43 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Extent, Truth, Whole, option
-from facetrack_cli.cli.results import Results, results
+from facetrack_cli.cli.options import FILE, Extent, TruthOptions, Whole, argument, group, option, verb
+from facetrack_cli.cli.results import Results
 from facetrack_cli.core.errors import ExitCode
 
 PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 
 
-@click.command()
-@click.argument("clip", metavar="INPUT", type=FILE)
-@option(
-    "--config configs",
-    "RECIPE",
-    "Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
-    multiple=True,
-    required=True,
-)
-@option("--seeds", "N", "Runs of each, seed 0 on.", type=Whole(min=1), default=10)
-@option("--rank-by", "MEASURE", "Rank by this, as points.median_px or boxes.precision_20.")
-@option("--set overrides", "KEY=VALUE", "Override a key of all; repeatable.", multiple=True)
-@options.gallery
-@options.truth("Ground truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].")
-@options.extent("First frame, from 0, of --box or a face looked for.")
-@results("<clip>-compare", "recipe and seed")
-def command(
-    clip: Path,
-    configs: tuple[str, ...],
-    seeds: int,
-    rank_by: str | None,
-    overrides: tuple[str, ...],
-    gallery: str | None,
-    truth: Truth,
-    extent: Extent,
-    results: Results,
-) -> int:
+class Compare:
     """Run recipes on a clip with ground truth, and rank them.
 
     Each recipe runs with seeds 0 to N-1; one that cannot run on this clip gets a row that says why. The table has the
@@ -74,44 +46,70 @@ def command(
     Exit codes: 0 done, 2 usage, recipe or output, 3 input,
     5 some of the recipes could not run, 130 interrupted, 143 terminated.
     """
-    from facetrack_cli.evaluation.experiments import compare
-    from facetrack_cli.evaluation.experiments.compare_text import Comparison
-    from facetrack_cli.report.figures.comparison import compare_figures
-    from facetrack_cli.runs.batch import title
-    from facetrack_cli.runs.plan import Begin, labels, load_recipes, refuse_seed, variant
 
-    extent.check(clip)
-    if rank_by is not None:
-        compare.check_measure(rank_by)
-    asked = [(name, (*overrides, *own)) for name, own in map(variant, configs)]
-    refuse_seed([one for _, keys in asked for one in keys])
-    recipes = dict(zip(labels(configs), load_recipes(asked, gallery), strict=True))
-    file = compare.default_truth(clip) if truth.path is None else truth.path
-    known = truth._replace(path=file).read()
-    with results.open(clip, f"{title(clip)}-compare", "compare", PLOTS) as experiment:
-        stop, shown, _ = experiment
-        begin = Begin(clip, *extent)
-        entries = compare.run_recipes(
-            recipes,
-            begin,
-            known,
-            seeds,
-            compare.Options(truth.target, truth.partial, extent.stop, begin.picture_size()),
-            rank_by=rank_by,
-            check_shift=truth.shift is None,
-            workers=results.workers,
-            stop=stop,
-            shown=shown,
-        )
-        shown.close()
-        if not any(entry.scores for entry in entries):
-            shown.say(f"facetrack: {stop.reason} before a run was complete; nothing was written")
-            return stop.code or ExitCode.FAULT
-        measure = rank_by or compare.PRIMARY[compare.kind_of(entries)]
-        complete = stop.code is None
-        found = Comparison(clip, file, seeds, tuple(entries), measure, results.workers, complete, recipes)
-        results.publish(found, "compare", experiment, lambda: compare_figures(found))
-        failed = sum(bool(entry.why) for entry in entries)
-        if failed:
-            shown.say(f"{failed} of {len(entries)} recipes could not run")
-    return stop.code or (ExitCode.BATCH if failed else ExitCode.DONE)
+    clip: Path = argument("INPUT")
+    config: tuple[str, ...] = option(
+        "--config",
+        "RECIPE",
+        "Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
+        multiple=True,
+        required=True,
+    )
+    seeds: int = option("--seeds", "N", "Runs of each, seed 0 on.", type=Whole(min=1), default=10)
+    rank_by: str | None = option("--rank-by", "MEASURE", "Rank by this, as points.median_px or boxes.precision_20.")
+    set: tuple[str, ...] = option("--set", "KEY=VALUE", "Override a key of all; repeatable.", multiple=True)
+    gallery: str | None = options.GALLERY
+    truth: Path | None = option(
+        "--truth", "FILE", "Ground truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].", type=FILE
+    )
+    truth_options: TruthOptions = group(TruthOptions)
+    extent: Extent = group(Extent)
+    out: str | None = option("-o --out", "DIR", "Folder for results [default: ./<clip>-compare].")
+    results: Results = group(Results)
+
+    def run(self) -> int:
+        from facetrack_cli.evaluation.experiments import compare
+        from facetrack_cli.evaluation.experiments.compare_text import Comparison
+        from facetrack_cli.report.figures.comparison import compare_figures
+        from facetrack_cli.runs.batch import title
+        from facetrack_cli.runs.plan import Begin, labels, load_recipes, refuse_seed, variant
+
+        clip, results, extent, known = self.clip, self.results, self.extent, self.truth_options
+        extent.check(clip)
+        if self.rank_by is not None:
+            compare.check_measure(self.rank_by)
+        asked = [(name, (*self.set, *own)) for name, own in map(variant, self.config)]
+        refuse_seed([one for _, keys in asked for one in keys])
+        recipes = dict(zip(labels(self.config), load_recipes(asked, self.gallery), strict=True))
+        file = self.truth or compare.default_truth(clip)
+        truth = known.read(file)
+        with results.open(clip, self.out, f"{title(clip)}-compare", "compare", PLOTS) as experiment:
+            stopped, shown, _ = experiment
+            begin = Begin(clip, **vars(extent))
+            entries = compare.run_recipes(
+                recipes,
+                begin,
+                truth,
+                self.seeds,
+                compare.Options(known.target, known.partial, extent.stop, begin.picture_size()),
+                rank_by=self.rank_by,
+                check_shift=known.shift is None,
+                workers=results.jobs,
+                stop=stopped,
+                shown=shown,
+            )
+            shown.close()
+            if not any(entry.scores for entry in entries):
+                shown.say(f"facetrack: {stopped.reason} before a run was complete; nothing was written")
+                return stopped.code or ExitCode.FAULT
+            measure = self.rank_by or compare.PRIMARY[compare.kind_of(entries)]
+            complete = stopped.code is None
+            found = Comparison(clip, file, self.seeds, tuple(entries), measure, results.jobs, complete, recipes)
+            results.publish(found, "compare", experiment, lambda: compare_figures(found))
+            failed = sum(bool(entry.why) for entry in entries)
+            if failed:
+                shown.say(f"{failed} of {len(entries)} recipes could not run")
+        return stopped.code or (ExitCode.BATCH if failed else ExitCode.DONE)
+
+
+command = verb(Compare)

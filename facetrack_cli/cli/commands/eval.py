@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Truth, option
+from facetrack_cli.cli.options import FILE, TruthOptions, argument, format_of, group, option, say, verb
 from facetrack_cli.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -28,48 +28,7 @@ def _failure(value: str) -> float:
     return share
 
 
-@click.command()
-@click.argument("trajectory", metavar="TRAJECTORY", type=FILE)
-@options.truth(
-    "File or folder of ground truth [default: <clip>.truth.csv beside the clip that a JSON trajectory names]."
-)
-@option(
-    "--format results_format",
-    "FORMAT",
-    "How to read TRAJECTORY if another tracker wrote it: one of the same [default: by its shape].",
-    type=options.FORMAT,
-    default="auto",
-    show_default=False,
-)
-@option(
-    "--normalise",
-    "LENGTH",
-    "Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
-    "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
-    default="size",
-)
-@option(
-    "--failure",
-    "SHARE",
-    "A point has failed above this normalised error; 300-W takes 0.08.",
-    default="0.1",
-    type=_failure,
-)
-@option("--json json_to", "FILE", "Write all measures as JSON; - is standard output.")
-@option("--csv csv_to", "FILE", "Write a row a part and one of all as CSV; - is standard output.")
-@option("--plot plot_to", "FILE.png", "Draw how far confidence can be trusted (needs [plot]).")
-@options.overwrite
-def command(
-    trajectory: Path,
-    truth: Truth,
-    results_format: str,
-    normalise: str,
-    failure: float,
-    json_to: str | None,
-    csv_to: str | None,
-    plot_to: str | None,
-    overwrite: bool,
-) -> None:
+class Eval:
     """Measure a trajectory against ground truth.
 
     TRAJECTORY is a trajectory.csv, .json or .jsonl, the folder of a run, or what another tracker wrote, in any of the
@@ -92,61 +51,94 @@ def command(
     Exit codes: 0 done, 2 usage or output, 3 a trajectory or ground truth that
     cannot be read, or that do not belong together, 130 interrupted.
     """
-    from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.evaluation.summary import Options, evaluate
-    from facetrack_cli.evaluation.summary_data import About, to_csv, to_json
-    from facetrack_cli.evaluation.summary_table import to_text
-    from facetrack_cli.evaluation.units import check_normalise
-    from facetrack_cli.report.figures import need_matplotlib
-    from facetrack_cli.trajectory.formats.read import read_results
-    from facetrack_cli.trajectory.header import clip_of, picture_of
 
-    wanted = {"--json": json_to, "--csv": csv_to, "--plot": plot_to}
-    files = _files(wanted, overwrite)
-    if plot_to is not None:
-        need_matplotlib()
-    check_normalise(normalise)
-    ours = read_results(trajectory, results_format)
-    theirs = truth._replace(path=truth.path or _truth_beside(ours)).read()
-    for path in files.values():
-        check_new(path, overwrite=overwrite, inputs=(ours.path, theirs.path, clip_of(ours)))
-    notes: list[str] = []
-    pairs = truth.pairs(ours, theirs, notes.append)
-    evaluation = evaluate(pairs, notes, Options(normalise, failure, picture_of(ours)), reference=theirs.series)
-    read_as = str(theirs.header.get("read_as", truth.form))
-    about = About(ours.path, theirs.path, read_as, truth.shift or 0, ours.header.get("read_as"))
+    trajectory: Path = argument("TRAJECTORY")
+    truth: Path | None = option(
+        "--truth",
+        "FILE",
+        "File or folder of ground truth [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
+        type=FILE,
+    )
+    truth_options: TruthOptions = group(TruthOptions)
+    format: str = format_of("--format", "How to read TRAJECTORY if another tracker wrote it: one of the same")
+    normalise: str = option(
+        "--normalise",
+        "LENGTH",
+        "Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
+        "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
+        default="size",
+    )
+    failure: float = option(
+        "--failure",
+        "SHARE",
+        "A point has failed above this normalised error; 300-W takes 0.08.",
+        type=_failure,
+        default="0.1",
+    )
+    json: str | None = option("--json", "FILE", "Write all measures as JSON; - is standard output.")
+    csv: str | None = option("--csv", "FILE", "Write a row a part and one of all as CSV; - is standard output.")
+    plot: str | None = option("--plot", "FILE.png", "Draw how far confidence can be trusted (needs [plot]).")
+    overwrite: bool = options.OVERWRITE
 
-    made: dict[str, bytes] = {}
-    printed = ""
-    for name, make in (("--json", to_json), ("--csv", to_csv)):
-        if name in files:
-            made[name] = make(evaluation, about).encode(errors="backslashreplace")
-        elif wanted[name] is not None:
-            printed = make(evaluation, about)
-    if plot_to is not None:
-        made["--plot"] = _plot(evaluation, ours.path)
-    for name, content in made.items():
-        write_new(files[name], content, overwrite=overwrite)
-        options.say(f"{trajectory} -> {files[name]}")
-    _print(printed or to_text(evaluation, about, colour=options.colour()))
+    def run(self) -> None:
+        from facetrack_cli.core.files import check_new, write_new
+        from facetrack_cli.evaluation.summary import Options, evaluate
+        from facetrack_cli.evaluation.summary_data import About, to_csv, to_json
+        from facetrack_cli.evaluation.summary_table import to_text
+        from facetrack_cli.evaluation.units import check_normalise
+        from facetrack_cli.report.figures import need_matplotlib
+        from facetrack_cli.trajectory.formats.read import read_results
+        from facetrack_cli.trajectory.header import clip_of, picture_of
+
+        files, known = self._files(), self.truth_options
+        if self.plot is not None:
+            need_matplotlib()
+        check_normalise(self.normalise)
+        ours = read_results(self.trajectory, self.format)
+        theirs = known.read(self.truth or _truth_beside(ours))
+        for path in files.values():
+            check_new(path, overwrite=self.overwrite, inputs=(ours.path, theirs.path, clip_of(ours)))
+        notes: list[str] = []
+        pairs = known.pairs(ours, theirs, notes.append)
+        settings = Options(self.normalise, self.failure, picture_of(ours))
+        evaluation = evaluate(pairs, notes, settings, reference=theirs.series)
+        read_as = str(theirs.header.get("read_as", known.truth_format))
+        about = About(ours.path, theirs.path, read_as, known.shift or 0, ours.header.get("read_as"))
+
+        made: dict[str, bytes] = {}
+        printed = ""
+        for name, to, make in (("--json", self.json, to_json), ("--csv", self.csv, to_csv)):
+            if name in files:
+                made[name] = make(evaluation, about).encode(errors="backslashreplace")
+            elif to is not None:
+                printed = make(evaluation, about)
+        if self.plot is not None:
+            made["--plot"] = _plot(evaluation, ours.path)
+        for name, content in made.items():
+            write_new(files[name], content, overwrite=self.overwrite)
+            say(f"{self.trajectory} -> {files[name]}")
+        _print(printed or to_text(evaluation, about, colour=options.colour()))
+
+    def _files(self) -> dict[str, Path]:
+        """The files to write by their options; refused before anything is read if they cannot be."""
+        from facetrack_cli.core.files import check_new
+
+        if self.json == self.csv == "-":
+            raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
+        wanted = {"--json": self.json, "--csv": self.csv, "--plot": self.plot}
+        files = {name: Path(file) for name, file in wanted.items() if file is not None and file != "-"}
+        for name, path in files.items():
+            if not wanted[name]:
+                raise UsageError(f"{name} is empty; name a file")
+            check_new(path, overwrite=self.overwrite)
+        if len({os.path.realpath(path) for path in files.values()}) < len(files):
+            raise UsageError(f"{' and '.join(files)} name the same file; name one for each")
+        if self.plot is not None and Path(self.plot).suffix.lower() != ".png":
+            raise UsageError(f"--plot {self.plot}: the figure is a PNG; let its name end in .png")
+        return files
 
 
-def _files(wanted: dict[str, str | None], overwrite: bool) -> dict[str, Path]:
-    """The files to write by their options; refused before anything is read if they cannot be."""
-    from facetrack_cli.core.files import check_new
-
-    if wanted["--json"] == wanted["--csv"] == "-":
-        raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
-    files = {name: Path(file) for name, file in wanted.items() if file is not None and file != "-"}
-    for name, path in files.items():
-        if not wanted[name]:
-            raise UsageError(f"{name} is empty; name a file")
-        check_new(path, overwrite=overwrite)
-    if len({os.path.realpath(path) for path in files.values()}) < len(files):
-        raise UsageError(f"{' and '.join(files)} name the same file; name one for each")
-    if (plot := wanted["--plot"]) is not None and Path(plot).suffix.lower() != ".png":
-        raise UsageError(f"--plot {plot}: the figure is a PNG; let its name end in .png")
-    return files
+command = verb(Eval)
 
 
 def _truth_beside(ours: Table) -> Path:

@@ -6,10 +6,8 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Page, flag, option, say
+from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option, say, verb
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
 
 if TYPE_CHECKING:
@@ -19,14 +17,7 @@ if TYPE_CHECKING:
     from facetrack_cli.video.seek import Frames
 
 
-@click.command()
-@click.argument("run", metavar="RUN_DIR", type=FILE)
-@options.clip
-@option("--init", "FILE", "No page: take the corrections of this init file, and no others.", type=FILE)
-@flag("--no-video", "Leave annotated.mp4 as it is.")
-@options.page
-@flag("--quiet -q", "With --init: say nothing but errors.")
-def command(run: Path, clip: Path | None, init: Path | None, no_video: bool, page: Page, quiet: bool) -> int:
+class Fix:
     """Correct a finished run, on a page.
 
     RUN_DIR is the folder that facetrack run wrote, with JSON. The page shows the clip with its trajectory, and leads
@@ -50,88 +41,92 @@ def command(run: Path, clip: Path | None, init: Path | None, no_video: bool, pag
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
     143 terminated.
     """
-    from facetrack_cli.editor.files.run_folder import check_size, check_writable, open_run
-    from facetrack_cli.editor.history import Fixer
-    from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.video.seek import Frames
 
-    if init is not None:
-        page.refuse("leave it or --init out")
-    elif quiet:
-        raise UsageError("--quiet goes with --init; the page's address must be said")
-    with open_run(run, clip) as opened, Frames(opened.clip, fps=opened.fps) as frames:
-        check_size(opened, frames.size)
-        check_writable(opened)
-        with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
-            if init is not None:
-                return _apply(fixer, init, stop, video=not no_video, quiet=quiet)
-            return _serve(fixer, frames, stop, page, video=not no_video)
+    folder: Path = argument("RUN_DIR")
+    clip: Path | None = options.CLIP
+    init: Path | None = option(
+        "--init", "FILE", "No page: take the corrections of this init file, and no others.", type=FILE
+    )
+    no_video: bool = flag("--no-video", "Leave annotated.mp4 as it is.")
+    page: Page = group(Page)
+    quiet: bool = flag("--quiet -q", "With --init: say nothing but errors.")
 
+    def run(self) -> int:
+        from facetrack_cli.editor.files.run_folder import check_size, check_writable, open_run
+        from facetrack_cli.editor.history import Fixer
+        from facetrack_cli.runs.signals import Stop
+        from facetrack_cli.video.seek import Frames
 
-def _apply(fixer: Fixer, init: Path, stop: Stop, *, video: bool, quiet: bool) -> int:
-    """Take the corrections of a file, and save; the exit code."""
-    from facetrack_cli.editor.files.run_folder import UNSAVED
-    from facetrack_cli.editor.history import corrections_of
-    from facetrack_cli.editor.retrack import StoppedError
-    from facetrack_cli.editor.save import save
-    from facetrack_cli.runs.progress import progress
+        if self.init is not None:
+            self.page.refuse("leave it or --init out")
+        elif self.quiet:
+            raise UsageError("--quiet goes with --init; the page's address must be said")
+        with open_run(self.folder, self.clip) as opened, Frames(opened.clip, fps=opened.fps) as frames:
+            check_size(opened, frames.size)
+            check_writable(opened)
+            with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
+                code = self._serve(fixer, frames, stop) if self.init is None else self._apply(fixer, self.init, stop)
+        return code
 
-    folder = fixer.run.folder
-    unsaved = folder / UNSAVED
-    if unsaved.is_file() and not (init.is_file() and init.samefile(unsaved)):
-        raise UsageError(
-            f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
-            f"--init {unsaved} takes them; or remove it"
-        )
-    corrections = corrections_of(init, fixer.run)
-    with contextlib.closing(progress(quiet)) as shown:
+    def _apply(self, fixer: Fixer, init: Path, stop: Stop) -> int:
+        """Take the corrections of a file, and save; the exit code."""
+        from facetrack_cli.editor.files.run_folder import UNSAVED
+        from facetrack_cli.editor.history import corrections_of
+        from facetrack_cli.editor.retrack import StoppedError
+        from facetrack_cli.editor.save import save
+        from facetrack_cli.runs.progress import progress
+
+        folder = fixer.run.folder
+        unsaved = folder / UNSAVED
+        if unsaved.is_file() and not (init.is_file() and init.samefile(unsaved)):
+            raise UsageError(
+                f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
+                f"--init {unsaved} takes them; or remove it"
+            )
+        corrections = corrections_of(init, fixer.run)
+        with contextlib.closing(progress(self.quiet)) as shown:
+            try:
+                shown.begin(folder.name or str(folder), "frames", None)
+                fixer.apply(corrections, report=shown.update, stop=stop)
+                shown.begin("saving", "frames", None)
+                said = save(fixer, video=not self.no_video, report=shown.update, stop=stop)
+            except StoppedError:
+                shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
+                return stop.code or ExitCode.FAULT
+            for line in said:
+                shown.say(line)
+        return ExitCode.DONE
+
+    def _serve(self, fixer: Fixer, frames: Frames, stop: Stop) -> int:
+        """Serve the page until it is saved or stopped; the exit code."""
+        from facetrack_cli.editor.files.run_folder import UNSAVED
+        from facetrack_cli.editor.history import corrections_of
+        from facetrack_cli.editor.web.fix_session import FixSession
+        from facetrack_cli.editor.web.pictures import Pictures
+        from facetrack_cli.editor.web.serve import run_page
+
+        folder = fixer.run.folder
+        kept = folder / UNSAVED
+        unsaved: tuple[Correction, ...] = ()
         try:
-            shown.begin(folder.name or str(folder), "frames", None)
-            fixer.apply(corrections, report=shown.update, stop=stop)
-            shown.begin("saving", "frames", None)
-            said = save(fixer, video=video, report=shown.update, stop=stop)
-        except StoppedError:
-            shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
+            if kept.is_file():
+                unsaved = corrections_of(kept, fixer.run)
+        except FacetrackError as e:  # they are not of this run any more
+            say(f"facetrack: warning: {e}; the page begins without it")
+        if unsaved:
+            many = len(unsaved) > 1
+            said = f"{len(unsaved)} corrections were" if many else "one correction was"
+            say(f"{kept}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
+        session = FixSession(fixer, frames, Pictures(frames), video=not self.no_video, unsaved=unsaved)
+        run_page(session, stop, say, port=self.page.port or 0, browse=self.page.browse)
+        if session.ended is None:
+            goes_on = f"all else is as it was; facetrack fix {folder} goes on with them"
+            what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else "nothing was written"
+            say(f"facetrack: {stop.reason}; {what}")
             return stop.code or ExitCode.FAULT
-        for line in said:
-            shown.say(line)
-    return ExitCode.DONE
+        for line in (*session.ended["said"], f"next: {session.ended['next']}"):
+            say(line)
+        return ExitCode.DONE
 
 
-def _serve(fixer: Fixer, frames: Frames, stop: Stop, page: Page, *, video: bool) -> int:
-    """Serve the page until it is saved or stopped; the exit code."""
-    from facetrack_cli.editor.files.run_folder import UNSAVED
-    from facetrack_cli.editor.web.fix_session import FixSession
-    from facetrack_cli.editor.web.pictures import Pictures
-    from facetrack_cli.editor.web.serve import run_page
-
-    folder = fixer.run.folder
-    kept = folder / UNSAVED
-    unsaved = _unsaved(fixer, kept)
-    if unsaved:
-        many = len(unsaved) > 1
-        said = f"{len(unsaved)} corrections were" if many else "one correction was"
-        say(f"{kept}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
-    session = FixSession(fixer, frames, Pictures(frames), video=video, unsaved=unsaved)
-    run_page(session, stop, say, port=page.port or 0, browse=page.browse)
-    if session.ended is None:
-        goes_on = f"all else is as it was; facetrack fix {folder} goes on with them"
-        what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else "nothing was written"
-        say(f"facetrack: {stop.reason}; {what}")
-        return stop.code or ExitCode.FAULT
-    for line in (*session.ended["said"], f"next: {session.ended['next']}"):
-        say(line)
-    return ExitCode.DONE
-
-
-def _unsaved(fixer: Fixer, path: Path) -> tuple[Correction, ...]:
-    """The corrections of a session that was not saved, if they still are of this run."""
-    from facetrack_cli.editor.history import corrections_of
-
-    if not path.is_file():
-        return ()
-    try:
-        return corrections_of(path, fixer.run)
-    except FacetrackError as e:
-        say(f"facetrack: warning: {e}; the page begins without it")
-        return ()
+command = verb(Fix)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, FRAME, Whole, option, say
+from facetrack_cli.cli.options import FRAME, Whole, argument, option, say, verb, write_figure
 from facetrack_cli.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -41,39 +41,7 @@ def _template(value: str) -> tuple[int, int]:
     return int(found[2]), int(found[1])
 
 
-@command.command()
-@click.argument("folder", metavar="DIR", type=FILE)
-@options.array_file("gallery")
-@option("--frames", "N", "Frames of each video, at most.", type=Whole(1, 10_000), default=15)
-@option("--start", "N", "First frame of videos that is used.", type=FRAME, default=0, show_default=False)
-@option("--stop", "N", "Frame of videos before which to stop.", type=FRAME)
-@option(
-    "--jitter",
-    "N",
-    "Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
-    type=Whole(0, 100),
-    default=4,
-)
-@option(
-    "--template",
-    "WxH",
-    "Points across and down a face; the recipe must have the same.",
-    type=_template,
-    default="26x30",
-)
-@options.overwrite
-@options.quiet
-def fit(
-    folder: Path,
-    out: Path,
-    frames: int,
-    start: int,
-    stop: int | None,
-    jitter: int,
-    template: tuple[int, int],
-    overwrite: bool,
-    quiet: bool,
-) -> None:
+class Fit:
     """Learn a gallery from a folder of people's folders.
 
     A person's folder has the person's name, and holds images, videos, or folders of a video's frames. Of each image
@@ -85,55 +53,80 @@ def fit(
       facetrack gallery fit people/ -o gallery.npz
       facetrack gallery fit clips/ --stop 250      # the rest is to try it on
     """
-    # before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-    from facetrack_cli.core.files import check_new
-    from facetrack_cli.runs.progress import progress
-    from facetrack_cli.tracking.identity.faces import read_faces
-    from facetrack_cli.tracking.identity.fit import fit_gallery
-    from facetrack_cli.tracking.identity.people import Reading, count, find_people
+    folder: Path = argument("DIR")
+    out: Path = options.array_file("gallery")
+    frames: int = option("--frames", "N", "Frames of each video, at most.", type=Whole(1, 10_000), default=15)
+    start: int = option(
+        "--start", "N", "First frame of videos that is used.", type=FRAME, default=0, show_default=False
+    )
+    stop: int | None = option("--stop", "N", "Frame of videos before which to stop.", type=FRAME)
+    jitter: int = option(
+        "--jitter",
+        "N",
+        "Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
+        type=Whole(0, 100),
+        default=4,
+    )
+    template: tuple[int, int] = option(
+        "--template",
+        "WxH",
+        "Points across and down a face; the recipe must have the same.",
+        type=_template,
+        default="26x30",
+    )
+    overwrite: bool = options.OVERWRITE
+    quiet: bool = options.QUIET
 
-    if stop is not None and stop <= start:
-        raise UsageError(f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start")
-    check_new(out, overwrite=overwrite)
-    reading = Reading(template, frames, start, stop, jitter)
-    with contextlib.closing(progress(quiet)) as shown:
-        people = find_people(folder, lambda line: shown.say(f"warning: {line}"))
-        total = count(people, reading)
-        shown.begin(folder.name, "frames", total)
-        faces = read_faces(
-            people, reading, lambda line: shown.say(f"warning: {line}"), lambda done: shown.update(done, total)
-        )
-    try:
-        gallery = fit_gallery(
-            faces.patches,
-            faces.persons,
-            template,
-            images=faces.images,
-            negatives=faces.negatives,
-            proportion=faces.proportion,
-        )
-    except InputError as e:
-        more = "" if jitter else ", or let copies stand for it with --jitter 4"
-        raise InputError(f"{folder}: {e}{more}") from None
-    gallery.save(out)
-    if quiet:
-        return
-    wide = max(map(len, (*gallery.names, "person")))
-    say(f"{'person':<{wide}}{'used':>8}{'skipped':>9}")
-    for name in gallery.names:
-        say(f"{name:<{wide}}{faces.used[name]:>8}{faces.skipped[name]:>9}")
-    for line in _summary(gallery):
-        say(line)
-    say(f"{out}: {len(gallery.names)} persons, {sum(gallery.counts)} images")
+    def run(self) -> None:
+        # before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+        from facetrack_cli.core.files import check_new
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.tracking.identity.faces import read_faces
+        from facetrack_cli.tracking.identity.fit import fit_gallery
+        from facetrack_cli.tracking.identity.people import Reading, count, find_people
+
+        start, stop, out = self.start, self.stop, self.out
+        if stop is not None and stop <= start:
+            raise UsageError(f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start")
+        check_new(out, overwrite=self.overwrite)
+        reading = Reading(self.template, self.frames, start, stop, self.jitter)
+        with contextlib.closing(progress(self.quiet)) as shown:
+
+            def warn(line: str) -> None:
+                shown.say(f"warning: {line}")
+
+            people = find_people(self.folder, warn)
+            total = count(people, reading)
+            shown.begin(self.folder.name, "frames", total)
+            faces = read_faces(people, reading, warn, lambda done: shown.update(done, total))
+        try:
+            gallery = fit_gallery(
+                faces.patches,
+                faces.persons,
+                self.template,
+                images=faces.images,
+                negatives=faces.negatives,
+                proportion=faces.proportion,
+            )
+        except InputError as e:
+            more = "" if self.jitter else ", or let copies stand for it with --jitter 4"
+            raise InputError(f"{self.folder}: {e}{more}") from None
+        gallery.save(out)
+        if self.quiet:
+            return
+        wide = max(map(len, (*gallery.names, "person")))
+        say(f"{'person':<{wide}}{'used':>8}{'skipped':>9}")
+        for name in gallery.names:
+            say(f"{name:<{wide}}{faces.used[name]:>8}{faces.skipped[name]:>9}")
+        for line in _summary(gallery):
+            say(line)
+        say(f"{out}: {len(gallery.names)} persons, {sum(gallery.counts)} images")
 
 
-@command.command()
-@click.argument("file", metavar="FILE", required=False, type=FILE, default="gallery.npz")
-@options.figure_file("beside FILE, as gallery.png")
-@options.overwrite
-def show(file: Path, out: Path | None, overwrite: bool) -> None:
+class Show:
     """Summarise and draw a gallery; without FILE, gallery.npz.
 
     The figure has the mean face, the first eigenfaces of each space, and everyone who is in it.
@@ -143,23 +136,28 @@ def show(file: Path, out: Path | None, overwrite: bool) -> None:
       facetrack gallery show
       facetrack gallery show people.npz -o people.pdf
     """
-    from facetrack_cli.report.figures.gallery import gallery_figure
-    from facetrack_cli.tracking.identity.gallery import load_gallery
 
-    gallery = load_gallery(file)
-    out = out or file.with_suffix(".png")
-    options.write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=overwrite, inputs=[file])
+    file: Path = argument("FILE", required=False, default="gallery.npz")
+    out: Path | None = options.figure_file("beside FILE, as gallery.png")
+    overwrite: bool = options.OVERWRITE
 
-    rows, cols = gallery.shape
-    click.echo(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} images")
-    click.echo(f"template: {cols} points across, {rows} down")
-    if gallery.proportion is not None:
-        click.echo(f"boxes: {gallery.proportion:.2f} times as wide as high")
-    for line in _summary(gallery):
-        click.echo(line)
-    for number, (name, images) in enumerate(zip(gallery.names, gallery.counts, strict=True), start=1):
-        click.echo(f"{number:>4} {name}: {images} image{'s' if images != 1 else ''}")
-    click.echo(f"figure: {out}")
+    def run(self) -> None:
+        from facetrack_cli.report.figures.gallery import gallery_figure
+        from facetrack_cli.tracking.identity.gallery import load_gallery
+
+        file, out = self.file, self.out or self.file.with_suffix(".png")
+        gallery = load_gallery(file)
+        write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=self.overwrite, inputs=[file])
+        rows, cols = gallery.shape
+        click.echo(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} images")
+        click.echo(f"template: {cols} points across, {rows} down")
+        if gallery.proportion is not None:
+            click.echo(f"boxes: {gallery.proportion:.2f} times as wide as high")
+        for line in _summary(gallery):
+            click.echo(line)
+        for number, (name, images) in enumerate(zip(gallery.names, gallery.counts, strict=True), start=1):
+            click.echo(f"{number:>4} {name}: {images} image{'s' if images != 1 else ''}")
+        click.echo(f"figure: {out}")
 
 
 def _summary(gallery: Gallery) -> list[str]:
@@ -168,3 +166,7 @@ def _summary(gallery: Gallery) -> list[str]:
     spaces = (("frontal faces", gallery.frontal), ("intra-personal", gallery.intra), ("extra-personal", gallery.extra))
     lines = [f"{name}: {kept(space)}" for name, space in spaces]
     return [*lines, calibrated(gallery), stranger(gallery), *(f"note: {note}" for note in gallery.notes)]
+
+
+command.add_command(verb(Fit, "fit"))
+command.add_command(verb(Show, "show"))

@@ -8,23 +8,13 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Truth, option
+from facetrack_cli.cli.options import FILE, TruthOptions, argument, group, option, say, verb, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@click.command()
-@click.argument("trajectory", metavar="TRAJECTORY", type=FILE)
-@options.truth("Draw the ground truth too, and the error.")
-@options.figure_file("plot.png beside TRAJECTORY")
-@options.overwrite
-@options.title
-@option("--width", "INCHES", "Width of the page.", type=click.FloatRange(4, 40), default=10)
-@option("--dpi", "N", "Pixels an inch of a PNG.", type=click.FloatRange(40, 600), default=120)
-def command(
-    trajectory: Path, truth: Truth, out: Path | None, overwrite: bool, title: str | None, width: float, dpi: float
-) -> None:
+class Plot:
     """Draw what happened in a trajectory.
 
     TRAJECTORY is a trajectory.csv, .json or .jsonl, or the folder of a run. The page shows, over time, position and
@@ -45,17 +35,33 @@ def command(
     3 a trajectory or ground truth that cannot be read, or that do not belong
     together, 130 interrupted.
     """
-    truth.refuse_without_file(target=False)
-    path = out or (trajectory if trajectory.is_dir() else trajectory.parent) / "plot.png"
 
-    def draw() -> Figure:
+    trajectory: Path = argument("TRAJECTORY")
+    truth: Path | None = option("--truth", "FILE", "Draw the ground truth too, and the error.", type=FILE)
+    truth_options: TruthOptions = group(TruthOptions)
+    out: Path | None = options.figure_file("plot.png beside TRAJECTORY")
+    overwrite: bool = options.OVERWRITE
+    title: str | None = options.TITLE
+    width: float = option("--width", "INCHES", "Width of the page.", type=click.FloatRange(4, 40), default=10)
+    dpi: float = option("--dpi", "N", "Pixels an inch of a PNG.", type=click.FloatRange(40, 600), default=120)
+
+    def run(self) -> None:
+        if self.truth is None:
+            self.truth_options.refuse(target=False)
+        folder = self.trajectory if self.trajectory.is_dir() else self.trajectory.parent
+        out = self.out or folder / "plot.png"
+        write_figure(out, self._draw, overwrite=self.overwrite, dpi=self.dpi)
+        say(f"{self.trajectory} -> {out}")
+
+    def _draw(self) -> Figure:
         from facetrack_cli.report.figures import page_figure
         from facetrack_cli.trajectory.select import choose
         from facetrack_cli.trajectory.table import read_trajectory
 
-        table = read_trajectory(trajectory)
-        pairs = None if truth.path is None else truth.pairs(table, truth.read(), options.say)
-        return page_figure(choose(table, truth.target), pairs, title=title, width=width)
+        table = read_trajectory(self.trajectory)
+        known = self.truth_options
+        pairs = None if self.truth is None else known.pairs(table, known.read(self.truth), say)
+        return page_figure(choose(table, known.target), pairs, title=self.title, width=self.width)
 
-    options.write_figure(path, draw, overwrite=overwrite, dpi=dpi)
-    options.say(f"{trajectory} -> {path}")
+
+command = verb(Plot)

@@ -8,7 +8,6 @@ import sys
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import option
 from facetrack_cli.core.errors import ExitCode, RecipeError
 
 
@@ -56,7 +55,7 @@ def show(recipe: str) -> None:
 
 @command.command()
 @click.argument("recipes", nargs=-1, required=True, metavar="RECIPE...")
-@option("--set overrides", "KEY=VALUE", "Check with this key of the recipe changed, as in run.", multiple=True)
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Check with this key changed, as in run.")
 def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     """Say everything that is wrong with recipes, and where.
 

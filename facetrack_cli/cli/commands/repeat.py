@@ -7,38 +7,12 @@ from pathlib import Path
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Extent, Whole, option
-from facetrack_cli.cli.results import Results, results
+from facetrack_cli.cli.options import FILE, Extent, Whole, argument, group, option, verb
+from facetrack_cli.cli.results import Results
 from facetrack_cli.core.errors import ExitCode
 
 
-@click.command()
-@click.argument("clip", metavar="INPUT", type=FILE)
-@options.config
-@option("--seeds", "N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
-@options.overrides
-@options.gallery
-@options.extent("First frame, from 0, of --box or a face looked for.")
-@option(
-    "--apart",
-    "SHARE",
-    "Share of the target's size beyond which a run is apart from the others.",
-    type=click.FloatRange(0, min_open=True),
-    default=0.25,
-)
-@option("--truth", "FILE", "Ground truth, to say which runs are right.", type=FILE)
-@results("<clip>-<recipe>-repeat", "frame and part")
-def command(
-    clip: Path,
-    config: str,
-    seeds: int,
-    overrides: tuple[str, ...],
-    gallery: str | None,
-    extent: Extent,
-    apart: float,
-    truth: Path | None,
-    results: Results,
-) -> int:
+class Repeat:
     """Show how far the runs of a recipe differ from seed to seed.
 
     For each part: the spread over seeds, the run farthest from the median of all, and the frame at which the runs
@@ -61,40 +35,65 @@ def command(
     Exit codes: 0 done, 2 usage, recipe or output, 3 input, 130 interrupted,
     143 terminated.
     """
-    from facetrack_cli.evaluation.experiments.repeat import matched, spreads
-    from facetrack_cli.evaluation.experiments.repeat_text import Repetition
-    from facetrack_cli.evaluation.experiments.sheet import clip_name
-    from facetrack_cli.report.figures.comparison import repeat_figures
-    from facetrack_cli.runs.batch import title
-    from facetrack_cli.runs.plan import Begin, load_recipes, refuse_seed
-    from facetrack_cli.runs.seeds import Failure, run_plans
-    from facetrack_cli.trajectory.formats.read import read_truth
 
-    extent.check(clip)
-    refuse_seed(overrides)
-    [recipe] = load_recipes([(config, overrides)], gallery)
-    known = None if truth is None else read_truth(truth)
-    with results.open(clip, f"{title(clip)}-{recipe.name}-repeat", "repeat", ["spread.png"]) as experiment:
-        stop, shown, _ = experiment
-        plan = Begin(clip, *extent).plan(recipe.name, recipe, seeds, known, stop)
-        shown.begin(clip_name(clip), "frames", None)
-        runs = []
-        for run in run_plans(
-            [plan], results.workers, stop, lambda done, of: shown.update(done, of or None), partial=True
-        ):
-            if isinstance(run, Failure):
-                raise run.error
-            runs.append(run)
-        shown.close()
-        warned = tuple(dict.fromkeys(line for run in runs for line in run.warnings))
-        for line in warned:
-            shown.say(f"facetrack: warning: {line}")
-        if len(runs) < 2:
-            shown.say(f"facetrack: {stop.reason} before two runs had begun; nothing was written")
-            return stop.code or ExitCode.FAULT
-        tables, ran = [run.table for run in runs], tuple(run.seed for run in runs)
-        spread = spreads(ran, tables, apart, matched(tables[0], known))
-        complete = stop.code is None
-        found = Repetition(clip, recipe.name, recipe, ran, spread, apart, truth, complete, warned)
-        results.publish(found, "repeat", experiment, lambda: repeat_figures(found))
-    return stop.code or ExitCode.DONE
+    clip: Path = argument("INPUT")
+    config: str = options.CONFIG
+    seeds: int = option("--seeds", "N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
+    set: tuple[str, ...] = options.OVERRIDES
+    gallery: str | None = options.GALLERY
+    extent: Extent = group(Extent)
+    apart: float = option(
+        "--apart",
+        "SHARE",
+        "Share of the target's size beyond which a run is apart from the others.",
+        type=click.FloatRange(0, min_open=True),
+        default=0.25,
+    )
+    truth: Path | None = option("--truth", "FILE", "Ground truth, to say which runs are right.", type=FILE)
+    out: str | None = option("-o --out", "DIR", "Folder for results [default: ./<clip>-<recipe>-repeat].")
+    results: Results = group(Results)
+
+    def run(self) -> int:
+        from facetrack_cli.evaluation.experiments.repeat import matched, spreads
+        from facetrack_cli.evaluation.experiments.repeat_text import Repetition
+        from facetrack_cli.evaluation.experiments.sheet import clip_name
+        from facetrack_cli.report.figures.comparison import repeat_figures
+        from facetrack_cli.runs.batch import title
+        from facetrack_cli.runs.plan import Begin, load_recipes, refuse_seed
+        from facetrack_cli.runs.seeds import Failure, run_plans
+        from facetrack_cli.trajectory.formats.read import read_truth
+
+        clip, results = self.clip, self.results
+        self.extent.check(clip)
+        refuse_seed(self.set)
+        [recipe] = load_recipes([(self.config, self.set)], self.gallery)
+        truth = None if self.truth is None else read_truth(self.truth)
+        with results.open(
+            clip, self.out, f"{title(clip)}-{recipe.name}-repeat", "repeat", ["spread.png"]
+        ) as experiment:
+            stopped, shown, _ = experiment
+            plan = Begin(clip, **vars(self.extent)).plan(recipe.name, recipe, self.seeds, truth, stopped)
+            shown.begin(clip_name(clip), "frames", None)
+            runs = []
+            for run in run_plans(
+                [plan], results.jobs, stopped, lambda done, of: shown.update(done, of or None), partial=True
+            ):
+                if isinstance(run, Failure):
+                    raise run.error
+                runs.append(run)
+            shown.close()
+            warned = tuple(dict.fromkeys(line for run in runs for line in run.warnings))
+            for line in warned:
+                shown.say(f"facetrack: warning: {line}")
+            if len(runs) < 2:
+                shown.say(f"facetrack: {stopped.reason} before two runs had begun; nothing was written")
+                return stopped.code or ExitCode.FAULT
+            tables, seeds = [run.table for run in runs], tuple(run.seed for run in runs)
+            spread = spreads(seeds, tables, self.apart, matched(tables[0], truth))
+            complete = stopped.code is None
+            found = Repetition(clip, recipe.name, recipe, seeds, spread, self.apart, self.truth, complete, warned)
+            results.publish(found, "repeat", experiment, lambda: repeat_figures(found))
+        return stopped.code or ExitCode.DONE
+
+
+command = verb(Repeat)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, FRAME, Extent, Whole, flag, option
+from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
 from facetrack_cli.core.errors import ExitCode, OutputError, UsageError
 from facetrack_cli.trajectory.row import FORMATS, Format
 
@@ -28,39 +28,7 @@ def _formats(value: str) -> tuple[Format, ...]:
     return tuple(form for form in FORMATS if form in names)
 
 
-@click.command()
-@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=FILE)
-@options.config
-@options.overrides
-@option("--seed", "N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
-@options.gallery
-@options.extent("First frame, from 0.")
-@option("--init-frame", "N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME)
-@option("-o --out", "DIR", "Folder for results [default: ./<clip>-<recipe>]; - streams to stdout.")
-@flag("--no-video", "Do not write annotated.mp4.")
-@option("--format formats", "LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats)
-@options.overwrite
-@flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
-@option("--threads", "N", "Threads a clip [default: the cores, shared by -j].", type=Whole(min=1))
-@options.jobs("Clips at a time.")
-@options.quiet
-def command(
-    inputs: tuple[Path, ...],
-    config: str,
-    overrides: tuple[str, ...],
-    seed: int | None,
-    gallery: str | None,
-    extent: Extent,
-    init_frame: int | None,
-    out: str | None,
-    no_video: bool,
-    formats: tuple[Format, ...] | None,
-    overwrite: bool,
-    fail_on_lost: bool,
-    threads: int | None,
-    workers: int,
-    quiet: bool,
-) -> int:
+class Run:
     """Track faces, heads and hands in videos and image folders.
 
     Each INPUT gets a folder with annotated.mp4, trajectory.csv and trajectory.json. The track starts from --init or
@@ -85,58 +53,79 @@ def command(
     2 usage, recipe or output, 3 input, 4 lost (--fail-on-lost),
     5 some of several inputs failed, 130 interrupted, 143 terminated.
     """
-    from facetrack_cli.runs.batch import absolute, cores
-    from facetrack_cli.runs.job import Job
-    from facetrack_cli.runs.plan import load_recipes
-    from facetrack_cli.runs.progress import progress
-    from facetrack_cli.runs.signals import Stop
 
-    extent.check(*inputs)
-    [recipe] = load_recipes([(config, overrides if seed is None else (*overrides, f"seed={seed}"))], gallery)
-    if fail_on_lost and not recipe.judges:
-        raise UsageError(
-            f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
-            "give likelihood.contour or likelihood.histogram too, or leave the option out"
-        )
-    clips = list({absolute(clip): clip for clip in reversed(inputs)}.values())[::-1]
-    folders, wanted = _places(clips, recipe.name, out, formats)
-    workers = min(workers, len(clips))
-    with Stop().listening() as ending, contextlib.closing(progress(quiet)) as shown:
-        jobs = [
-            Job(
-                clip=clip,
-                recipe=recipe,
-                out=folder,
-                formats=wanted,
-                video=not no_video and folder is not None,
-                init_frame=init_frame,
-                overwrite=overwrite,
-                threads=threads or max(1, cores() // workers),
-                **extent._replace(fps=None if clip.is_file() else extent.fps)._asdict(),
+    inputs: tuple[Path, ...] = argument("INPUT...", nargs=-1, required=True)
+    config: str = options.CONFIG
+    set: tuple[str, ...] = options.OVERRIDES
+    seed: int | None = option("--seed", "N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
+    gallery: str | None = options.GALLERY
+    extent: Extent = group(Extent)
+    init_frame: int | None = option(
+        "--init-frame", "N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
+    )
+    out: str | None = option("-o --out", "DIR", "Folder for results [default: ./<clip>-<recipe>]; - streams to stdout.")
+    no_video: bool = flag("--no-video", "Do not write annotated.mp4.")
+    format: tuple[Format, ...] | None = option(
+        "--format", "LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats
+    )
+    overwrite: bool = options.OVERWRITE
+    fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
+    threads: int | None = option(
+        "--threads", "N", "Threads a clip [default: the cores, shared by -j].", type=Whole(min=1)
+    )
+    jobs: int = options.jobs_option("Clips at a time.")
+    quiet: bool = options.QUIET
+
+    def run(self) -> int:
+        from facetrack_cli.runs.batch import absolute, cores
+        from facetrack_cli.runs.job import Job
+        from facetrack_cli.runs.plan import load_recipes
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.runs.signals import Stop
+
+        self.extent.check(*self.inputs)
+        seed = () if self.seed is None else (f"seed={self.seed}",)
+        [recipe] = load_recipes([(self.config, (*self.set, *seed))], self.gallery)
+        if self.fail_on_lost and not recipe.judges:
+            raise UsageError(
+                f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
+                "give likelihood.contour or likelihood.histogram too, or leave the option out"
             )
-            for clip, folder in zip(clips, folders, strict=True)
-        ]
-        code = _one(jobs[0], ending, shown) if len(jobs) == 1 else _several(jobs, workers, ending, shown)
-    return ExitCode.DONE if code is ExitCode.LOST and not fail_on_lost else code
+        clips = list({absolute(clip): clip for clip in reversed(self.inputs)}.values())[::-1]
+        folders, formats = self._places(clips, recipe.name)
+        workers = min(self.jobs, len(clips))
+        with Stop().listening() as ending, contextlib.closing(progress(self.quiet)) as shown:
+            jobs = [
+                Job(
+                    clip=clip,
+                    recipe=recipe,
+                    out=folder,
+                    formats=formats,
+                    video=not self.no_video and folder is not None,
+                    init_frame=self.init_frame,
+                    overwrite=self.overwrite,
+                    threads=self.threads or max(1, cores() // workers),
+                    **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
+                )
+                for clip, folder in zip(clips, folders, strict=True)
+            ]
+            code = _one(jobs[0], ending, shown) if len(jobs) == 1 else _several(jobs, workers, ending, shown)
+        return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
 
+    def _places(self, clips: list[Path], recipe: str) -> tuple[list[Path | None], tuple[Format, ...]]:
+        """The folder of each clip's results, None for standard output, and the formats to write."""
+        from facetrack_cli.runs.batch import folders
 
-def _places(
-    clips: list[Path], recipe: str, out: str | None, formats: tuple[Format, ...] | None
-) -> tuple[list[Path | None], tuple[Format, ...]]:
-    """The folder of each clip's results, None for standard output, and the formats to write."""
-    from facetrack_cli.runs.batch import folders
-
-    if out == "-":
-        if len(clips) > 1:
-            raise UsageError("-o - streams one clip; give one INPUT, or a folder with --out")
-        if formats is not None and len(formats) > 1:
-            raise UsageError("-o - streams one format; give one with --format")
-        return [None], formats or ("csv",)
-    if out == "":
-        raise OutputError("--out is empty; name a folder, or - for standard output")
-    one = out is not None and len(clips) == 1
-    names = [""] if one else folders(clips, recipe)
-    return [Path(out or ".") / name for name in names], formats or ("csv", "json")
+        if self.out == "-":
+            if len(clips) > 1:
+                raise UsageError("-o - streams one clip; give one INPUT, or a folder with --out")
+            if self.format is not None and len(self.format) > 1:
+                raise UsageError("-o - streams one format; give one with --format")
+            return [None], self.format or ("csv",)
+        if self.out == "":
+            raise OutputError("--out is empty; name a folder, or - for standard output")
+        names = [""] if self.out and len(clips) == 1 else folders(clips, recipe)
+        return [Path(self.out or ".") / name for name in names], self.format or ("csv", "json")
 
 
 def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
@@ -188,3 +177,6 @@ def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
         of = f"{outcome.clip}: " if named and str(outcome.clip) not in warning else ""
         shown.say(f"facetrack: warning: {of}{warning}")
     shown.say(outcome.summary())
+
+
+command = verb(Run)
