@@ -18,7 +18,7 @@ from facetrack_cli.core.types import Array, Frame, Mask, Result, Start
 from facetrack_cli.evaluation.boxes import SUCCESS_THRESHOLDS, BoxMeasures, measure_boxes, share_above
 from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.plan import find_plan_start, variant
+from facetrack_cli.runs.plan import Begin, variant
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -105,7 +105,7 @@ def follow(clip: Path, config: str, seeds: int, start: Start | None = None, more
         if start is None:
             raise
         truth = Table(clip, ())
-    begin = start or find_plan_start(clip, recipe, truth=truth)
+    begin = start or Begin(clip).find(recipe, truth)
     true = {
         int(frame): (*box, angle)
         for one in truth.series

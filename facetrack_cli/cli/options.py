@@ -43,6 +43,7 @@ class Whole(click.IntRange):
 
 
 FRAME = Whole(min=0)
+FIGURES = ("png", "svg", "pdf")  # those of report/figures/style.py, which would load numpy
 
 
 class _Field(NamedTuple):
@@ -124,7 +125,7 @@ def figure_file(default: str) -> Any:
     def parse(value: str) -> Path:
         if not value:
             raise OutputError("--out is empty; name a file that ends in .png, .svg or .pdf")
-        if Path(value).suffix.lower() not in (".png", ".svg", ".pdf"):
+        if Path(value).suffix[1:].lower() not in FIGURES:
             raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
         return Path(value)
 
@@ -276,7 +277,7 @@ def write_figure(
 ) -> None:
     """The figure, in the form that the file's ending names; refuses before `make` what would be refused after it."""
     from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.report.figures import need_matplotlib, render
+    from facetrack_cli.report.figures.style import need_matplotlib, render
 
     check_new(path, overwrite=overwrite, inputs=inputs)
     need_matplotlib()

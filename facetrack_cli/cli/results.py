@@ -71,7 +71,7 @@ class Results:
         into.shown.say(f"{found.clip} -> {into.folder.summary()}")
 
     def _draw(self, into: Experiment, figures: Callable[[], Iterable[tuple[str, bytes]]]) -> None:
-        from facetrack_cli.report.figures import need_matplotlib
+        from facetrack_cli.report.figures.style import need_matplotlib
 
         try:
             need_matplotlib()

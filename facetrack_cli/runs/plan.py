@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -70,7 +69,10 @@ def refuse_seed(overrides: Sequence[str]) -> None:
 
 
 class Begin(NamedTuple):
-    """A clip, what says where its tracks begin (see `find_plan_start`), and the frame to end before."""
+    """A clip, what says where its tracks begin, the first of its frames (with a box its frame), the one to stop before.
+
+    `init` is an init file, or "haar" to look for a face whatever lies beside the clip.
+    """
 
     clip: Path
     init: Path | Literal["haar"] | None = None
@@ -79,64 +81,41 @@ class Begin(NamedTuple):
     stop: int | None = None
     fps: Fraction | None = None
 
+    def find(self, recipe: Recipe, truth: Table | None = None, stopped: Stop | None = None) -> Start:
+        """Where a recipe begins: the box or init file given, the init file beside the clip, else the ground truth.
+
+        The start of ground truth is its first frame in which all that the recipe follows is visible. Without any a face
+        is looked for. Raises InputError where there is no such place in these frames.
+        """
+        beside = self.init is None and self.box is None and find_init(self.clip) is None
+        searched = self.init == HAAR or (beside and truth is None)
+        first = self.start if searched or self.box else 0
+        last = self.stop if searched else None
+        job = Job(self.clip, recipe, None, init=self.init, box=self.box, start=first, stop=last, fps=self.fps)
+        if beside and truth is not None:
+            start: Start | None = place_start(job, truth_start(truth, recipe.points))
+        else:
+            start = find_start(job, stopped or Stop())
+        if start is None:
+            raise InputError(f"{self.clip}: stopped before a start was found")
+        begins = f"{self.clip}: {start.origin} begins at frame {start.frame}"
+        if start.frame < self.start:
+            remedy = "leave --start out, or begin elsewhere with --init or --box"
+            raise InputError(f"{begins}, before --start {self.start}; {remedy}")
+        if self.stop is not None and start.frame >= self.stop:
+            remedy = "give a larger one, or begin elsewhere"
+            raise InputError(f"{begins}, of which --stop {self.stop} leaves nothing; {remedy}")
+        return start
+
     def plan(self, label: str, recipe: Recipe, seeds: int, truth: Table | None, stopped: Stop) -> Plan:
         """A recipe with seeds 0 to `seeds` - 1."""
-        start = find_plan_start(
-            self.clip,
-            recipe,
-            init=self.init,
-            box=self.box,
-            truth=truth,
-            fps=self.fps,
-            first=self.start,
-            stop=self.stop,
-            stopped=stopped,
-        )
+        start = self.find(recipe, truth, stopped)
         return Plan(label, self.clip, recipe, start, tuple(range(seeds)), self.stop, self.fps)
 
-    def picture_size(self) -> tuple[int, int]:
+    def frame_size(self) -> tuple[int, int]:
         """(width, height) of the clip's frames."""
         with open_source(self.clip, fps=self.fps) as source:
             return source.size
-
-
-def find_plan_start(
-    clip: Path,
-    recipe: Recipe,
-    *,
-    init: Path | Literal["haar"] | None = None,
-    box: Box | None = None,
-    truth: Table | None = None,
-    fps: Fraction | None = None,
-    first: int = 0,
-    stop: int | None = None,
-    stopped: Stop | None = None,
-) -> Start:
-    """Where a recipe begins on a clip: the box or init file given, the init file beside the clip, else the truth.
-
-    The truth's start is its first frame in which all that the recipe follows is visible. Without a truth a face is
-    looked for. `first` is the frame of the box, or where the search begins. Raises InputError where there is no such
-    place from that frame on.
-    """
-    beside = init is None and box is None and find_init(clip) is None
-    searched = init == HAAR or (beside and truth is None)
-    job = Job(clip, recipe, None, init=init, box=box, fps=fps)
-    job = replace(job, start=first if searched or box else 0, stop=stop if searched else None)
-    if beside and truth is not None:
-        start = place_start(job, truth_start(truth, recipe.points))
-    else:
-        found = find_start(job, stopped or Stop())
-        if found is None:
-            raise InputError(f"{clip}: stopped before a start was found")
-        start = found
-    begins = f"{clip}: {start.origin} begins at frame {start.frame}"
-    if start.frame < first:
-        raise InputError(
-            f"{begins}, before --start {first}; leave --start out, or begin elsewhere with --init or --box"
-        )
-    if stop is not None and start.frame >= stop:
-        raise InputError(f"{begins}, of which --stop {stop} leaves nothing; give a larger one, or begin elsewhere")
-    return start
 
 
 def truth_start(truth: Table, points: Sequence[str]) -> Start:

@@ -91,7 +91,7 @@ class Compare:
                 begin,
                 truth,
                 self.seeds,
-                compare.Options(known.target, known.partial, extent.stop, begin.picture_size()),
+                compare.Options(known.target, known.partial, extent.stop, begin.frame_size()),
                 rank_by=self.rank_by,
                 check_shift=known.shift is None,
                 workers=results.jobs,

@@ -86,7 +86,7 @@ class Eval:
         from facetrack_cli.evaluation.summary_data import About, to_csv, to_json
         from facetrack_cli.evaluation.summary_table import to_text
         from facetrack_cli.evaluation.units import check_normalise
-        from facetrack_cli.report.figures import need_matplotlib
+        from facetrack_cli.report.figures.style import need_matplotlib
         from facetrack_cli.trajectory.formats.read import read_results
         from facetrack_cli.trajectory.header import clip_of, picture_of
 

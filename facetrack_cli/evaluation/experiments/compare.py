@@ -1,4 +1,4 @@
-"""Recipes side by side on one clip with truth: what each run scores, and in which order the recipes stand.
+"""Recipes side by side on one clip with ground truth: what each run scores, and in which order the recipes stand.
 
     score = score_run(run, truth, options)
     places = rank(entries, "points.mean_normalised")
@@ -172,7 +172,7 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
 
 
 def score_run(run: SeedRun, truth: Table, options: Options, note: Callable[[str], None] = lambda _: None) -> Score:
-    """Measure one run; `note` gets what was paired how (see `match`). InputError where the truth does not fit it."""
+    """Measure one run; `note` gets what was paired how (see `match`). InputError where it does not fit."""
     pairs = _pairs(run, truth, options, note=note)
     evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.series)
     units = units_of(pairs, reference=truth.series)
@@ -195,7 +195,7 @@ def score_run(run: SeedRun, truth: Table, options: Options, note: Callable[[str]
 
 
 def shifted(run: SeedRun, truth: Table, options: Options) -> InputError | None:
-    """What speaks for a truth that counts frames otherwise than the run; to be asked of runs that can be scored."""
+    """The error of ground truth that numbers the frames otherwise than a run that can be scored; None if it fits."""
     try:
         _pairs(run, truth, options, check_shift=True)
     except InputError as e:
@@ -218,7 +218,7 @@ def _pairs(
 def kinds_of(plan: Plan, truth: Table, options: Options) -> set[str]:
     """What the runs of a plan on frames of `options.size` will be measured as, `boxes` or `points`.
 
-    Raises, before anything runs, what recipe, start and the names in the truth are refused for.
+    Raises, before anything runs, what recipe, start and the names in the ground truth are refused for.
     """
     frames = truth.frames[truth.frames > plan.start.frame]
     assert options.size is not None
@@ -228,7 +228,7 @@ def kinds_of(plan: Plan, truth: Table, options: Options) -> set[str]:
 
 
 def within(truth: Table, trajectory: Table, options: Options) -> Table:
-    """The truth of the frames that were asked for: from the run's first one to before --stop."""
+    """The ground truth of the frames that were asked for: from the run's first one to before --stop."""
     first = int(trajectory.frames[0])
     last = math.inf if options.stop is None else options.stop - 1
     kept = [one.take((one.frame >= first) & (one.frame <= last)) for one in truth.series]
@@ -285,7 +285,7 @@ def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
 
 @dataclass
 class _Tried:
-    """A recipe, its plan and what came of it; `moved` is what its first run says of the ground truth's frames."""
+    """A recipe, its plan and what came of it; `moved` is the error of a shift that its first run shows."""
 
     label: str
     recipe: Recipe
@@ -322,7 +322,7 @@ def run_recipes(
 ) -> list[Entry]:
     """Every recipe, by label, with its scores, or with what kept it from running; none if it is stopped before.
 
-    Raises the error if all fail of one, and InputError for a truth that counts frames otherwise than all runs do.
+    Raises the error if all fail of one, and InputError for ground truth that numbers the frames otherwise.
     """
     tried = {label: _Tried(label, recipe) for label, recipe in recipes.items()}
     family = (rank_by or "").partition(".")[0]
@@ -333,7 +333,8 @@ def run_recipes(
             kinds = kinds_of(plan, truth, options)
             if family in ("boxes", "points") and family not in kinds:
                 measured = " and ".join(sorted(kinds))
-                raise UsageError(f"--rank-by {rank_by}: this truth measures {measured} of {one.label}; rank by these")
+                told = f"this ground truth measures {measured} of {one.label}; rank by these"
+                raise UsageError(f"--rank-by {rank_by}: {told}")
             one.plan = plan
             one.warnings += filter(None, [far_from_truth(plan.start, truth)])
         except FacetrackError as e:
@@ -357,7 +358,7 @@ def run_recipes(
             except FacetrackError as e:
                 one.error = e
                 if alike and isinstance(run, SeedRun) and not any(other.scores for other in tried.values()):
-                    break  # what is wrong with the truth is wrong for every other run too
+                    break  # what is wrong with the ground truth is wrong for every other run too
     ran = [one for one in tried.values() if one.scores]
     failed = {one.label: one.error for one in tried.values() if one.error is not None}
     if failed and not ran and stop.code is None:
@@ -370,14 +371,14 @@ def run_recipes(
         shown.say(f"facetrack: warning: {line}")
     for line in dict.fromkeys(notes):
         shown.say(f"facetrack: note: {line}")
-    # one recipe that trails behind is a bad tracker; all of them are a truth that counts otherwise
+    # one recipe that trails behind is a bad tracker; if all do, the ground truth numbers the frames otherwise
     if ran and all(one.moved for one in ran) and ran[0].moved is not None:
         raise ran[0].moved
     return [one.entry() for one in tried.values()]
 
 
 def default_truth(clip: Path) -> Path:
-    """The truth of a clip: `<clip>.truth.csv` beside it, else groundtruth.csv in its folder or beside it."""
+    """The ground truth of a clip: `<clip>.truth.csv` beside it, else groundtruth.csv in its folder or beside it."""
     beside = clip.resolve().parent if clip.is_dir() else clip.parent
     stem = clip.resolve().name if clip.is_dir() else clip.stem
     folders = [clip, beside] if clip.is_dir() else [beside]

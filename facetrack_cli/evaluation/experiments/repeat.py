@@ -44,7 +44,7 @@ class Leave:
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that end at one place: their seeds, the mean centre, and the mean error to the truth where there is one."""
+    """Runs that end at one place: their seeds, the mean centre, and the mean error to the ground truth, if any."""
 
     seeds: tuple[int, ...]
     x: float
@@ -109,7 +109,7 @@ def target_size(tables: Sequence[Table], target: str) -> float:
 def spreads(
     seeds: Sequence[int], tables: Sequence[Table], fraction: float = FRACTION, truth: Sequence[Series] = ()
 ) -> tuple[Spread, ...]:
-    """The spread of every part over the runs `tables`, one a seed; `truth` are its series under the runs' names.
+    """The spread of every part over the runs `tables`, one a seed; `truth`: as `matched` returns it.
 
     Runs that were cut short count as far as all of them go.
     """
@@ -154,7 +154,7 @@ def spread_of(
     limit: float,
     truth: Array | None = None,
 ) -> Spread:
-    """The spread of one part: positions (S, T, 2), `limit` in pixels, truth (T, 2) where it is known."""
+    """The spread of one part: positions (S, T, 2), `limit` in pixels, `truth` (T, 2) where it is known."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a frame without any position is nan, and no news
         mean = np.nanmean(positions, axis=0)
