@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.files import write_new
 
 T = TypeVar("T")
 
@@ -28,18 +29,11 @@ class Kind:
     command: str
 
     def write(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Equal arrays give equal bytes. Raises OutputError."""
+        """Equal arrays give equal bytes; a file that is there is replaced. Raises OutputError."""
         whole: dict[str, Any] = {"format": np.array(self.format), "version": np.array(self.version, "<i8"), **arrays}
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-        try:
-            try:
-                with temporary.open("wb") as file:
-                    np.savez(file, **whole)
-                temporary.replace(path)
-            finally:
-                temporary.unlink(missing_ok=True)
-        except OSError as e:
-            raise OutputError(f"{path}: cannot be written: {e.strerror or e}; name another file with -o") from e
+        data = io.BytesIO()
+        np.savez(data, **whole)
+        write_new(path, data.getvalue(), overwrite=True)
 
     def read(self, path: Path, make: Callable[[Stored], T]) -> T:
         """What `make` makes of the arrays. Raises InputError for any damage, and where `make` raises ValueError."""
