@@ -24,7 +24,7 @@ from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import Evaluation, evaluate
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.plan import Begin
 from facetrack_cli.runs.seeds import Plan, SeedRun, run_plans
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -38,7 +38,7 @@ def runs_of(
     """Of each recipe in turn its label and its runs, one a seed, each with its pairs with the clip's truth."""
     truth = read_truth(default_truth(clip))
     plans = [
-        Plan(label, clip, recipe, find_plan_start(clip, recipe, truth=truth), tuple(range(seeds)))
+        Plan(label, clip, recipe, Begin(clip).find(recipe, truth), tuple(range(seeds)))
         for label, recipe in recipes.items()
     ]
     yield from paired(plans, truth, jobs)

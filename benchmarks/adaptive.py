@@ -39,7 +39,7 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.evaluation.trust import auroc
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.plan import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
 from facetrack_cli.tracking.target import ParticleTarget
@@ -154,7 +154,7 @@ def shift_row(clip: Path, config: str) -> list[float]:
     cv2.setNumThreads(1)
     truth = read_truth(default_truth(clip))
     recipe = load_recipe(config)
-    start = find_plan_start(clip, recipe, truth=truth)
+    start = Begin(clip).find(recipe, truth)
     (target,) = build_tracker(recipe, start)
     assert isinstance(target, ParticleTarget)
     guide, model = target.guide, target.likelihood

@@ -13,9 +13,9 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Mask, Start
 from facetrack_cli.evaluation.boxes import SUCCESS_THRESHOLDS, BoxMeasures, measure_boxes, share_above
-from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap, variant
+from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.plan import Begin, variant
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -107,7 +107,7 @@ def follow(clip: Path, config: str, seeds: int, start: Start | None = None, more
     except InputError:
         if start is None:
             raise
-    begin = start or find_plan_start(clip, recipe, truth=truth)
+    begin = start or Begin(clip).find(recipe, truth)
     true = {
         int(frame): (*box, angle)
         for one in (truth.parts if truth is not None else ())

@@ -33,12 +33,12 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Start, TargetStart
 from facetrack_cli.evaluation.boxes import centre_errors, measure_boxes
-from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap, variant
+from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.trust import auroc
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.plan import Begin, variant
 from facetrack_cli.runs.seeds import Plan
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -65,7 +65,7 @@ def cases(clip: Path, given: argparse.Namespace) -> Iterator[Case]:
         label = f"{config} {count}"
         recipe: Recipe = load_recipe(name, [*overrides, *given.overrides, f"filter.particles={count}"])
         if given.start is None:
-            start = find_plan_start(clip, recipe, init=given.init, truth=truth)
+            start = Begin(clip, init=given.init).find(recipe, truth)
         else:
             start = true_start(truth, given.start)
         plans.append(Plan(label, clip, recipe, start, tuple(range(given.seeds))))

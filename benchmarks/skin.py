@@ -31,10 +31,10 @@ from accuracy import paired
 from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.evaluation.boxes import measure_boxes, normalised_errors, within
-from facetrack_cli.evaluation.experiments.compare import TAIL, default_truth, labels, variant
+from facetrack_cli.evaluation.experiments.compare import TAIL, default_truth
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.plan import Begin, labels, variant
 from facetrack_cli.runs.seeds import Plan
 from facetrack_cli.trajectory.formats.read import read_truth
 
@@ -120,7 +120,7 @@ def runs_of(clip: Path, config: str, label: str, given: argparse.Namespace) -> l
     name, overrides = variant(config)
     recipe = load_recipe(name, [*overrides, *given.overrides])
     seeds = tuple(range(given.seeds if recipe.random else 1))
-    plan = Plan(label, clip, recipe, find_plan_start(clip, recipe, truth=truth), seeds)
+    plan = Plan(label, clip, recipe, Begin(clip).find(recipe, truth), seeds)
     ((_, _, pairs),) = paired([plan], truth, given.jobs)
     return pairs
 

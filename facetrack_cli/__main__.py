@@ -1,4 +1,4 @@
-"""Run the command line: every error ends in one line on stderr and its exit code (errors.py)."""
+"""Run the command line: every error ends in one line on stderr and its exit code (core/errors.py)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
 
 class _Terminated(BaseException):
-    """SIGTERM, where no loop over frames has taken it over (stopping.py)."""
+    """SIGTERM, where no loop over frames handles it (runs/signals.py)."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,7 +43,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         code = _run(argv)
         if argv is None and code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED):
-            _ignore_signals()
+            # another Ctrl-C while the interpreter shuts down must not change the exit code
+            with contextlib.suppress(ValueError):
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
         return code
     except _Terminated:
         _say("terminated")
@@ -51,12 +53,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         if listening:
             signal.signal(signal.SIGTERM, before)
-
-
-def _ignore_signals() -> None:
-    """The process has ended properly; another Ctrl-C while the interpreter shuts down must not change its exit code."""
-    with contextlib.suppress(ValueError):  # not in the main thread
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
@@ -82,10 +78,6 @@ def _run(argv: Sequence[str] | None) -> int:
         code = cli.main(None if argv is None else list(argv), prog_name="facetrack", standalone_mode=False)
         sys.stdout.flush()
         return int(code) if isinstance(code, int) else ExitCode.DONE
-    except FacetrackError as error:
-        _say(f"error: {error}", error.excerpt if isinstance(error, RecipeError) else "")
-        _traceback_if_wanted()
-        return int(error.exit_code)
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""
@@ -97,26 +89,35 @@ def _run(argv: Sequence[str] | None) -> int:
     except BrokenPipeError:
         _forget_output()
         return READER_GONE
-    except MemoryError as error:
-        _say(f"error: not enough memory ({error}); take fewer particles, smaller windows or smaller pictures")
-        _traceback_if_wanted()
-        return ExitCode.FAULT
     except Exception as error:
-        if _is_of_stdout(error):
-            _forget_output()
-            reason = getattr(error, "strerror", None) or error
-            _say(f"error: standard output: cannot be written: {reason}; send it elsewhere")
-            _traceback_if_wanted()
-            return ExitCode.USAGE
-        told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        again = "" if _debugging() else "; run it again as facetrack --debug ... and send us what it prints"
-        _say(f"error: this is our fault, not yours: {told}{again}")
-        _traceback_if_wanted()
-        return ExitCode.FAULT
+        return _failed(error)
+
+
+def _failed(error: Exception) -> int:
+    """Say what went wrong, with --debug also where; the exit code."""
+    code, excerpt = ExitCode.FAULT, ""
+    if isinstance(error, FacetrackError):
+        code, said = error.exit_code, str(error)
+        excerpt = error.excerpt if isinstance(error, RecipeError) else ""
+    elif isinstance(error, MemoryError):
+        said = f"not enough memory ({error}); take fewer particles, smaller windows or smaller frames"
+    elif _is_of_stdout(error):
+        _forget_output()
+        code = ExitCode.USAGE
+        said = f"standard output: cannot be written: {getattr(error, 'strerror', None) or error}; send it elsewhere"
+    else:
+        said = f"internal error: {type(error).__name__}{f': {error}' if str(error) else ''}; please report it"
+        said += "" if _debugging() else ", with what facetrack --debug ... prints"
+    _say(f"error: {said}", excerpt)
+    if _debugging():
+        import traceback
+
+        traceback.print_exception(error)
+    return int(code)
 
 
 def _is_of_stdout(error: Exception) -> bool:
-    # what we write to files is refused by their names: without one it is standard output
+    # errors of files are raised with their names: without one it is standard output
     return (
         isinstance(error, OSError)
         and error.filename is None
@@ -139,13 +140,6 @@ def _forget_output() -> None:
 
 def _debugging() -> bool:
     return os.environ.get("FACETRACK_DEBUG", "") not in ("", "0")
-
-
-def _traceback_if_wanted() -> None:
-    if _debugging():
-        import traceback
-
-        traceback.print_exc()
 
 
 if __name__ == "__main__":

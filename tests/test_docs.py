@@ -14,11 +14,11 @@ from ruamel.yaml import YAML
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import ExitCode, InputError
-from facetrack_cli.evaluation.experiments.compare import default_truth, variant
+from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.plan import Begin, variant
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -280,7 +280,7 @@ def script_lines():
 
 def tracker_on(clip, config):
     recipe = load_recipe(variant(config)[0])
-    return build_tracker(recipe, find_plan_start(Path(clip), recipe, truth=read_truth(default_truth(Path(clip)))))
+    return build_tracker(recipe, Begin(Path(clip)).find(recipe, read_truth(default_truth(Path(clip)))))
 
 
 @pytest.mark.parametrize(("clips", "configs"), list(script_lines()))

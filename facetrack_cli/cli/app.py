@@ -17,23 +17,22 @@ from facetrack_cli import __version__
 COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",
     "init": "Write where the track of a clip begins, as a file to edit.",
-    "fix": "Put a finished run right, on a page.",
+    "fix": "Correct a finished run, on a page.",
     "recipes": "List, show and check the recipes of trackers.",
     "prior": "Learn shape priors from annotated frames, and draw them.",
-    "gallery": "Learn who is who from pictures and videos, and draw it.",
-    "eval": "Measure a trajectory against the truth.",
-    "compare": "Run and rank several recipes on a clip with truth.",
+    "gallery": "Learn who is who from images and videos, and draw it.",
+    "eval": "Measure a trajectory against ground truth.",
+    "compare": "Run and rank several recipes on a clip with ground truth.",
     "repeat": "Show how far a recipe's runs differ from seed to seed.",
     "regress": "Check clips against their golden results, for CI.",
     "plot": "Draw what happened in a trajectory.",
     "report": "Write one HTML page about a run.",
     "export": "Write a trajectory as other tools read it.",
 }
-"""The one-line helps stand here because asking the commands for theirs would load them."""
-
+"""The one-line helps stand here because to ask the commands for theirs would load them."""
 
 READER_GONE = 141
-"""Exit code when the reader of our output has gone, as in `facetrack ... | head`: the shell's, for SIGPIPE."""
+"""Exit code when the reader of standard output is gone, as in `facetrack ... | head`: the shell's, for SIGPIPE."""
 
 
 @contextmanager
@@ -41,7 +40,7 @@ def _quiet_when_reader_gone() -> Iterator[None]:
     try:
         yield
     except BrokenPipeError:
-        raise click.exceptions.Exit(READER_GONE) from None  # click itself would leave with 1, our fault
+        raise click.exceptions.Exit(READER_GONE) from None  # click itself would exit with 1
 
 
 class LazyGroup(click.Group):
@@ -99,8 +98,8 @@ def cli(ctx: click.Context, debug: bool) -> None:
         facetrack recipes
         facetrack run --help
 
-    Exit codes: 0 done, 1 our fault, 2 usage, recipe or output, 3 input,
-    4 target lost (with --fail-on-lost), 5 some of a batch failed,
+    Exit codes: 0 done, 1 internal error, 2 usage, recipe or output,
+    3 input, 4 target lost (with --fail-on-lost), 5 some of a batch failed,
     6 regression, 130 interrupted, 143 terminated.
     """
     if debug:

@@ -1,14 +1,39 @@
-"""Values of options that several commands take."""
+"""Commands as classes: each field is an option, and what several commands take is a group of them.
+
+class Repeat:
+    \"\"\"Show how far the runs of a recipe differ from seed to seed.\"\"\"
+
+    clip: Path = argument("INPUT")
+    seeds: int = option("--seeds", "N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
+    extent: Extent = group(Extent)
+
+    def run(self) -> int: ...
+
+command = verb(Repeat)
+"""
 
 from __future__ import annotations
 
+import inspect
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import click
 
+from facetrack_cli.core.errors import OutputError, UsageError
+
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from facetrack_cli.core.types import Box
+    from facetrack_cli.evaluation.rows import Pair
+    from facetrack_cli.trajectory.trajectory import Trajectory
+
+FILE: Any = click.Path(path_type=Path)
 
 
 class Whole(click.IntRange):
@@ -18,31 +43,69 @@ class Whole(click.IntRange):
 
 
 FRAME = Whole(min=0)
-# those of formats/read.py, which is not imported, so that helps come at once
-TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
-truth_format = click.option(
-    "--truth-format",
-    metavar="FORMAT",
-    type=click.Choice(TRUTH_FORMATS),
-    default="auto",
-    help=f"How to read it: {', '.join(TRUTH_FORMATS[1:])} [default: by its shape].",
-)
-shift = click.option(
-    "--shift",
-    metavar="N",
-    type=int,
-    help="Add N to the frame numbers of the truth; 0 takes them as they are even if another shift would fit better.",
-)
-partial = click.option(
-    "--partial", is_flag=True, help="Take the frames that both have, though truth or trajectory lacks some."
-)
-target = click.option("--target", metavar="NAME[/PART]", help="One target, or one part of it, alone.")
+FIGURES = ("png", "svg", "pdf")  # those of report/figures/style.py, which would load numpy
 
 
-def box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | None:
+class _Field(NamedTuple):
+    kind: type[click.Parameter]
+    names: tuple[str, ...]
+    more: dict[str, Any]
+
+
+class _Group(NamedTuple):
+    kind: type[Any]
+
+
+def option(names: str, metavar: str, text: str, **more: Any) -> Any:
+    """A field for an option, whose help says `text`; `names` as "-o --out". A default is shown."""
+    shown = {"metavar": metavar, "help": text, "show_default": "default" in more}
+    return _Field(click.Option, tuple(names.split()), shown | more)
+
+
+def flag(names: str, text: str) -> Any:
+    return _Field(click.Option, tuple(names.split()), {"is_flag": True, "help": text})
+
+
+def argument(metavar: str, **more: Any) -> Any:
+    """A field for a file or folder that is named without an option."""
+    return _Field(click.Argument, (), {"metavar": metavar, "type": FILE, **more})
+
+
+def group(kind: type[Any]) -> Any:
+    """A field for all options of another class, of which it will be an instance."""
+    return _Group(kind)
+
+
+def verb(kind: type[Any], name: str | None = None) -> click.Command:
+    """The command of a class: its docstring is the help, its fields are the options, and `run` does the work."""
+
+    def call(**values: Any) -> Any:
+        return _filled(kind, values).run()
+
+    return click.Command(name, params=list(_parameters(kind)), callback=call, help=inspect.cleandoc(kind.__doc__ or ""))
+
+
+def _parameters(kind: type[Any]) -> Iterator[click.Parameter]:
+    for name, field in vars(kind).items():
+        if isinstance(field, _Group):
+            yield from _parameters(field.kind)
+        elif isinstance(field, _Field):
+            yield field.kind([*field.names, name], **field.more)
+
+
+def _filled(kind: type[Any], values: dict[str, Any]) -> Any:
+    made = kind()
+    for name, field in vars(kind).items():
+        if isinstance(field, (_Field, _Group)):
+            vars(made)[name] = _filled(field.kind, values) if isinstance(field, _Group) else values[name]
+    return made
+
+
+# --- options that mean the same in several commands ----------------------------------------------------------------
+
+
+def _box(value: str) -> Box:
     """`left,top,width,height` in pixels."""
-    if value is None:
-        return None
     try:
         x, y, w, h = (float(part) for part in value.split(","))
     except ValueError:
@@ -52,10 +115,58 @@ def box(ctx: click.Context, param: click.Parameter, value: str | None) -> Box | 
     return (x, y, w, h)
 
 
-def rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fraction | None:
+def box_option(text: str) -> Any:
+    return option("--box", "X,Y,W,H", text, type=_box)
+
+
+def figure_file(default: str) -> Any:
+    """--out of a figure; `default` says in words where it goes without."""
+
+    def parse(value: str) -> Path:
+        if not value:
+            raise OutputError("--out is empty; name a file that ends in .png, .svg or .pdf")
+        if Path(value).suffix[1:].lower() not in FIGURES:
+            raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
+        return Path(value)
+
+    return option("-o --out", "FILE", f"File to write: .png, .svg or .pdf [default: {default}].", type=parse)
+
+
+def array_file(what: str) -> Any:
+    """--out of an .npz file that holds a `what`, as a gallery."""
+
+    def parse(value: str) -> Path:
+        if Path(value).suffix != ".npz":
+            raise UsageError(f"{value}: a {what} is an .npz file; let its name end so")
+        return Path(value)
+
+    return option("-o --out", "FILE", f"Where the {what} goes.", type=parse, default=f"{what}.npz")
+
+
+def jobs_option(text: str) -> Any:
+    return option("-j --jobs", "N", text, type=Whole(min=1), default=1, show_default=False)
+
+
+CONFIG = option("--config", "RECIPE", "Recipe: a file, or a name.", default="factorized")
+OVERRIDES = option("--set", "KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
+GALLERY = option(
+    "--gallery", "FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."
+)
+CLIP = option("--clip", "INPUT", "The clip, if it is elsewhere now.", type=FILE)
+TITLE = option("--title", "TEXT", "Title of the page [default: clip and recipe].")
+TARGET = option("--target", "NAME[/PART]", "One target, or one part of it, alone.")
+OVERWRITE = flag("--overwrite", "Replace files that are there already.")
+QUIET = flag("--quiet -q", "Say nothing but errors.")
+
+
+def _init(value: str) -> Path | str:
+    if not value:
+        raise UsageError("--init is empty; name an init file, or haar to look for a face")
+    return value if value == "haar" else Path(value)
+
+
+def _rate(value: str) -> Fraction:
     """Frames per second."""
-    if value is None:
-        return None
     try:
         found = Fraction(value)
     except (ValueError, ZeroDivisionError):
@@ -65,22 +176,109 @@ def rate(ctx: click.Context, param: click.Parameter, value: str | None) -> Fract
     return found
 
 
-init = click.option(
-    "--init", metavar="FILE", help="Init file; `haar` looks for a face even if one lies beside the clip."
-)
-face_box = click.option(
-    "--box", metavar="X,Y,W,H", callback=box, help="The face, head or hand in the first frame, in pixels."
-)
-gallery = click.option(
-    "--gallery",
-    metavar="FILE",
-    help="People to recognise, as facetrack gallery fit writes them; for recipes of affine targets.",
-)
-overwrite_file = click.option("--overwrite", is_flag=True, help="Replace the file that is there already.")
-port = click.option(
-    "--port",
-    metavar="N",
-    type=Whole(min=1, max=65535),
-    help="Port of the page on this machine [default: any that is free].",
-)
-browse = click.option("--open", "browse", is_flag=True, help="Also open the page in the browser.")
+class Extent:
+    """Where the tracks of a clip begin, and which of its frames are read."""
+
+    init: Path | Literal["haar"] | None = option(
+        "--init", "FILE", "Init file; `haar` looks for a face even if one lies beside the clip.", type=_init
+    )
+    box: Box | None = box_option("The face, head or hand in the first frame, in pixels.")
+    start: int = option("--start", "N", "First frame, from 0.", type=FRAME, default=0, show_default=False)
+    stop: int | None = option("--stop", "N", "Frame to stop before.", type=FRAME)
+    fps: Fraction | None = option("--fps", "RATE", "Frames per second of image folders.", type=_rate)
+
+    def check(self, *clips: Path) -> None:
+        """UsageError where options contradict each other, or have no meaning for these clips."""
+        if self.init is not None and self.box is not None:
+            raise UsageError("--init and --box both say where the track starts; give one of them")
+        if self.stop is not None and self.stop <= self.start:
+            told = f"after --start {self.start}" if self.start else "at all"
+            raise UsageError(f"--stop {self.stop} leaves no frame {told}; it is the frame to stop before")
+        if self.fps is not None and all(one.is_file() for one in clips):
+            raise UsageError("--fps is for image folders; a video brings its own rate")
+
+
+# those of trajectory/formats/read.py, which is not imported, so that helps come at once
+TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
+
+
+def format_of(names: str, text: str) -> Any:
+    """How to read a file that another program may have written."""
+    text += " [default: by its shape]."
+    return option(names, "FORMAT", text, type=click.Choice(TRUTH_FORMATS), default="auto", show_default=False)
+
+
+class TruthOptions:
+    """How a file of ground truth is read."""
+
+    truth_format: str = format_of("--truth-format", f"How to read it: {', '.join(TRUTH_FORMATS[1:])}")
+    shift: int | None = option(
+        "--shift",
+        "N",
+        "Add N to the frame numbers of the ground truth; 0 takes them as they are even if another shift would fit "
+        "better.",
+        type=int,
+    )
+    partial: bool = flag("--partial", "Take the frames that both have, though ground truth or track lacks some.")
+    target: str | None = TARGET
+
+    def refuse(self, *, target: bool) -> None:
+        """UsageError, since there is no file, for an option that says how to read it; for --target only if `target`."""
+        given = {
+            "--truth-format": self.truth_format != "auto",
+            "--shift": self.shift is not None,
+            "--partial": self.partial,
+            "--target": target and self.target,
+        }
+        if idle := [name for name, value in given.items() if value]:
+            raise UsageError(f"{idle[0]} says how to use ground truth; give its file with --truth FILE")
+
+    def read(self, path: Path) -> Trajectory:
+        from facetrack_cli.trajectory.formats.read import read_truth
+
+        return read_truth(path, self.truth_format, shift=self.shift or 0)
+
+    def pairs(self, ours: Trajectory, theirs: Trajectory, note: Callable[[str], None]) -> list[Pair]:
+        """The rows of a trajectory beside those of the ground truth; `note` gets what to know of it."""
+        from facetrack_cli.evaluation.match import match
+
+        return match(ours, theirs, partial=self.partial, select=self.target, check_shift=self.shift is None, note=note)
+
+
+class Page:
+    """The page in the browser."""
+
+    port: int | None = option(
+        "--port", "N", "Port of the page on this machine [default: any that is free].", type=Whole(min=1, max=65535)
+    )
+    browse: bool = flag("--open", "Also open the page in the browser.")
+
+    def refuse(self, remedy: str) -> None:
+        """UsageError if there is to be no page, but an option of it was given."""
+        if self.port is not None or self.browse:
+            raise UsageError(f"{'--open' if self.port is None else '--port'} is for the page; {remedy}")
+
+
+# --- what commands write -------------------------------------------------------------------------------------------
+
+
+def say(line: str) -> None:
+    """A line on standard error, also where a name holds line breaks."""
+    click.echo(" ".join(line.splitlines()), err=True)
+
+
+def colour() -> bool:
+    """Whether standard output shows colours."""
+    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def write_figure(
+    path: Path, make: Callable[[], Figure], *, overwrite: bool, inputs: Iterable[Path] = (), dpi: float = 120.0
+) -> None:
+    """The figure, in the form that the file's ending names; refuses before `make` what would be refused after it."""
+    from facetrack_cli.core.files import check_new, write_new
+    from facetrack_cli.report.figures.style import need_matplotlib, render
+
+    check_new(path, overwrite=overwrite, inputs=inputs)
+    need_matplotlib()
+    write_new(path, render(make(), path.suffix[1:].lower(), dpi=dpi), overwrite=overwrite)

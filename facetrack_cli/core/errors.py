@@ -1,6 +1,6 @@
 """What can go wrong, and the exit code of each.
 
-FacetrackError            1  internal error
+FacetrackError            1  an internal error
 ├── UsageError            2  the command line
 │   ├── RecipeError       2  a recipe, with file, line and column where known
 │   └── OutputError       2  the output cannot be written: permission, full disk, another file there

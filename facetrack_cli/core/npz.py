@@ -29,7 +29,7 @@ class Kind:
     command: str
 
     def write(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Equal arrays give equal bytes. Raises OutputError."""
+        """Equal arrays give equal bytes; a file that is there is replaced. Raises OutputError."""
         whole: dict[str, Any] = {"format": np.array(self.format), "version": np.array(self.version, "<i8"), **arrays}
         buffer = io.BytesIO()
         np.savez(buffer, **whole)

@@ -127,4 +127,4 @@ def _failure(error: Exception) -> tuple[str, ExitCode]:
         traceback.print_exception(error)
     if isinstance(error, FacetrackError):
         return str(error), error.exit_code
-    return f"internal error: {type(error).__name__}: {error}", ExitCode.FAULT
+    return f"internal error, please report it: {type(error).__name__}: {error}", ExitCode.FAULT

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -13,14 +13,53 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Box, Start, TargetStart
+from facetrack_cli.recipe.gallery_option import with_gallery
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.job import HAAR, Job
 from facetrack_cli.runs.seeds import Plan
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import find_start, place_start
+from facetrack_cli.tracking.build.affine import check_gallery
 from facetrack_cli.tracking.start import find_init
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.source import open_source
+
+OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
+
+
+def variant(given: str) -> tuple[str, tuple[str, ...]]:
+    """A recipe and its overrides, from `name`, a file, or `name:key=value,key=value`."""
+    name, colon, rest = given.partition(":")
+    if not colon or "=" not in rest or Path(given).exists():
+        return given, ()
+    return name, tuple(re.split(OVERRIDES, rest))
+
+
+def labels(given: Sequence[str]) -> list[str]:
+    """A label for each --config that differs from all others: the recipe's name, else its path, and its overrides.
+
+    Raises UsageError for one that is given twice.
+    """
+    parsed = [variant(text) for text in given]
+    stems = [(Path(name).stem if Path(name).suffix else name, overrides) for name, overrides in parsed]
+    short = [f"{stem}:{','.join(overrides)}" if overrides else stem for stem, overrides in stems]
+    found = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
+    twice = next((text for text in found if found.count(text) > 1), None)
+    if twice is not None:
+        raise UsageError(f"--config {twice} is given twice; a recipe is compared with others")
+    return found
+
+
+def load_recipes(asked: Sequence[tuple[str, Sequence[str]]], gallery: str | None) -> list[Recipe]:
+    """The recipes of names or files and their overrides, with the people of a gallery (see `with_gallery`).
+
+    The gallery is read where it must be good: where it is given for all, or a single recipe names one.
+    """
+    recipes = with_gallery([load_recipe(name, overrides) for name, overrides in asked], gallery)
+    for recipe in recipes if gallery is not None or len(recipes) == 1 else ():
+        check_gallery(recipe)
+    return recipes
 
 
 def refuse_seed(overrides: Sequence[str]) -> None:
@@ -30,89 +69,53 @@ def refuse_seed(overrides: Sequence[str]) -> None:
 
 
 class Begin(NamedTuple):
-    """A clip, what says where its tracks begin (see `find_plan_start`), and the frame to end before."""
+    """A clip, what says where its tracks begin, the first of its frames (with a box its frame), the one to stop before.
+
+    `init` is an init file, or "haar" to look for a face whatever lies beside the clip.
+    """
 
     clip: Path
-    init: Path | Literal["haar"] | None
-    box: Box | None
-    stop: int | None
-    fps: Fraction | None
+    init: Path | Literal["haar"] | None = None
+    box: Box | None = None
     start: int = 0
+    stop: int | None = None
+    fps: Fraction | None = None
 
-    @classmethod
-    def of(
-        cls, clip: Path, init: str | None, box: Box | None, stop: int | None, fps: Fraction | None, start: int = 0
-    ) -> Begin:
-        """From options; UsageError where they contradict each other."""
-        if init is not None and box is not None:
-            raise UsageError("--init and --box both say where the track starts; give one of them")
-        if init == "":
-            raise UsageError("--init is empty; name an init file, or haar to look for a face")
-        if stop is not None and stop <= start:
-            told = f"after --start {start}" if start else "at all"
-            raise UsageError(f"--stop {stop} leaves no frame {told}; it is the frame to stop before")
-        if fps is not None and clip.is_file():
-            raise UsageError("--fps is for image folders; a video brings its own rate")
-        return cls(clip, None if init is None else HAAR if init == HAAR else Path(init), box, stop, fps, start)
+    def find(self, recipe: Recipe, truth: Trajectory | None = None, stopped: Stop | None = None) -> Start:
+        """Where a recipe begins: the box or init file given, the init file beside the clip, else the ground truth.
+
+        The start of ground truth is its first frame in which all that the recipe follows is visible. Without any a face
+        is looked for. Raises InputError where there is no such place in these frames.
+        """
+        beside = self.init is None and self.box is None and find_init(self.clip) is None
+        searched = self.init == HAAR or (beside and truth is None)
+        first = self.start if searched or self.box else 0
+        last = self.stop if searched else None
+        job = Job(self.clip, recipe, None, init=self.init, box=self.box, start=first, stop=last, fps=self.fps)
+        if beside and truth is not None:
+            start: Start | None = place_start(job, truth_start(truth, recipe.points))
+        else:
+            start = find_start(job, stopped or Stop())
+        if start is None:
+            raise InputError(f"{self.clip}: stopped before a start was found")
+        begins = f"{self.clip}: {start.origin} begins at frame {start.frame}"
+        if start.frame < self.start:
+            remedy = "leave --start out, or begin elsewhere with --init or --box"
+            raise InputError(f"{begins}, before --start {self.start}; {remedy}")
+        if self.stop is not None and start.frame >= self.stop:
+            remedy = "give a larger one, or begin elsewhere"
+            raise InputError(f"{begins}, of which --stop {self.stop} leaves nothing; {remedy}")
+        return start
 
     def plan(self, label: str, recipe: Recipe, seeds: int, truth: Trajectory | None, stopped: Stop) -> Plan:
         """A recipe with seeds 0 to `seeds` - 1."""
-        start = find_plan_start(
-            self.clip,
-            recipe,
-            init=self.init,
-            box=self.box,
-            truth=truth,
-            fps=self.fps,
-            first=self.start,
-            stop=self.stop,
-            stopped=stopped,
-        )
+        start = self.find(recipe, truth, stopped)
         return Plan(label, self.clip, recipe, start, tuple(range(seeds)), self.stop, self.fps)
 
-    def picture_size(self) -> tuple[int, int]:
-        """(width, height) of the clip's pictures."""
+    def frame_size(self) -> tuple[int, int]:
+        """(width, height) of the clip's frames."""
         with open_source(self.clip, fps=self.fps) as source:
             return source.size
-
-
-def find_plan_start(
-    clip: Path,
-    recipe: Recipe,
-    *,
-    init: Path | Literal["haar"] | None = None,
-    box: Box | None = None,
-    truth: Trajectory | None = None,
-    fps: Fraction | None = None,
-    first: int = 0,
-    stop: int | None = None,
-    stopped: Stop | None = None,
-) -> Start:
-    """Where a recipe begins on a clip: the box or init file given, the init file beside the clip, else the truth.
-
-    The truth's start is its first frame in which all that the recipe follows is visible. Without a truth a face is
-    looked for. `first` is the frame of the box, or where the search begins. Raises InputError where there is no such
-    place from that frame on.
-    """
-    beside = init is None and box is None and find_init(clip) is None
-    searched = init == HAAR or (beside and truth is None)
-    job = Job(clip, recipe, None, init=init, box=box, fps=fps)
-    job = replace(job, start=first if searched or box else 0, stop=stop if searched else None)
-    if beside and truth is not None:
-        start = place_start(job, truth_start(truth, recipe.points))
-    else:
-        found = find_start(job, stopped or Stop())
-        if found is None:
-            raise InputError(f"{clip}: stopped before a start was found")
-        start = found
-    begins = f"{clip}: {start.origin} begins at frame {start.frame}"
-    if start.frame < first:
-        raise InputError(
-            f"{begins}, before --start {first}; leave --start out, or begin elsewhere with --init or --box"
-        )
-    if stop is not None and start.frame >= stop:
-        raise InputError(f"{begins}, of which --stop {stop} leaves nothing; give a larger one, or begin elsewhere")
-    return start
 
 
 def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:

@@ -10,6 +10,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode, UsageError
+from facetrack_cli.evaluation.experiments import compare
 from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.runs import seeds as runs
 
@@ -132,7 +133,7 @@ def test_an_interrupt_keeps_what_is_complete(facetrack, monkeypatch):
         yield from whole(plans[:1], workers, stop, report)
         stop.code = ExitCode.INTERRUPTED
 
-    monkeypatch.setattr(runs, "run_plans", interrupted)
+    monkeypatch.setattr(compare, "run_plans", interrupted)
     code, out, _ = facetrack("compare", CLIP, *TWO, *SHORT, "--no-plots")
     assert code == ExitCode.INTERRUPTED and "Interrupted" in out and "0 of 2" in out
     found = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))
@@ -142,7 +143,8 @@ def test_an_interrupt_keeps_what_is_complete(facetrack, monkeypatch):
         stop.code = ExitCode.INTERRUPTED
         yield from ()
 
-    monkeypatch.setattr(runs, "run_plans", at_once)
+    for module in (compare, runs):
+        monkeypatch.setattr(module, "run_plans", at_once)
     for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
         code, out, err = facetrack(*command, *SHORT, "-o", "none", "--no-plots")
         assert code == ExitCode.INTERRUPTED and not out
@@ -155,7 +157,7 @@ def test_what_does_not_fit_the_truth_is_told_before_anything_runs(facetrack, mon
     Path("boxes.csv").write_text("frame,x,y,w,h\n" + boxes, encoding="utf-8")
     started = []
     whole = runs.run_plans
-    monkeypatch.setattr(runs, "run_plans", lambda plans, *more: started.extend(plans) or whole(plans, *more))
+    monkeypatch.setattr(compare, "run_plans", lambda plans, *more: started.extend(plans) or whole(plans, *more))
     arguments = ["compare", CLIP, "--truth", "boxes.csv", "--stop", "4", "--seeds", "1", "--no-plots"]
     code, out, err = facetrack(*arguments, *TWO)
     assert code == ExitCode.INPUT and "boxes.csv" in err and "face/nose" in err and not out and not started

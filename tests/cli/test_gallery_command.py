@@ -1,4 +1,4 @@
-"""facetrack gallery fit and show: files, words, refusals, and the picture."""
+"""facetrack gallery fit and show: files, words, refusals, and the figure."""
 
 from pathlib import Path
 
@@ -6,11 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.report.figures.gallery import WIDTH, calibrated, draw_gallery, kept
+from facetrack_cli.core.errors import UsageError
+from facetrack_cli.report.figures import style as plot_style
+from facetrack_cli.report.figures.gallery import calibrated, gallery_figure, kept
+from facetrack_cli.report.figures.style import DPI, WIDTH, render
 from facetrack_cli.tracking.identity.fit import fit_gallery
 from facetrack_cli.tracking.identity.gallery import load_gallery
 from tests.support.gallery_faces import NAMES, people_folder
 from tests.support.samples import FOLDER
+
+pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
 
 
 @pytest.fixture(scope="module")
@@ -20,6 +25,10 @@ def clips(tmp_path_factory):
     people_folder(folder / "people", 3)
     people_folder(folder / "single", 1)
     return folder
+
+
+def missing():
+    raise UsageError("figures need matplotlib")
 
 
 def names_here():
@@ -51,19 +60,29 @@ def test_fit_and_show(facetrack, clips):
         ["collins", "3", "0"],
         ["hopper", "3", "0"],
     ]
-    assert calibrated(gallery) in lines and lines[-1] == "own.npz: 2 persons, 6 pictures"
+    assert calibrated(gallery) in lines and lines[-1] == "own.npz: 2 persons, 6 images"
     assert f"intra-personal: {kept(gallery.intra)}" in lines
 
     code, out, err = facetrack("gallery", "show", "own.npz")
     assert (code, err) == (0, "")
-    for said in ("template: 26 points across, 30 down", "   1 collins: 3 pictures", "picture: own.png"):
+    for said in ("template: 26 points across, 30 down", "   1 collins: 3 images", "figure: own.png"):
         assert said in out.splitlines()
-    picture = cv2.imread("own.png")
-    assert picture.shape[1] == WIDTH
+    assert cv2.imread("own.png").shape[1] == WIDTH * DPI
     code, _, err = facetrack("gallery", "show", "own.npz")
     assert code == 2 and "own.png" in err and "--overwrite" in err
     assert facetrack("gallery", "show", "own.npz", "--overwrite")[0] == 0
-    assert names_here() == ["own.npz", "own.png"]
+    for ending, begins in (("svg", b"<?xml"), ("PDF", b"%PDF")):
+        assert facetrack("gallery", "show", "own.npz", "-o", f"own.{ending}")[0] == 0
+        assert Path(f"own.{ending}").read_bytes().startswith(begins)
+    assert names_here() == ["own.PDF", "own.npz", "own.png", "own.svg"]
+
+
+def test_without_matplotlib_show_says_how_to_get_it_and_writes_nothing(facetrack, clips, monkeypatch):
+    some_gallery(["anna", "ben"]).save(Path("gallery.npz"))
+    monkeypatch.setattr(plot_style, "need_matplotlib", missing)
+    code, out, err = facetrack("gallery", "show")
+    assert (code, out, err) == (2, "", "facetrack: error: figures need matplotlib\n")
+    assert names_here() == ["gallery.npz"]
 
 
 def test_the_sample_gallery_is_whole(facetrack):
@@ -138,36 +157,54 @@ def test_an_interrupt_leaves_nothing_behind(facetrack, monkeypatch, place):
     assert names_here() == []
 
 
-# --- the picture ---------------------------------------------------------------------------------------------------
+# --- the figure ----------------------------------------------------------------------------------------------------
 
 LONG = "Ada Augusta King, Countess of Lovelace, of Ockham Park"
 
 
+def drawn(gallery, title="gallery.npz"):
+    return cv2.imdecode(np.frombuffer(render(gallery_figure(gallery, title=title)), np.uint8), cv2.IMREAD_COLOR)
+
+
 @pytest.mark.parametrize("count", [2, 10, 60, 90])
-def test_the_picture_has_everyone_in_it(count):
+def test_the_figure_has_everyone_in_it(count):
     names = [f"person {number:03}" for number in range(count)]
     gallery = some_gallery(names, pictures=2, shape=(15, 13))
-    picture = draw_gallery(gallery, "gallery.npz")
-    assert picture.shape[1:] == (WIDTH, 3) and picture.dtype == np.uint8 and picture.shape[0] < 4200
-    assert (picture == picture[..., :1]).all()  # it is stored as one channel
+    figure = gallery_figure(gallery, title="gallery.npz")
+    assert figure.get_figheight() < 35
+    said = " ".join(text.get_text() for text in figure.axes[0].texts)
+    assert all(f"{number + 1} {name}" in said for number, name in enumerate(names))
+    assert said.count("2 images") == count
+    picture = drawn(gallery)
     # no text or face runs out of the page
     edge = np.concatenate([picture[:, :20], picture[:, -20:]], axis=1)
     assert (edge == 255).all() and (picture[-6:] == 255).all()
     # another name or another face shows
     other = some_gallery([*names[:-1], "zz"], pictures=2, shape=(15, 13))
-    changed = np.argwhere((draw_gallery(other, "gallery.npz") != picture).any(2))
+    changed = np.argwhere((drawn(other) != picture).any(2))
     assert len(changed) and changed[:, 0].min() > 500
-    assert (draw_gallery(gallery, "gallery.npz") == picture).all()
+    assert (drawn(gallery) == picture).all()
 
 
-@pytest.mark.parametrize("name", [LONG, LONG.replace(" ", ""), "Ñandú Žižek", "李小龍", "a", "$x_1^2$", "x" * 300])
+@pytest.mark.parametrize(
+    "name", [LONG, LONG.replace(" ", ""), "Ñandú Žižek", "李小龍", "a", "$x_1^2$", "x" * 300, "_a"]
+)
 def test_names_of_every_kind_are_drawn(name):
-    picture = draw_gallery(some_gallery([name, "ben"]), name)
+    picture = drawn(some_gallery([name, "ben"]), name)
     assert (picture[:, -20:] == 255).all()
     assert (picture < 128).any(2).sum() > 5000
 
 
+def test_a_name_without_room_is_cut_on_its_second_line():
+    names = [LONG, LONG.replace(" ", ""), "W" * 40, *(f"person {number}" for number in range(8))]
+    texts = [text.get_text() for text in gallery_figure(some_gallery(names), title="t").axes[0].texts]
+    at = texts.index("Who is in it") + 1
+    for number in range(1, 4):
+        assert texts[at].startswith(f"{number} ") and texts[at + 1].endswith("…") and texts[at + 2] == "3 images"
+        at += 3
+
+
 @pytest.mark.parametrize("shape", [(8, 8), (64, 20), (12, 90), (8, 200)])
 def test_templates_of_every_shape_are_drawn(shape):
-    picture = draw_gallery(some_gallery(["anna", "ben"], shape=shape), "gallery.npz")
-    assert picture.shape[1] == WIDTH and (picture[:, -20:] == 255).all()
+    picture = drawn(some_gallery(["anna", "ben"], shape=shape))
+    assert picture.shape[1] == WIDTH * DPI and (picture[:, -20:] == 255).all()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.cli.commands import plot as command
+from facetrack_cli.cli.options import FIGURES
 from facetrack_cli.core import files
 from facetrack_cli.report import figures as plots
 from facetrack_cli.trajectory.writers import COLUMNS
@@ -124,7 +124,7 @@ def test_truth_that_does_not_belong_is_refused(capsys, run, truth, tmp_path):
         (["-o", ""], 2, "--out is empty"),
         (["-o", "nowhere/page.png"], 2, "nowhere/page.png: there is no folder nowhere"),
         (["--target", "hand"], 2, "has no 'hand'; choose among face"),
-        (["--partial"], 2, "give it with --truth FILE"),
+        (["--partial"], 2, "give its file with --truth FILE"),
         (["--dpi", "1"], 2, "--dpi"),
     ],
 )
@@ -165,7 +165,7 @@ def test_without_matplotlib(run):
 
 
 def test_lists_of_the_command_are_those_of_the_library():
-    assert command.FORMS == plots.FORMS
+    assert FIGURES == plots.FORMS
 
 
 def test_a_truth_file_is_a_trajectory_too(capsys, tmp_path):

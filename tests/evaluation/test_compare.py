@@ -21,16 +21,14 @@ from facetrack_cli.evaluation.experiments.compare import (
     aligned,
     check_measure,
     default_truth,
-    labels,
     less_is_better,
     rank,
     score_run,
     shifted,
     tail_overlap,
-    variant,
 )
-from facetrack_cli.evaluation.experiments.compare_text import Comparison, as_csv, as_json, sheet
-from facetrack_cli.evaluation.experiments.sheet import markdown
+from facetrack_cli.evaluation.experiments.compare_text import Comparison
+from facetrack_cli.runs.plan import labels, variant
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
 MEASURE = "points.mean_px"
@@ -268,7 +266,7 @@ def comparison():
 
 
 def test_the_table(comparison):
-    found = sheet(comparison)
+    found = comparison.sheet()
     quick, slow, broken = found.rows
     assert quick == ("1", "quick", "1.10 ± 0.14", "–", "–", "0 of 2", "1,000", "×1.00")
     assert slow == ("2", "slow", "6.00 ± 1.41", "–", "–", "2 of 2", "10", "×100")
@@ -276,19 +274,19 @@ def test_the_table(comparison):
     notes = " ".join(found.notes)
     assert "standard deviation over 2 seeds" in notes and "only ratios between rows" in notes
     assert "2 processes" in notes and "box|only: not run: the truth has no box" in notes
-    text = markdown(found, comparison.title)
+    text = found.markdown()
     table = [line for line in text.splitlines() if line.startswith("|")]
     assert len(table) == 5 and len({len(line) for line in table}) == 1 and "box\\|only" in table[-1]
 
 
 def test_the_data(comparison):
-    rows = list(csv.DictReader(io.StringIO(as_csv(comparison))))
+    rows = list(csv.DictReader(io.StringIO(comparison.csv())))
     assert [(row["recipe"], row["seed"], row["failed"], row["error"]) for row in rows] == [
         ("slow", "0", "1", ""), ("slow", "1", "1", ""), ("quick", "0", "0", ""), ("quick", "1", "0", ""),
         ("box|only", "", "", "the truth has no box"),
     ]  # fmt: skip
     assert rows[1]["points.mean_normalised"] == "0.07"
-    found = json.loads(as_json(comparison))
+    found = json.loads(comparison.json())
     assert [one["label"] for one in found["recipes"]] == ["quick", "slow", "box|only"]
     assert [one["rank"] for one in found["recipes"]] == [[1, 1], [2, 2], None]
     assert found["recipes"][0]["mean"] == {"points.mean_normalised": 0.011}

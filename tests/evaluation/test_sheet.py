@@ -7,17 +7,20 @@ import sys
 import pytest
 
 from facetrack_cli.evaluation.experiments import sheet
-from facetrack_cli.evaluation.experiments.sheet import Sheet, show
+from facetrack_cli.evaluation.experiments.sheet import Sheet
 
 GIVEN = Sheet(
-    ("rank", "recipe", "mean\nerror, px ↓", "failed"), (("1", "sir", "12.34 ± 0.56", "0 of 10"),), ("A note. " * 9,)
+    "a title",
+    ("rank", "recipe", "mean\nerror, px ↓", "failed"),
+    (("1", "sir", "12.34 ± 0.56", "0 of 10"),),
+    ("A note. " * 9,),
 )
 
 
 @pytest.mark.parametrize("width", [20, 45, 100])
 def test_a_table_loses_no_column_where_there_is_little_room(capsys, monkeypatch, width):
     monkeypatch.setattr(sheet, "WIDE", width)
-    show(GIVEN, "a title")
+    GIVEN.show()
     lines = capsys.readouterr().out.splitlines()
     assert lines[3].split() == ["rank", "recipe", "error,", "px", "↓", "failed"]
     [row] = [line for line in lines if "sir" in line]
@@ -30,9 +33,9 @@ SHOW = (
     "from facetrack_cli.__main__ import main\n"
     "from facetrack_cli.cli.app import cli\n"
     "import click\n"
-    "from tests.evaluation.test_sheet import GIVEN, show\n"
+    "from tests.evaluation.test_sheet import GIVEN\n"
     "@click.command('table')\n"
-    "def table(): [show(GIVEN, 'a title') for _ in range(2000)]\n"
+    "def table(): [GIVEN.show() for _ in range(2000)]\n"
     "cli.get_command = lambda ctx, name: table\n"
     "import facetrack_cli.cli.app as c; c.COMMANDS['table'] = ''\n"
     "raise SystemExit(main(['table']))\n"
@@ -52,7 +55,7 @@ def test_a_reader_who_leaves_is_no_fault_of_ours():
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
 def test_letters_that_an_encoding_lacks(encoding):
     done = subprocess.run(
-        [sys.executable, "-c", "from tests.evaluation.test_sheet import GIVEN, show; show(GIVEN, 'a title')"],
+        [sys.executable, "-c", "from tests.evaluation.test_sheet import GIVEN; GIVEN.show()"],
         env={**os.environ, "PYTHONIOENCODING": encoding},
         capture_output=True,
     )

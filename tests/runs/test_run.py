@@ -458,7 +458,7 @@ def test_a_fault_of_ours_keeps_what_was_tracked(run: Runner, clip: Path, monkeyp
     monkeypatch.setattr(Overlay, "draw", failing)
     code, _, err = run(clip, *SMALL)
     assert code == 1
-    assert "our fault" in err.splitlines()[-1]
+    assert "internal error" in err.splitlines()[-1]
     assert "Traceback" not in err
     assert count(Path("sway-factorized/annotated.mp4")) == 10
     data = json.loads(Path("sway-factorized/trajectory.json").read_text())
@@ -748,7 +748,7 @@ def test_what_cannot_work_is_refused_at_once(run: Runner, clip: Path, args: list
     got, out, err = run(clip, "--no-video", *args)
     assert (got, out) == (code, "")
     assert message in err.splitlines()[0]
-    assert "our fault" not in err and "Traceback" not in err
+    assert "internal error" not in err and "Traceback" not in err
     assert names(Path()) == []
     assert time.monotonic() - began < 20
 
@@ -817,7 +817,7 @@ def test_streams_that_the_shell_closed(clip: Path, tmp_path: Path, closed: str, 
     command = f'"{sys.executable}" -m facetrack_cli run "{clip}" --no-video {" ".join(SMALL)} {args} {closed}'
     ended = subprocess.run(command, shell=True, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ended.returncode == code, ended.stderr
-    assert "our fault" not in ended.stderr and "Traceback" not in ended.stderr
+    assert "internal error" not in ended.stderr and "Traceback" not in ended.stderr
     if code:
         assert "standard output: cannot be written" in one_line(ended.stderr)
     else:

@@ -15,7 +15,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import seeds, workers
 from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.job import Job
-from facetrack_cli.runs.plan import find_plan_start, truth_start
+from facetrack_cli.runs.plan import Begin, truth_start
 from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -27,7 +27,7 @@ CLIP = SAMPLES / "expressions.mp4"
 
 def plan(config="factorized", seeds=(0, 1), stop=10, overrides=(), clip=CLIP):
     recipe = load_recipe(config, overrides)
-    return Plan(config, clip, recipe, find_plan_start(CLIP, recipe), tuple(seeds), stop=stop)
+    return Plan(config, clip, recipe, Begin(CLIP).find(recipe), tuple(seeds), stop=stop)
 
 
 def assert_same(a, b):
@@ -196,22 +196,22 @@ def test_a_box_of_the_truth_is_given_by_its_corner():
 def test_the_init_file_beside_the_clip_goes_before_the_truth(tmp_path):
     known = read_trajectory(SAMPLES / "expressions.truth.csv")
     recipe = load_recipe("factorized")
-    assert find_plan_start(CLIP, recipe, truth=known).origin.endswith("expressions.init.yaml")
+    assert Begin(CLIP).find(recipe, known).origin.endswith("expressions.init.yaml")
     alone = tmp_path / "clip.mp4"
     alone.write_bytes(CLIP.read_bytes())
-    assert find_plan_start(alone, recipe, truth=known).origin.endswith("expressions.truth.csv")
-    assert find_plan_start(alone, recipe).origin == "haar"
-    boxed = find_plan_start(alone, recipe, box=(106.0, 74.0, 106.0, 106.0), truth=known)
+    assert Begin(alone).find(recipe, known).origin.endswith("expressions.truth.csv")
+    assert Begin(alone).find(recipe).origin == "haar"
+    boxed = Begin(alone, box=(106.0, 74.0, 106.0, 106.0)).find(recipe, known)
     assert boxed.origin == "--box" and set(boxed.targets["face"].points) == set(recipe.points)
 
 
 def test_a_start_outside_of_the_frames_asked_for_is_told_in_words_of_these_commands():
     recipe = load_recipe("factorized")
     with pytest.raises(InputError, match=r"begins at frame 0, before --start 3; leave --start out"):
-        find_plan_start(CLIP, recipe, first=3)
+        Begin(CLIP, start=3).find(recipe)
     for stop in (1, 200):
-        assert find_plan_start(CLIP, recipe, stop=stop).frame == 0
+        assert Begin(CLIP, stop=stop).find(recipe).frame == 0
     boxed = (106.0, 74.0, 106.0, 106.0)
     with pytest.raises(InputError, match=r"--box begins at frame 3, of which --stop 3 leaves nothing"):
-        find_plan_start(CLIP, recipe, box=boxed, first=3, stop=3)
-    assert find_plan_start(CLIP, recipe, box=boxed, first=3, stop=9).frame == 3
+        Begin(CLIP, box=boxed, start=3, stop=3).find(recipe)
+    assert Begin(CLIP, box=boxed, start=3, stop=9).find(recipe).frame == 3

@@ -13,7 +13,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.evaluation.boxes import measure_boxes
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.plan import Begin
 from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -38,7 +38,7 @@ def truth_of(clip: Path) -> Trajectory:
 def auc(clip: Path, config: str, stop: int) -> float:
     """Of two seeds, up to the frame `stop`."""
     recipe, truth = load_recipe(config), truth_of(clip)
-    start = find_plan_start(clip, recipe, truth=truth)
+    start = Begin(clip).find(recipe, truth)
     found = []
     (true,) = truth.parts
     [ended] = run_plans([Plan(config, clip, recipe, start, (0, 1), stop)])
@@ -65,7 +65,7 @@ def test_the_predicted_shift_points_to_the_true_place(name: str) -> None:
     """Eq. 12 from the truth of each frame: nearer to the next truth than where the face was; as printed, farther."""
     clip = clip_of(name)
     truth, recipe = truth_of(clip), load_recipe("adaptive")
-    start = find_plan_start(clip, recipe, truth=truth)
+    start = Begin(clip).find(recipe, truth)
     (target,) = build_tracker(recipe, start)
     guide, model = target.guide, target.likelihood  # type: ignore[attr-defined]
     (true,) = truth.parts

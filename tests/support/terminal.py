@@ -24,5 +24,5 @@ def refusal(result: tuple[int, str, str], code: int) -> str:
     assert (got, out) == (code, ""), err
     lines = [line for line in err.splitlines() if line.startswith("facetrack: ")]
     assert len(lines) == 1 and lines[0].startswith("facetrack: error: "), err
-    assert "Traceback" not in err and "our fault" not in err
+    assert "Traceback" not in err and "internal error" not in err
     return lines[0]

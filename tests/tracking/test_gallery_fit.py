@@ -65,7 +65,7 @@ def test_what_is_no_gallery_is_refused(tmp_path):
     (folder / "a.jpg").touch()
     assert "no folders" in refused(folder) and str(folder / "anna" / "a.jpg") in refused(folder)
     (folder / "anna").mkdir()
-    assert f"{folder / 'anna'}: no picture or video" in refused(folder)
+    assert f"{folder / 'anna'}: no image or video" in refused(folder)
     (folder / "anna" / "1.jpg").touch()
     assert "anna is the only person" in refused(folder)
     (folder / "none").mkdir()
@@ -142,7 +142,7 @@ def test_an_init_file_says_where_the_face_is(people):
         ("frame: 0\na: {box: [40, 40, 60, 60]}\nb: {box: [40, 40, 60, 60]}", "2 targets, a, b"),
         ("frame: 0\nbox: [900, 40, 60, 60]", "outside the frame"),
         ("frame: 0\nbox: [40, 40, 3, 3]", "smaller than"),
-        ("frame: 3\nbox: [40, 40, 60, 60]", "is a picture; write frame: 0"),
+        ("frame: 3\nbox: [40, 40, 60, 60]", "is an image; write frame: 0"),
         ("frame: 0\npoints: {nose: [50, 50]}", "no box of face"),
         ("frame: 0\nbocks: [1, 2, 3, 4]", "box"),
         ("", "empty"),
@@ -241,7 +241,7 @@ def test_the_init_file_of_a_clip_gives_its_one_face(clip):
 def test_copies_follow_their_picture_and_hardly_differ_from_it(people):
     plain, _ = faces_of(people)
     faces, _ = faces_of(people, jitter=3)
-    assert faces.pictures == (0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
+    assert faces.images == (0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
     assert faces.persons == ("collins",) * 8 + ("hopper",) * 8
     np.testing.assert_array_equal(faces.patches[::4], plain.patches)
     own = (faces.patches.reshape(4, 4, -1) * faces.patches[::4][:, None]).mean(2)

@@ -11,7 +11,8 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError, RecipeError, UsageError
-from facetrack_cli.report.figures.shape_prior import draw_prior
+from facetrack_cli.report.figures.shape_prior import prior_figure
+from facetrack_cli.report.figures.style import COLOURS, FAINT, render
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.tracking.models.shape_prior import ShapePrior, bind, default_prior_path, load_prior
 from facetrack_cli.tracking.models.shape_prior_fit import fit_prior
@@ -500,14 +501,27 @@ def test_the_shipped_prior_knows_the_mouth():
     assert min(moved(), open_, smile, pucker) > max(corner_gone, lip_gone, crossed) + 5.0
 
 
-def test_picture_shows_every_part_in_its_colour():
+def test_figure_shows_every_part_in_its_colour():
     prior = load_prior(default_prior_path())
-    picture = draw_prior(prior, "title", 0.1)
-    assert picture.shape == (760, 1280, 3) and picture.dtype == np.uint8
-    for colour in ((90, 90, 90), (178, 114, 0), (0, 94, 213), (115, 158, 0), (167, 121, 204)):
-        assert (np.abs(picture.astype(int) - colour).max(-1) <= 2).sum() > 60, colour
-    one = ShapePrior(("a", "b"), np.zeros((1, 2, 2)), "a", ("a", "b"))
-    assert draw_prior(one, "été", 0.0).shape == (760, 1280, 3)
+    data = np.frombuffer(render(prior_figure(prior, 0.1, title="title")), np.uint8)
+    picture = cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
+    for colour in (FAINT, *COLOURS[:4]):
+        rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+        assert (np.abs(picture.astype(int) - rgb).max(-1) <= 2).sum() > 60, colour
+
+
+@pytest.mark.parametrize(("names", "shapes"), [(("a", "b"), 1), (("nose", "$x$", "_y", "été"), 2), (range(70), 30)])
+def test_priors_of_any_parts_are_drawn(names, shapes):
+    names = tuple(map(str, names))
+    moves = np.random.default_rng(0).normal(size=(shapes, len(names), 2))
+    moves[:, 0] = 0
+    prior = ShapePrior(names, moves * (shapes > 1), names[0], names[:2])
+    figure = prior_figure(prior, 0.0, title="été")
+    [legend] = figure.subfigs[2].legends
+    assert len(legend.get_texts()) == len(names) and all(text.get_text() for text in legend.get_texts())
+    modes = [text.get_text() for text in figure.subfigs[1].subfigs[1].texts]
+    assert ("none: all shapes are the same" in modes) == (shapes == 1)
+    assert render(figure) == render(prior_figure(prior, 0.0, title="été"))
 
 
 def test_commands(tmp_path, monkeypatch, capsys):
@@ -524,6 +538,10 @@ def test_commands(tmp_path, monkeypatch, capsys):
     assert main(["prior", "show", "own.npz"]) == 0
     assert "lip_lower" in capsys.readouterr().out
     assert cv2.imread(str(tmp_path / "own.png")) is not None
+    assert main(["prior", "show", "own.npz", "-o", "own.svg"]) == 0
+    assert (tmp_path / "own.svg").read_bytes().startswith(b"<?xml")
+    assert main(["prior", "show", "own.npz", "-o", "own.jpg"]) == 2
+    assert "let its name end in .png, .svg or .pdf" in capsys.readouterr().err
     assert main(["prior", "show"]) == 0
     assert (tmp_path / "mouth_prior.png").exists()
     assert main(["prior", "show"]) == 2

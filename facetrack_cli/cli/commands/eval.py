@@ -1,4 +1,4 @@
-"""facetrack eval: a trajectory against the truth."""
+"""facetrack eval: a trajectory against ground truth."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
+from facetrack_cli.cli.options import FILE, TruthOptions, argument, format_of, group, option, say, verb
 from facetrack_cli.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.trajectory import Trajectory
 
 
-def _failure(ctx: click.Context, param: click.Parameter, value: str) -> float:
+def _failure(value: str) -> float:
     try:
         share = float(value)
     except ValueError:
@@ -27,70 +28,14 @@ def _failure(ctx: click.Context, param: click.Parameter, value: str) -> float:
     return share
 
 
-@click.command()
-@click.argument("trajectory", metavar="TRAJECTORY", type=click.Path(path_type=Path))
-@click.option(
-    "--truth",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="Truth file or folder [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
-)
-@options.truth_format
-@click.option(
-    "--format",
-    "results_format",
-    metavar="FORMAT",
-    type=click.Choice(options.TRUTH_FORMATS),
-    default="auto",
-    help="How to read TRAJECTORY if another tracker wrote it: one of the same [default: by its shape].",
-)
-@options.target
-@options.shift
-@options.partial
-@click.option(
-    "--normalise",
-    metavar="LENGTH",
-    default="size",
-    show_default=True,
-    help="Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
-    "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
-)
-@click.option(
-    "--failure",
-    metavar="SHARE",
-    default="0.1",
-    show_default=True,
-    callback=_failure,
-    help="A point has failed above this normalised error; 300-W takes 0.08.",
-)
-@click.option("--json", "json_to", metavar="FILE", help="Write all measures as JSON; - is standard output.")
-@click.option("--csv", "csv_to", metavar="FILE", help="Write a row a part and one of all as CSV; - is standard output.")
-@click.option("--plot", "plot_to", metavar="FILE.png", help="Draw how far confidence can be trusted (needs [plot]).")
-@click.option("--overwrite", is_flag=True, help="Replace files that are there already.")
-def command(
-    trajectory: Path,
-    truth: Path | None,
-    truth_format: str,
-    results_format: str,
-    target: str | None,
-    shift: int | None,
-    partial: bool,
-    normalise: str,
-    failure: float,
-    json_to: str | None,
-    csv_to: str | None,
-    plot_to: str | None,
-    overwrite: bool,
-) -> None:
-    """Measure a trajectory against the truth.
+class Eval:
+    """Measure a trajectory against ground truth.
 
-    TRAJECTORY is a trajectory.csv, .json or .jsonl, the folder of a run, or
-    what another tracker wrote, in any of the formats of truth. Printed are
-    the errors of points, or the overlaps of boxes; how long parts take to
-    come back after occlusions; and how far lost, confidence and the spread
-    can be trusted. With --json - or --csv - the data take the place of the
-    tables. The first frame, which the tracker is given, counts among the
-    points; whatever measures trust leaves it out.
+    TRAJECTORY is a trajectory.csv, .json or .jsonl, the folder of a run, or what another tracker wrote, in any of the
+    formats of ground truth. It prints the errors of points, or the overlaps of boxes; how long parts take to come back
+    after occlusions; and how far the status lost, the confidence and the spread can be trusted. With --json - or
+    --csv - the data take the place of the tables. The first frame, which the tracker is given, counts among the points;
+    the measures of trust leave it out.
 
     \b
     Examples:
@@ -103,75 +48,107 @@ def command(
       done
 
     \b
-    Exit codes: 0 done, 2 usage or output, 3 a trajectory or truth that
+    Exit codes: 0 done, 2 usage or output, 3 a trajectory or ground truth that
     cannot be read, or that do not belong together, 130 interrupted.
     """
-    outputs = {"--json": json_to, "--csv": csv_to, "--plot": plot_to}
-    files = _check_outputs(outputs, overwrite)
-    if plot_to is not None:
-        from facetrack_cli.report.figures.style import need_matplotlib
 
-        need_matplotlib()
-
-    from facetrack_cli.core.files import check_new
-    from facetrack_cli.evaluation.match import match
-    from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
-    from facetrack_cli.evaluation.summary import Options, evaluate
-    from facetrack_cli.evaluation.units import check_normalise
-    from facetrack_cli.trajectory.formats.read import read_results, read_truth
-    from facetrack_cli.trajectory.header import clip_of, picture_of
-
-    check_normalise(normalise)
-    ours = read_results(trajectory, results_format)
-    theirs = read_truth(truth or _truth_beside(ours), truth_format, shift=shift or 0)
-    for path in files.values():
-        check_new(path, overwrite=overwrite, inputs=(ours.path, theirs.path, clip_of(ours)))
-    notes: list[str] = []
-    pairs = match(ours, theirs, partial=partial, select=target, check_shift=shift is None, note=notes.append)
-    settings = Options(normalise, failure, picture_of(ours))
-    evaluation = evaluate(pairs, notes, settings, reference=theirs.parts)
-    about = About(
-        ours.path, theirs.path, str(theirs.header.get("read_as", truth_format)), shift or 0, ours.header.get("read_as")
+    trajectory: Path = argument("TRAJECTORY")
+    truth: Path | None = option(
+        "--truth",
+        "FILE",
+        "File or folder of ground truth [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
+        type=FILE,
     )
+    truth_options: TruthOptions = group(TruthOptions)
+    format: str = format_of("--format", "How to read TRAJECTORY if another tracker wrote it: one of the same")
+    normalise: str = option(
+        "--normalise",
+        "LENGTH",
+        "Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
+        "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
+        default="size",
+    )
+    failure: float = option(
+        "--failure",
+        "SHARE",
+        "A point has failed above this normalised error; 300-W takes 0.08.",
+        type=_failure,
+        default="0.1",
+    )
+    json: str | None = option("--json", "FILE", "Write all measures as JSON; - is standard output.")
+    csv: str | None = option("--csv", "FILE", "Write a row a part and one of all as CSV; - is standard output.")
+    plot: str | None = option("--plot", "FILE.png", "Draw how far confidence can be trusted (needs [plot]).")
+    overwrite: bool = options.OVERWRITE
 
-    data = {"--json": to_json, "--csv": to_csv}
-    whole: dict[str, bytes] = {
-        option: make(evaluation, about).encode(errors="backslashreplace")
-        for option, make in data.items()
-        if option in files
-    }
-    if plot_to is not None:
-        whole["--plot"] = _plot(evaluation, ours.path)
-    _write(trajectory, whole, files, overwrite)
-    streamed = [make(evaluation, about) for option, make in data.items() if outputs[option] == "-"]
-    _print(streamed[0] if streamed else to_text(evaluation, about, colour=_colour()))
+    def run(self) -> None:
+        from facetrack_cli.core.files import check_new, write_new
+        from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
+        from facetrack_cli.evaluation.summary import Options, evaluate
+        from facetrack_cli.evaluation.units import check_normalise
+        from facetrack_cli.report.figures.style import need_matplotlib
+        from facetrack_cli.trajectory.formats.read import read_results
+        from facetrack_cli.trajectory.header import clip_of, picture_of
+
+        files, known = self._files(), self.truth_options
+        if self.plot is not None:
+            need_matplotlib()
+        check_normalise(self.normalise)
+        ours = read_results(self.trajectory, self.format)
+        theirs = known.read(self.truth or _truth_beside(ours))
+        for path in files.values():
+            check_new(path, overwrite=self.overwrite, inputs=(ours.path, theirs.path, clip_of(ours)))
+        notes: list[str] = []
+        pairs = known.pairs(ours, theirs, notes.append)
+        settings = Options(self.normalise, self.failure, picture_of(ours))
+        evaluation = evaluate(pairs, notes, settings, reference=theirs.parts)
+        read_as = str(theirs.header.get("read_as", known.truth_format))
+        about = About(ours.path, theirs.path, read_as, known.shift or 0, ours.header.get("read_as"))
+
+        made: dict[str, bytes] = {}
+        printed = ""
+        for name, to, make in (("--json", self.json, to_json), ("--csv", self.csv, to_csv)):
+            if name in files:
+                made[name] = make(evaluation, about).encode(errors="backslashreplace")
+            elif to is not None:
+                printed = make(evaluation, about)
+        if self.plot is not None:
+            made["--plot"] = _plot(evaluation, ours.path)
+        for name, content in made.items():
+            write_new(files[name], content, overwrite=self.overwrite)
+            say(f"{self.trajectory} -> {files[name]}")
+        _print(printed or to_text(evaluation, about, colour=options.colour()))
+
+    def _files(self) -> dict[str, Path]:
+        """The files to write by their options; refused before anything is read if they cannot be."""
+        from facetrack_cli.core.files import check_new
+
+        if self.json == self.csv == "-":
+            raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
+        wanted = {"--json": self.json, "--csv": self.csv, "--plot": self.plot}
+        files = {name: Path(file) for name, file in wanted.items() if file is not None and file != "-"}
+        for name, path in files.items():
+            if not wanted[name]:
+                raise UsageError(f"{name} is empty; name a file")
+            check_new(path, overwrite=self.overwrite)
+        if len({os.path.realpath(path) for path in files.values()}) < len(files):
+            raise UsageError(f"{' and '.join(files)} name the same file; name one for each")
+        if self.plot is not None and Path(self.plot).suffix.lower() != ".png":
+            raise UsageError(f"--plot {self.plot}: the figure is a PNG; let its name end in .png")
+        return files
 
 
-def _check_outputs(outputs: dict[str, str | None], overwrite: bool) -> dict[str, Path]:
-    """The files to write by their options; refused before anything is read if they cannot be."""
-    from facetrack_cli.core.files import check_new
-
-    if outputs["--json"] == outputs["--csv"] == "-":
-        raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
-    files = {option: Path(name) for option, name in outputs.items() if name is not None and name != "-"}
-    for option, path in files.items():
-        if not str(outputs[option]):
-            raise UsageError(f"{option} is empty; name a file")
-        check_new(path, overwrite=overwrite)
-    if len({os.path.realpath(path) for path in files.values()}) < len(files):
-        raise UsageError(f"{' and '.join(files)} name the same file; name one for each")
-    if outputs["--plot"] is not None and Path(outputs["--plot"]).suffix.lower() != ".png":
-        raise UsageError(f"--plot {outputs['--plot']}: the picture is a PNG; let its name end in .png")
-    return files
+command = verb(Eval)
 
 
 def _truth_beside(ours: Trajectory) -> Path:
-    """The truth file beside the clip of a JSON trajectory."""
+    """The ground truth beside the clip of a JSON trajectory."""
     from facetrack_cli.trajectory.header import clip_of, is_there
 
     clip = clip_of(ours)
     if clip is None:
-        raise UsageError(f"{ours.path}: does not name its clip, beside which the truth might be; give --truth FILE")
+        raise UsageError(
+            f"{ours.path}: does not name its clip, beside which the ground truth might be; give --truth FILE"
+        )
     beside = clip.with_name(clip.stem + ".truth.csv") if clip.name else clip
     if not is_there(beside):
         raise UsageError(f"{ours.path}: beside its clip there is no {beside}; give --truth FILE")
@@ -179,21 +156,14 @@ def _truth_beside(ours: Trajectory) -> Path:
 
 
 def _plot(evaluation: Evaluation, path: Path) -> bytes:
-    from facetrack_cli.report.figures.compare import calibration_figure
-    from facetrack_cli.report.figures.style import render
+    from facetrack_cli.report.figures import calibration_figure, render
 
     confidence = evaluation.all.confidence
     if confidence is None or not confidence.bins:
-        raise InputError(f"{path}: has no confidence from 0 to 1 in rows of known truth to draw; leave --plot out")
+        raise InputError(
+            f"{path}: has no confidence from 0 to 1 in rows with known ground truth to draw; leave --plot out"
+        )
     return render(calibration_figure(confidence))
-
-
-def _write(trajectory: Path, whole: dict[str, bytes], files: dict[str, Path], overwrite: bool) -> None:
-    from facetrack_cli.core.files import write_new
-
-    for option, content in whole.items():
-        write_new(files[option], content, overwrite=overwrite)
-        click.echo(" ".join(f"{trajectory} -> {files[option]}".splitlines()), err=True)
 
 
 def _print(text: str) -> None:
@@ -202,7 +172,3 @@ def _print(text: str) -> None:
     if not encoding.lower().replace("-", "").startswith("utf"):
         text = text.replace("\N{EN DASH}", "-")
     click.echo(text.encode(encoding, errors="backslashreplace").decode(encoding), nl=False)
-
-
-def _colour() -> bool:
-    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"

@@ -1,4 +1,4 @@
-"""facetrack fix: put a finished run right, on a page or by an init file."""
+"""facetrack fix: correct a finished run, on a page or by an init file."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
-from facetrack_cli.cli.options import browse, port
+from facetrack_cli.cli import options
+from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option, say, verb
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
 
 if TYPE_CHECKING:
@@ -18,42 +17,19 @@ if TYPE_CHECKING:
     from facetrack_cli.video.seek import Frames
 
 
-@click.command()
-@click.argument("run", metavar="RUN_DIR", type=click.Path(path_type=Path))
-@click.option("--clip", metavar="INPUT", type=click.Path(path_type=Path), help="The clip, if it is elsewhere now.")
-@click.option(
-    "--init",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="No page: have the corrections of this init file, and no others.",
-)
-@click.option("--no-video", is_flag=True, help="Leave annotated.mp4 as it is.")
-@port
-@browse
-@click.option("--quiet", "-q", is_flag=True, help="With --init: say nothing but errors.")
-@click.pass_context
-def command(
-    ctx: click.Context,
-    run: Path,
-    clip: Path | None,
-    init: Path | None,
-    no_video: bool,
-    port: int | None,
-    browse: bool,
-    quiet: bool,
-) -> None:
-    """Put a finished run right, on a page.
+class Fix:
+    """Correct a finished run, on a page.
 
     RUN_DIR is the folder that facetrack run wrote, with JSON. The page shows the clip with its trajectory, and leads
     from one doubtful frame to the next. Where a part is wrong, drag it to its place, or mark it as absent: the target
-    is tracked anew from there to its next correction, and every other row stays as it was, to the byte. Save writes the
-    trajectories and the annotated video anew, and RUN_DIR/corrected.init.yaml, with which facetrack run makes the same
-    trajectory again.
+    is tracked again from there to its next correction, and every other row stays the same, to the byte. Save writes the
+    trajectories and the annotated video again, and RUN_DIR/corrected.init.yaml, with which facetrack run makes the same
+    trajectory.
 
-    Of targets that keep off each other, the corrected one keeps off the others where they are recorded, and their rows
+    Where a recipe has mutual exclusion, the corrected target avoids the others at their recorded places, and their rows
     stay; a whole run from the file moves them, too.
 
-    The video is painted from the rows, which do not have the particles: they are no longer in it.
+    The video is drawn from the rows, which do not hold the particles: they are no longer in it.
 
     \b
     Examples:
@@ -65,99 +41,92 @@ def command(
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
     143 terminated.
     """
-    from facetrack_cli.editor.history import Fixer
-    from facetrack_cli.editor.run_folder import check_size, check_writable, open_run
-    from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.video.seek import Frames
 
-    if init is not None and (port is not None or browse):
-        raise UsageError(f"{'--port' if port is not None else '--open'} is for the page; leave it or --init out")
-    if init is None and quiet:
-        raise UsageError("--quiet goes with --init; the page's address must be said")
-    opened = open_run(run, clip)
-    with Frames(opened.clip, fps=opened.fps) as frames:
-        check_size(opened, frames.size)
-        check_writable(opened)
-        with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
-            if init is not None:
-                code = _apply(fixer, init, stop, video=not no_video, quiet=quiet)
-            else:
-                code = _page(fixer, frames, stop, video=not no_video, port=port or 0, browse=browse)
-    ctx.exit(code)
+    folder: Path = argument("RUN_DIR")
+    clip: Path | None = options.CLIP
+    init: Path | None = option(
+        "--init", "FILE", "No page: take the corrections of this init file, and no others.", type=FILE
+    )
+    no_video: bool = flag("--no-video", "Leave annotated.mp4 as it is.")
+    page: Page = group(Page)
+    quiet: bool = flag("--quiet -q", "With --init: say nothing but errors.")
 
+    def run(self) -> int:
+        from facetrack_cli.editor.history import Fixer
+        from facetrack_cli.editor.run_folder import check_size, check_writable, open_run
+        from facetrack_cli.runs.signals import Stop
+        from facetrack_cli.video.seek import Frames
 
-def _apply(fixer: Fixer, init: Path, stop: Stop, *, video: bool, quiet: bool) -> int:
-    """Have the corrections of a file, and save; the exit code."""
-    from facetrack_cli.editor.history import corrections_of
-    from facetrack_cli.editor.retrack import StoppedError
-    from facetrack_cli.editor.run_folder import UNSAVED
-    from facetrack_cli.editor.save import save
-    from facetrack_cli.runs.progress import progress
+        if self.init is not None:
+            self.page.refuse("leave it or --init out")
+        elif self.quiet:
+            raise UsageError("--quiet goes with --init; the page's address must be said")
+        opened = open_run(self.folder, self.clip)
+        with Frames(opened.clip, fps=opened.fps) as frames:
+            check_size(opened, frames.size)
+            check_writable(opened)
+            with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
+                code = self._serve(fixer, frames, stop) if self.init is None else self._apply(fixer, self.init, stop)
+        return code
 
-    folder = fixer.run.folder
-    unsaved = folder / UNSAVED
-    if unsaved.is_file() and not (init.is_file() and init.samefile(unsaved)):
-        raise UsageError(
-            f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
-            f"--init {unsaved} takes them; or remove it"
-        )
-    corrections = corrections_of(init, fixer.run)
-    with contextlib.closing(progress(quiet)) as shown:
-        try:
-            shown.begin(folder.name or str(folder), "frames", None)
-            fixer.apply(corrections, report=shown.update, stop=stop)
-            shown.begin("saving", "frames", None)
-            said = save(fixer, video=video, report=shown.update, stop=stop)
-        except StoppedError:
-            shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
-            return stop.code if stop.code is not None else ExitCode.FAULT
-        for line in said:
-            shown.say(line)
-    return ExitCode.DONE
+    def _apply(self, fixer: Fixer, init: Path, stop: Stop) -> int:
+        """Take the corrections of a file, and save; the exit code."""
+        from facetrack_cli.editor.history import corrections_of
+        from facetrack_cli.editor.retrack import StoppedError
+        from facetrack_cli.editor.run_folder import UNSAVED
+        from facetrack_cli.editor.save import save
+        from facetrack_cli.runs.progress import progress
 
-
-def _page(fixer: Fixer, frames: Frames, stop: Stop, *, video: bool, port: int, browse: bool) -> int:
-    """Serve the page until it is saved or stopped; the exit code."""
-    from facetrack_cli.editor.run_folder import UNSAVED
-    from facetrack_cli.editor.web.fix_session import FixSession
-    from facetrack_cli.editor.web.server import run_page
-
-    def say(line: str) -> None:
-        click.echo(line, err=True)
-
-    folder = fixer.run.folder
-    unsaved = _unsaved(fixer)
-    if unsaved:
-        many = len(unsaved) > 1
-        said = f"{len(unsaved)} corrections were" if many else "one correction was"
-        say(f"{folder / UNSAVED}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
-    session = FixSession(fixer, frames, video=video, unsaved=unsaved)
-    run_page(session, stop, say, port=port, browse=browse)
-    if session.ended is None:
-        kept = folder / UNSAVED
-        what = "nothing was written"
-        if kept.is_file():
-            what = (
-                f"the corrections are kept in {kept}, all else is as it was; facetrack fix {folder} goes on with them"
+        folder = fixer.run.folder
+        unsaved = folder / UNSAVED
+        if unsaved.is_file() and not (init.is_file() and init.samefile(unsaved)):
+            raise UsageError(
+                f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
+                f"--init {unsaved} takes them; or remove it"
             )
-        say(f"facetrack: {stop.reason}; {what}")
-        return stop.code if stop.code is not None else ExitCode.FAULT
-    for line in session.ended["messages"]:
-        say(line)
-    say(f"next: {session.ended['next']}")
-    return ExitCode.DONE
+        corrections = corrections_of(init, fixer.run)
+        with contextlib.closing(progress(self.quiet)) as shown:
+            try:
+                shown.begin(folder.name or str(folder), "frames", None)
+                fixer.apply(corrections, report=shown.update, stop=stop)
+                shown.begin("saving", "frames", None)
+                said = save(fixer, video=not self.no_video, report=shown.update, stop=stop)
+            except StoppedError:
+                shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
+                return stop.code or ExitCode.FAULT
+            for line in said:
+                shown.say(line)
+        return ExitCode.DONE
+
+    def _serve(self, fixer: Fixer, frames: Frames, stop: Stop) -> int:
+        """Serve the page until it is saved or stopped; the exit code."""
+        from facetrack_cli.editor.history import corrections_of
+        from facetrack_cli.editor.run_folder import UNSAVED
+        from facetrack_cli.editor.web.fix_session import FixSession
+        from facetrack_cli.editor.web.server import run_page
+
+        folder = fixer.run.folder
+        kept = folder / UNSAVED
+        unsaved: tuple[Correction, ...] = ()
+        try:
+            if kept.is_file():
+                unsaved = corrections_of(kept, fixer.run)
+        except FacetrackError as e:  # they are not of this run any more
+            say(f"facetrack: warning: {e}; the page begins without it")
+        if unsaved:
+            many = len(unsaved) > 1
+            said = f"{len(unsaved)} corrections were" if many else "one correction was"
+            say(f"{kept}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
+        session = FixSession(fixer, frames, video=not self.no_video, unsaved=unsaved)
+        run_page(session, stop, say, port=self.page.port or 0, browse=self.page.browse)
+        if session.ended is None:
+            goes_on = f"all else is as it was; facetrack fix {folder} goes on with them"
+            what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else "nothing was written"
+            say(f"facetrack: {stop.reason}; {what}")
+            return stop.code or ExitCode.FAULT
+        for line in (*session.ended["messages"], f"next: {session.ended['next']}"):
+            say(line)
+        return ExitCode.DONE
 
 
-def _unsaved(fixer: Fixer) -> tuple[Correction, ...]:
-    """The corrections of a session that was not saved, if they still are of this run."""
-    from facetrack_cli.editor.history import corrections_of
-    from facetrack_cli.editor.run_folder import UNSAVED
-
-    path = fixer.run.folder / UNSAVED
-    if not path.is_file():
-        return ()
-    try:
-        return corrections_of(path, fixer.run)
-    except FacetrackError as e:
-        click.echo(f"facetrack: warning: {e}; the page begins without it", err=True)
-        return ()
+command = verb(Fix)

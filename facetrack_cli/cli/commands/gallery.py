@@ -1,7 +1,8 @@
-"""facetrack gallery: learn who is who from pictures and videos, and draw it."""
+"""facetrack gallery: learn who is who from images and videos, and draw it."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from pathlib import Path
@@ -10,21 +11,18 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FRAME, Whole
-from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.cli.options import FRAME, Whole, argument, option, say, verb, write_figure
+from facetrack_cli.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
-    from facetrack_cli.tracking.identity.faces import Faces
     from facetrack_cli.tracking.identity.gallery import Gallery
-    from facetrack_cli.tracking.identity.people import Reading
 
-JITTER = 4
 LEAST_SIDE, MOST_SIDE = 6, 128  # of a template, as in recipes
 
 
 @click.group()
 def command() -> None:
-    """Learn who is who from pictures and videos, and draw it.
+    """Learn who is who from images and videos, and draw it.
 
     A gallery is a file of faces with names, and of how faces differ. A recipe that recognises names people by it:
 
@@ -34,7 +32,7 @@ def command() -> None:
     """
 
 
-def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, int]:
+def _template(value: str) -> tuple[int, int]:
     """(rows, columns) of COLUMNSxROWS."""
     found = re.fullmatch(r"(\d{1,4})[xX](\d{1,4})", value.strip())
     if not found or not all(LEAST_SIDE <= int(side) <= MOST_SIDE for side in found.groups()):
@@ -43,162 +41,123 @@ def _template(ctx: click.Context, param: click.Parameter, value: str) -> tuple[i
     return int(found[2]), int(found[1])
 
 
-@command.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    default=Path("gallery.npz"),
-    show_default=True,
-    help="Where the gallery goes.",
-)
-@click.option(
-    "--frames", metavar="N", type=Whole(1, 10_000), default=15, show_default=True, help="Frames of each video, at most."
-)
-@click.option("--start", metavar="N", type=FRAME, default=0, help="First frame of videos that is used.")
-@click.option("--stop", metavar="N", type=FRAME, help="Frame of videos before which to stop.")
-@click.option(
-    "--jitter",
-    metavar="N",
-    type=Whole(0, 100),
-    default=JITTER,
-    show_default=True,
-    help="Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
-)
-@click.option(
-    "--template",
-    metavar="WxH",
-    callback=_template,
-    default="26x30",
-    show_default=True,
-    help="Points across and down a face; the recipe must have the same.",
-)
-@options.overwrite_file
-@click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
-def fit(
-    folder: Path,
-    out: Path,
-    frames: int,
-    start: int,
-    stop: int | None,
-    jitter: int,
-    template: tuple[int, int],
-    overwrite: bool,
-    quiet: bool,
-) -> None:
+class Fit:
     """Learn a gallery from a folder of people's folders.
 
-    A person's folder is called as the person is, and holds pictures, videos, or folders of a video's frames. Of each
-    picture the largest face is taken, of a video that of some frames, spread evenly. An init file beside a picture or
-    video, as anna1.init.yaml beside anna1.jpg, says where the face is.
+    A person's folder has the person's name, and holds images, videos, or folders of a video's frames. Of each image
+    the largest face is taken, of a video that of some frames, spread evenly. An init file beside an image or video, as
+    anna1.init.yaml beside anna1.jpg, says where the face is.
 
     \b
     Examples:
       facetrack gallery fit people/ -o gallery.npz
       facetrack gallery fit clips/ --stop 250      # the rest is to try it on
     """
-    # before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-    from facetrack_cli.core.files import check_new
-    from facetrack_cli.tracking.identity.fit import fit_gallery
-    from facetrack_cli.tracking.identity.people import Reading
+    folder: Path = argument("DIR")
+    out: Path = options.array_file("gallery")
+    frames: int = option("--frames", "N", "Frames of each video, at most.", type=Whole(1, 10_000), default=15)
+    start: int = option(
+        "--start", "N", "First frame of videos that is used.", type=FRAME, default=0, show_default=False
+    )
+    stop: int | None = option("--stop", "N", "Frame of videos before which to stop.", type=FRAME)
+    jitter: int = option(
+        "--jitter",
+        "N",
+        "Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
+        type=Whole(0, 100),
+        default=4,
+    )
+    template: tuple[int, int] = option(
+        "--template",
+        "WxH",
+        "Points across and down a face; the recipe must have the same.",
+        type=_template,
+        default="26x30",
+    )
+    overwrite: bool = options.OVERWRITE
+    quiet: bool = options.QUIET
 
-    if out.suffix != ".npz":
-        raise UsageError(f"{out}: a gallery is an .npz file; let its name end so")
-    if stop is not None and stop <= start:
-        raise UsageError(f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start")
-    check_new(out, overwrite=overwrite)
-    faces = _read(folder, Reading(template, frames, start, stop, jitter), quiet)
-    try:
-        gallery = fit_gallery(
-            faces.patches,
-            faces.persons,
-            template,
-            pictures=faces.pictures,
-            negatives=faces.negatives,
-            proportion=faces.proportion,
-        )
-    except InputError as e:
-        more = "" if jitter else ", or let copies stand for it with --jitter 4"
-        raise InputError(f"{folder}: {e}{more}") from None
-    gallery.save(out)
-    if quiet:
-        return
-    wide = max(map(len, (*gallery.names, "person")))
-    click.echo(f"{'person':<{wide}}{'used':>8}{'skipped':>9}", err=True)
-    for name in gallery.names:
-        click.echo(f"{name:<{wide}}{faces.used[name]:>8}{faces.skipped[name]:>9}", err=True)
-    for line in _summary(gallery):
-        click.echo(line, err=True)
-    click.echo(f"{out}: {len(gallery.names)} persons, {sum(gallery.counts)} pictures", err=True)
+    def run(self) -> None:
+        # before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+        from facetrack_cli.core.files import check_new
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.tracking.identity.faces import read_faces
+        from facetrack_cli.tracking.identity.fit import fit_gallery
+        from facetrack_cli.tracking.identity.people import Reading, count, find_people
+
+        start, stop, out = self.start, self.stop, self.out
+        if stop is not None and stop <= start:
+            raise UsageError(f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start")
+        check_new(out, overwrite=self.overwrite)
+        reading = Reading(self.template, self.frames, start, stop, self.jitter)
+        with contextlib.closing(progress(self.quiet)) as shown:
+
+            def warn(line: str) -> None:
+                shown.say(f"warning: {line}")
+
+            people = find_people(self.folder, warn)
+            total = count(people, reading)
+            shown.begin(self.folder.name, "frames", total)
+            faces = read_faces(people, reading, warn, lambda done: shown.update(done, total))
+        try:
+            gallery = fit_gallery(
+                faces.patches,
+                faces.persons,
+                self.template,
+                images=faces.images,
+                negatives=faces.negatives,
+                proportion=faces.proportion,
+            )
+        except InputError as e:
+            more = "" if self.jitter else ", or let copies stand for it with --jitter 4"
+            raise InputError(f"{self.folder}: {e}{more}") from None
+        gallery.save(out)
+        if self.quiet:
+            return
+        wide = max(map(len, (*gallery.names, "person")))
+        say(f"{'person':<{wide}}{'used':>8}{'skipped':>9}")
+        for name in gallery.names:
+            say(f"{name:<{wide}}{faces.used[name]:>8}{faces.skipped[name]:>9}")
+        for line in _summary(gallery):
+            say(line)
+        say(f"{out}: {len(gallery.names)} persons, {sum(gallery.counts)} images")
 
 
-def _read(folder: Path, reading: Reading, quiet: bool) -> Faces:
-    from facetrack_cli.runs.progress import progress
-    from facetrack_cli.tracking.identity.faces import read_faces
-    from facetrack_cli.tracking.identity.people import count, find_people
-
-    bar = progress(quiet)
-    try:
-        people = find_people(folder, lambda line: bar.say(f"warning: {line}"))
-        total = count(people, reading)
-        bar.begin(folder.name, "frames", total)
-        return read_faces(
-            people, reading, lambda line: bar.say(f"warning: {line}"), lambda done: bar.update(done, total)
-        )
-    finally:
-        bar.close()
-
-
-@command.command()
-@click.argument("file", metavar="FILE", required=False, type=click.Path(path_type=Path), default=Path("gallery.npz"))
-@click.option(
-    "-o",
-    "--out",
-    metavar="PNG",
-    type=click.Path(path_type=Path),
-    help="Picture [default: beside FILE, as gallery.png].",
-)
-@options.overwrite_file
-def show(file: Path, out: Path | None, overwrite: bool) -> None:
+class Show:
     """Summarise and draw a gallery; without FILE, gallery.npz.
 
-    The picture has the mean face, the first eigenfaces of each space, and everyone who is in it.
+    The figure has the mean face, the first eigenfaces of each space, and everyone who is in it.
 
     \b
     Examples:
       facetrack gallery show
-      facetrack gallery show people.npz -o people.png
+      facetrack gallery show people.npz -o people.pdf
     """
-    import cv2
 
-    from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.report.figures.gallery import draw_gallery
-    from facetrack_cli.tracking.identity.gallery import load_gallery
+    file: Path = argument("FILE", required=False, default="gallery.npz")
+    out: Path | None = options.figure_file("beside FILE, as gallery.png")
+    overwrite: bool = options.OVERWRITE
 
-    out = out or file.with_suffix(".png")
-    if out.suffix.lower() != ".png":
-        raise OutputError(f"{out}: the picture is a PNG; let its name end in .png")
-    gallery = load_gallery(file)
-    check_new(out, overwrite=overwrite, inputs=[file])
-    grey = draw_gallery(gallery, file.name)[..., 0]
-    done, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    assert done
-    write_new(out, data.tobytes(), overwrite=overwrite)
+    def run(self) -> None:
+        from facetrack_cli.report.figures.gallery import gallery_figure
+        from facetrack_cli.tracking.identity.gallery import load_gallery
 
-    rows, cols = gallery.shape
-    click.echo(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} pictures")
-    click.echo(f"template: {cols} points across, {rows} down")
-    if gallery.proportion is not None:
-        click.echo(f"boxes: {gallery.proportion:.2f} times as wide as high")
-    for line in _summary(gallery):
-        click.echo(line)
-    for number, (name, pictures) in enumerate(zip(gallery.names, gallery.counts, strict=True), start=1):
-        click.echo(f"{number:>4} {name}: {pictures} picture{'s' if pictures != 1 else ''}")
-    click.echo(f"picture: {out}")
+        file, out = self.file, self.out or self.file.with_suffix(".png")
+        gallery = load_gallery(file)
+        write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=self.overwrite, inputs=[file])
+        rows, cols = gallery.shape
+        click.echo(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} images")
+        click.echo(f"template: {cols} points across, {rows} down")
+        if gallery.proportion is not None:
+            click.echo(f"boxes: {gallery.proportion:.2f} times as wide as high")
+        for line in _summary(gallery):
+            click.echo(line)
+        for number, (name, images) in enumerate(zip(gallery.names, gallery.counts, strict=True), start=1):
+            click.echo(f"{number:>4} {name}: {images} image{'s' if images != 1 else ''}")
+        click.echo(f"figure: {out}")
 
 
 def _summary(gallery: Gallery) -> list[str]:
@@ -207,3 +166,7 @@ def _summary(gallery: Gallery) -> list[str]:
     spaces = (("frontal faces", gallery.frontal), ("intra-personal", gallery.intra), ("extra-personal", gallery.extra))
     lines = [f"{name}: {kept(space)}" for name, space in spaces]
     return [*lines, calibrated(gallery), stranger(gallery), *(f"note: {note}" for note in gallery.notes)]
+
+
+command.add_command(verb(Fit, "fit"))
+command.add_command(verb(Show, "show"))

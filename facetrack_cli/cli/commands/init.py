@@ -3,62 +3,21 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
-from facetrack_cli.cli.options import FRAME, browse, port
-from facetrack_cli.cli.options import box as box_of
-from facetrack_cli.core.errors import ExitCode, InputError, OutputError, UsageError
+from facetrack_cli.cli import options
+from facetrack_cli.cli.options import FILE, FRAME, Page, argument, flag, group, option, say, verb
+from facetrack_cli.core.errors import ExitCode, InputError, OutputError
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box, Frame, Start
+    from facetrack_cli.recipe.model import Recipe
 
 SUFFIXES = (".yaml", ".yml", ".json")
 
 
-@click.command()
-@click.argument("clip", metavar="INPUT", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--out", metavar="FILE", help="File to write [default: <clip>.init.yaml beside the clip]; - stdout."
-)
-@click.option(
-    "--init-frame",
-    metavar="N",
-    type=FRAME,
-    help="Frame where the search begins, of --box, or shown first on the page.",
-)
-@click.option("--box", metavar="X,Y,W,H", callback=box_of, help="The face's box in that frame: place the points in it.")
-@click.option(
-    "--config",
-    metavar="RECIPE",
-    help="Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
-)
-@click.option(
-    "--preview", metavar="FILE.png", type=click.Path(path_type=Path), help="Also draw the result on its frame."
-)
-@click.option("--pick", is_flag=True, help="Choose on a page in the browser: boxes and points are drawn on the frame.")
-@port
-@browse
-@click.option(
-    "--overwrite", is_flag=True, help="Replace files that are there already; --pick begins with what they hold."
-)
-@click.pass_context
-def command(
-    ctx: click.Context,
-    clip: Path,
-    out: str | None,
-    init_frame: int | None,
-    box: Box | None,
-    config: str | None,
-    preview: Path | None,
-    pick: bool,
-    port: int | None,
-    browse: bool,
-    overwrite: bool,
-) -> None:
+class Init:
     """Write where the track of a clip begins, as a file to edit.
 
     INPUT is a video or a folder of images. The first face that the Haar cascades find, and five points of it (nose,
@@ -80,114 +39,153 @@ def command(
       facetrack init clip.mp4 --pick --open
       facetrack init frames/ -o - > start.yaml
     """
-    from facetrack_cli.tracking.start import default_path, write_init
 
-    path = None if out == "-" else Path(out) if out else default_path(clip)
-    if out == "":
-        raise OutputError("--out is empty; name a file, or - for standard output")
-    if not pick and (port is not None or browse):
-        raise UsageError(f"{'--port' if port is not None else '--open'} is for the page; add --pick")
-    _check_outputs(clip, path, preview, overwrite)
-    if pick:
-        ctx.exit(_pick(clip, path, init_frame, box, config, preview, port or 0, browse, overwrite))
-    start, frame = _find(clip, init_frame or 0, box, config)
-    if preview is not None:
+    clip: Path = argument("INPUT")
+    out: str | None = option("-o --out", "FILE", "File to write [default: <clip>.init.yaml beside the clip]; - stdout.")
+    init_frame: int | None = option(
+        "--init-frame", "N", "Frame where the search begins, of --box, or shown first on the page.", type=FRAME
+    )
+    box: Box | None = options.box_option("The face's box in that frame: place the points in it.")
+    config: str | None = option(
+        "--config",
+        "RECIPE",
+        "Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
+    )
+    preview: Path | None = option("--preview", "FILE.png", "Also draw the result on its frame.", type=FILE)
+    pick: bool = flag("--pick", "Choose on a page in the browser: boxes and points are drawn on the frame.")
+    page: Page = group(Page)
+    overwrite: bool = flag("--overwrite", "Replace files that are there already; --pick begins with what they hold.")
+
+    path: Path | None  # what `out` means
+    recipe: Recipe | None
+
+    def run(self) -> int:
+        from facetrack_cli.recipe.load import load_recipe
+        from facetrack_cli.tracking.start import default_path
+
+        if self.out == "":
+            raise OutputError("--out is empty; name a file, or - for standard output")
+        if not self.pick:
+            self.page.refuse("add --pick")
+        self.path = None if self.out == "-" else Path(self.out) if self.out else default_path(self.clip)
+        self._check_files()
+        self.recipe = None if self.config is None else load_recipe(self.config)
+        return self._pick() if self.pick else self._find()
+
+    def _check_files(self) -> None:
+        """Refuse before the search what would be refused after it."""
+        from facetrack_cli.core.files import check_new
+
+        path, preview = self.path, self.preview
+        if path is not None and path.suffix.lower() not in SUFFIXES:
+            raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
+        if preview is not None and preview.suffix.lower() != ".png":
+            raise OutputError(f"{preview}: the preview is a PNG; let its name end in .png")
+        for file in filter(None, (path, preview)):
+            check_new(file, overwrite=self.overwrite)
+        if preview is not None and self.clip.is_dir() and preview.parent.resolve() == self.clip.resolve():
+            raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {self.clip}")
+
+    def _find(self) -> int:
+        """Write what the cascades find; the exit code."""
+        from facetrack_cli.tracking.start import write_init
         from facetrack_cli.tracking.start.preview import write_preview
 
-        write_preview(preview, frame, start, overwrite=overwrite)
-        click.echo(f"{preview}: the start drawn on frame {start.frame}", err=True)
-    if path is None:
-        write_init(sys.stdout, start, clip=clip.name)
-    else:
-        write_init(path, start, clip=clip.name, overwrite=overwrite)
-        what = ", ".join(start.targets) if len(start.targets) > 1 else "a face"
-        click.echo(f"{path}: {what} in frame {start.frame}; edit it, then: {_next(clip, path, config)}", err=True)
+        start, frame = self._start()
+        if self.preview is not None:
+            write_preview(self.preview, frame, start, overwrite=self.overwrite)
+            say(f"{self.preview}: the start drawn on frame {start.frame}")
+        if self.path is None:
+            write_init(sys.stdout, start, clip=self.clip.name)
+        else:
+            write_init(self.path, start, clip=self.clip.name, overwrite=self.overwrite)
+            what = ", ".join(start.targets) if len(start.targets) > 1 else "a face"
+            say(f"{self.path}: {what} in frame {start.frame}; edit it, then: {self._next()}")
+        return ExitCode.DONE
 
+    def _start(self) -> tuple[Start, Frame]:
+        """The start, and its frame."""
+        from facetrack_cli.tracking.start import PARTS, box_start, haar_start, name_targets
+        from facetrack_cli.video.source import open_source
 
-def _next(clip: Path, path: Path | None, config: str | None) -> str:
-    """The command that begins with the file, once it is there."""
-    from facetrack_cli.recipe.gallery_option import wants_gallery
-    from facetrack_cli.recipe.load import load_recipe
-    from facetrack_cli.tracking.start import default_path, find_init
+        recipe, clip, first = self.recipe, str(self.clip), self.init_frame or 0
+        points = PARTS if recipe is None else recipe.points
+        kept: list[Frame] = []
 
-    found = (find_init(clip) or default_path(clip)) == path
-    named = "" if found else f" --init {'FILE' if path is None else path}"
-    if config is not None:
-        named += f" --config {config}" + " --gallery FILE" * wants_gallery(load_recipe(config))
-    return f"facetrack run {clip}{named}"
+        def complete(frame: Frame, start: Start) -> Start:
+            if recipe is not None:
+                start = name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
+            kept[:] = [frame]
+            return start
 
+        with open_source(self.clip, start=first) as source:
+            if self.box is None:
+                return haar_start(iter(source), points, clip=clip, complete=complete), kept[0]
+            frame = next(iter(source), None)
+            if frame is None:
+                raise InputError(f"{clip}: has no frame {first}; choose an earlier one with --init-frame")
+            return complete(frame, box_start(frame, self.box, points, clip=clip)), frame
 
-def _pick(
-    clip: Path,
-    path: Path | None,
-    init_frame: int | None,
-    box: Box | None,
-    config: str | None,
-    preview: Path | None,
-    port: int,
-    browse: bool,
-    overwrite: bool,
-) -> int:
-    """Let somebody choose on the page; the exit code."""
-    from facetrack_cli.editor.web.pick_session import PickSession
-    from facetrack_cli.editor.web.server import run_page
-    from facetrack_cli.recipe.load import load_recipe
-    from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.tracking.start import read_init, write_init
-    from facetrack_cli.video.seek import Frames
+    def _next(self) -> str:
+        """The command that begins with the file, once it is there."""
+        from facetrack_cli.recipe.gallery_option import wants_gallery
+        from facetrack_cli.tracking.start import default_path, find_init
 
-    recipe = None if config is None else load_recipe(config)
-    kept = _unsaved_path(clip, path)
-    begun, goes_on = None, box is None and kept.is_file()
-    source = kept if goes_on else path
-    if source is not None and source.is_file():
-        try:
-            begun = read_init(source)
-        except InputError as e:  # it will be replaced in any case
-            click.echo(f"facetrack: warning: {e}; the page begins without it", err=True)
-    with Frames(clip) as frames, Stop().listening() as stop:
-        session = PickSession(
-            clip,
-            frames,
-            out=path,
-            overwrite=overwrite,
-            recipe=recipe,
-            frame=init_frame,
-            box=box,
-            begun=begun,
-            next_=_next(clip, path, config),
-            preview=preview,
-        )
-        run_page(session, stop, lambda line: click.echo(line, err=True), port=port, browse=browse)
-    if session.ended is None:
-        click.echo(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), clip, kept)}", err=True)
-        return stop.code if stop.code is not None else ExitCode.FAULT
-    if goes_on:
-        kept.unlink(missing_ok=True)
-    if path is None and session.saved is not None:
-        write_init(sys.stdout, session.saved, clip=clip.name)
-    for line in session.ended["messages"]:
-        click.echo(line, err=True)
-    click.echo(f"next: {session.ended['next']}", err=True)
-    return ExitCode.DONE
+        found = (find_init(self.clip) or default_path(self.clip)) == self.path
+        named = "" if found else f" --init {'FILE' if self.path is None else self.path}"
+        if self.recipe is not None:
+            named += f" --config {self.config}" + " --gallery FILE" * wants_gallery(self.recipe)
+        return f"facetrack run {self.clip}{named}"
 
+    def _pick(self) -> int:
+        """Let somebody choose on the page; the exit code."""
+        from facetrack_cli.editor.web.pick_session import PickSession
+        from facetrack_cli.editor.web.server import run_page
+        from facetrack_cli.runs.signals import Stop
+        from facetrack_cli.tracking.start import default_path, read_init, write_init
+        from facetrack_cli.video.seek import Frames
 
-def _unsaved_path(clip: Path, path: Path | None) -> Path:
-    """Where what was chosen and not saved is kept: beside the file that it was for."""
-    from facetrack_cli.tracking.start import default_path
-
-    beside = path if path is not None else default_path(clip)
-    return beside.with_name(f"{beside.stem}.unsaved.yaml")
+        beside = self.path or default_path(self.clip)
+        kept = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
+        begun, goes_on = None, self.box is None and kept.is_file()
+        source = kept if goes_on else self.path
+        if source is not None and source.is_file():
+            try:
+                begun = read_init(source)
+            except InputError as e:  # it will be replaced in any case
+                say(f"facetrack: warning: {e}; the page begins without it")
+        with Frames(self.clip) as frames, Stop().listening() as stop:
+            session = PickSession(
+                self.clip,
+                frames,
+                out=self.path,
+                overwrite=self.overwrite,
+                recipe=self.recipe,
+                frame=self.init_frame,
+                box=self.box,
+                begun=begun,
+                next_=self._next(),
+                preview=self.preview,
+            )
+            run_page(session, stop, say, port=self.page.port or 0, browse=self.page.browse)
+        if session.ended is None:
+            say(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), self.clip, kept)}")
+            return stop.code or ExitCode.FAULT
+        if goes_on:
+            kept.unlink(missing_ok=True)
+        if self.path is None and session.saved is not None:
+            write_init(sys.stdout, session.saved, clip=self.clip.name)
+        for line in (*session.ended["messages"], f"next: {session.ended['next']}"):
+            say(line)
+        return ExitCode.DONE
 
 
 def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:
     """Write what was chosen and not saved, if anything was; what became of it."""
     from facetrack_cli.tracking.start import write_init
 
-    if start is None and kept.is_file():
-        return f"what was chosen the last time is still in {kept}"
     if start is None:
-        return "nothing was written"
+        return f"what was chosen the last time is still in {kept}" if kept.is_file() else "nothing was written"
     try:
         write_init(kept, start, clip=clip.name, overwrite=True)
     except OutputError as e:
@@ -195,47 +193,4 @@ def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:
     return f"what was chosen is kept in {kept}; the same command goes on with it"
 
 
-def _check_outputs(clip: Path, path: Path | None, preview: Path | None, overwrite: bool) -> None:
-    """Refuse before the search what would be refused after it."""
-    from facetrack_cli.core.files import check_new
-
-    if path is not None and path.suffix.lower() not in SUFFIXES:
-        raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
-    if preview is not None and preview.suffix.lower() != ".png":
-        raise OutputError(f"{preview}: the preview is a PNG; let its name end in .png")
-    for file in (path, preview):
-        if file is not None:
-            check_new(file, overwrite=overwrite)
-    if preview is not None and clip.is_dir() and preview.parent.resolve() == clip.resolve():
-        raise OutputError(f"{preview}: would be one more frame of the clip; write it outside {clip}")
-
-
-def _find(clip: Path, init_frame: int, box: Box | None, config: str | None) -> tuple[Start, Frame]:
-    """The start, and its frame."""
-    from facetrack_cli.recipe.load import load_recipe
-    from facetrack_cli.tracking.start import PARTS, box_start, haar_start, name_targets
-    from facetrack_cli.video.source import open_source
-
-    recipe = None if config is None else load_recipe(config)
-    points = PARTS if recipe is None else recipe.points
-
-    def complete(frame: Frame, start: Start) -> Start:
-        if recipe is None:
-            return start
-        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=str(clip))
-
-    looked_at: list[Frame] = []
-    with open_source(clip, start=init_frame) as source:
-        frames = _last(source, looked_at)
-        if box is None:
-            return haar_start(frames, points, clip=str(clip), complete=complete), looked_at[0]
-        frame = next(frames, None)
-        if frame is None:
-            raise InputError(f"{clip}: has no frame {init_frame}; choose an earlier one with --init-frame")
-        return complete(frame, box_start(frame, box, points, clip=str(clip))), frame
-
-
-def _last(frames: Iterable[Frame], kept: list[Frame]) -> Iterator[Frame]:
-    for frame in frames:
-        kept[:] = [frame]
-        yield frame
+command = verb(Init)

@@ -7,8 +7,7 @@ from pathlib import Path
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import Whole
-from facetrack_cli.core.errors import UsageError
+from facetrack_cli.cli.options import Whole, argument, option, say, verb, write_figure
 
 
 @click.group()
@@ -23,59 +22,22 @@ def command() -> None:
     """
 
 
-def _parts(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
-    if value is None:
-        return None
+def _parts(value: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in value.split(",") if name.strip())
     if not names:
         raise click.BadParameter(f"{value!r}: name the parts with commas, such as nose,mouth_left,mouth_right")
     return names
 
 
-def _scale(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, str]:
+def _scale(value: str) -> tuple[str, str]:
     names = [name.strip() for name in value.split(",")]
     if len(names) != 2 or not all(names):
         raise click.BadParameter(f"{value!r}: name two parts with a comma, such as mouth_left,mouth_right")
     return names[0], names[1]
 
 
-@command.command()
-@click.argument("truth", metavar="TRUTH.csv...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    default=Path("prior.npz"),
-    show_default=True,
-    help="Where the prior goes.",
-)
-@click.option("--parts", metavar="LIST", callback=_parts, help="Parts to learn, with commas [default: all].")
-@click.option("--stable", metavar="PART", default="nose", show_default=True, help="Part that registers the others.")
-@click.option(
-    "--scale",
-    metavar="A,B",
-    callback=_scale,
-    default="mouth_left,mouth_right",
-    show_default=True,
-    help="Parts whose distance in the first frame is the unit.",
-)
-@click.option(
-    "--max-shapes", metavar="N", type=Whole(1, 10_000), default=500, show_default=True, help="Keep so many at most."
-)
-@options.overwrite_file
-@click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
-def fit(
-    truth: tuple[Path, ...],
-    out: Path,
-    parts: tuple[str, ...] | None,
-    stable: str,
-    scale: tuple[str, str],
-    max_shapes: int,
-    overwrite: bool,
-    quiet: bool,
-) -> None:
-    """Learn a prior from truth files or checked trajectories.
+class Fit:
+    """Learn a prior from ground truth or checked trajectories.
 
     Every file's first frame in which all parts are seen is taken as its neutral one; frames in which a part is hidden,
     absent or lost are left out.
@@ -85,64 +47,73 @@ def fit(
       facetrack prior fit anna.truth.csv ben.truth.csv -o mouths.npz
       facetrack prior fit clip.truth.csv --parts nose,mouth_left,mouth_right
     """
-    from facetrack_cli.core.files import check_new
-    from facetrack_cli.tracking.models.shape_prior_fit import fit_prior
 
-    if out.suffix != ".npz":
-        raise UsageError(f"{out}: a prior is an .npz file; let its name end so")
-    check_new(out, overwrite=overwrite)
-    fitted = fit_prior(truth, parts, stable, scale, max_shapes)
-    fitted.prior.save(out)
-    if quiet:
-        return
-    for file in fitted.files:
-        click.echo(f"{file.path}: {file.used} of {file.frames} frames used, {file.skipped} skipped", err=True)
-    used = sum(file.used for file in fitted.files)
-    click.echo(f"{out}: {len(fitted.prior.shapes)} shapes kept of {used}: {', '.join(fitted.prior.parts)}", err=True)
-    click.echo(f"suggested sigma: {fitted.sigma:.3f} ({scale[0]} to {scale[1]} is 1)", err=True)
+    truth: tuple[Path, ...] = argument("TRUTH.csv...", nargs=-1, required=True)
+    out: Path = options.array_file("prior")
+    parts: tuple[str, ...] | None = option(
+        "--parts", "LIST", "Parts to learn, with commas [default: all].", type=_parts
+    )
+    stable: str = option("--stable", "PART", "Part that registers the others.", default="nose")
+    scale: tuple[str, str] = option(
+        "--scale",
+        "A,B",
+        "Parts whose distance in the first frame is the unit.",
+        type=_scale,
+        default="mouth_left,mouth_right",
+    )
+    max_shapes: int = option("--max-shapes", "N", "Keep so many at most.", type=Whole(1, 10_000), default=500)
+    overwrite: bool = options.OVERWRITE
+    quiet: bool = options.QUIET
+
+    def run(self) -> None:
+        from facetrack_cli.core.files import check_new
+        from facetrack_cli.tracking.models.shape_prior_fit import fit_prior
+
+        check_new(self.out, overwrite=self.overwrite)
+        fitted = fit_prior(self.truth, self.parts, self.stable, self.scale, self.max_shapes)
+        fitted.prior.save(self.out)
+        if self.quiet:
+            return
+        for file in fitted.files:
+            say(f"{file.path}: {file.used} of {file.frames} frames used, {file.skipped} skipped")
+        used = sum(file.used for file in fitted.files)
+        say(f"{self.out}: {len(fitted.prior.shapes)} shapes kept of {used}: {', '.join(fitted.prior.parts)}")
+        say(f"suggested sigma: {fitted.sigma:.3f} ({' to '.join(self.scale)} is 1)")
 
 
-@command.command()
-@click.argument("file", required=False, type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    metavar="PNG",
-    type=click.Path(path_type=Path),
-    help="Picture [default: beside FILE; mouth_prior.png for the shipped prior].",
-)
-@options.overwrite_file
-def show(file: Path | None, out: Path | None, overwrite: bool) -> None:
+class Show:
     """Summarise and draw a prior; without FILE, the shipped one.
 
     \b
     Examples:
       facetrack prior show
-      facetrack prior show mouths.npz -o mouths.png
+      facetrack prior show mouths.npz -o mouths.svg
     """
-    import cv2
 
-    from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.report.figures.shape_prior import draw_prior
-    from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior
-    from facetrack_cli.tracking.models.shape_prior_fit import suggested_sigma
+    file: Path | None = argument("FILE", required=False)
+    out: Path | None = options.figure_file("beside FILE; mouth_prior.png for the shipped prior")
+    overwrite: bool = options.OVERWRITE
 
-    path = file or default_prior_path()
-    prior = load_prior(path)
-    out = out or (path.with_suffix(".png") if file else Path(path.with_suffix(".png").name))
-    if out.suffix.lower() != ".png":
-        raise UsageError(f"{out}: the picture is a PNG; let its name end in .png")
-    check_new(out, overwrite=overwrite)
-    sigma = suggested_sigma(prior)
-    done, data = cv2.imencode(".png", draw_prior(prior, path.name, sigma), [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    assert done
-    write_new(out, data.tobytes(), overwrite=overwrite)
-    click.echo(f"{path.name}: {len(prior.shapes)} shapes of {len(prior.parts)} parts")
-    click.echo(f"registered by {prior.stable}; unit: {prior.scale[0]} to {prior.scale[1]} in the first frame")
-    click.echo(f"suggested sigma: {sigma:.3f}")
-    click.echo(f"{'part':<14}{'x from':>8}{'to':>8}{'sd':>8}{'y from':>10}{'to':>8}{'sd':>8}")
-    low, high, sd = prior.shapes.min(0), prior.shapes.max(0), prior.shapes.std(0)
-    for k, name in enumerate(prior.parts):
-        x, y = ((low[k, c], high[k, c], sd[k, c]) for c in (0, 1))
-        click.echo(f"{name:<14}{x[0]:>8.3f}{x[1]:>8.3f}{x[2]:>8.3f}{y[0]:>10.3f}{y[1]:>8.3f}{y[2]:>8.3f}")
-    click.echo(f"picture: {out}")
+    def run(self) -> None:
+        from facetrack_cli.report.figures.shape_prior import prior_figure
+        from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior
+        from facetrack_cli.tracking.models.shape_prior_fit import suggested_sigma
+
+        path = self.file or default_prior_path()
+        prior = load_prior(path)
+        out = self.out or (path.with_suffix(".png") if self.file else Path(path.with_suffix(".png").name))
+        sigma = suggested_sigma(prior)
+        write_figure(out, lambda: prior_figure(prior, sigma, title=path.name), overwrite=self.overwrite, inputs=[path])
+        click.echo(f"{path.name}: {len(prior.shapes)} shapes of {len(prior.parts)} parts")
+        click.echo(f"registered by {prior.stable}; unit: {prior.scale[0]} to {prior.scale[1]} in the first frame")
+        click.echo(f"suggested sigma: {sigma:.3f}")
+        click.echo(f"{'part':<14}{'x from':>8}{'to':>8}{'sd':>8}{'y from':>10}{'to':>8}{'sd':>8}")
+        low, high, sd = prior.shapes.min(0), prior.shapes.max(0), prior.shapes.std(0)
+        for k, name in enumerate(prior.parts):
+            x, y = ((low[k, c], high[k, c], sd[k, c]) for c in (0, 1))
+            click.echo(f"{name:<14}{x[0]:>8.3f}{x[1]:>8.3f}{x[2]:>8.3f}{y[0]:>10.3f}{y[1]:>8.3f}{y[2]:>8.3f}")
+        click.echo(f"figure: {out}")
+
+
+command.add_command(verb(Fit, "fit"))
+command.add_command(verb(Show, "show"))

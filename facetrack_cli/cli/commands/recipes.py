@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
-from typing import TYPE_CHECKING
 
 import click
 
+from facetrack_cli.cli import options
 from facetrack_cli.core.errors import ExitCode, RecipeError
-
-if TYPE_CHECKING:
-    from facetrack_cli.recipe.model import Recipe
 
 
 @click.group(name="recipes", invoke_without_command=True)
@@ -20,9 +16,8 @@ if TYPE_CHECKING:
 def command(ctx: click.Context) -> None:
     """List, show and check the recipes of trackers.
 
-    A recipe is a YAML file that says what is tracked, how it moves, how it
-    looks, and by which filter. Without a subcommand, the shipped ones are
-    listed: on a terminal as a table, otherwise as lines of name, particles and
+    A recipe is a YAML file that says what is tracked, how it moves, how it looks, and by which filter. Without a
+    subcommand, the shipped ones are listed: on a terminal as a table, otherwise as lines of name, particles and
     description with tabs between them.
 
     \b
@@ -49,7 +44,7 @@ def show(recipe: str) -> None:
     from facetrack_cli.recipe.files import find_recipe, read_recipe
 
     text = read_recipe(find_recipe(recipe))
-    if not _colour():
+    if not options.colour():
         click.echo(text, nl=not text.endswith("\n"))
         return
     from rich.console import Console
@@ -60,18 +55,12 @@ def show(recipe: str) -> None:
 
 @command.command()
 @click.argument("recipes", nargs=-1, required=True, metavar="RECIPE...")
-@click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Check with this key of the recipe changed, as in run.",
-)
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Check with this key changed, as in run.")
 def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     """Say everything that is wrong with recipes, and where.
 
-    Each error has its file, line and column, what to do about it, and the line
-    with a caret under the place. The exit code is 2 if there are any.
+    Each error has its file, line and column, what to do about it, and the line with a caret under the place. The exit
+    code is 2 if there are any.
 
     \b
     Examples:
@@ -87,12 +76,8 @@ def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
         except RecipeError as error:
             found = [(str(error), error.excerpt)]
         errors += len(found)
-        for message, excerpt in found:
-            click.echo(message)
-            if excerpt:
-                click.echo(excerpt)
-        if not found:
-            click.echo(f"{name}: good")
+        for line in [part for told in found for part in told if part] or [f"{name}: good"]:
+            click.echo(line)
     return ExitCode.USAGE if errors else ExitCode.DONE
 
 
@@ -100,9 +85,8 @@ def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
 def schema() -> None:
     """Print the JSON Schema of recipes, for editors.
 
-    For completion: write it beside your recipe, and name it in the recipe's first line; editors
-    with the YAML language server (VS Code, Neovim, Emacs, ...) then complete
-    keys, show what they mean, and underline what is wrong.
+    For completion: write it beside your recipe, and name it in the recipe's first line. Editors with the YAML language
+    server (VS Code, Neovim, Emacs, ...) then complete keys, show what they mean, and underline what is wrong.
 
     \b
     Example:
@@ -121,9 +105,10 @@ def _list() -> None:
     from facetrack_cli.recipe.load import load_recipe
 
     recipes = [load_recipe(str(path)) for path in shipped_recipes()]
+    rows = [(one.name, str(one.particles or "-"), " ".join(one.description.split())) for one in recipes]
     if not sys.stdout.isatty():
-        for recipe in recipes:
-            click.echo("\t".join(_row(recipe)))
+        for row in rows:
+            click.echo("\t".join(row))
         return
     from rich.console import Console
     from rich.table import Table
@@ -132,14 +117,6 @@ def _list() -> None:
     table.add_column("recipe", no_wrap=True, style="bold")
     table.add_column("particles", justify="right", no_wrap=True)
     table.add_column("description")
-    for recipe in recipes:
-        table.add_row(*_row(recipe))
+    for row in rows:
+        table.add_row(*row)
     Console().print(table)
-
-
-def _row(recipe: Recipe) -> tuple[str, str, str]:
-    return recipe.name, str(recipe.particles or "-"), " ".join(recipe.description.split())
-
-
-def _colour() -> bool:
-    return sys.stdout.isatty() and not os.environ.get("NO_COLOR")

@@ -5,48 +5,18 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-import click
-
 from facetrack_cli.cli import options
-from facetrack_cli.core.errors import UsageError
+from facetrack_cli.cli.options import FILE, TruthOptions, argument, group, option, verb
 
 
-@click.command()
-@click.argument("run", metavar="RUN_DIR", type=click.Path(path_type=Path))
-@click.option("--truth", metavar="FILE", type=click.Path(path_type=Path), help="Measure against this truth file.")
-@options.truth_format
-@options.shift
-@options.partial
-@options.target
-@click.option(
-    "-o", "--out", metavar="FILE", type=click.Path(path_type=Path), help="The page [default: RUN_DIR/report.html]."
-)
-@click.option("--clip", metavar="INPUT", type=click.Path(path_type=Path), help="The clip, if it is elsewhere now.")
-@click.option("--title", metavar="TEXT", help="Title of the page [default: clip and recipe].")
-@click.option("--overwrite", is_flag=True, help="Replace the page if it is there already.")
-@click.option("--quiet", "-q", is_flag=True, help="Say nothing but errors.")
-@click.pass_context
-def command(
-    ctx: click.Context,
-    run: Path,
-    truth: Path | None,
-    truth_format: str,
-    shift: int | None,
-    partial: bool,
-    target: str | None,
-    out: Path | None,
-    clip: Path | None,
-    title: str | None,
-    overwrite: bool,
-    quiet: bool,
-) -> None:
+class Report:
     """Write one HTML page about a run.
 
     RUN_DIR is the folder that facetrack run wrote. The page shows when each part was lost and found again, with
-    pictures of those frames, the plots, the recipe, and the command that repeats the run; with --truth also the
+    images of those frames, the plots, the recipe, and the command that repeats the run; with --truth also the
     measures. It is a single file that needs neither network nor scripts.
 
-    The pictures are drawn from the clip, or taken from annotated.mp4 where the clip cannot be read.
+    The images are drawn from the clip, or taken from annotated.mp4 where the clip cannot be read.
 
     \b
     Examples:
@@ -58,29 +28,37 @@ def command(
     Exit codes: 0 done, 2 usage, output, or matplotlib is missing,
     3 input, 130 interrupted, 143 terminated.
     """
-    from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.report.make import NAME, TruthFile, make_report, trajectory_of
-    from facetrack_cli.runs.progress import progress
-    from facetrack_cli.runs.signals import Stop
 
-    told = {
-        "--truth-format": truth_format != "auto",
-        "--shift": shift is not None,
-        "--partial": partial,
-        "--target": target,
-    }
-    if truth is None and (idle := [option for option, given in told.items() if given]):
-        raise UsageError(f"{idle[0]} says how to use a truth file; give one with --truth")
-    against = None if truth is None else TruthFile(truth, truth_format, shift, partial, target)
-    trajectory_of(run)
-    to = run / NAME if out is None else out
-    check_new(to, overwrite=overwrite, inputs=(truth, clip))
-    with contextlib.closing(progress(quiet)) as shown:
-        shown.begin(run.name or str(run), "frames", None)
-        page = make_report(run, truth=against, clip=clip, title=title, report=shown.update)
-        with Stop().listening() as stop:  # a Ctrl-C before this ends us with nothing written, from here on with all
-            write_new(to, page.html, overwrite=overwrite)
-        for note in page.notes:
-            shown.say(f"facetrack: warning: {note}")
-        shown.say(f"{run} -> {to} ({len(page.html) / 1e6:.1f} MB)")
-    ctx.exit(stop.code or 0)
+    folder: Path = argument("RUN_DIR")
+    truth: Path | None = option("--truth", "FILE", "Measure against this file of ground truth.", type=FILE)
+    truth_options: TruthOptions = group(TruthOptions)
+    out: Path | None = option("-o --out", "FILE", "The page [default: RUN_DIR/report.html].", type=FILE)
+    clip: Path | None = options.CLIP
+    title: str | None = options.TITLE
+    overwrite: bool = options.OVERWRITE
+    quiet: bool = options.QUIET
+
+    def run(self) -> int:
+        from facetrack_cli.core.files import check_new, write_new
+        from facetrack_cli.report.make import NAME, TruthFile, make_report, trajectory_of
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.runs.signals import Stop
+
+        if self.truth is None:
+            self.truth_options.refuse(target=True)
+        trajectory_of(self.folder)
+        to = self.folder / NAME if self.out is None else self.out
+        check_new(to, overwrite=self.overwrite, inputs=(self.truth, self.clip))
+        with contextlib.closing(progress(self.quiet)) as shown:
+            shown.begin(self.folder.name or str(self.folder), "frames", None)
+            truth = None if self.truth is None else TruthFile(self.truth, *vars(self.truth_options).values())
+            page = make_report(self.folder, truth=truth, clip=self.clip, title=self.title, report=shown.update)
+            with Stop().listening() as stop:  # a Ctrl-C before this ends us with nothing written, from here on with all
+                write_new(to, page.html, overwrite=self.overwrite)
+            for note in page.notes:
+                shown.say(f"facetrack: warning: {note}")
+            shown.say(f"{self.folder} -> {to} ({len(page.html) / 1e6:.1f} MB)")
+        return stop.code or 0
+
+
+command = verb(Report)

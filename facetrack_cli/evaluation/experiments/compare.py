@@ -1,4 +1,4 @@
-"""Recipes side by side on one clip with truth: what each run scores, and in which order the recipes stand.
+"""Recipes side by side on one clip with ground truth: what each run scores, and in which order the recipes stand.
 
     score = score_run(run, truth, options)
     places = rank(entries, "points.mean_normalised")
@@ -13,29 +13,30 @@ true box is below 0.1.
 
 from __future__ import annotations
 
+import contextlib
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
-from facetrack_cli.evaluation.experiments.sheet import OVERRIDES
+from facetrack_cli.evaluation.experiments.sheet import clip_name
 from facetrack_cli.evaluation.match import match
-from facetrack_cli.evaluation.rows import Rows, column
+from facetrack_cli.evaluation.rows import Pair, Rows, column
 from facetrack_cli.evaluation.summary import MEASURES, Evaluation, evaluate, scalars
-from facetrack_cli.runs.seeds import outline
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.plan import Begin, far_from_truth
+from facetrack_cli.runs.progress import Progress
+from facetrack_cli.runs.seeds import Plan, SeedRun, outline, run_plans
+from facetrack_cli.runs.signals import Stop
 from facetrack_cli.trajectory.reader import MAX_FRAME
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
-
-if TYPE_CHECKING:
-    from facetrack_cli.runs.seeds import Plan, SeedRun
 
 TAIL: Final = 0.1  # of the rows with a true box: those that tell whether the target is lost at the end
 TAIL_IOU: Final = 0.1
@@ -47,8 +48,8 @@ TRUTH_NAMES: Final = ("groundtruth.csv", "groundtruth_rect.txt", "groundtruth.tx
 
 @dataclass(frozen=True)
 class Options:
-    """How runs are measured: which target of the truth, whether a truth shorter than the run is right, the frame that
-    the runs end before, and the picture's (width, height), to which GOT-10k and VOT clip boxes.
+    """How runs are measured: which target of the ground truth, whether that may be shorter than the run, the frame
+    before which the runs end, and the frames' (width, height), to which GOT-10k and VOT clip boxes.
     """
 
     select: str | None = None
@@ -104,11 +105,9 @@ class Entry:
 
     def interval(self, measure: str) -> tuple[float, float]:
         """Mean +- 2 standard errors."""
-        values = self.values(measure)
-        if values.size > 1:
-            reach = ERRORS * float(values.std(ddof=1)) / math.sqrt(values.size)
-        else:
-            reach = 0.0 if self.deterministic else math.inf
+        values, spread = self.values(measure), self.spread(measure)
+        alone = 0.0 if self.deterministic else math.inf
+        reach = alone if spread is None else ERRORS * spread / math.sqrt(values.size)
         return float(values.mean()) - reach, float(values.mean()) + reach
 
     @property
@@ -174,15 +173,8 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
 
 
 def score_run(run: SeedRun, truth: Trajectory, options: Options, note: Callable[[str], None] = lambda _: None) -> Score:
-    """Measure one run; `note` is told what was paired how (see `match`). InputError where the truth does not fit it."""
-    pairs = match(
-        run.trajectory,
-        within(truth, run.trajectory, options),
-        partial=options.partial,
-        select=options.select,
-        check_shift=False,
-        note=note,
-    )
+    """Measure one run; `note` gets what was paired how (see `match`). InputError where it does not fit."""
+    pairs = _pairs(run, truth, options, note=note)
     evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.parts)
     rows = evaluation.rows
     frame, error = error_by_frame(rows)
@@ -203,33 +195,42 @@ def score_run(run: SeedRun, truth: Trajectory, options: Options, note: Callable[
 
 
 def shifted(run: SeedRun, truth: Trajectory, options: Options) -> InputError | None:
-    """What speaks for a truth that counts frames otherwise than the run; to be asked of runs that can be scored."""
+    """The error of ground truth that numbers the frames otherwise than a run that can be scored; None if it fits."""
     try:
-        match(
-            run.trajectory,
-            within(truth, run.trajectory, options),
-            partial=options.partial,
-            select=options.select,
-            check_shift=True,
-        )
+        _pairs(run, truth, options, check_shift=True)
     except InputError as e:
         return e
     return None
 
 
-def kinds_of(plan: Plan, truth: Trajectory, options: Options, size: tuple[int, int]) -> set[str]:
-    """What the runs of a plan on pictures of that (width, height) will be measured as, `boxes` or `points`.
+def _pairs(
+    run: SeedRun,
+    truth: Trajectory,
+    options: Options,
+    *,
+    check_shift: bool = False,
+    note: Callable[[str], None] = lambda _: None,
+) -> list[Pair]:
+    known = within(truth, run.trajectory, options)
+    return match(
+        run.trajectory, known, partial=options.partial, select=options.select, check_shift=check_shift, note=note
+    )
 
-    Raises, before anything runs, what recipe, start and the names in the truth are refused for.
+
+def kinds_of(plan: Plan, truth: Trajectory, options: Options) -> set[str]:
+    """What the runs of a plan on frames of `options.size` will be measured as, `boxes` or `points`.
+
+    Raises, before anything runs, what recipe, start and the names in the ground truth are refused for.
     """
     frames = truth.frames[truth.frames > plan.start.frame]
-    table = outline(plan, np.array([plan.start.frame, *frames]), size)
+    assert options.size is not None
+    table = outline(plan, np.array([plan.start.frame, *frames]), options.size)
     pairs = match(table, within(truth, table, options), partial=True, select=options.select, check_shift=False)
     return {"boxes" if pair.is_box else "points" for pair in pairs}
 
 
 def within(truth: Trajectory, trajectory: Trajectory, options: Options) -> Trajectory:
-    """The truth of the frames that were asked for: from the run's first one to before --stop."""
+    """The ground truth of the frames that were asked for: from the run's first one to before --stop."""
     first, stop = int(trajectory.frames[0]), MAX_FRAME if options.stop is None else options.stop
     kept = [one for part in truth.parts if len(one := part.between(first, stop))]
     if not kept:
@@ -280,34 +281,106 @@ def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
     return frame, found
 
 
-# --- what is asked -----------------------------------------------------------------------------------------------
+# --- all runs ----------------------------------------------------------------------------------------------------
 
 
-def variant(given: str) -> tuple[str, tuple[str, ...]]:
-    """A recipe and its overrides, from `name`, a file, or `name:key=value,key=value`."""
-    name, colon, rest = given.partition(":")
-    if not colon or "=" not in rest or Path(given).exists():
-        return given, ()
-    return name, tuple(re.split(OVERRIDES, rest))
+@dataclass
+class _Tried:
+    """A recipe, its plan and what came of it; `moved` is the error of a shift that its first run shows."""
+
+    label: str
+    recipe: Recipe
+    plan: Plan | None = None
+    scores: list[Score] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    moved: InputError | None = None
+    error: FacetrackError | None = None
+
+    def entry(self) -> Entry:
+        start = None if self.plan is None else self.plan.start
+        return Entry(
+            self.label,
+            tuple(sorted(self.scores, key=lambda score: score.seed)),
+            "" if self.error is None else str(self.error),
+            deterministic=not self.recipe.random,
+            begins="" if start is None else f"{start.origin}, frame {start.frame}",
+            warnings=tuple(dict.fromkeys(self.warnings)),
+        )
 
 
-def labels(given: Sequence[str]) -> list[str]:
-    """A label for each --config that differs from all others: the recipe's name, else its path, and its overrides.
+def run_recipes(
+    recipes: Mapping[str, Recipe],
+    begin: Begin,
+    truth: Trajectory,
+    seeds: int,
+    options: Options,
+    *,
+    rank_by: str | None,
+    check_shift: bool,
+    workers: int,
+    stop: Stop,
+    shown: Progress,
+) -> list[Entry]:
+    """Every recipe, by label, with its scores, or with what kept it from running; none if it is stopped before.
 
-    Raises UsageError for one that is given twice.
+    Raises the error if all fail of one, and InputError for ground truth that numbers the frames otherwise.
     """
-    parsed = [variant(text) for text in given]
-    stems = [(Path(name).stem if Path(name).suffix else name, overrides) for name, overrides in parsed]
-    short = [f"{stem}:{','.join(overrides)}" if overrides else stem for stem, overrides in stems]
-    found = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
-    twice = next((text for text in found if found.count(text) > 1), None)
-    if twice is not None:
-        raise UsageError(f"--config {twice} is given twice; a recipe is compared with others")
-    return found
+    tried = {label: _Tried(label, recipe) for label, recipe in recipes.items()}
+    family = (rank_by or "").partition(".")[0]
+    for one in tried.values():
+        try:
+            # what draws no random numbers has one run to show
+            plan = begin.plan(one.label, one.recipe, seeds if one.recipe.random else 1, truth, stop)
+            kinds = kinds_of(plan, truth, options)
+            if family in ("boxes", "points") and family not in kinds:
+                measured = " and ".join(sorted(kinds))
+                told = f"this ground truth measures {measured} of {one.label}; rank by these"
+                raise UsageError(f"--rank-by {rank_by}: {told}")
+            one.plan = plan
+            one.warnings += filter(None, [far_from_truth(plan.start, truth)])
+        except FacetrackError as e:
+            if stop():
+                return []
+            one.error = e
+    plans = [one.plan for one in tried.values() if one.plan is not None]
+    alike = len({(plan.start.frame, plan.recipe.points) for plan in plans}) == 1
+    notes: list[str] = []
+    shown.begin(clip_name(begin.clip), "frames", None)
+    with contextlib.closing(run_plans(plans, workers, stop, lambda done, of: shown.update(done, of or None))) as found:
+        for ended in found:
+            one = tried[ended.plan.label]
+            try:
+                if ended.error is not None:
+                    raise ended.error
+                for run in ended.runs:
+                    one.warnings += run.warnings
+                    one.scores.append(score_run(run, truth, options, notes.append))
+                    if check_shift and len(one.scores) == 1:
+                        one.moved = shifted(run, truth, options)
+            except FacetrackError as e:
+                one.error = e
+                if alike and ended.error is None and not any(other.scores for other in tried.values()):
+                    break  # what is wrong with the ground truth is wrong for every other run too
+    ran = [one for one in tried.values() if one.scores]
+    failed = {one.label: one.error for one in tried.values() if one.error is not None}
+    if failed and not ran and stop.code is None:
+        first = next(iter(failed.values()))
+        for label, error in failed.items():
+            if str(error) != str(first):
+                shown.error(f"facetrack: error: {label}: {error}")
+        raise first
+    for line in dict.fromkeys(line for one in tried.values() for line in one.warnings):
+        shown.say(f"facetrack: warning: {line}")
+    for line in dict.fromkeys(notes):
+        shown.say(f"facetrack: note: {line}")
+    # one recipe that trails behind is a bad tracker; if all do, the ground truth numbers the frames otherwise
+    if ran and all(one.moved for one in ran) and ran[0].moved is not None:
+        raise ran[0].moved
+    return [one.entry() for one in tried.values()]
 
 
 def default_truth(clip: Path) -> Path:
-    """The truth of a clip: `<clip>.truth.csv` beside it, else groundtruth.csv in its folder or beside it."""
+    """The ground truth of a clip: `<clip>.truth.csv` beside it, else groundtruth.csv in its folder or beside it."""
     beside = clip.resolve().parent if clip.is_dir() else clip.parent
     stem = clip.resolve().name if clip.is_dir() else clip.stem
     folders = [clip, beside] if clip.is_dir() else [beside]

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Array, Mask, Whole
+from facetrack_cli.evaluation.match import match
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 HOLD = 5  # frames in a row that make leaving, or coming back, more than an excursion
@@ -43,7 +44,7 @@ class Leave:
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that end at one place: their seeds, the mean centre, and the mean error to the truth where there is one."""
+    """Runs that end at one place: their seeds, the mean centre, and the mean error to the ground truth, if any."""
 
     seeds: tuple[int, ...]
     x: float
@@ -108,7 +109,7 @@ def target_size(tables: Sequence[Trajectory], target: str) -> float:
 def spreads(
     seeds: Sequence[int], tables: Sequence[Trajectory], fraction: float = FRACTION, truth: Sequence[Trajectory] = ()
 ) -> tuple[Spread, ...]:
-    """The spread of every part over the runs `tables`, one a seed; `truth` are its series under the runs' names.
+    """The spread of every part over the runs `tables`, one a seed; `truth`: as `matched` returns it.
 
     Runs that were cut short count as far as all of them go.
     """
@@ -125,6 +126,12 @@ def spreads(
         limit = fraction * target_size(tables, first.target)
         found.append(spread_of(*name, seeds, frames, positions, limit, _truth_at(known.get(name), frames)))
     return tuple(found)
+
+
+def matched(table: Trajectory, truth: Trajectory | None) -> list[Trajectory]:
+    """The parts of the ground truth under the names of a run's."""
+    pairs = [] if truth is None else match(table, truth, partial=True, select=None, check_shift=False)
+    return [pair.truth.renamed(pair.ours.target, pair.ours.part) for pair in pairs]
 
 
 def _truth_at(truth: Trajectory | None, frames: Whole) -> Array | None:
@@ -147,7 +154,7 @@ def spread_of(
     limit: float,
     truth: Array | None = None,
 ) -> Spread:
-    """The spread of one part: positions (S, T, 2), `limit` in pixels, truth (T, 2) where it is known."""
+    """The spread of one part: positions (S, T, 2), `limit` in pixels, `truth` (T, 2) where it is known."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a frame without any position is nan, and no news
         mean = np.nanmean(positions, axis=0)

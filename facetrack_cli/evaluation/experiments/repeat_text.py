@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,16 +10,22 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from facetrack_cli import __version__
 from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.experiments.repeat import HOLD, Group, Spread
-from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name
+from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name, document, rounded
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
 
-SCHEMA: Final = "facetrack-repeat"
-VERSION: Final = 1
+HEADS: Final = (
+    "part",
+    "spread, px",
+    "farthest\nrun, px",
+    "at frame",
+    "part ways\nat frame",
+    "runs that\nleave",
+    "groups at\nthe end",
+)
 COLUMNS: Final = ("frame", "target", "part", "x", "y", "std_x", "std_y", "from_median", "away")
 MOST_NAMED: Final = 10  # seeds in one line of the table
 
@@ -43,15 +48,10 @@ class Repetition:
     warnings: tuple[str, ...] = ()
 
     @property
-    def title(self) -> str:
-        first, last = self.spreads[0].frame[[0, -1]]
-        return f"{clip_name(self.clip)}: {len(self.seeds)} runs of {self.label} on frames {first} to {last}"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of each spread; the part alone where there is one target."""
+    def named(self) -> list[tuple[str, Spread]]:
+        """Each spread under its name: that of the part alone where there is one target."""
         sole = len({one.target for one in self.spreads}) == 1
-        return tuple(one.part if sole else one.name for one in self.spreads)
+        return [(one.part if sole else one.name, one) for one in self.spreads]
 
     @property
     def parting(self) -> int | None:
@@ -62,24 +62,63 @@ class Repetition:
     def identical(self) -> bool:
         return all(one.identical for one in self.spreads)
 
+    def sheet(self) -> Sheet:
+        """A row a part."""
+        first, last = self.spreads[0].frame[[0, -1]]
+        title = f"{clip_name(self.clip)}: {len(self.seeds)} runs of {self.label} on frames {first} to {last}"
+        return Sheet(title, HEADS, tuple(_row(name, one) for name, one in self.named), tuple(self.notes()), left=(0,))
 
-def sheet(found: Repetition) -> Sheet:
-    """A row a part."""
-    heads = (
-        "part",
-        "spread, px",
-        "farthest\nrun, px",
-        "at frame",
-        "part ways\nat frame",
-        "runs that\nleave",
-        "groups at\nthe end",
-    )
-    return Sheet(
-        heads,
-        tuple(_row(name, one) for name, one in zip(found.names, found.spreads, strict=True)),
-        tuple(notes(found)),
-        left=(0,),
-    )
+    def notes(self) -> list[str]:
+        """What one must know to read the table, who leaves, and where the runs end."""
+        limits = dict.fromkeys(f"{one.limit:.1f}" for one in self.spreads)
+        lines = [] if self.complete else [f"Interrupted: these are the frames that {len(self.seeds)} runs had reached."]
+        if self.identical:
+            draws = "" if self.recipe.random else ": this tracker draws no random numbers"
+            return [*lines, f"All {len(self.seeds)} runs are identical{draws}."]
+        lines += [
+            "Spread: standard deviation over seeds, both axes together, in the median frame. Farthest run: from the "
+            "median of all.",
+            f"Runs part ways at the first of {HOLD} frames in a row in which one is farther than {' / '.join(limits)} "
+            f"px ({self.fraction:g} of the target's size) from the median of most.",
+        ]
+        partings = [(name, one) for name, one in self.named if one.parting is not None]
+        if not partings:
+            return [*lines, "No run leaves the others."]
+        first = " and ".join(name for name, one in partings if one.parting == self.parting)
+        lines.append(f"The first to part ways, at frame {self.parting}: {first}.")
+        return lines + [f"{name}: {text}." for name, one in partings for text in (_leaves(one), _ends(one.groups))]
+
+    def csv(self) -> str:
+        """A row a frame and part: mean centre, standard deviations, the farthest run from the median, runs away."""
+        lines = [",".join(COLUMNS)]
+        for t in range(len(self.spreads[0].frame)):
+            for one in self.spreads:
+                if t >= len(one.frame):
+                    continue
+                figures = [*one.mean[t], *one.std[t], one.from_median[t]]
+                cells = ["" if math.isnan(value) else f"{value:.3f}" for value in figures]
+                lines.append(",".join([f"{one.frame[t]}", one.target, one.part, *cells, f"{one.away[:, t].sum()}"]))
+        return "\n".join(lines) + "\n"
+
+    def json(self) -> str:
+        """Everything, per frame too, with the recipe in full."""
+        from facetrack_cli.recipe.model import to_dict
+
+        fields = {
+            "clip": str(self.clip),
+            "truth": None if self.truth is None else str(self.truth),
+            "label": self.label,
+            "seeds": list(self.seeds),
+            "complete": self.complete,
+            "identical": self.identical,
+            "parting": self.parting,
+            "fraction": self.fraction,
+            "notes": self.notes(),
+            "warnings": list(self.warnings),
+            "parts": [_part(one) for one in self.spreads],
+            "recipe": to_dict(self.recipe),
+        }
+        return document("facetrack-repeat", fields)
 
 
 def _row(name: str, one: Spread) -> tuple[str, ...]:
@@ -96,50 +135,29 @@ def _row(name: str, one: Spread) -> tuple[str, ...]:
     )
 
 
-def notes(found: Repetition) -> list[str]:
-    """What one must know to read the table, who leaves, and where the runs end."""
-    limits = dict.fromkeys(f"{one.limit:.1f}" for one in found.spreads)
-    lines = [] if found.complete else [f"Interrupted: these are the frames that {len(found.seeds)} runs had reached."]
-    if found.identical:
-        draws = "" if found.recipe.random else ": this tracker draws no random numbers"
-        lines.append(f"All {len(found.seeds)} runs are identical{draws}.")
-        return lines
-    lines += [
-        "Spread: standard deviation over seeds, both axes together, in the median frame. Farthest run: from the median "
-        "of all.",
-        f"Runs part ways at the first of {HOLD} frames in a row in which one is farther than {' / '.join(limits)} px "
-        f"({found.fraction:g} of the target's size) from the median of most.",
-    ]
-    partings = [(name, one) for name, one in zip(found.names, found.spreads, strict=True) if one.parting is not None]
-    if not partings:
-        lines.append("No run leaves the others.")
-        return lines
-    first = " and ".join(name for name, one in partings if one.parting == found.parting)
-    lines.append(f"The first to part ways, at frame {found.parting}: {first}.")
-    for name, one in partings:
-        lines += [f"{name}: {text}." for text in (_leaves(one), _ends(one.groups))]
-    return lines
-
-
 def _leaves(one: Spread) -> str:
     told = [
         f"seed {leave.seed} leaves at {leave.frame}, gets {leave.farthest:.0f} px away"
         + ("" if leave.back is None else f", is back at {leave.back}")
-        for leave in one.leaves[:MOST_NAMED]
+        for leave in one.leaves
     ]
-    more = len(one.leaves) - len(told)
-    return "; ".join([*told, *([f"and {more} more"] if more > 0 else [])])
+    return _first(told, "")
 
 
 def _ends(groups: Sequence[Group]) -> str:
     if len(groups) == 1:
         return f"in the end all are together{_off(groups[0])}"
-    told = [f"{_named(group.seeds)} at ({group.x:.0f}, {group.y:.0f}){_off(group)}" for group in groups[:MOST_NAMED]]
-    more = len(groups) - len(told)
-    return "in the end " + "; ".join([*told, *([f"and {more} more groups"] if more > 0 else [])])
+    told = [f"{_seeds(group.seeds)} at ({group.x:.0f}, {group.y:.0f}){_off(group)}" for group in groups]
+    return f"in the end {_first(told, ' groups')}"
 
 
-def _named(seeds: Sequence[int]) -> str:
+def _first(told: Sequence[str], what: str) -> str:
+    """The first of them, and how many more there are."""
+    more = len(told) - MOST_NAMED
+    return "; ".join([*told[:MOST_NAMED], *([f"and {more} more{what}"] if more > 0 else [])])
+
+
+def _seeds(seeds: Sequence[int]) -> str:
     if len(seeds) > MOST_NAMED:
         return f"{len(seeds)} runs"
     return f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
@@ -147,43 +165,6 @@ def _named(seeds: Sequence[int]) -> str:
 
 def _off(group: Group) -> str:
     return "" if group.error is None else f", off by {group.error:.1f} px"
-
-
-def as_csv(found: Repetition) -> str:
-    """A row a frame and part: mean centre, standard deviations, the farthest run from the median, and runs away."""
-    lines = [",".join(COLUMNS)]
-    for t in range(len(found.spreads[0].frame)):
-        for one in found.spreads:
-            if t >= len(one.frame):
-                continue
-            figures = [*one.mean[t], *one.std[t], one.from_median[t]]
-            cells = ["" if math.isnan(value) else f"{value:.3f}" for value in figures]
-            lines.append(",".join([f"{one.frame[t]}", one.target, one.part, *cells, f"{one.away[:, t].sum()}"]))
-    return "\n".join(lines) + "\n"
-
-
-def as_json(found: Repetition) -> str:
-    """Everything, per frame too, with the recipe in full."""
-    from facetrack_cli.recipe.model import to_dict
-
-    whole: dict[str, Any] = {
-        "schema": SCHEMA,
-        "version": VERSION,
-        "facetrack": __version__,
-        "clip": str(found.clip),
-        "truth": None if found.truth is None else str(found.truth),
-        "label": found.label,
-        "seeds": list(found.seeds),
-        "complete": found.complete,
-        "identical": found.identical,
-        "parting": found.parting,
-        "fraction": found.fraction,
-        "notes": notes(found),
-        "warnings": list(found.warnings),
-        "parts": [_part(one) for one in found.spreads],
-        "recipe": to_dict(found.recipe),
-    }
-    return json.dumps(whole, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _part(one: Spread) -> dict[str, Any]:
@@ -197,10 +178,15 @@ def _part(one: Spread) -> dict[str, Any]:
             for leave in one.leaves
         ],
         "groups": [
-            {"seeds": list(group.seeds), "x": _number(group.x), "y": _number(group.y), "error_px": _number(group.error)}
+            {
+                "seeds": list(group.seeds),
+                "x": rounded(group.x, 3),
+                "y": rounded(group.y, 3),
+                "error_px": rounded(group.error, 3),
+            }
             for group in one.groups
         ],
-        "spread_px": _number(float(np.nanmedian(one.spread))),
+        "spread_px": rounded(float(np.nanmedian(one.spread)), 3),
         "frame": one.frame.tolist(),
         "x": _numbers(one.mean[:, 0]),
         "y": _numbers(one.mean[:, 1]),
@@ -211,9 +197,5 @@ def _part(one: Spread) -> dict[str, Any]:
     }
 
 
-def _number(value: float | None) -> float | None:
-    return None if value is None or not math.isfinite(value) else round(value, 3)
-
-
 def _numbers(values: Array) -> list[float | None]:
-    return [_number(value) for value in values.tolist()]
+    return [rounded(value, 3) for value in values.tolist()]

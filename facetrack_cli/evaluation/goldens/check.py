@@ -30,7 +30,7 @@ from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.gallery_option import put
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, Recipe, completed, to_dict
-from facetrack_cli.runs.plan import find_plan_start
+from facetrack_cli.runs.plan import Begin
 from facetrack_cli.runs.seeds import Plan, Report, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.opencv import find as find_opencv
@@ -350,7 +350,7 @@ def _plan(clip: Path, recipe: Recipe, seeds: int, stop: int | None, stopped: Sto
     if reason := _cannot_run(recipe):
         return Updated(clip.name, recipe.name, None, reason, skipped=True)
     try:
-        start = find_plan_start(clip, recipe, stop=stop, stopped=stopped)
+        start = Begin(clip, stop=stop).find(recipe, stopped=stopped)
     except InputError as e:
         return Updated(clip.name, recipe.name, None, str(e))
     targets = start.targets.values()

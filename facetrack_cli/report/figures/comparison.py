@@ -1,4 +1,4 @@
-"""The plots of a comparison as PNG files."""
+"""The plots of `compare` and `repeat` as PNG files: names and bytes, which want matplotlib."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.boxes import PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
 from facetrack_cli.evaluation.experiments.compare import CUMULATIVE_AT, Entry, Score, aligned
 from facetrack_cli.evaluation.experiments.compare_text import Comparison
+from facetrack_cli.evaluation.experiments.repeat_text import Repetition
 from facetrack_cli.evaluation.experiments.sheet import clip_name
 from facetrack_cli.evaluation.points import FAILURE
+from facetrack_cli.report import figures as plots
 from facetrack_cli.report.figures.style import render
 
 
-def figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
-    """Names and bytes of the files, recipes in their order. Wants matplotlib."""
-    from facetrack_cli.report import figures as plots
-
+def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
+    """Success, precision, cumulative error and error over time, of what is measured; recipes in their order."""
     entries = [place.entry for place in comparison.places if place.entry.scores]
 
     def curves(at: Array, of: Callable[[Score], Array | None]) -> dict[str, tuple[Array, Array]]:
@@ -38,6 +38,18 @@ def figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     hidden = np.unique(np.concatenate([score.hidden for entry in entries for score in entry.scores]))
     figure = plots.error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}")
     yield "error.png", render(figure)
+
+
+def repeat_figures(found: Repetition) -> Iterator[tuple[str, bytes]]:
+    """The farthest run of each part over time."""
+    figure = plots.spread_figure(
+        found.spreads[0].frame,
+        {name: one.from_median for name, one in found.named},
+        found.parting,
+        {name: one.limit for name, one in found.named},
+        title=f"{len(found.seeds)} runs of {found.label} on {clip_name(found.clip)}",
+    )
+    yield "spread.png", render(figure)
 
 
 def _stacked(entry: Entry, of: Callable[[Score], Array | None]) -> Array | None:

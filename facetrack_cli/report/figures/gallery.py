@@ -1,122 +1,96 @@
-"""A picture of a gallery: the mean face, the first eigenfaces of its three spaces, and everyone who is in it."""
+"""The figure of `facetrack gallery show`: the mean face, the first eigenfaces of its spaces, everyone who is in it."""
 
 from __future__ import annotations
 
 import math
-from typing import Final
+import textwrap
+from typing import TYPE_CHECKING, Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Image
+from facetrack_cli.report.figures.style import FAINT, GRID, WIDTH, clean, new_figure, style
 from facetrack_cli.tracking.identity.gallery import Gallery
 from facetrack_cli.tracking.identity.subspaces import Subspace
-from facetrack_cli.video.overlay.marks import Colour
-from facetrack_cli.video.overlay.text import Font, plain, stamp
 
-WIDTH, MARGIN, GAP = 1280, 32, 12  # pixels
-MEAN: Final = 250  # height of the mean face, and its width at most
-EIGENFACE: Final = 122  # and of each eigenface
-SHOWN: Final = 8  # eigenfaces of a space, at most
-TALLEST, SMALL, SMALLEST = 190, 100, 72  # height of a person's face: many are drawn smaller, and
-MANY: Final = 60  # more than so many smallest
-INK, FAINT, PAPER, RULE = (40, 40, 40), (115, 115, 115), 255, (215, 215, 215)
-TITLE, HEAD, BODY = Font(15), Font(11), Font(9)
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# lengths are inches
+MARGIN, GAP, LINE = 0.2, 0.1, 0.14
+LEFT: Final = 2.1  # width of the column with the mean face
+EIGENFACES, SIDES = 8, (0.8, 0.96)  # of a space, at most; the most that one is wide and high
+TALLEST: Final = 1.55  # a person's face; of more people they are smaller, down to
+SMALL, SMALLEST, MANY = 0.82, 0.6, 60  # the second for more than MANY
+NAME: Final = 0.6  # least width of a name, and
+ROOM: Final = 1.5  # what it has where there is room
 
 
-def draw_gallery(gallery: Gallery, title: str) -> Image:
-    """(H, WIDTH, 3), all of it grey; H grows with the number of persons.
+def gallery_figure(gallery: Gallery, *, title: str) -> Figure:
+    """Faces in grey, with the numbers of the list that `gallery show` prints; the height grows with the people.
 
-    A name that has no room on two lines is cut; the numbers are those of the list that `gallery show` prints.
+    A name that has no room on two lines is cut.
     """
-    above = _heading(gallery, title)
-    spaces = _spaces(gallery)
-    people = _people(gallery)
-    rule = np.full((1, WIDTH, 3), PAPER, np.uint8)
-    rule[:, MARGIN:-MARGIN] = RULE
-    return np.concatenate([above, spaces, rule, people, _paper(MARGIN // 2)])
-
-
-def _heading(gallery: Gallery, title: str) -> Image:
-    page = _paper(74)
-    _write(page, TITLE, _cut(TITLE, title, WIDTH - 2 * MARGIN), MARGIN, 24)
     rows, cols = gallery.shape
-    told = f"{len(gallery.names)} persons, {sum(gallery.counts)} pictures; template {rows} points high, {cols} wide"
-    _write(page, HEAD, told, MARGIN, 50, FAINT)
-    return page
+    aspect, count, inner = cols / rows, len(gallery.names), WIDTH - 2 * MARGIN + GAP
+    # as many columns as make rows of about equal length, with faces no smaller than they must be
+    least = max((SMALL if count <= MANY else SMALLEST) * aspect, NAME) + GAP
+    columns = math.ceil(count / math.ceil(count / max(int(inner / least), 1)))
+    step = min(inner / columns, max(TALLEST * aspect, ROOM) + GAP)
+    face = min(TALLEST, (step - GAP) / aspect)
+    top = 0.72 + 3 * (SIDES[1] + 0.5)
+    row = face + 3 * LINE + 0.2
+    with style():
+        figure = new_figure(WIDTH, top + 0.35 + row * math.ceil(count / columns))
+        figure.set_layout_engine("none")  # every place is known
+        page: Axes = figure.add_axes((0, 0, 1, 1))
+        page.set(xlim=(0, WIDTH), ylim=(figure.get_figheight(), 0))
+        page.set_axis_off()
+        _text(page, MARGIN, 0.12, clean(title, 80), size=12, weight="bold")
+        told = f"{count} persons, {sum(gallery.counts)} images; template {rows} points high, {cols} wide"
+        _text(page, MARGIN, 0.37, told, size=8.5, color=FAINT)
+        _spaces(page, gallery, 0.72)
+        page.plot((MARGIN, WIDTH - MARGIN), (top, top), color=GRID, linewidth=0.8)
+        _text(page, MARGIN, top + 0.1, "Who is in it", weight="bold")
+        for number, (name, patch, images) in enumerate(zip(gallery.names, gallery.faces, gallery.counts, strict=True)):
+            x, y = MARGIN + step * (number % columns), top + 0.35 + row * (number // columns)
+            _face(page, patch, gallery.shape, x, y, face)
+            lines = _lines(f"{number + 1} {name}", step - GAP)
+            _text(page, x, y + face + 0.05, *lines, size=8)
+            told = _lines(f"{images} image{'s' * (images > 1)}", step - GAP)[0]
+            _text(page, x, y + face + 0.05 + LINE * len(lines), told, size=8, color=FAINT)
+        return figure
 
 
-def _spaces(gallery: Gallery) -> Image:
+def _spaces(page: Axes, gallery: Gallery, top: float) -> None:
     """The mean face at the left; beside it a row of eigenfaces for each space."""
-    row = EIGENFACE + 58
-    page = _paper(3 * row + 6)
-    mean = _face(gallery.frontal.mean, gallery.shape, _within(MEAN, gallery.shape))
-    _write(page, HEAD, "Mean face", MARGIN, 6)
-    _tile(page, mean, MARGIN, 30)
-    column = max(mean.shape[1], 200)
-    told = [*_wrapped(calibrated(gallery), column), "", *_wrapped(stranger(gallery), column)]
-    for number, text in enumerate(told):
-        _write(page, BODY, text, MARGIN, 46 + mean.shape[0] + number * BODY.height, FAINT)
-    left = MARGIN + column + 46
+    _text(page, MARGIN, top, "Mean face", weight="bold")
+    high = min(LEFT, LEFT * gallery.shape[0] / gallery.shape[1])
+    _face(page, gallery.frontal.mean, gallery.shape, MARGIN, top + 0.22, high)
+    told = [*textwrap.wrap(calibrated(gallery), 36), "", *textwrap.wrap(stranger(gallery), 36)]
+    _text(page, MARGIN, top + high + 0.3, *told, size=8, color=FAINT)
     spaces = (
         ("Frontal faces", "what a face looks like", gallery.frontal),
-        ("Intra-personal", "how pictures of one person differ", gallery.intra),
+        ("Intra-personal", "how images of one person differ", gallery.intra),
         ("Extra-personal", "how persons differ", gallery.extra),
     )
-    for number, (name, what, space) in enumerate(spaces):
-        top = number * row + 6
-        end = _write(page, HEAD, name, left, top)
-        _write(page, BODY, f"{what}: {kept(space)}", end + 12, top + 1, FAINT)
-        _eigenfaces(page, space, gallery.shape, left, top + 24)
-    return page
-
-
-def _eigenfaces(page: Image, space: Subspace, shape: tuple[int, int], left: int, top: int) -> None:
-    total = _total(space)
-    for vector, value in zip(space.vectors[:SHOWN], space.values[:SHOWN], strict=True):
-        # the sign of a component means nothing; one is kept, so that the same space looks the same
-        towards = vector if vector[np.abs(vector).argmax()] > 0 else -vector
-        face = _face(
-            2.2 * towards / max(float(np.quantile(np.abs(towards), 0.98)), 1e-9), shape, _within(EIGENFACE, shape)
-        )
-        if left + face.shape[1] > WIDTH - MARGIN:
-            return
-        _tile(page, face, left, top)
-        _write(page, BODY, f"{100 * value / total:.1f} %", left, top + EIGENFACE + 4, FAINT)
-        left += face.shape[1] + GAP
-    if not len(space.vectors):
-        _write(page, BODY, "no component", left, top + 10, FAINT)
-
-
-def _people(gallery: Gallery) -> Image:
-    """Everyone's face I_n, with number, name and how many pictures it is made from."""
     rows, cols = gallery.shape
-    count, wide = len(gallery.names), WIDTH - 2 * MARGIN + 2 * GAP
-    columns = _columns(count, wide, cols / rows)
-    height = min(TALLEST, int((wide / columns - 2 * GAP) * rows / cols))
-    face_width = round(height * cols / rows)
-    step, line = face_width + 2 * GAP, BODY.height
-    row = height + 3 * line + 14
-    page = _paper(44 + row * -(-count // columns))
-    _write(page, HEAD, "Who is in it", MARGIN, 14)
-    for number, (name, face, pictures) in enumerate(zip(gallery.names, gallery.faces, gallery.counts, strict=True)):
-        top, left = 42 + row * (number // columns), MARGIN + step * (number % columns)
-        _tile(page, _face(face, gallery.shape, height), left, top)
-        top += height + 4
-        lines = _lines(f"{number + 1} {name}", step - GAP)
-        for at, text in enumerate(lines):
-            _write(page, BODY, text, left, top + at * line)
-        told = f"{pictures} pictures" if pictures != 1 else "1 picture"
-        _write(page, BODY, _cut(BODY, told, step - GAP), left, top + len(lines) * line, FAINT)
-    return page
-
-
-def _columns(count: int, wide: int, aspect: float) -> int:
-    """As many columns as make rows of about equal length, with faces no smaller than they must be."""
-    least = SMALL if count <= MANY else SMALLEST
-    most = max(int(wide / (least * aspect + 2 * GAP)), 1)
-    return -(-count // -(-count // most))
+    high = min(SIDES[1], SIDES[0] * rows / cols)
+    for name, what, space in spaces:
+        x, total = MARGIN + LEFT + 0.3, _total(space)
+        _text(page, x, top, name, weight="bold")
+        _text(page, x + 1.15, top + 0.01, f"{what}: {kept(space)}", size=8, color=FAINT)
+        for vector, value in zip(space.vectors[:EIGENFACES], space.values[:EIGENFACES], strict=True):
+            # the sign of a component means nothing; one is kept, so that the same space looks the same
+            towards = vector if vector[np.abs(vector).argmax()] > 0 else -vector
+            scaled = 2.2 * towards / max(float(np.quantile(np.abs(towards), 0.98)), 1e-9)
+            wide = _face(page, scaled, gallery.shape, x, top + 0.22, high)
+            _text(page, x, top + 0.25 + high, f"{100 * value / total:.1f} %", size=8, color=FAINT)
+            x += max(wide, 0.4) + GAP
+        if not len(space.vectors):
+            _text(page, x, top + 0.3, "no component", size=8, color=FAINT)
+        top += SIDES[1] + 0.5
 
 
 def kept(space: Subspace) -> str:
@@ -151,58 +125,28 @@ def _total(space: Subspace) -> float:
     return max(float(space.values.sum() + space.rho * (space.mean.size - len(space.vectors))), 1e-12)
 
 
-def _face(patch: NDArray[np.floating], shape: tuple[int, int], height: int) -> Image:
-    """A patch (d,) of zero mean and unit variance as a grey picture (height, w, 3), smoothly enlarged."""
-    rows, cols = shape
-    grey = 128.0 + 52.0 * np.asarray(patch, np.float32).reshape(rows, cols)
-    large = cv2.resize(grey, (max(round(height * cols / rows), 1), height), interpolation=cv2.INTER_CUBIC)
-    return np.repeat(np.clip(np.round(large), 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+def _face(
+    page: Axes, patch: NDArray[np.floating[Any]], shape: tuple[int, int], x: float, y: float, height: float
+) -> float:
+    """Draw a patch (d,) of zero mean and unit variance in grey, smoothly enlarged, in a frame; how wide it is."""
+    wide = height * shape[1] / shape[0]
+    grey = np.asarray(patch, np.float64).reshape(shape)
+    page.imshow(grey, cmap="gray", vmin=-2.46, vmax=2.44, interpolation="bicubic", extent=(x, x + wide, y + height, y))
+    page.plot([x, x + wide, x + wide, x, x], [y, y, y + height, y + height, y], color=GRID, linewidth=0.6)
+    return wide
 
 
-def _within(side: int, shape: tuple[int, int]) -> int:
-    """The height of a face that is nowhere longer than `side`."""
-    return max(min(side, side * shape[0] // shape[1]), 1)
+def _lines(text: str, inches: float, size: float = 8.0) -> list[str]:
+    """A text on at most two lines of that width; what has no room is cut."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    points = text_to_path.get_text_width_height_descent(text, FontProperties(size=size), ismath=False)[0]
+    letters = max(int(72 * inches / max(points / len(text), 1)), 3)
+    return textwrap.wrap(clean(text, 2 * letters - 2), letters, max_lines=2, placeholder="…")
 
 
-def _tile(page: Image, face: Image, left: int, top: int) -> None:
-    height, width = face.shape[:2]
-    page[top - 1 : top + height + 1, left - 1 : left + width + 1] = RULE
-    page[top : top + height, left : left + width] = face
-
-
-def _lines(text: str, wide: int) -> list[str]:
-    """A name on one line or, broken where it has a gap if it can be, on two; the second is cut."""
-    text = plain(text)
-    if BODY.width(text) <= wide:
-        return [text]
-    fits = max((at for at in range(1, len(text)) if BODY.width(text[:at]) <= wide), default=1)
-    gaps = [at for at in range(fits // 2 + 1, fits + 1) if text[at] in " _-"]
-    at = gaps[-1] if gaps else fits
-    return [text[:at], _cut(BODY, text[at:].lstrip(), wide)]
-
-
-def _wrapped(text: str, wide: int) -> list[str]:
-    lines = [""]
-    for word in text.split():
-        longer = f"{lines[-1]} {word}".strip()
-        lines = [*lines[:-1], longer] if BODY.width(longer) <= wide else [*lines, word]
-    return lines
-
-
-def _cut(font: Font, text: str, wide: int) -> str:
-    text = plain(text)
-    if font.width(text) <= wide:
-        return text
-    while text and font.width(text + "..") > wide:
-        text = text[:-1]
-    return text + ".."
-
-
-def _write(page: Image, font: Font, text: str, left: int, top: int, colour: Colour = INK) -> int:
-    """Where the text ends."""
-    stamp(page, font.sprite(text, colour), left, top)
-    return left + font.width(text)
-
-
-def _paper(height: int) -> Image:
-    return np.full((height, WIDTH, 3), PAPER, np.uint8)
+def _text(page: Axes, x: float, y: float, *lines: str, size: float = 9.0, **look: Any) -> None:
+    """Lines at equal distances, whatever marks their letters have; y is the top of the first."""
+    for number, line in enumerate(lines):
+        page.text(x, y + size * (0.013 + 0.0174 * number), line, va="baseline", size=size, **look)

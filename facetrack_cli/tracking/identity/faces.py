@@ -7,17 +7,16 @@ gives an equal gallery.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Box, Frame
-from facetrack_cli.tracking.identity.people import Person, Reading, count, faces_of, place
+from facetrack_cli.tracking.identity.people import Person, Reading, Warn, count, faces_of
+from facetrack_cli.tracking.identity.subspaces import Rows
 from facetrack_cli.tracking.models.patches import Patches
 from facetrack_cli.tracking.models.spaces import affine_state_of_box
 
@@ -26,108 +25,80 @@ NEGATIVES: Final = 6  # counter-examples that are cut around each face; more whe
 LEAST_NEGATIVES: Final = 240
 
 
-@dataclass(frozen=True, slots=True)
-class Faces:
+class Faces(NamedTuple):
     """What was read. d = rows * columns; every patch of zero mean and unit variance.
 
-    `patches` (n, d) float32, of `persons` (n,) by name; of each of `pictures` (n,) first the face as it was found, then
+    `patches` (n, d) float32, of `persons` (n,) by name; of each of `images` (n,) first the face as it was found, then
     its copies, cut a little off. `negatives` (k, d) are cut so far off that no face is in its place. `used` and
-    `skipped` are pictures and frames for each person, `proportion` is the median of the boxes' width over height.
+    `skipped` are images and frames for each person, `proportion` is the median of the boxes' width over height.
     """
 
-    patches: NDArray[np.float32]
+    patches: Rows
     persons: tuple[str, ...]
-    pictures: tuple[int, ...]
-    negatives: NDArray[np.float32]
+    images: tuple[int, ...]
+    negatives: Rows
     used: dict[str, int]
     skipped: dict[str, int]
     proportion: float
 
 
 def read_faces(
-    people: Sequence[Person],
-    reading: Reading,
-    warn: Callable[[str], None],
-    advance: Callable[[int], None] = lambda done: None,
+    people: Sequence[Person], reading: Reading, warn: Warn, advance: Callable[[int], None] = lambda done: None
 ) -> Faces:
-    """The faces of all persons. What shows none is passed over, which `warn` is told.
+    """The faces of all persons. What shows none is passed over with a warning.
 
-    `advance` is called with the number of pictures and frames looked at so far. Raises InputError for an init file that
+    `advance` is called with the number of images and frames looked at so far. Raises InputError for an init file that
     cannot be meant, and for a person of whom nothing is left.
     """
-    most = count(people, reading)
-    faces = _Faces(reading, max(NEGATIVES, math.ceil(LEAST_NEGATIVES / most)))
+    around = max(NEGATIVES, math.ceil(LEAST_NEGATIVES / count(people, reading)))
+    used, skipped = ({person.name: 0 for person in people} for _ in range(2))
+    persons: list[str] = []
+    images: list[int] = []
+    found: list[tuple[Rows, Rows, float]] = []  # patches, negatives and proportion of each face
+    seen: dict[bytes, tuple[str, str]] = {}
     looked = 0
     for person in people:
-        faces.begin(person.name)
         for item in person.items:
             for frame, box in faces_of(item, reading, warn):
                 looked += 1
                 advance(looked)
                 if frame is None or box is None:
-                    faces.skip()
-                elif why := faces.add(frame, box, place(item, frame)):
-                    warn(f"{place(item, frame)}: {why}; skipped")
-        if not faces.used[person.name]:
+                    skipped[person.name] += 1
+                    continue
+                number, at = len(found), item.place(frame)
+                patches, negatives = _cut(frame, box, reading, number, around)
+                name, where = seen.setdefault(patches[0].tobytes(), (person.name, at))
+                why = "" if where == at else f"the same face as {where}"
+                why += "" if name == person.name else f", which is {name}"
+                if not patches[0].any():
+                    why = "nothing to see in the face's box"
+                if why:
+                    warn(f"{at}: {why}; skipped")
+                    skipped[person.name] += 1
+                    continue
+                used[person.name] += 1
+                patches, negatives = (rows[rows.any(axis=1)] for rows in (patches, negatives))
+                persons += [person.name] * len(patches)
+                images += [number] * len(patches)
+                found.append((patches, negatives, box[2] / box[3]))
+        if not used[person.name]:
             raise InputError(
-                f"{person.folder}: no face of {person.name} was found; give its box in an init file beside a picture, "
-                "add another picture, or remove the folder"
+                f"{person.folder}: no face of {person.name} was found; give its box in an init file beside an image, "
+                "add another image, or remove the folder"
             )
-    return faces.whole()
+    all_patches, all_negatives, proportions = zip(*found, strict=True)
+    every, off_mark = np.concatenate(all_patches), np.concatenate(all_negatives)
+    return Faces(every, tuple(persons), tuple(images), off_mark, used, skipped, float(np.median(proportions)))
 
 
-class _Faces:
-    """Patches as they come in; of pictures nothing is kept."""
-
-    def __init__(self, reading: Reading, negatives: int) -> None:
-        self.used: Counter[str] = Counter()
-        self.skipped: Counter[str] = Counter()
-        self._reading = reading
-        self._negatives = negatives
-        self._name = ""
-        self._persons: list[str] = []
-        self._pictures: list[int] = []
-        self._patches: list[NDArray[np.float32]] = []
-        self._off: list[NDArray[np.float32]] = []
-        self._proportions: list[float] = []
-        self._seen: dict[bytes, tuple[str, str]] = {}
-
-    def begin(self, name: str) -> None:
-        self._name = name
-        self.used[name] = self.skipped[name] = 0
-
-    def skip(self) -> None:
-        self.skipped[self._name] += 1
-
-    def add(self, frame: Frame, box: Box, at: str) -> str:
-        """Why the face in the box is not taken, if so; `at` says where it is."""
-        number, copies = sum(self.used.values()), self._reading.jitter
-        patches = Patches(size=(box[2], box[3]), shape=self._reading.shape)
-        [x] = affine_state_of_box(*box)
-        ways = near(number * copies, copies), off(number * self._negatives, self._negatives)
-        every = np.concatenate([x[None], *(moved(x, box, way) for way in ways)])[:, None]
-        read = patches.read(frame, every, patches.factor(every[0]))
-        if not read[0].any():
-            self.skip()
-            return "nothing to see in the face's box"
-        same = self._seen.setdefault(read[0].tobytes(), (self._name, at))
-        if same != (self._name, at):
-            self.skip()
-            return f"the same face as {same[1]}" + ("" if same[0] == self._name else f", which is {same[0]}")
-        faces, negatives = (part[part.any(axis=1)] for part in (read[: 1 + copies], read[1 + copies :]))
-        self.used[self._name] += 1
-        self._persons += [self._name] * len(faces)
-        self._pictures += [number] * len(faces)
-        self._patches.append(faces)
-        self._off.append(negatives)
-        self._proportions.append(box[2] / box[3])
-        return ""
-
-    def whole(self) -> Faces:
-        middle = float(np.median(self._proportions))
-        used, skipped = dict(self.used), dict(self.skipped)
-        patches, negatives = np.concatenate(self._patches), np.concatenate(self._off)
-        return Faces(patches, tuple(self._persons), tuple(self._pictures), negatives, used, skipped, middle)
+def _cut(frame: Frame, box: Box, reading: Reading, number: int, around: int) -> tuple[Rows, Rows]:
+    """The patches of the face in the box and of its copies, and those of so many places `around` it."""
+    patches, copies = Patches(size=(box[2], box[3]), shape=reading.shape), reading.jitter
+    [x] = affine_state_of_box(*box)
+    ways = near(number * copies, copies), off(number * around, around)
+    every = np.concatenate([x[None], *(moved(x, box, way) for way in ways)])[:, None]
+    read = patches.read(frame, every, patches.factor(every[0]))
+    return read[: 1 + copies], read[1 + copies :]
 
 
 def near(first: int, number: int) -> Array:

@@ -1,4 +1,4 @@
-"""A gallery learned from pictures: its three spaces, p_f and the threshold of "none of them" (see `gallery.py`).
+"""A gallery learned from images: its three spaces, p_f and the threshold of "none of them" (see `gallery.py`).
 
 Persons are held out in folds, and everything that is a scale, rho, p_f and the threshold, is learned from those whom
 the spaces have not seen. Differences between persons, of which there are as many as patches times persons, are never
@@ -8,27 +8,18 @@ written out: sums tell their moments.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array
-from facetrack_cli.tracking.identity.calibration import equal_errors, fit_logistic
-from facetrack_cli.tracking.identity.gallery import MOST_FRONTAL, Gallery, name_problem
-from facetrack_cli.tracking.identity.samples import Pictures, off_the_mark
-from facetrack_cli.tracking.identity.subspaces import (
-    Fitted,
-    Residual,
-    common_basis,
-    fit_moments,
-    fit_subspace,
-    folds_by,
-)
+from facetrack_cli.core.types import Array, Mask
+from facetrack_cli.tracking.identity.gallery import Gallery, logistic, name_problem
+from facetrack_cli.tracking.identity.samples import Indices, Samples, off_the_mark
+from facetrack_cli.tracking.identity.subspaces import Fitted, common_basis, fit_moments, fit_subspace, folds_by
 
-Mask: TypeAlias = NDArray[np.bool_]
-MOST_ERRORS = 0.25  # beyond them the user is told; half is chance
+MOST_ERRORS = 0.25  # beyond them the user is warned; half is chance
 
 
 def fit_gallery(
@@ -36,20 +27,16 @@ def fit_gallery(
     persons: Sequence[str],
     shape: tuple[int, int],
     *,
-    pictures: Sequence[int] | None = None,
+    images: Sequence[int] | None = None,
     negatives: NDArray[np.floating[Any]] | None = None,
-    energy: float = 0.9,
-    most_frontal: float = MOST_FRONTAL,
-    residual: Residual = "held_out",
     proportion: float | None = None,
 ) -> Gallery:
     """The gallery of patches (n, d), zero mean and unit variance, each of a person; persons in order of their names.
 
-    `pictures` (n,) says which picture a patch was cut from: the first of each is the picture, all further ones are
-    copies of it that were cut a little off. Without it each patch is a picture. `negatives` (m, d): patches cut off the
-    mark (displaced, turned, scaled); without them they are made of the patches. `energy` is the share of the variance
-    that a subspace keeps, `most_frontal` the upper bound of p_f, `residual` how rho is found (`subspaces.py`),
-    `proportion` the width of the faces' boxes over their height.
+    `images` (n,) says which image a patch was cut from: the first of each is the image, all further ones are copies of
+    it that were cut a little off. Without it each patch is an image. `negatives` (m, d): patches cut off the mark
+    (displaced, turned, scaled); without them they are made of the patches. `proportion` is the width of the faces'
+    boxes over their height.
     Raises InputError for fewer than two persons, and where no two patches are of one person.
     """
     x = np.asarray(patches, np.float64)
@@ -64,83 +51,66 @@ def fit_gallery(
             f"a gallery of {len(names)} person{'' if len(names) == 1 else 's'} tells nobody apart: how people differ "
             "is learned from two or more; add another person"
         )
-    of = np.unique(np.arange(len(x)) if pictures is None else np.asarray(pictures), return_inverse=True)[1]
-    shown = Pictures(x, who, of)
-    own, own_of = shown.to_own()
+    of = np.unique(np.arange(len(x)) if images is None else np.asarray(images), return_inverse=True)[1]
+    basis = common_basis(x)
+    samples = Samples(x, who, of, basis)
+    own, own_of = samples.to_own()
     if not len(own):
         raise InputError(
-            "there is one picture of each person, and how one face changes with light, expression and pose cannot be "
-            "learned from it; add a second picture of somebody, or copies that are cut a little off"
+            "there is one image of each person, and how one face changes with light, expression and pose cannot be "
+            "learned from it; add a second image of somebody, or copies that are cut a little off"
         )
 
-    # persons that are held out together; where that leaves nothing to learn from, pictures are
+    # persons that are held out together; where that leaves nothing to learn from, images are
     folds = folds_by(who)
     fold = np.argmax(folds, axis=0)
-    person_fold = np.array([fold[who == p][0] for p in range(len(names))])
-    settings = _Settings(energy, residual, common_basis(x))
-    frontal = fit_subspace(x, folds, energy=energy, residual=residual, basis=settings.basis)
-    intra = _fit_own(own, [fold[own_of] == k for k in range(len(folds))], of[own_of], settings)
-    extra = _fit_others(shown, folds, [person_fold == k for k in range(len(folds))], settings)
+    frontal = fit_subspace(x, folds, basis=basis)
+    own_folds = [mask[own_of] for mask in folds]
+    able = any(mask.any() and not mask.all() for mask in own_folds)
+    intra = fit_subspace(own, own_folds if able else folds_by(of[own_of]), centred=True, basis=basis)
+    if not able:
+        intra = Fitted(intra.whole, (intra.whole,) * len(folds))
+    extra = _fit_others(samples, folds)
 
-    wrong = off_the_mark(x[shown.first], shape) if negatives is None else np.asarray(negatives, np.float64)
+    wrong = off_the_mark(x[samples.first], shape) if negatives is None else np.asarray(negatives, np.float64)
     right_q = np.concatenate([space.log_density(x[mask]) for space, mask in zip(frontal.without, folds, strict=True)])
     wrong_q = np.mean([space.log_density(wrong) for space in frontal.without], axis=0)
-    threshold, errors = equal_errors(*_genuine_and_strangers(intra, extra, shown, own, fold, own_of))
-    counts = tuple(int((shown.first & (who == p)).sum()) for p in range(len(names)))
+    threshold, errors = equal_errors(*_genuine_and_strangers(intra, extra, samples, own, fold, own_of))
+    counts = tuple(np.bincount(who[samples.first]).tolist())
     return Gallery(
-        tuple(map(str, names)), shown.faces.astype(np.float32), (int(shape[0]), int(shape[1])),
+        tuple(map(str, names)), samples.faces.astype(np.float32), (int(shape[0]), int(shape[1])),
         frontal.whole, intra.whole, extra.whole, fit_logistic(right_q, wrong_q), threshold, errors, counts,
-        most_frontal, _notes(names.tolist(), counts, errors), proportion,
+        notes=_notes(names.tolist(), counts, errors), proportion=proportion,
     )  # fmt: skip
 
 
-class _Settings(NamedTuple):
-    energy: float
-    residual: Residual
-    basis: Array | None
-
-
-def _fit_own(x: Array, folds: Sequence[Mask], of: NDArray[np.intp], settings: _Settings) -> Fitted:
-    """The space of differences x by `folds` of persons; rho from pictures `of` (n,) held out where no person can be."""
-    able = any(mask.any() and not mask.all() for mask in folds)
-    energy, residual, basis = settings
-    fitted = fit_subspace(
-        x, folds if able else folds_by(of), energy=energy, centred=True, residual=residual, basis=basis
-    )
-    return fitted if able else Fitted(fitted.whole, (fitted.whole,) * len(folds))
-
-
-def _fit_others(shown: Pictures, folds: Sequence[Mask], persons: Sequence[Mask], settings: _Settings) -> Fitted:
-    """As `_fit_own`, of differences to others: of `folds` of patches (n,) and of `persons` (P,) neither is asked."""
-    energy, residual, basis = settings
-    others = shown.to_others(basis)
-    everybody, anyone = np.ones(len(shown.x), bool), np.ones(len(persons[0]), bool)
+def _fit_others(samples: Samples, folds: Sequence[Mask]) -> Fitted:
+    """The space of differences to others; of what a fold (n,) holds out, neither patches nor faces are used."""
+    everybody, anyone = np.ones(len(samples.x), bool), np.ones(len(samples.faces), bool)
     able = len(anyone) > 2  # without one of two nobody is left to differ from
     without = (
-        [others.moments(~mask, ~those) for mask, those in zip(folds, persons, strict=True)]
+        [samples.to_others(~mask, np.bincount(samples.who, mask) == 0) for mask in folds]
         if able
-        else [others.moments(~mask, anyone) for mask in folds_by(shown.of)]
+        else [samples.to_others(~mask, anyone) for mask in folds_by(samples.of)]
     )
-    fitted = fit_moments(
-        others.moments(everybody, anyone), without, shown.x.shape[1],
-        energy=energy, centred=True, residual=residual, basis=basis,
-    )  # fmt: skip
+    whole = samples.to_others(everybody, anyone)
+    fitted = fit_moments(whole, without, samples.x.shape[1], centred=True, basis=samples.basis)
     return fitted if able else Fitted(fitted.whole, (fitted.whole,) * len(folds))
 
 
 def _genuine_and_strangers(
-    intra: Fitted, extra: Fitted, shown: Pictures, own: Array, fold: NDArray[np.intp], own_of: NDArray[np.intp]
+    intra: Fitted, extra: Fitted, samples: Samples, own: Array, fold: Indices, own_of: Indices
 ) -> tuple[Array, Array]:
     """Log ratios (eq. 16) by spaces that have not seen the person: of patches to their person (m,), and the largest to
     another one (n,).
     """
-    genuine, best = np.empty(len(own)), np.empty(len(shown.x))
-    faces = shown.faces
+    genuine, best = np.empty(len(own)), np.empty(len(samples.x))
+    faces = samples.faces
     for k, (within, between) in enumerate(zip(intra.without, extra.without, strict=True)):
         mine = fold[own_of] == k
         genuine[mine] = within.log_density(own[mine]) - between.log_density(own[mine])
         mine = fold == k
-        x, who = shown.x[mine], shown.who[mine]
+        x, who = samples.x[mine], samples.who[mine]
         ratios = within.log_densities(x, faces) - between.log_densities(x, faces)
         ratios[np.arange(len(x)), who] = -np.inf
         best[mine] = ratios.max(axis=1)
@@ -154,12 +124,68 @@ def _notes(names: Sequence[str], counts: Sequence[int], errors: float) -> tuple[
     if single:
         each, their = (" each", "their faces change") if len(single) > 1 else ("", "this face changes")
         found.append(
-            f"{', '.join(single)}: one picture{each}: how {their} with light, expression and pose cannot be learned "
-            "from it; add further pictures"
+            f"{', '.join(single)}: one image{each}: how {their} with light, expression and pose cannot be learned from "
+            "it; add further images"
         )
     if errors > MOST_ERRORS:
         found.append(
-            f"by these pictures people are hardly told apart: {100 * errors:.0f} % of either error for somebody who is "
-            "not among those learned from; look whether each is in one folder alone, and add people and pictures"
+            f"by these images people are hardly told apart: {100 * errors:.0f} % of either error for somebody who is "
+            "not among those learned from; look whether each is in one folder alone, and add people and images"
         )
     return tuple(found)
+
+
+# --- from scores to probabilities and thresholds -------------------------------------------------------------------
+
+
+def fit_logistic(positive: Array, negative: Array) -> tuple[float, float]:
+    """Slope (never below 0) and offset of the probability of being positive, both classes equally frequent.
+
+    Platt (1999) with his targets, (n + 1) / (n + 2) and 1 / (n + 2), by which classes that do not overlap have a finite
+    slope. A score that says nothing has slope 0 and probability 1/2. By Newton's method, its steps halved where they
+    do not help (Lin, Lin & Weng 2007).
+    """
+    score = np.concatenate([positive, negative])
+    # in units of the middle of both classes, since densities of negatives have no lower bound
+    centre = 0.5 * (np.median(positive) + np.median(negative))
+    unit = max(0.5 * abs(float(np.median(positive) - np.median(negative))), 1e-9)
+    z = np.clip((score - centre) / unit, -50.0, 50.0)
+    p, n = len(positive), len(negative)
+    target = np.repeat([(p + 1) / (p + 2), 1 / (n + 2)], [p, n])
+    weight = np.repeat([0.5 / p, 0.5 / n], [p, n])
+    design = np.stack([z, np.ones_like(z)], axis=1)
+
+    def loss(a: Array) -> float:
+        t = design @ a
+        return float((weight * (np.logaddexp(0.0, t) - target * t)).sum() + 1e-6 * (a @ a))
+
+    a = np.zeros(2)
+    for _ in range(100):
+        probability = logistic(design @ a, 1.0, 0.0)
+        gradient = design.T @ (weight * (probability - target)) + 2e-6 * a
+        curvature = (design.T * (weight * probability * (1 - probability))) @ design + 2e-6 * np.eye(2)
+        step = np.linalg.solve(curvature, gradient)
+        size = 1.0
+        while size > 1e-6 and loss(a - size * step) > loss(a):
+            size /= 2
+        a = a - size * step
+        if np.abs(size * step).max() < 1e-9:
+            break
+    if a[0] <= 0.0:
+        return 0.0, 0.0
+    slope = float(a[0] / unit)
+    return slope, float(a[1] - slope * centre)
+
+
+def equal_errors(genuine: Array, impostor: Array) -> tuple[float, float]:
+    """The threshold at which as large a share of the genuine is below it as of the impostors above, and that share."""
+    at = np.unique(np.concatenate([genuine, impostor]))
+    at = np.concatenate([at[:1] - 1.0, (at[1:] + at[:-1]) / 2, at[-1:] + 1.0])
+    missed = np.searchsorted(np.sort(genuine), at) / len(genuine)
+    passed = 1.0 - np.searchsorted(np.sort(impostor), at) / len(impostor)
+    gap = np.abs(missed - passed)
+    # the middle of all thresholds that serve as well
+    best = np.flatnonzero(gap <= gap.min() + 1e-12)
+    k = best[len(best) // 2]
+    threshold = (at[best[0]] + at[best[-1]]) / 2 if len(best) > 1 else at[k]
+    return float(threshold), float((missed[k] + passed[k]) / 2)

@@ -3,8 +3,8 @@
 Three probabilistic subspaces (eq. 14, `subspaces.py`) over patches y of zero mean and unit variance:
 
     frontal   the patches of the gallery                                  p_f = most / (1 + exp(-a log Q_FFS(y) - b))
-    intra     differences between pictures of one person, both signs      p_n = Q_IPS(y - I_n) / Q_EPS(y - I_n)
-    extra     differences between pictures of different persons           eq. 16
+    intra     differences between images of one person, both signs        p_n = Q_IPS(y - I_n) / Q_EPS(y - I_n)
+    extra     differences between images of different persons             eq. 16
 
 What we take the paper to mean, and what is ours:
 
@@ -13,11 +13,11 @@ What we take the paper to mean, and what is ours:
   of ten persons, one frame makes nobody more probable than .55, and two that agree .93.
 - Eq. 16 is a ratio of densities, of which only ratios between identities matter: it enters normalised over them, for
   each patch.
-- I_n is one picture in the paper. Of several it is their mean, brought back to unit variance, and a difference is that
-  of a picture to the mean of the other pictures of its person, or to that of another person. Of two pictures that is
-  their difference, as published. The mean names as many patches rightly as the most typical picture or the mean of the
-  densities over all pictures do, and costs the least.
-- "none of them" is one more identity, whose log ratio is a threshold: that at which as many pictures of the gallery
+- I_n is one image in the paper. Of several it is their mean, brought back to unit variance, and a difference is that
+  of an image to the mean of the other images of its person, or to that of another person. Of two images that is their
+  difference, as published. The mean names as many patches correctly as the most typical image or the mean of the
+  densities over all images do, and costs the least.
+- "none of them" is one more identity, whose log ratio is a threshold: that at which as many images of the gallery
   would be taken for nobody, by spaces that have not seen their person, as strangers for somebody.
 """
 
@@ -34,7 +34,6 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array
-from facetrack_cli.tracking.identity.calibration import logistic
 from facetrack_cli.tracking.identity.subspaces import Rows, Subspace
 from facetrack_cli.tracking.resampling import logsumexp
 
@@ -50,7 +49,7 @@ class Gallery:
 
     `faces` (P, d) are the I_n. `calibration` is (a, b) of p_f and `most_frontal` its upper bound; `threshold` the log
     ratio of "none of them", and `errors` the share of either error there, on the gallery. `counts` (P,) are the
-    pictures of each person, `notes` lines for the user. `proportion` is the width of a face's box over its height, None
+    images of each person, `notes` lines for the user. `proportion` is the width of a face's box over its height, None
     where that is not known. Raises ValueError for anything else.
     """
 
@@ -72,16 +71,15 @@ class Gallery:
         p = len(self.names)
         if p < 2 or len(set(self.names)) != p:
             raise ValueError("a gallery needs two persons or more, each named once")
-        for name in self.names:
-            if problem := name_problem(name):
-                raise ValueError(problem)
+        if problem := next(filter(None, map(name_problem, self.names)), None):
+            raise ValueError(problem)
         if len(self.shape) != 2 or min(self.shape) < 1 or self.faces.shape != (p, self.shape[0] * self.shape[1]):
             raise ValueError(f"faces of {self.faces.shape} for {p} persons and a template of {self.shape}")
         d = self.faces.shape[1]
         if any(space.d != d for space in (self.frontal, self.intra, self.extra)):
             raise ValueError(f"a subspace is not of {d} points")
         if len(self.counts) != p or min(self.counts) < 1:
-            raise ValueError("each person has one picture or more")
+            raise ValueError("each person has one image or more")
         if len(self.calibration) != 2:
             raise ValueError("a calibration is two numbers")
         numbers = (*self.calibration, self.most_frontal, self.threshold, self.errors)
@@ -118,28 +116,17 @@ class Gallery:
         log_ratio *= sharpness
         return np.where(seen > 0.0, frontal, 0.0), log_ratio - logsumexp(log_ratio, axis=1)[:, None]
 
-    def log_ratios(self, patches: NDArray[np.floating[Any]]) -> Array:
-        """(N, P): log of eq. 16 as it is, step by step."""
-        differences = [np.asarray(patches, np.float64) - face for face in self.faces]
-        return np.stack([self.intra.log_density(one) - self.extra.log_density(one) for one in differences], axis=1)
-
     @cached_property
     def _ratios(self) -> _Ratios:
         return _Ratios.of(self)
 
     def save(self, path: Path) -> None:
         """Writes an .npz of plain arrays, whole or not at all; equal galleries give equal bytes. Raises OutputError."""
-        arrays: dict[str, NDArray[Any]] = {
-            "names": np.array(self.names),
-            "faces": np.ascontiguousarray(self.faces, "<f4"),
-            "shape": np.array(self.shape, "<i8"),
-            "calibration": np.array(self.calibration, "<f8"),
-            "threshold": np.array(self.threshold, "<f8"),
-            "errors": np.array(self.errors, "<f8"),
-            "counts": np.array(self.counts, "<i8"),
-            "most_frontal": np.array(self.most_frontal, "<f8"),
-            "notes": np.array(self.notes, f"<U{max(map(len, self.notes), default=1)}"),
-        }
+        arrays: dict[str, NDArray[Any]] = {"names": np.array(self.names)}
+        arrays["faces"] = np.ascontiguousarray(self.faces, "<f4")
+        for name in ("shape", "calibration", "threshold", "errors", "counts", "most_frontal"):
+            arrays[name] = np.array(getattr(self, name), "<i8" if name in ("shape", "counts") else "<f8")
+        arrays["notes"] = np.array(self.notes, f"<U{max(map(len, self.notes), default=1)}")
         if self.proportion is not None:
             arrays["proportion"] = np.array(self.proportion, "<f8")
         for name in _SPACES:
@@ -174,9 +161,7 @@ class _Ratios:
         linear, constant = np.zeros_like(faces), np.zeros(len(faces))
         roots, signs, isotropic = [], [], 0.0
         for space, sign in ((gallery.intra, 1.0), (gallery.extra, -1.0)):
-            v = space.vectors.astype(np.float64)
-            plain = 1.0 / space.rho if len(space.values) < space.d else 0.0
-            weight = 1.0 / space.values - plain
+            v, plain, weight = space.precision
             centred = faces + space.mean
             pulled = plain * centred + (centred @ v.T * weight) @ v
             linear += sign * pulled
@@ -194,6 +179,11 @@ class _Ratios:
             gallery.frontal.vectors @ mean,
             float(mean @ mean),
         )
+
+
+def logistic(score: Array, slope: float, offset: float) -> Array:
+    """1 / (1 + exp(-(slope score + offset))), without overflow."""
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * (slope * score + offset))))
 
 
 def name_problem(name: str) -> str | None:

@@ -1,8 +1,8 @@
-"""Who is in a folder of folders, and which face in each picture is meant.
+"""Who is in a folder of folders, and which face in each image is meant.
 
-One folder for each person, called as the person is; in it pictures, videos, and folders of a video's frames. A picture
-or clip with an init file beside it has the face there; of another picture the largest face is taken, of another clip
-that of some frames.
+One folder for each person, with the person's name; in it images, videos, and folders of a video's frames. In an image
+or clip with an init file beside it the face is there; of another image the largest face is taken, of another clip that
+of some frames.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Box, Frame, Start
@@ -25,22 +25,24 @@ from facetrack_cli.tracking.start.init_file import default_path, find_init, read
 from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source
 
-PASSED_OVER: Final = frozenset((*INIT_SUFFIXES, ".csv", ".txt", ".md", ".npz"))  # what may lie beside pictures
-Kind = Literal["picture", "clip"]
+PASSED_OVER: Final = frozenset((*INIT_SUFFIXES, ".csv", ".txt", ".md", ".npz"))  # what may lie beside images
+Warn: TypeAlias = Callable[[str], None]
 Look: TypeAlias = "tuple[Frame | None, Box | None]"  # what cannot be read, or shows no face, is None
 
 
-@dataclass(frozen=True, slots=True)
-class Item:
-    """A picture of a person, or a clip: a video or a folder of its frames; with the init file beside it, if any."""
+class Item(NamedTuple):
+    """An image of a person, or a clip: a video or a folder of its frames; with the init file beside it, if any."""
 
     path: Path
-    kind: Kind
+    is_image: bool
     init: Path | None
 
+    def place(self, frame: Frame) -> str:
+        """Where a frame of it is, for messages."""
+        return str(self.path) if self.is_image else f"{self.path}: frame {frame.index}"
 
-@dataclass(frozen=True, slots=True)
-class Person:
+
+class Person(NamedTuple):
     """A person by the name of the folder, without spaces around it, and what is in it, in natural order."""
 
     name: str
@@ -48,8 +50,7 @@ class Person:
     items: tuple[Item, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """How faces are taken: template (rows, columns); of each clip so many frames, evenly between `start` and `stop`."""
 
     shape: tuple[int, int] = (30, 26)
@@ -59,47 +60,38 @@ class Reading:
     jitter: int = 0
 
 
-def find_people(folder: Path, warn: Callable[[str], None]) -> list[Person]:
-    """The persons of a folder, sorted by name as people count. Raises InputError where it is no gallery."""
+def find_people(folder: Path, warn: Warn) -> list[Person]:
+    """Everyone who has a folder in `folder`, in natural order. Raises InputError where it is no gallery."""
     entries = _entries(folder)
     folders = [one for one in entries if one.is_dir()]
     beside = [one for one in entries if not one.is_dir() and one.suffix.lower() not in PASSED_OVER]
     if not folders and beside:
         raise InputError(
-            f"{folder}: has pictures but no folders; make one for each person, as in {folder / 'anna' / beside[0].name}"
+            f"{folder}: has images but no folders; make one for each person, as in {folder / 'anna' / beside[0].name}"
         )
     if not folders:
-        raise InputError(f"{folder}: is empty; put a folder of pictures in it for each person")
+        raise InputError(f"{folder}: is empty; put a folder of images in it for each person")
     if beside:
         more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
         warn(f"{beside[0]}{more}: in no person's folder; passed over")
     people = [_person(one, warn) for one in folders]
     if len(people) < 2:
         raise InputError(f"{folder}: {people[0].name} is the only person in it; add another folder, to be told apart")
-    _check_names(people, warn)
+    known: dict[str, Person] = {}
+    for one in people:
+        other = known.setdefault(one.name.casefold(), one)
+        both = f"{one.folder} and {other.folder}"
+        if other is not one and other.name == one.name:
+            raise InputError(f"{both}: are both called {one.name}; rename one, or put their images into one folder")
+        if other is not one:
+            warn(f"{both}: are two persons; if they are one, put their images into one folder")
     return people
 
 
-def _check_names(people: Sequence[Person], warn: Callable[[str], None]) -> None:
-    """Two of one name are refused, two that differ by capital letters alone are told."""
-    before: dict[str, Person] = {}
-    for one in people:
-        other = before.setdefault(one.name.casefold(), one)
-        if other is one:
-            continue
-        both = f"{one.folder} and {other.folder}"
-        if other.name == one.name:
-            raise InputError(f"{both}: are both called {one.name}; rename one, or put their pictures into one folder")
-        warn(f"{both}: are two persons; if they are one, put their pictures into one folder")
-
-
 def count(people: Sequence[Person], reading: Reading) -> int:
-    """How many pictures and frames `read_faces` looks at, at most."""
+    """How many images and frames `read_faces` looks at, at most."""
     items = [item for person in people for item in person.items]
-    return sum(1 if item.kind == "picture" or item.init is not None else reading.frames for item in items)
-
-
-# --- folders -------------------------------------------------------------------------------------------------------
+    return sum(1 if item.is_image or item.init is not None else reading.frames for item in items)
 
 
 def _entries(folder: Path) -> list[Path]:
@@ -115,7 +107,7 @@ def _entries(folder: Path) -> list[Path]:
     return sorted(found, key=lambda one: images.natural_key(one.name))
 
 
-def _person(folder: Path, warn: Callable[[str], None]) -> Person:
+def _person(folder: Path, warn: Warn) -> Person:
     # letters with marks may be written in two ways, which look alike
     name = unicodedata.normalize("NFC", folder.name).strip()
     if problem := name_problem(name):
@@ -123,41 +115,42 @@ def _person(folder: Path, warn: Callable[[str], None]) -> Person:
     items = []
     for one in _entries(folder):
         suffix = one.suffix.lower()
-        if one.is_dir():
-            if images.listing(one):
-                items.append(Item(one, "clip", find_init(one)))
-            else:
-                warn(f"{one}: no pictures in this folder; skipped")
-        elif suffix in images.SUFFIXES:
-            items.append(Item(one, "picture", find_init(one)))
-        elif suffix not in PASSED_OVER:
-            items.append(Item(one, "clip", find_init(one)))
+        if one.is_dir() and not images.listing(one):
+            warn(f"{one}: no images in this folder; skipped")
+        elif one.is_dir() or suffix not in PASSED_OVER:
+            items.append(Item(one, suffix in images.SUFFIXES and not one.is_dir(), find_init(one)))
     if not items:
-        raise InputError(f"{folder}: no picture or video in it; add one of {name}, or remove the folder")
+        raise InputError(f"{folder}: no image or video in it; add one of {name}, or remove the folder")
     return Person(name, folder, tuple(items))
 
 
 # --- faces ---------------------------------------------------------------------------------------------------------
 
 
-def faces_of(item: Item, reading: Reading, warn: Callable[[str], None]) -> Iterator[Look]:
-    """The pictures of an item, each with the box of its face."""
+def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
+    """The frames of an item, each with the box of its face."""
     start = None if item.init is None else _read_start(item, item.init, reading)
-    if item.kind == "picture":
+    if item.is_image:
         try:
             frame = Frame(0, 0.0, images.read(item.path))
         except images.UnreadableError as e:
             warn(f"{item.path}: {e.why}; skipped")
             yield None, None
             return
-        yield frame, _in_picture(item, frame, warn) if start is None else _given(start, frame)
+        yield frame, _in_image(item, frame, warn) if start is None else _given(start, frame)
     elif start is None:
         yield from _in_clip(item, reading, warn)
     else:
-        yield from _at_start(item, start)
+        try:
+            with open_source(item.path, start=start.frame, stop=start.frame + 1) as source:
+                for frame in source:
+                    yield frame, _given(start, frame)
+        except InputError as e:
+            fits = str(e).startswith(start.origin)
+            raise InputError(str(e) if fits else f"{start.origin}: does not fit: {e}") from None
 
 
-def _in_picture(item: Item, frame: Frame, warn: Callable[[str], None]) -> Box | None:
+def _in_image(item: Item, frame: Frame, warn: Warn) -> Box | None:
     found = find_faces(frame.bgr)
     if not found:
         warn(f"{item.path}: no face found; skipped, or give its box in {default_path(item.path)}")
@@ -169,7 +162,7 @@ def _in_picture(item: Item, frame: Frame, warn: Callable[[str], None]) -> Box | 
     return found[0]
 
 
-def _in_clip(item: Item, reading: Reading, warn: Callable[[str], None]) -> Iterator[Look]:
+def _in_clip(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
     looked, without = 0, []
     try:
         wanted = _spread(item.path, reading)
@@ -188,29 +181,20 @@ def _in_clip(item: Item, reading: Reading, warn: Callable[[str], None]) -> Itera
         warn(f"{e}; skipped")
         yield None, None
     if without:
-        frames = f"frames {', '.join(map(str, without))}" if len(without) > 1 else f"frame {without[0]}"
+        frames = f"frame{'s' * (len(without) > 1)} {', '.join(map(str, without))}"
         warn(f"{item.path}: no face found in {len(without)} of {looked} frames looked at; skipped {frames}")
 
 
 def _spread(path: Path, reading: Reading) -> list[int]:
     """At most `reading.frames` frames of a clip, in the middles of as many equal pieces."""
     with open_source(path, start=reading.start, stop=reading.stop) as source:
-        length = source.frames_hint or sum(1 for _ in source)  # some containers do not say
-    number = min(reading.frames, max(length, 1))
-    return [reading.start + (2 * i + 1) * max(length, 1) // (2 * number) for i in range(number)]
-
-
-def _at_start(item: Item, start: Start) -> Iterator[Look]:
-    try:
-        with open_source(item.path, start=start.frame, stop=start.frame + 1) as source:
-            for frame in source:
-                yield frame, _given(start, frame)
-    except InputError as e:
-        raise InputError(str(e) if str(e).startswith(start.origin) else f"{start.origin}: does not fit: {e}") from None
+        length = max(source.frames_hint or sum(1 for _ in source), 1)  # some containers do not say
+    number = min(reading.frames, length)
+    return [reading.start + (2 * i + 1) * length // (2 * number) for i in range(number)]
 
 
 def _read_start(item: Item, path: Path, reading: Reading) -> Start:
-    """The one face of an init file, checked as far as it can be without the picture."""
+    """The one face of an init file, checked as far as it can be without the image."""
     start = read_init(path)
     if len(start.targets) > 1:
         raise InputError(
@@ -221,10 +205,10 @@ def _read_start(item: Item, path: Path, reading: Reading) -> Start:
     if target.box is None:
         raise InputError(f"{path}: has no box of {name}; add box: [left, top, width, height]")
     check_size(str(path), name, target.box)
-    if item.kind == "picture" and start.frame:
-        raise InputError(f"{path}: starts at frame {start.frame}, but {item.path.name} is a picture; write frame: 0")
+    if item.is_image and start.frame:
+        raise InputError(f"{path}: starts at frame {start.frame}, but {item.path.name} is an image; write frame: 0")
     end = math.inf if reading.stop is None else reading.stop
-    if item.kind == "clip" and not reading.start <= start.frame < end:
+    if not item.is_image and not reading.start <= start.frame < end:
         upto = "the end" if reading.stop is None else f"{reading.stop - 1}"
         raise InputError(
             f"{path}: starts at frame {start.frame}, and only frames {reading.start} to {upto} are to be used; "
@@ -238,7 +222,3 @@ def _given(start: Start, frame: Frame) -> Box:
     box = next(iter(start.targets.values())).box
     assert box is not None
     return box
-
-
-def place(item: Item, frame: Frame) -> str:
-    return str(item.path) if item.kind == "picture" else f"{item.path}: frame {frame.index}"

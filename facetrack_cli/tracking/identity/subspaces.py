@@ -7,14 +7,14 @@ A Gaussian whose covariance has s principal directions e_i with variances lambda
 with q_i = e_i' (x - mean) and err^2 = |x - mean|^2 - sum_i q_i^2. Two slips of the print: rho is the mean of the d - s
 eigenvalues that are left (not of d - q), and err^2 is measured after the mean is removed, as q_i is.
 
-The eigenvalues that are left, of n pictures, fall short of what a new picture leaves over: by (n - 1 - s) / (n - 1)
-where all are independent, and by far more where they are frames of a few clips. So rho is, unless `printed` is asked
-for, what maximises the density of pictures held out: the mean of err^2 / (d - s) of each, reconstructed from those of
-other people. With many people both are the same.
+The eigenvalues that are left, of n images, are less than what a new image leaves over: by (n - 1 - s) / (n - 1) where
+all are independent, and by far more where they are frames of a few clips. So rho is what maximises the density of
+images held out: the mean of err^2 / (d - s) of each, reconstructed from those of other people. With many people both
+are the same; where nothing is held out, rho is as printed.
 
-Of many rows nothing is kept but their moments, in the coordinates of a basis (`Moments`). Up to MOST_DIRECTIONS of them
-it holds all that the rows are made of; beyond, the largest directions of the patches, and of the others the length
-alone, which is all that eq. 14 asks of what is outside of the principal ones.
+Of many rows only their moments are kept, in the coordinates of a basis (`Moments`). Up to MOST_DIRECTIONS of them it
+spans all rows; beyond, the largest directions of the patches. Of the other directions the lengths of the rows tell the
+variance, which is all that eq. 14 asks of them.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import Array, Mask
 
 Rows: TypeAlias = NDArray[np.float32]
-Residual: TypeAlias = Literal["held_out", "printed"]
 
 LEAST_RHO = 1e-3  # of the variance of a patch: noise of a camera, about one grey level
 FOLDS = 10
+ENERGY = 0.9  # share of the variance that a subspace keeps
 MOST_DIRECTIONS = 256  # of a basis; of ten people's patches what is beyond holds about 1 % of the variance
 MOST_ROWS = 1500  # from which a basis is found
 
@@ -78,12 +78,16 @@ class Subspace:
         error = np.maximum((centred**2).sum(1) - (q**2).sum(1), 0.0) if len(self.values) < self.d else 0.0
         return np.asarray(self.log_constant - 0.5 * ((q**2 / self.values).sum(1) + error / self.rho))
 
+    @property
+    def precision(self) -> tuple[Array, float, Array]:
+        """Rows v (s, d), p and w (s,): the inverse of the covariance is p I + v' diag(w) v."""
+        plain = 1.0 / self.rho if len(self.values) < self.d else 0.0
+        return self.vectors.astype(np.float64), plain, 1.0 / self.values - plain
+
     def log_densities(self, y: Array, faces: Array) -> Array:
         """(N, P): log Q of the differences of y (N, d) to faces (P, d), which are not written out."""
-        v = self.vectors.astype(np.float64)
+        v, plain, weight = self.precision
         faces = faces + self.mean
-        plain = 1.0 / self.rho if len(self.values) < self.d else 0.0
-        weight = 1.0 / self.values - plain
         a, b = y @ v.T, faces @ v.T
         lengths, those = (
             plain * np.einsum("nd,nd->n", rows, rows) + (q**2) @ weight for rows, q in ((y, a), (faces, b))
@@ -118,14 +122,10 @@ class Moments:
         """Of coordinates z (n, r) and squared lengths (n,)."""
         return Moments(len(z), z.sum(0), z.T @ z, float(square.sum()))
 
-    def less(self, other: Moments) -> Moments:
+    def __sub__(self, other: Moments) -> Moments:
         """Of these rows without the others, which are among them."""
-        return Moments(
-            self.count - other.count,
-            self.total - other.total,
-            self.products - other.products,
-            self.square - other.square,
-        )
+        count, square = self.count - other.count, self.square - other.square
+        return Moments(count, self.total - other.total, self.products - other.products, square)
 
 
 def common_basis(x: Array, most: int = MOST_DIRECTIONS) -> Array | None:
@@ -148,27 +148,24 @@ def common_basis(x: Array, most: int = MOST_DIRECTIONS) -> Array | None:
 
 def fit_subspace(
     x: NDArray[np.floating[Any]],
-    folds: Sequence[NDArray[np.bool_]] = (),
+    folds: Sequence[Mask] = (),
     *,
-    energy: float = 0.9,
+    energy: float = ENERGY,
     centred: bool = False,
-    residual: Residual = "held_out",
     basis: Array | None = None,
 ) -> Fitted:
     """The subspace of rows x (n, d): as many components as hold `energy` of the variance, at most half of the rank.
 
     `folds[k]` (n,) is true for the rows that are held out together; a fold of no row or of all of them holds nothing
-    out, and where all are such, rho is as printed. `centred`: the mean is 0 by construction, and is not estimated. All
-    subspaces have the one rho. `basis` (r, d), orthonormal, of a space that the rows are in or nearly so, saves time
-    where r is far below d. Raises ValueError without rows.
+    out. `centred`: the mean is 0 by construction, and is not estimated. All subspaces have the same rho. `basis`
+    (r, d), orthonormal, of a space that the rows are in or nearly so, saves time where r is far below d. Raises
+    ValueError without rows.
     """
     rows: Array = np.asarray(x, np.float64)
     z: Array = rows if basis is None else rows @ basis.T
     square = np.einsum("nd,nd->n", rows, rows)
     without = [Moments.of(z[~fold], square[~fold]) for fold in folds]
-    return fit_moments(
-        Moments.of(z, square), without, x.shape[1], energy=energy, centred=centred, residual=residual, basis=basis
-    )
+    return fit_moments(Moments.of(z, square), without, x.shape[1], energy=energy, centred=centred, basis=basis)
 
 
 def fit_moments(
@@ -176,28 +173,25 @@ def fit_moments(
     without: Sequence[Moments],
     d: int,
     *,
-    energy: float = 0.9,
+    energy: float = ENERGY,
     centred: bool = False,
-    residual: Residual = "held_out",
     basis: Array | None = None,
 ) -> Fitted:
     """As `fit_subspace`, of the moments of all rows of d numbers and of those `without` each fold."""
-    whole = _components(all_rows, energy, centred, d)
-    parts = [_components(m, energy, centred, d) if 0 < m.count < all_rows.count else whole for m in without]
-    held = [(part, all_rows.less(moments)) for part, moments in zip(parts, without, strict=True) if part is not whole]
+    whole = _Components.of(all_rows, energy, centred, d)
+    parts = [_Components.of(m, energy, centred, d) if 0 < m.count < all_rows.count else whole for m in without]
+    held = [(part, all_rows - moments) for part, moments in zip(parts, without, strict=True) if part is not whole]
     rho = whole.remaining
-    if residual == "held_out" and held:
+    if held:
         rho = max(rho, sum(part.errors(rows) for part, rows in held) / sum(rows.count for _, rows in held))
     rho = max(rho, LEAST_RHO)
     return Fitted(whole.subspace(rho, basis), tuple(part.subspace(rho, basis) for part in parts))
 
 
-def folds_by(labels: NDArray[np.intp], most: int = FOLDS) -> list[NDArray[np.bool_]]:
+def folds_by(labels: NDArray[np.intp], most: int = FOLDS) -> list[Mask]:
     """Masks (n,) of the rows to hold out, a label together, `most` masks at most; none with fewer than two labels."""
     known, index = np.unique(labels, return_inverse=True)
-    if len(known) < 2:
-        return []
-    return [index % most == k for k in range(min(most, len(known)))]
+    return [index % most == k for k in range(min(most, len(known)))] if len(known) > 1 else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +201,24 @@ class _Components:
     values: Array
     remaining: float  # sum of the eigenvalues that are left, over d - s
     d: int
+
+    @staticmethod
+    def of(rows: Moments, energy: float, centred: bool, d: int) -> _Components:
+        """Of rows of d numbers."""
+        n = rows.count
+        if not n:
+            raise ValueError("no rows to learn from")
+        mean = np.zeros_like(rows.total) if centred else rows.total / n
+        freedom = n if centred else max(n - 1, 1)
+        values, vectors = np.linalg.eigh((rows.products - n * np.outer(mean, mean)) / freedom)
+        values = np.maximum(values[::-1], 0.0)
+        # the lengths of the rows include directions that are not in the basis
+        total = max(float(rows.square - n * mean @ mean) / freedom, float(values.sum()))
+        rank = int((values > 1e-9 * max(total, 1e-12)).sum())
+        enough = int(np.searchsorted(np.cumsum(values), energy * total)) + 1
+        s = min(enough, max(rank // 2, 1), rank)
+        left = max(total - float(values[:s].sum()), 0.0)
+        return _Components(mean, vectors[:, ::-1][:, :s].T, values[:s], left / max(d - s, 1), d)
 
     def errors(self, rows: Moments) -> float:
         """What rows leave over, the sum of err^2 / (d - s)."""
@@ -224,21 +236,3 @@ class _Components:
         largest = np.abs(vectors).argmax(axis=1)
         vectors = vectors * np.sign(vectors[np.arange(len(vectors)), largest])[:, None]
         return Subspace(mean.astype(np.float32), np.ascontiguousarray(vectors, np.float32), values, rho)
-
-
-def _components(rows: Moments, energy: float, centred: bool, d: int) -> _Components:
-    """Of rows that stand for rows of d numbers."""
-    n = rows.count
-    if not n:
-        raise ValueError("no rows to learn from")
-    mean = np.zeros_like(rows.total) if centred else rows.total / n
-    freedom = n if centred else max(n - 1, 1)
-    values, vectors = np.linalg.eigh((rows.products - n * np.outer(mean, mean)) / freedom)
-    values = np.maximum(values[::-1], 0.0)
-    # the lengths of the rows know of directions that are not in the basis
-    total = max(float(rows.square - n * mean @ mean) / freedom, float(values.sum()))
-    rank = int((values > 1e-9 * max(total, 1e-12)).sum())
-    enough = int(np.searchsorted(np.cumsum(values), energy * total)) + 1
-    s = min(enough, max(rank // 2, 1), rank)
-    left = max(total - float(values[:s].sum()), 0.0)
-    return _Components(mean, vectors[:, ::-1][:, :s].T, values[:s], left / max(d - s, 1), d)
