@@ -112,10 +112,10 @@ def test_what_is_carried_from_frame_to_frame_is_carried_from_the_correction(conf
     assert place == pytest.approx([left + (w - 1) / 2, top + (h - 1) / 2]) and particles is state.particles
 
 
-def test_a_guide_and_what_is_told_begin_in_the_frame_of_the_correction(zoom):
+def test_a_prediction_and_what_is_told_begin_in_the_frame_of_the_correction(zoom):
     place = TargetStart(box=zoom.box(10))
     target, first, state, result = restarted("adaptive_velocity", zoom, place)
-    again = target.guide.begin(np.random.default_rng(9), zoom.frames[10], state.estimated.state, target.motion)
+    again = target.motion.begin(np.random.default_rng(9), zoom.frames[10], state.estimated.state)
     np.testing.assert_array_equal(state.flow.patch, again.patch)
     assert (state.flow.patch != first.flow.patch).any()
     for told, told_of in ((state.told, state), (first.told, first)):
