@@ -141,7 +141,7 @@ def command(
     from facetrack_cli.runs.plan import Begin, refuse_seed
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.tracking.build.affine import check_gallery
+    from facetrack_cli.tracking.build.build import check_gallery
     from facetrack_cli.trajectory.formats.read import read_truth
 
     begin = Begin.of(clip, init, box, stop, fps)

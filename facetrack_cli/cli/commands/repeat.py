@@ -110,7 +110,7 @@ def command(
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.seeds import run_plans
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.tracking.build.affine import check_gallery
+    from facetrack_cli.tracking.build.build import check_gallery
     from facetrack_cli.trajectory.formats.read import read_truth
 
     begin = Begin.of(clip, init, box, stop, fps, start)

@@ -119,7 +119,7 @@ def command(
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.runs.workers import cores
-    from facetrack_cli.tracking.build.affine import check_gallery
+    from facetrack_cli.tracking.build.build import check_gallery
 
     if init is not None and box is not None:
         raise UsageError("--init and --box both say where the track starts; give one of them")
