@@ -42,6 +42,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
+from facetrack_cli.tracking.models.velocity import PredictedWalk
 from facetrack_cli.tracking.target import ParticleTarget
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.video.source import open_source
@@ -157,8 +158,8 @@ def shift_row(clip: Path, config: str) -> list[float]:
     start = Begin(clip).find(recipe, truth)
     (target,) = build_tracker(recipe, start)
     assert isinstance(target, ParticleTarget)
-    guide, model = target.guide, target.likelihood
-    assert guide is not None and isinstance(model, Appearance)
+    motion, model = target.motion, target.likelihood
+    assert isinstance(motion, PredictedWalk) and isinstance(model, Appearance)
     (one,) = truth.parts
     places = dict(
         zip(one.frame.tolist(), np.stack([one.x, one.y, one.w, one.h, np.nan_to_num(one.angle)], 1), strict=True)
@@ -178,10 +179,10 @@ def shift_row(clip: Path, config: str) -> list[float]:
             if last is not None and frame.index in places and last.index in places:
                 here, there = state(last.index), state(frame.index)[0, :2]
                 mixture = model.init(last, here)
-                flow = guide.begin(rng, last, here, target.motion)
-                patch = guide.patches.read(frame, here[None], guide.patches.factor(here))[0]
+                flow = motion.begin(rng, last, here)
+                patch = motion.patches.read(frame, here[None], motion.patches.factor(here))[0]
                 step = (flow.gain @ (flow.rows @ (patch - flow.patch))[:, None])[:2, 0]
-                ahead = guide.predict(flow, frame, partial(model.error, mixture), partial(model.expected, mixture))
+                ahead = motion.predict(flow, frame, partial(model.error, mixture), partial(model.expected, mixture))
                 guesses = (np.zeros(2), step, -step, ahead.shift[0, :2])
                 rows.append([float(np.linalg.norm(there - here[0, :2] - guess)) for guess in guesses])
             last = frame

@@ -21,6 +21,8 @@ import numpy as np
 from speed import best, decode, enlarged
 
 from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.recipe import regions
+from facetrack_cli.recipe.units import Length
 from facetrack_cli.tracking.kernels.compiled import exact
 from facetrack_cli.tracking.models.likelihoods.contour import Contour
 from facetrack_cli.video.source import open_source
@@ -66,10 +68,11 @@ def main() -> None:
         (target,) = start.targets.values()
         centre = np.mean(list(target.points.values()), axis=0)
         unit = sum(SIZE) / 2
-        reduced = Contour(SIZE, 32, 0.15 * unit, 0.25 * unit, 20.0, 0.3, 64)
-        whole = replace(reduced, max_size=None)
+        settings = regions.Contour(sigma=Length(0.15), search=Length(0.25), threshold=20.0, outlier=0.3)
+        reduced = Contour(settings, SIZE, 0.15 * unit, 0.25 * unit)
+        whole = replace(reduced, settings=settings.model_copy(update={"max_size": None}))
         outline = whole.init(Frame(0, 0.0, pictures[0]), np.zeros((1, 6)))
-        reach = min(whole.search, whole.sigma * math.sqrt(-2 * math.log(whole.outlier)))
+        reach = min(whole.search, whole.sigma * math.sqrt(-2 * math.log(settings.outlier)))
 
         def particles(count: int) -> Array:
             x = np.zeros((count, 1, 6))
@@ -99,7 +102,7 @@ def main() -> None:
                     gx = cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=0.25)
                     gy = cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=0.25)
                     x = boxes - (left, top, 0)
-                    edges_of_gradients(gx, gy, x, outline.points, outline.normals, n, whole.threshold)
+                    edges_of_gradients(gx, gy, x, outline.points, outline.normals, n, settings.threshold)
 
             work()
             return work

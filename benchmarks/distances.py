@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Image
+from facetrack_cli.recipe import regions
 from facetrack_cli.report.figures.style import COLOURS, FAINT, WIDTH, heading, new_figure, render, style
 from facetrack_cli.tracking.models.likelihoods.correlation import Correlation
 from facetrack_cli.video.source import open_source
@@ -111,13 +112,16 @@ def scenes(picture: Image, size: int, count: int, rng: np.random.Generator) -> I
         yield Scene(composed(0), composed(MOTION), whole, mixed)
 
 
+def correlation(name: str, size: int, grid: int = 16, saturation: float = 20.0) -> Correlation:
+    capped = saturation if name == "saturated_l1" else None
+    settings = {"distance": name, "grid": (grid, grid), "saturation": capped, "sigma": 100.0}
+    return Correlation(regions.Correlation.model_validate(settings), (size, size))
+
+
 def profiles(picture: Image, size: int, count: int, grid: int, saturation: float, seed: int) -> list[Profile]:
     rng = np.random.default_rng(seed)
     height, width = picture.shape[:2]
-    models = {
-        name: Correlation((size, size), (grid, grid), name, saturation=saturation) for name in ("l2", "saturated_l1")
-    }
-    models["hausdorff"] = Correlation((size, size), (grid, grid), "hausdorff")
+    models = {name: correlation(name, size, grid, saturation) for name in NAMES}
     frame = Frame(0, 0.0, picture)
     half = (size - 1) / 2
     centres = [
@@ -193,7 +197,7 @@ def speed() -> None:
                 x = parents + rng.normal(0, 1, (count, 1, 6)) * [0.07 * side, 0.07 * side, 0.05, 0, 0, 0]
 
                 def work(name: str, side: int = side, x: Array = x, parents: Array = parents) -> None:
-                    model = Correlation((side, side), distance=name)
+                    model = correlation(name, side)
                     # the frame before is grey and reduced already, from when it was tracked
                     model.score(model.init(before, x[0]), Frame(1, 0.0, now.bgr), x, parents)
 

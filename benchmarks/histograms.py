@@ -20,6 +20,7 @@ import numpy as np
 from speed import best, decode, enlarged, report
 
 from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.recipe import regions
 from facetrack_cli.tracking.kernels import histogram as kernel
 from facetrack_cli.tracking.models.likelihoods.histogram import Histogram, Reference
 from facetrack_cli.video.source import open_source
@@ -27,12 +28,14 @@ from facetrack_cli.video.source import open_source
 SIDE = 80.0
 FRAMES = 60
 COUNTS = (100, 200, 2000)
-RECIPE = Histogram((SIDE, SIDE), max_size=None)
-LARGER = Histogram((SIDE, SIDE), 10, 10, value_bins=10, max_size=None)
+SETTINGS = regions.Histogram(hue_bins=8, saturation_bins=4, regions=(3, 3), lambda_h=20.0, max_size=None)
+RECIPE = Histogram(SETTINGS, (SIDE, SIDE))
+FINE = SETTINGS.model_copy(update={"hue_bins": 10, "saturation_bins": 10, "value_bins": 10})
+LARGER = Histogram(FINE, (SIDE, SIDE))
 CASES = [
     ("8x4 bins in 3x3", RECIPE, "face"),
     ("8x4 bins in 3x3", RECIPE, "noise"),
-    ("8x4 bins in 1x1", Histogram((SIDE, SIDE), regions=(1, 1), max_size=None), "face"),
+    ("8x4 bins in 1x1", Histogram(SETTINGS.model_copy(update={"regions": (1, 1)}), (SIDE, SIDE)), "face"),
     ("10x10+10 bins in 3x3", LARGER, "face"),
     ("10x10+10 bins in 3x3", LARGER, "noise"),
 ]

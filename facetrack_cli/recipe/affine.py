@@ -6,21 +6,29 @@ Filters", ICME 2003. No numerics are imported here.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from facetrack_cli.recipe.messages import Refusal, Section, refuse
+from facetrack_cli.recipe.regions import Factor, Scaled
+from facetrack_cli.recipe.sections import Component, Likelihood, Motion, Refusal, Section
 from facetrack_cli.recipe.units import Length
 
-Factor: TypeAlias = Annotated[float, Field(gt=0, le=100)]
+if TYPE_CHECKING:
+    from facetrack_cli.recipe.particle_filter import ParticleFilter
+
+MOST_POINTS = 100_000_000  # particles times points of a template: some gigabytes
+MOST_COMPARED = 2_000  # particles that are compared with each other: memory grows with their square
 Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
 
 
-class Affine(Section):
+class Affine(Scaled):
     """A face under affine maps: place, and what became of the box of the first frame (section 4)."""
+
+    engine = "facetrack_cli.tracking.models.spaces:place_affine"
 
     type: Literal["affine"]
     """A box that moves, turns, stretches and shears."""
@@ -30,20 +38,12 @@ class Affine(Section):
     """The least and the largest scale, as factors of the size at the start."""
 
     @property
-    def parts(self) -> tuple[str, ...]:
-        """A start need not place any point."""
-        return ()
-
-    @model_validator(mode="after")
-    def _check(self) -> Affine:
-        if not self.scale[0] < 1 < self.scale[1]:
-            message = "target.scale is [least, largest], with 1, the size at the start, between them"
-            refuse([Refusal(("scale",), message)])
-        return self
+    def best(self) -> bool:
+        return self.estimate == "map"
 
 
 class Velocity(Section):
-    """Adaptive velocity: the shift that the change of the picture predicts (eq. 12)."""
+    """Adaptive velocity: the shift that the change of the image predicts (eq. 12)."""
 
     components: Annotated[int, Field(ge=1, le=500)] = 20
     """q, how many of the largest singular values are kept."""
@@ -54,7 +54,7 @@ class Velocity(Section):
     samples: Annotated[int, Field(ge=2)] | None = None
     """From how many of the particles, evenly chosen, it is learned what a shift does to the patch; null: from all."""
     towards: Literal["last", "appearance"] = "last"
-    """What the picture should become again: the patch of the last frame, as published, or what the model expects."""
+    """What the image should match again: the patch of the last frame, as published, or what the model expects."""
     search: Annotated[float, Field(ge=0, le=3)] = 0.0
     """Beyond the paper: first look for the face so far around, in units of its box; 0: do not."""
 
@@ -65,19 +65,20 @@ class Noise(Section):
     least: Annotated[float, Field(gt=0, le=100)] = 0.5
     """a, r_t / r_0 after a perfect prediction."""
     most: Annotated[float, Field(gt=0, le=100)] = 2.0
-    """b, r_t / r_0 after a hopeless one."""
+    """b, r_t / r_0 after a very bad one."""
     rate: Annotated[float, Field(gt=0, le=1e6)] = 1.0
     """c; the error is 1 where the patch differs from the appearance as much as that expects."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Noise:
+    def mistakes(self) -> Iterable[Refusal]:
         if self.most < self.least:
-            refuse([Refusal(("most",), "motion.noise.most is below least; give it a value at least as large")])
-        return self
+            yield Refusal(("most",), "motion.noise.most is below least; give it a value at least as large")
 
 
-class AffineWalk(Section):
+class AffineWalk(Motion):
     """Gaussian noise on the six parameters, around the predicted place: theta_t = theta_{t-1} + nu_t + u_t (eq. 1)."""
+
+    engine = "facetrack_cli.tracking.models.velocity:affine_walk"
+    goes_with = ("affine",)
 
     type: Literal["affine_walk"]
     """Noise on the parameters of an affine map, around a predicted place."""
@@ -94,6 +95,21 @@ class AffineWalk(Section):
     noise: Noise | None = None
     """r_t; null: fixed, r_0."""
 
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        if (self.velocity or self.noise) and not isinstance(whole.likelihood, PatchLikelihood):
+            message = (
+                f'likelihood type "{whole.likelihood.type}" does not compare patches; write velocity: null, noise: null'
+            )
+            yield Refusal(("motion", "velocity" if self.velocity else "noise"), message)
+        if self.velocity is None:
+            return
+        n, where = whole.filter.most(whole)
+        samples = self.velocity.samples
+        if min(n, samples or n) > MOST_COMPARED:
+            remedy = "give velocity.samples, as in samples: 32"
+            message = f"motion.velocity compares every two of up to {n:,} particles; {remedy}"
+            yield Refusal(where if samples is None else ("motion", "velocity", "samples"), message)
+
 
 class Components(Section):
     """One number for each component of the appearance."""
@@ -105,14 +121,32 @@ class Components(Section):
     f: Annotated[float, Field(ge=0, le=100)]
     """Of F, the first frame."""
 
+    @property
+    def each(self) -> tuple[float, float, float]:
+        return self.w, self.s, self.f
 
-class Appearance(Section):
+
+class PatchLikelihood(Likelihood):
+    """A likelihood that compares patches, and says how far one is from what is known (eq. 13): `target.Adapts`."""
+
+    template: Annotated[tuple[Points, Points], Field(strict=False)] = (26, 30)
+    """[columns, rows] of the patch; its grey levels have zero mean and unit variance."""
+
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        (n, where), (columns, rows) = whole.filter.most(whole), self.template
+        if n * columns * rows > MOST_POINTS:
+            most = f"no more than {MOST_POINTS:,} points fit into memory"
+            yield Refusal(where, f"{n:,} particles of {columns}x{rows} points each; {most}")
+
+
+class Appearance(PatchLikelihood):
     """The adaptive appearance model: a mixture of W, S and F in each pixel of a patch (eq. 6 to 11)."""
+
+    engine = "facetrack_cli.tracking.models.likelihoods.appearance:Appearance.build"
+    goes_with = ("affine",)
 
     type: Literal["appearance"]
     """What the face looked like in the last frame, all along, and at the start."""
-    template: Annotated[tuple[Points, Points], Field(strict=False)] = (26, 30)
-    """[columns, rows] of the patch; its grey levels have zero mean and unit variance."""
     mixing: Components
     """m_i in the first frame, in proportion; 0 leaves a component out, and f alone is a fixed template."""
     sigma: Components
@@ -130,37 +164,19 @@ class Appearance(Section):
     pixels: Annotated[float, Field(gt=0, le=16384)] | None = None
     """Beyond the paper: how many pixels of the patch count as independent; null: all."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Appearance:
-        found = []
-        if self.mixing.w + self.mixing.s + self.mixing.f <= 0:
-            found.append(Refusal(("mixing",), "likelihood.mixing is all 0; give w, s or f a share"))
-        for name in ("w", "s", "f"):
-            if getattr(self.mixing, name) > 0 and getattr(self.sigma, name) < 1e-3:
-                found.append(Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001"))
-        refuse(found)
-        return self
+    def mistakes(self) -> Iterable[Refusal]:
+        if sum(self.mixing.each) <= 0:
+            yield Refusal(("mixing",), "likelihood.mixing is all 0; give w, s or f a share")
+        for name, share, sigma in zip("wsf", self.mixing.each, self.sigma.each, strict=True):
+            if share > 0 and sigma < 1e-3:
+                yield Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001")
 
 
-class Adaptive(Section):
-    """All particles around the predicted place, as many as the prediction is worth (figure 1, eq. 17)."""
-
-    type: Literal["adaptive"]
-    """Particles around the one place that is predicted."""
-    particles: Annotated[int, Field(ge=1)]
-    """J_0."""
-    adapt: bool = True
-    """J_t follows eq. 17; false: always J_0."""
-    entropy: Annotated[float, Field(ge=0, lt=1)] = 0.1
-    """d of eq. 17, by which there are more or fewer as the identity becomes less or more certain."""
-    least: Annotated[int, Field(ge=1)] = 10
-    """Never fewer particles than this."""
-    centre: bool = False
-    """Beyond the paper: the first particle is the predicted place itself."""
-
-
-class Recognition(Section):
+class Recognition(Component):
     """Who it is: the joint posterior of motion and identity (eq. 5, 14 to 16)."""
+
+    engine = "facetrack_cli.tracking.models.likelihoods.recognition:Recognition.build"
+    goes_with = ("affine",)
 
     gallery: str | None = None
     """The people, as `facetrack gallery fit` writes them; `--gallery FILE`. Sought beside the recipe."""
@@ -170,3 +186,12 @@ class Recognition(Section):
     """Probability that the identity changes from frame to frame (section 2.2)."""
     sharpness: Annotated[float, Field(gt=0, le=1)] = 1.0
     """Beyond the paper: below 1 a patch says less of who it is: the log of eq. 16 times this."""
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        return {} if self.gallery is None else {"gallery": self.gallery}
+
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        if not isinstance(whole.likelihood, PatchLikelihood):
+            message = f'recognition does not go with likelihood type "{whole.likelihood.type}"; remove it'
+            yield Refusal(("recognition",), message)

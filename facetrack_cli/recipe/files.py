@@ -6,8 +6,9 @@ from pathlib import Path
 
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.yaml_tree import Problem, Source, Span, YamlProblems, read_source
-from facetrack_cli.recipe.messages import locate, suggest
+from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.model import Recipe, error_of
+from facetrack_cli.recipe.sections import suggest
 
 
 def shipped_folder() -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -10,7 +11,7 @@ from pydantic import ValidationError
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.yaml_tree import Node, Source, Span, printable
 from facetrack_cli.recipe.affine import Affine
-from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, filters
+from facetrack_cli.recipe.model import Recipe, filters
 
 MADE_BY = "as facetrack gallery fit writes it"
 
@@ -68,7 +69,7 @@ def put(recipe: Recipe, file: str) -> Recipe:
     affine = [(above, given) for above, given in filters(recipe) if isinstance(given.target, Affine)]
     own = [above for above, given in affine if given.recognition is not None]
     span = Span(Source(f"--gallery {printable(file)}", "", Path(), is_file=False), 0, 0, 1)
-    root = _copy(recipe._root)
+    root = deepcopy(recipe._root)
     for above in own or [above for above, _ in affine]:
         node = root
         for key in filter(None, above.split(".")):
@@ -86,19 +87,8 @@ def put(recipe: Recipe, file: str) -> Recipe:
         raise AssertionError(str(e)) from e
 
 
-def _copy(node: Node) -> Node:
-    value = node.value
-    if isinstance(value, dict):
-        return Node(node.span, {key: _copy(one) for key, one in value.items()}, node.key)
-    return Node(node.span, [_copy(one) for one in value] if isinstance(value, list) else value, node.key)
-
-
 def _why_not(recipes: Sequence[Recipe]) -> str:
-    first = recipes[0]
-    if isinstance(first, OpenCvRecipe):
-        return f"{first.name} is one of OpenCV's own trackers, and people are recognised by affine targets alone"
-    types = sorted({given.target.type for _, given in filters(first)})
-    follows = " and ".join(
-        {"points": "points", "region": "a region", "cloud": "a cloud"}.get(one, one) for one in types
-    )
-    return f"{first.name} follows {follows}, and people are recognised by affine targets alone"
+    types = sorted({given.target.type for _, given in filters(recipes[0])})
+    follows = " and ".join(one if one == "points" else f"a {one}" for one in types)
+    what = f"follows {follows}" if types else "is one of OpenCV's own trackers"
+    return f"{recipes[0].name} {what}, and people are recognised by affine targets alone"

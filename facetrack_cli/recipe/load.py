@@ -18,8 +18,9 @@ from pydantic import ValidationError
 
 from facetrack_cli.core.yaml_tree import Node, Problem, Span, YamlProblems, assign, parse
 from facetrack_cli.recipe.files import find_file, find_recipe, read_file
-from facetrack_cli.recipe.messages import problems, suggest
+from facetrack_cli.recipe.messages import problems
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, error_of, filters
+from facetrack_cli.recipe.sections import suggest
 
 
 def load_recipe(name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] = ()) -> Recipe:
@@ -41,10 +42,9 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
     try:
         recipe = _load(find_recipe(name_or_path), overrides)
         for above, one in filters(recipe):
-            if one.prior is not None:
-                find_file(recipe, one.prior.file, f"{above}prior.file")
-            if one.recognition is not None and one.recognition.gallery is not None:
-                find_file(recipe, one.recognition.gallery, f"{above}recognition.gallery")
+            for section, given in one.components.items():
+                for key, file in given.files.items():
+                    find_file(recipe, file, f"{above}{section}.{key}")
     except YamlProblems as refused:
         return list(refused.problems)
     return []

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import types
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
-from typing import Annotated, Any, NamedTuple, TypeAlias, Union, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from facetrack_cli.core.yaml_tree import Node, Problem, Span
-
-Steps: TypeAlias = tuple[str | int, ...]
-
+from facetrack_cli.recipe.sections import Steps, suggest, type_of, variants
 
 _WANTED = {
     "int_type": "a whole number",
@@ -27,8 +24,6 @@ _WANTED = {
     "list_type": "a list",
     "tuple_type": "a list",
 }
-
-
 _BOUNDS = {
     "greater_than": ("gt", "greater than {}"),
     "greater_than_equal": ("ge", "at least {}"),
@@ -37,29 +32,7 @@ _BOUNDS = {
     "string_too_short": ("min_length", "at least {} characters long"),
     "string_too_long": ("max_length", "at most {} characters long"),
 }
-
-
 _NAMES = "a name has small letters, digits and _, and begins with a letter"
-
-
-class Refusal(NamedTuple):
-    """What a rule between several fields finds wrong: the path from the model on, and whether its key is meant."""
-
-    path: Steps
-    message: str
-    at_key: bool = False
-
-
-def refuse(refusals: Sequence[Refusal]) -> None:
-    """Raise them, inside a validator, if there are any."""
-    if refusals:
-        raise PydanticCustomError("refused", "{summary}", {"summary": refusals[0].message, "refusals": refusals})
-
-
-def suggest(wrong: str, known: Sequence[str], otherwise: str) -> str:
-    """`did you mean "x"?` where something known is near, else `otherwise` and all that is known."""
-    near = get_close_matches(wrong, known, n=1)
-    return f'did you mean "{near[0]}"?' if near else f"{otherwise}: {', '.join(known)}"
 
 
 def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list[Problem]:
@@ -120,20 +93,20 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
     if kind == "too_short" and _length(node) >= context["min_length"]:
         return  # pydantic does not count items that are wrong themselves
     if kind == "missing" and isinstance(path[-1], int):
-        return  # told of the list as a whole
+        return  # the list as a whole has a message
     if kind == "missing":
         section = f'"{where}"' if where else "the recipe"
         yield Problem(node.key or node.span, f'{section} lacks the key "{path[-1]}"; add it')
     elif kind == "extra_forbidden":
         yield Problem(node.key or node.span, _unknown_key(str(path[-1]), path, model, root))
     elif kind == "union_tag_not_found":
-        known = [_type_name(member) for member in _models_at(model, tuple(keys))]
+        known = [type_of(member) for member in _models_at(model, tuple(keys))]
         yield Problem(node.key or node.span, f'"{where}" lacks the key "type"; it is one of: {", ".join(known)}')
     elif kind == "union_tag_invalid":
         wrong = str(context.get("tag"))
         place = node.value["type"].span if isinstance(node.value, dict) else node.span
         given = node.value["type"].value if isinstance(node.value, dict) else None
-        known = [_type_name(member) for member in _models_at(model, tuple(keys))]
+        known = [type_of(member) for member in _models_at(model, tuple(keys))]
         if isinstance(given, str):
             yield Problem(place, f'unknown {where} type "{wrong}"; {suggest(wrong, known, "it is one of")}')
         else:
@@ -170,10 +143,9 @@ def _unknown_key(key: str, path: Steps, model: type[BaseModel], root: Node) -> s
     section = _dotted(keys)
     owners = _models_at(model, path[:-1])
     known = [name for owner in owners[:1] for name in owner.model_fields]
-    variants = _models_at(model, tuple(keys))
-    homes = [_type_name(variant) for variant in variants if key in variant.model_fields]
+    homes = [type_of(one) for one in _models_at(model, tuple(keys)) if key in one.model_fields]
     if homes and section:
-        mine = _type_name(owners[0])
+        mine = type_of(owners[0])
         chosen = node.value.get("type") if isinstance(node.value, dict) else None
         typed = chosen is not None and not chosen.span.source.is_file
         remedy = f"give all of it at once: --set '{section}={{type: {mine}, ...}}'" if typed else "remove it"
@@ -190,7 +162,7 @@ def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
         if named_by_user:
             named_by_user = False
             continue
-        named = [one for one in here if len(here) > 1 and _type_name(one) == step]
+        named = [one for one in here if len(here) > 1 and type_of(one) == step]
         if named:
             here = named
             continue
@@ -202,17 +174,12 @@ def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
+        return variants(annotation)
     if get_origin(annotation) in (Union, types.UnionType):
         return [model for member in get_args(annotation) for model in _models_in(member)]
     if get_origin(annotation) is dict:
         return _models_in(get_args(annotation)[1])
     return _models_in(get_args(annotation)[0]) if get_origin(annotation) is Annotated else []
-
-
-def _type_name(model: type[BaseModel]) -> str:
-    field = model.model_fields.get("type")
-    return str(get_args(field.annotation)[0]) if field is not None else ""
 
 
 def _length(node: Node) -> int:
@@ -253,9 +220,3 @@ def _shown(value: Any) -> str:
     if isinstance(value, dict):
         return "a mapping"
     return "a list" if isinstance(value, list) else str(value)
-
-
-class Section(BaseModel):
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )

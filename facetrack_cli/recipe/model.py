@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
-from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError
 
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.yaml_tree import Node, Problem
-from facetrack_cli.recipe.messages import Refusal, Section, locate, refuse
+from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.particle_filter import MOST_HYPOTHESES, ParticleFilter
-from facetrack_cli.recipe.points import Points
+from facetrack_cli.recipe.sections import Kind, Refusal, Section, add
 from facetrack_cli.recipe.skin import Exclusion, SkinCloud
 
+S = TypeVar("S", bound=Kind)
 TargetName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
 
@@ -103,7 +104,7 @@ class ParticleRecipe(ParticleFilter, Recipe):
 
 
 class ParticlesRecipe(Recipe):
-    """Several targets, each followed by a particle filter of its own; they may keep off each other."""
+    """Several targets, each followed by a particle filter of its own, with or without mutual exclusion."""
 
     type: Literal["particle_filters"]
     """Several particle filters, one for each target."""
@@ -113,7 +114,7 @@ class ParticlesRecipe(Recipe):
     ]
     """A particle filter for each target, by its name in the init file; null for none."""
     exclusion: Exclusion | None = None
-    """How targets keep off each other; null: each is followed for itself."""
+    """How targets exclude each other; null: each is followed independently."""
 
     @property
     def followed(self) -> tuple[str, ...]:
@@ -136,29 +137,26 @@ class ParticlesRecipe(Recipe):
     def judges(self) -> bool:
         return any(one.judges for one in self.filters.values())
 
-    @model_validator(mode="after")
-    def _check(self) -> ParticlesRecipe:
+    def mistakes(self) -> Iterable[Refusal]:
         names = list(self.filters)
         if not names:
-            refuse([Refusal(("targets",), "targets has none left; give one of them a particle filter")])
+            yield Refusal(("targets",), "targets has none left; give one of them a particle filter")
+            return
         known = f"there are {', '.join(names)}"
-        found = []
         for name, one in self.filters.items():
-            if isinstance(one.target, Points):
+            if one.points:
                 message = "several targets are regions, clouds or affine; follow points by a recipe of their own"
-                found.append(Refusal(("targets", name, "target", "type"), message))
+                yield Refusal(("targets", name, "target", "type"), message)
             if isinstance(one.likelihood, SkinCloud) and one.likelihood.learn_from not in (None, *names):
                 message = f'there is no target "{one.likelihood.learn_from}" to learn from; {known}'
-                found.append(Refusal(("targets", name, "likelihood", "learn_from"), message))
+                yield Refusal(("targets", name, "likelihood", "learn_from"), message)
         for i, name in enumerate(self.exclusion.first if self.exclusion is not None else ()):
             if name not in names:
-                found.append(Refusal(("exclusion", "first", i), f'there is no target "{name}"; {known}'))
+                yield Refusal(("exclusion", "first", i), f'there is no target "{name}"; {known}')
         hypotheses = sum(one.hypotheses for one in self.filters.values())
         if hypotheses > MOST_HYPOTHESES:
             message = f"the targets have {hypotheses:,} particles; no more than {MOST_HYPOTHESES:,} fit into memory"
-            found.append(Refusal(("targets",), message))
-        refuse(found)
-        return self
+            yield Refusal(("targets",), message)
 
 
 KINDS: Mapping[str, type[Recipe]] = {
@@ -166,6 +164,24 @@ KINDS: Mapping[str, type[Recipe]] = {
     "particle_filters": ParticlesRecipe,
     "opencv": OpenCvRecipe,
 }
+
+
+def register(section: type[S]) -> type[S]:
+    """Make a section from outside of this package known, so that recipes can name it by its `type`; a decorator too.
+
+    It is derived from `Likelihood`, `Motion`, `Filter`, `Prior` or `Target`. A package names its sections as entry
+    points of the group `facetrack.sections` in place of this. Raises TypeError for what is no section, ValueError for a
+    `type` that is taken.
+    """
+    add(section)
+    rebuild()
+    return section
+
+
+def rebuild() -> None:
+    """Let recipes take up what was put into the registry."""
+    for model in (ParticleFilter, ParticleRecipe, ParticlesRecipe):
+        model.model_rebuild(force=True)
 
 
 def filters(recipe: Recipe) -> Sequence[tuple[str, ParticleFilter]]:

@@ -1,31 +1,40 @@
-"""A particle filter in a recipe: what is tracked, how it moves, how it looks, which filter; and what goes with what."""
+"""A particle filter in a recipe: what is tracked, how it moves, how it looks, and which filter."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
 
-from pydantic import model_validator
+from pydantic import Field
 
-from facetrack_cli.recipe.affine import Adaptive, AffineWalk, Appearance, Recognition
-from facetrack_cli.recipe.messages import Refusal, Section, refuse
-from facetrack_cli.recipe.points import (
-    Confidence,
-    Factorized,
+from facetrack_cli.recipe.affine import Recognition
+from facetrack_cli.recipe.sections import (
+    Component,
     Filter,
-    Independent,
+    Kind,
     Likelihood,
     Motion,
-    Points,
     Prior,
-    RandomWalk,
+    Refusal,
+    Section,
     Target,
+    registered,
 )
-from facetrack_cli.recipe.regions import Product, Region
 
-BOX = "box"  # the one part of a region or a cloud
 MOST_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
-MOST_POINTS = 100_000_000  # particles times points of a template: the same
-MOST_COMPARED = 2_000  # particles that are compared with each other: memory grows with their square
+
+
+class Confidence(Section):
+    """When a part counts as lost."""
+
+    lost_below: Annotated[float, Field(ge=0, le=1)] = 0.3
+    """A part is lost while its confidence stays below this, 0..1."""
+    patience: Annotated[int, Field(ge=1)] = 3
+    """For so many frames in a row it must be below, for the part to be lost."""
+    memory: Annotated[int, Field(ge=1)] | None = 50
+    """Frames over which it is learned how well a part matches when it is there; null: the first frame says so."""
+    beside: Annotated[float, Field(ge=0, le=1)] = 0.5
+    """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""
 
 
 class ParticleFilter(Section):
@@ -42,13 +51,13 @@ class ParticleFilter(Section):
     prior: Prior | None = None
     """Which shapes are likely: p(alpha); null for none."""
     recognition: Recognition | None = None
-    """Who it is, of an affine target; null: nobody is recognised."""
+    """Who it is, of an affine target; null: there is no recognition."""
     confidence: Confidence = Confidence()
     """When a part counts as lost, and when as found again."""
 
     @property
     def points(self) -> tuple[str, ...]:
-        return self.target.parts
+        return self.target.points
 
     @property
     def particles(self) -> int:
@@ -56,119 +65,47 @@ class ParticleFilter(Section):
 
     @property
     def hypotheses(self) -> int:
-        return self.filter.particles * max(len(self.target.parts), 1)
+        return self.filter.particles * max(len(self.points), 1)
 
     @property
     def judges(self) -> bool:
-        given = self.likelihood
-        return not isinstance(given, Product) or given.contour is not None or given.histogram is not None
+        return self.likelihood.judges
 
-    @model_validator(mode="after")
-    def _check(self) -> ParticleFilter:
-        refuse(self._mismatched())
-        found: list[Refusal] = []
-        if isinstance(self.target, Points):
-            found += self.target.windows.refusals(("target", "windows"), self.target.parts)
-        if isinstance(self.motion, RandomWalk):
-            found += self.motion.sigma.refusals(("motion", "sigma"), self.target.parts or (BOX,))
-            if self.motion.scale and not isinstance(self.target, Region):
-                message = f"motion.scale is that of a region; a target of type {self.target.type} has none: remove it"
-                found.append(Refusal(("motion", "scale"), message))
+    @property
+    def components(self) -> dict[str, Component]:
+        """What the tracker is built from, by key, but for what is not given."""
+        found = {key: getattr(self, key) for key in ("target", *_KINDS)}
+        return {key: one for key, one in found.items() if one is not None}
+
+    def mistakes(self) -> Iterable[Refusal]:
+        given = self.components
+        strangers = [key for key in _KINDS if key in given and not self._fits(given[key])]
+        if strangers:
+            yield from (self._mismatch(key, given[key]) for key in strangers)
+            return
+        for one in given.values():
+            yield from one.mismatches(self)
         if self.hypotheses > MOST_HYPOTHESES:
             message = f"particles times parts is {self.hypotheses:,}; no more than {MOST_HYPOTHESES:,} fit into memory"
-            found.append(Refusal(("filter", "particles"), message))
-        match self.filter:
-            case Factorized(reweight="transition", particles=n) if n > MOST_COMPARED:
-                message = (
-                    f"reweight: transition compares every two particles; give {MOST_COMPARED:,} at most, not {n:,}"
-                )
-                found.append(Refusal(("filter", "particles"), message))
-            case Factorized(reweight="prior") if self.prior is None:
-                remedy = "add a prior section, or write reweight: transition"
-                found.append(Refusal(("filter", "reweight"), f"filter.reweight: prior needs a prior; {remedy}"))
-            case Factorized(from_prior=share) if share > 0 and self.prior is None:
-                message = "filter.from_prior above 0 needs a prior; add a prior section, or write 0"
-                found.append(Refusal(("filter", "from_prior"), message))
-            case Factorized(reweight="transition", from_prior=share) if share > 0:
-                message = "filter.from_prior above 0 goes with reweight: prior; eq. 7 knows the motion model alone"
-                found.append(Refusal(("filter", "from_prior"), message))
-            case _ if isinstance(self.likelihood, Appearance) and isinstance(self.motion, AffineWalk):
-                found += self._too_many(self.likelihood, self.motion)
-            case _:
-                pass
-        match self.filter:
-            case Adaptive(adapt=True) if isinstance(self.motion, AffineWalk) and self.motion.noise is None:
-                message = "filter.adapt follows motion.noise, which is null; add noise: {}, or write adapt: false"
-                found.append(Refusal(("filter", "adapt"), message))
-            case Independent() if self.prior is not None:
-                message = 'filter type "independent" makes no use of a prior; remove it, or write prior: null'
-                found.append(Refusal(("prior",), message))
-            case _:
-                pass
-        refuse(found)
-        return self
+            yield Refusal(("filter", "particles"), message)
 
-    def _too_many(self, appearance: Appearance, motion: AffineWalk) -> list[Refusal]:
-        """What an affine target would not find the memory for, at its largest number of particles."""
-        n, (columns, rows) = self.filter.particles, appearance.template
-        if isinstance(self.filter, Adaptive) and self.filter.adapt and motion.noise is not None:
-            n = round(n * (motion.noise.most + self.filter.entropy))
-        found, where = [], ("filter", "particles")
-        if isinstance(self.filter, Adaptive) and self.filter.adapt and self.filter.least > n:
-            n, where = self.filter.least, ("filter", "least")
-        if n * columns * rows > MOST_POINTS:
-            message = (
-                f"{n:,} particles of {columns}x{rows} points each; no more than {MOST_POINTS:,} points fit into memory"
-            )
-            found.append(Refusal(where, message))
-        if motion.velocity is not None and min(n, motion.velocity.samples or n) > MOST_COMPARED:
-            message = (
-                f"motion.velocity compares every two of up to {n:,} particles; give velocity.samples, as in samples: 32"
-            )
-            found.append(
-                Refusal(where if motion.velocity.samples is None else ("motion", "velocity", "samples"), message)
-            )
-        return found
+    def _fits(self, given: Component | type[Component]) -> bool:
+        return self.target.type in given.goes_with
 
-    def _mismatched(self) -> list[Refusal]:
-        """What does not go with the type of the target."""
-        name = self.target.type
-        found = []
-        for section, types in _GO_WITH[name].items():
-            given = getattr(self, section)
-            kind = None if given is None else given.type
-            if kind not in types:
-                remedy = " or ".join("null" if one is None else one for one in types)
-                message = f'{section} type "{kind}" does not go with target type "{name}"; write {remedy}'
-                found.append(Refusal((section, "type"), message))
-        if self.recognition is not None and name != "affine":
-            message = f'recognition does not go with target type "{name}"; remove it, or follow an affine target'
-            found.append(Refusal(("recognition",), message))
-        return found
+    def _mismatch(self, key: str, given: Component) -> Refusal:
+        """What is said of a section that does not go with the type of the target."""
+        said = f'does not go with target type "{self.target.type}"'
+        if not isinstance(given, Kind):
+            return Refusal((key,), f"{key} {said}; remove it, or follow an affine target")
+        fitting = [name for name, one in registered(_KINDS[key]).items() if self._fits(one)]
+        message = f'{key} type "{given.type}" {said}; write {" or ".join(fitting) or "null"}'
+        return Refusal((key, "type"), message)
 
 
-_GO_WITH: Mapping[str, Mapping[str, Sequence[str | None]]] = {
-    "points": {
-        "motion": ["random_walk"],
-        "likelihood": ["colour_ratio"],
-        "filter": ["sir", "auxiliary", "factorized", "independent"],
-    },
-    "region": {
-        "motion": ["first_order", "random_walk"],
-        "likelihood": ["product", "skin_ncc"],
-        "filter": ["sir", "auxiliary"],  # the others resample parts apart, and a region is one part
-        "prior": [None],
-    },
-    "cloud": {
-        "motion": ["random_walk", "first_order"],
-        "likelihood": ["skin"],
-        "filter": ["sir", "auxiliary"],
-        "prior": [None],
-    },
-    "affine": {
-        "motion": ["affine_walk"],
-        "likelihood": ["appearance"],
-        "filter": ["adaptive", "sir", "auxiliary"],
-        "prior": [None],
-    },
+_KINDS: Mapping[str, type[Any]] = {
+    "likelihood": Likelihood,
+    "motion": Motion,
+    "filter": Filter,
+    "prior": Prior,
+    "recognition": Recognition,
 }

@@ -6,15 +6,15 @@ Filters", IDIAP-RR 03-15, 2003. No numerics are imported here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Any, Literal, TypeAlias
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from facetrack_cli.recipe.messages import Refusal, Section, refuse
+from facetrack_cli.recipe.sections import Component, Likelihood, Motion, Refusal, Section, Target
 from facetrack_cli.recipe.units import Length, LengthOrNone
 
-MOST_SEARCH, MOST_SEARCH_PX = 10.0, 10_000.0  # it reaches beyond most pictures, and every step of it takes time
+MOST_SEARCH, MOST_SEARCH_PX = 10.0, 10_000.0  # beyond most frames; every step of it takes time
 Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]
 Factor: TypeAlias = Annotated[float, Field(gt=0, le=100)]
 Entry: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]  # or powers of A overflow, stable or not
@@ -25,73 +25,72 @@ Share: TypeAlias = Annotated[
 ]
 
 
-class Region(Section):
-    """A region of the picture: an upright box that moves and changes its size (section 3.2)."""
+class Scaled(Target):
+    """A target whose scale is bounded, [least, largest], in terms of the size at the start."""
+
+    if TYPE_CHECKING:
+        scale: tuple[float, float]
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if not self.scale[0] < 1 < self.scale[1]:
+            message = "target.scale is [least, largest], with 1, the size at the start, between them"
+            yield Refusal(("scale",), message)
+
+
+class Region(Scaled):
+    """A region of the frame: an upright box that moves and changes its size (section 3.2)."""
+
+    engine = "facetrack_cli.tracking.models.spaces:place_region"
 
     type: Literal["region"]
     """A box that moves and changes its size."""
     scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.25, 4.0)
     """The least and the largest size of the box, as factors of its size at the start."""
 
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """A start need not place any point."""
-        return ()
 
-    @model_validator(mode="after")
-    def _check(self) -> Region:
-        if not self.scale[0] < 1 < self.scale[1]:
-            refuse(
-                [Refusal(("scale",), "target.scale is [least, largest], with 1, the size at the start, between them")]
-            )
-        return self
+class _Dynamics(Section):
+    name: ClassVar[str]
+    A: Annotated[tuple[Pair, Pair], Field(strict=False)]
+    B: Any
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if len(self.B[0]) != len(self.B[1]):
+            yield Refusal(("B",), f"both rows of motion.{self.name}.B need the same number of sources of noise")
+        (p, q), (r, s) = self.A
+        # the larger eigenvalue of a 2x2 matrix, by trace and determinant; complex ones come in pairs of the same size
+        half, determinant = (p + s) / 2, p * s - q * r
+        root = half * half - determinant
+        largest = abs(half) + root**0.5 if root >= 0 else determinant**0.5
+        if largest > 1 + 1e-9:
+            grows = f"motion.{self.name}.A makes the state grow {largest:.3g}-fold each frame"
+            yield Refusal(("A",), f"{grows}; its eigenvalues must not exceed 1")
 
 
-class PositionDynamics(Section):
+class PositionDynamics(_Dynamics):
     """c = A c + B w for x and its speed, and likewise for y."""
 
+    name = "position"
     A: Annotated[tuple[Pair, Pair], Field(strict=False)]
     """What place and speed become: [[place from place, from speed], [speed from place, from speed]]."""
     B: Annotated[tuple[Noise, Noise], Field(strict=False)]
     """How the noise enters place and speed: a row each, with a standard deviation for each of one or two sources."""
 
-    @model_validator(mode="after")
-    def _check(self) -> PositionDynamics:
-        refuse(_dynamics("position", self.A, self.B))
-        return self
 
-
-class ScaleDynamics(Section):
+class ScaleDynamics(_Dynamics):
     """c = A c + B w for the scale, 1 at the start, and its speed."""
 
+    name = "scale"
     A: Annotated[tuple[Pair, Pair], Field(strict=False)]
     """What scale and speed become, as in position.A."""
     B: Annotated[tuple[Share, Share], Field(strict=False)]
     """How the noise enters scale and speed, as in position.B; numbers, since a scale has no unit."""
 
-    @model_validator(mode="after")
-    def _check(self) -> ScaleDynamics:
-        refuse(_dynamics("scale", self.A, self.B))
-        return self
 
-
-def _dynamics(name: str, a: tuple[Pair, Pair], b: tuple[Sequence[Any], Sequence[Any]]) -> list[Refusal]:
-    found = []
-    if len(b[0]) != len(b[1]):
-        found.append(Refusal(("B",), f"both rows of motion.{name}.B need the same number of sources of noise"))
-    (p, q), (r, s) = a
-    # the larger eigenvalue of a 2x2 matrix, by trace and determinant; complex ones come in pairs of the same size
-    half, determinant = (p + s) / 2, p * s - q * r
-    root = half * half - determinant
-    largest = abs(half) + root**0.5 if root >= 0 else determinant**0.5
-    if largest > 1 + 1e-9:
-        grows = f"motion.{name}.A makes the state grow {largest:.3g}-fold each frame"
-        found.append(Refusal(("A",), f"{grows}; its eigenvalues must not exceed 1"))
-    return found
-
-
-class FirstOrder(Section):
+class FirstOrder(Motion):
     """First-order dynamics of place, scale and their speeds: c_k = A c_{k-1} + B w_k (section 3.2)."""
+
+    engine = "facetrack_cli.tracking.models.motion:first_order"
+    goes_with = ("region", "cloud")
 
     type: Literal["first_order"]
     """Linear dynamics of place, scale and their speeds."""
@@ -101,8 +100,10 @@ class FirstOrder(Section):
     """Of the size of the box."""
 
 
-class Contour(Section):
+class Contour(Component):
     """Edges along the normals of the ellipse in the box (eq. 11)."""
+
+    engine = "facetrack_cli.tracking.models.likelihoods.contour:Contour.build"
 
     normals: Annotated[int, Field(ge=4, le=360)] = 32
     """L, the number of normals along which edges are looked for."""
@@ -115,19 +116,19 @@ class Contour(Section):
     outlier: Annotated[float, Field(gt=0, le=1)]
     """K, the least likelihood of a normal: where no edge is found, or one too far off."""
     max_size: Annotated[int, Field(ge=16)] | None = 64
-    """Boxes with a longer side, in pixels, are read from a reduced picture; null: every pixel."""
+    """Boxes with a longer side, in pixels, are read from a reduced frame; null: every pixel."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Contour:
+    def mistakes(self) -> Iterable[Refusal]:
         most = MOST_SEARCH_PX if self.search.px else MOST_SEARCH
         if self.search.value > most:
             reach = f"{MOST_SEARCH:g}, in units of the target's size, or {MOST_SEARCH_PX:g}px"
-            refuse([Refusal(("search",), f"likelihood.contour.search must be at most {reach}")])
-        return self
+            yield Refusal(("search",), f"likelihood.contour.search must be at most {reach}")
 
 
-class Histogram(Section):
+class Histogram(Component):
     """Histograms of hue and saturation in sub-regions of the box (section 3.3)."""
+
+    engine = "facetrack_cli.tracking.models.likelihoods.histogram:Histogram.build"
 
     hue_bins: Annotated[int, Field(ge=1, le=64)]
     """N_h."""
@@ -147,8 +148,10 @@ class Histogram(Section):
     """As in contour.max_size."""
 
 
-class Correlation(Section):
+class Correlation(Component):
     """Grey values of the box against those of its parent in the previous frame (eq. 12 and 13)."""
+
+    engine = "facetrack_cli.tracking.models.likelihoods.correlation:Correlation.build"
 
     grid: Annotated[tuple[Count, Count], Field(strict=False)] = (16, 16)
     """[columns, rows] of the reference grid on which both are sampled."""
@@ -161,18 +164,18 @@ class Correlation(Section):
     saturation: Annotated[float, Field(gt=0, le=255)] | None = None
     """Where saturated_l1 stops to grow, in grey levels."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Correlation:
+    def mistakes(self) -> Iterable[Refusal]:
         if self.distance == "saturated_l1" and self.saturation is None:
-            refuse([Refusal(("distance",), "distance: saturated_l1 needs saturation; add one, as in saturation: 20")])
+            yield Refusal(("distance",), "distance: saturated_l1 needs saturation; add one, as in saturation: 20")
         if self.distance != "saturated_l1" and self.saturation is not None:
-            message = f"saturation has no meaning for distance: {self.distance}; remove it"
-            refuse([Refusal(("saturation",), message)])
-        return self
+            yield Refusal(("saturation",), f"saturation has no meaning for distance: {self.distance}; remove it")
 
 
-class Product(Section):
+class Product(Likelihood):
     """The product of the likelihoods that are given, each of them usable alone (eq. 10)."""
+
+    engine = "facetrack_cli.tracking.models.likelihoods.product:Product.build"
+    goes_with = ("region",)
 
     type: Literal["product"]
     """The product of what is given of contour, histogram and correlation."""
@@ -183,8 +186,15 @@ class Product(Section):
     correlation: Correlation | None = None
     """Grey values against those of the parent in the previous frame (eq. 12 and 13)."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Product:
-        if self.contour is None and self.histogram is None and self.correlation is None:
-            refuse([Refusal((), "likelihood has no factor; add contour, histogram or correlation")])
-        return self
+    @property
+    def factors(self) -> tuple[Component, ...]:
+        """Those that are given, in the order of the fields."""
+        return tuple(one for name in type(self).model_fields if isinstance(one := getattr(self, name), Component))
+
+    @property
+    def judges(self) -> bool:
+        return self.contour is not None or self.histogram is not None  # correlation cannot tell what it follows
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if not self.factors:
+            yield Refusal((), "likelihood has no factor; add contour, histogram or correlation")

@@ -11,10 +11,10 @@ from typing import Annotated, Any, ClassVar, Generic, TypeAlias, TypeVar
 from pydantic import ConfigDict, Discriminator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, RootModel, Tag
 from pydantic_core import PydanticCustomError, core_schema
 
-from facetrack_cli.recipe.messages import Refusal, Steps, suggest
+from facetrack_cli.recipe.sections import Refusal, Steps, suggest
 
 T = TypeVar("T")
-SHORTEST, LONGEST = 1e-6, 1e6  # beyond these no picture has a use for it, and squares overflow
+SHORTEST, LONGEST = 1e-6, 1e6  # no frame needs more, and squares would overflow
 _NUMBER = r"([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?"
 
 

@@ -20,7 +20,7 @@ from facetrack_cli.runs.job import HAAR, Job
 from facetrack_cli.runs.seeds import Plan
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import find_start, place_start
-from facetrack_cli.tracking.build.affine import check_gallery
+from facetrack_cli.tracking.build.build import check_gallery
 from facetrack_cli.tracking.start import find_init
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.source import open_source

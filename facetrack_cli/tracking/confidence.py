@@ -1,13 +1,12 @@
-"""How far an estimate can be trusted, from the picture alone.
+"""How far an estimate can be trusted, from the frame alone.
 
 The window at the estimate is compared with the template, and the distance d is placed between two levels of this clip:
-what the part itself has shown since the start, and what is clearly not the part.
 
-    good_i    running mean of d at the estimate over `memory` frames in which the part was not in doubt; it begins as
-              the median of d over a ring of windows in the first frame that are off by 1/13 of the window's size (one
-              pixel, for a window of 13), and without a memory it stays that
-    bad_i     a quantile of d over a ring of windows off by the whole window's size in the first frame, or d of a
-              blank window if that is less. The median by default. The estimate is the best place of a search, so a
+    good_i    what the part itself shows: the running mean of d at the estimate over `memory` frames in which the part
+              was not in doubt. It begins as the median of d over a ring of windows in the first frame that are off by
+              1/13 of the window's size (one pixel, for a window of 13), and without a memory it stays that
+    bad_i     what is not the part: the quantile `beside` of d over a ring of windows off by the whole window's size in
+              the first frame, or d of a blank window if that is less. The estimate is the best place of a search, so a
               part that ran off sits on a window that matches better than most: a lower quantile is stricter
     confidence = clip((bad - d) / (bad - good), 0, 1), and 0 for a part that looks like all that is around it
 
@@ -24,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.recipe.particle_filter import Confidence
 from facetrack_cli.trajectory.trajectory import Status
 
 
@@ -45,59 +45,54 @@ class Judgement:
     status: tuple[Status, ...]
 
 
-@dataclass(frozen=True)
-class Confidence:
-    lost_below: float = 0.3
-    patience: int = 3
-    beside: float = 0.5
-    memory: int | None = 50
+def begin(settings: Confidence, measure: Measures, learned: Any, frame: Frame, x0: Array, windows: Array) -> Judgement:
+    """The judgement of the first frame, whose parts are at x0 (K, D) and `windows` (K, 2) pixels large."""
+    k = len(x0)
+    angles = np.arange(16) * (2 * np.pi / 16)
+    ring = np.zeros((16, *x0.shape))
+    ring[..., :2] = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * windows
+    near = np.median(measure.distances(learned, frame, x0 + ring / 13), axis=0)
+    beside = np.quantile(measure.distances(learned, frame, x0 + ring), settings.beside, axis=0)
+    blank = Frame(frame.index, frame.time_s, np.full_like(frame.bgr, 128))
+    bad = np.minimum(beside, measure.distances(learned, blank, x0[None])[0])
+    init: Status = "init"
+    return Judgement(near, bad, np.ones(k), np.zeros(k, np.int64), (init,) * k)
 
-    def begin(self, measure: Measures, learned: Any, frame: Frame, x0: Array, windows: Array) -> Judgement:
-        """The judgement of the first frame, whose parts are at x0 (K, D) and `windows` (K, 2) pixels large."""
-        k = len(x0)
-        angles = np.arange(16) * (2 * np.pi / 16)
-        ring = np.zeros((16, *x0.shape))
-        ring[..., :2] = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * windows
-        near = np.median(measure.distances(learned, frame, x0 + ring / 13), axis=0)
-        beside = np.quantile(measure.distances(learned, frame, x0 + ring), self.beside, axis=0)
-        blank = Frame(frame.index, frame.time_s, np.full_like(frame.bgr, 128))
-        bad = np.minimum(beside, measure.distances(learned, blank, x0[None])[0])
-        init: Status = "init"
-        return Judgement(near, bad, np.ones(k), np.zeros(k, np.int64), (init,) * k)
 
-    def judge(self, last: Judgement, distance: Array) -> Judgement:
-        """The judgement of the next frame, whose windows at the estimates have `distance` (K,) from the templates."""
-        span = last.bad - last.good
-        confidence = np.where(span > 1e-6, np.clip((last.bad - distance) / np.maximum(span, 1e-6), 0.0, 1.0), 0.0)
-        doubtful = confidence < self.lost_below
-        below = np.where(doubtful, last.below + 1, 0)
-        good = last.good
-        if self.memory is not None:
-            good = np.where(doubtful, good, good + (distance - good) / self.memory)
-        status = tuple(_status(v) for v in below >= self.patience)
-        return Judgement(good, last.bad, confidence, below, status)
+def judge(settings: Confidence, last: Judgement, distance: Array) -> Judgement:
+    """The judgement of the next frame, whose windows at the estimates have `distance` (K,) from the templates."""
+    span = last.bad - last.good
+    confidence = np.where(span > 1e-6, np.clip((last.bad - distance) / np.maximum(span, 1e-6), 0.0, 1.0), 0.0)
+    doubtful = confidence < settings.lost_below
+    below = np.where(doubtful, last.below + 1, 0)
+    good = last.good
+    if settings.memory is not None:
+        good = np.where(doubtful, good, good + (distance - good) / settings.memory)
+    status = tuple(_status(v) for v in below >= settings.patience)
+    return Judgement(good, last.bad, confidence, below, status)
 
-    def resume(
-        self, first: Judgement, anew: NDArray[np.bool_], measure: Measures, learned: Any, frame: Frame, x0: Array,
-        windows: Array,
-    ) -> Judgement:  # fmt: skip
-        """The judgement where a target begins anew at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
 
-        Parts that are learned `anew` (K,) are judged from here on, the others by what the `first` frame showed. Nothing
-        is known of the frames before, so that a part in doubt is `lost` at once.
-        """
-        impatient = np.full(len(first.below), self.patience - 1, np.int64)
-        kept = self.judge(replace(first, below=impatient), measure.distances(learned, frame, x0[None])[0])
-        if not anew.any():
-            return kept
-        begun = self.begin(measure, learned, frame, x0, windows)
-        return Judgement(
-            np.where(anew, begun.good, kept.good),
-            np.where(anew, begun.bad, kept.bad),
-            np.where(anew, begun.confidence, kept.confidence),
-            np.where(anew, begun.below, kept.below),
-            tuple(b if now else k for now, b, k in zip(anew, begun.status, kept.status, strict=True)),
-        )
+def resume(
+    settings: Confidence, first: Judgement, anew: NDArray[np.bool_], measure: Measures, learned: Any, frame: Frame,
+    x0: Array, windows: Array,
+) -> Judgement:  # fmt: skip
+    """The judgement where a target begins anew at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
+
+    Parts that are learned `anew` (K,) are judged from here on, the others by what the `first` frame showed. Nothing
+    is known of the frames before, so that a part in doubt is `lost` at once.
+    """
+    impatient = np.full(len(first.below), settings.patience - 1, np.int64)
+    kept = judge(settings, replace(first, below=impatient), measure.distances(learned, frame, x0[None])[0])
+    if not anew.any():
+        return kept
+    begun = begin(settings, measure, learned, frame, x0, windows)
+    return Judgement(
+        np.where(anew, begun.good, kept.good),
+        np.where(anew, begun.bad, kept.bad),
+        np.where(anew, begun.confidence, kept.confidence),
+        np.where(anew, begun.below, kept.below),
+        tuple(b if now else k for now, b, k in zip(anew, begun.status, kept.status, strict=True)),
+    )
 
 
 def _status(lost: bool) -> Status:

@@ -1,8 +1,8 @@
-"""Exclusion between targets: what one explains, the others should not.
+"""Mutual exclusion of targets: what one explains, the others should not.
 
 After the exclusion principle as Gianni, Collet & Dalle (2007) use it for a head and two hands, in the words of Gonzalez
 & Collet, section 3: particles are penalised when the objects are close, so that two filters do not track the same skin.
-The papers print no formula. Ours, for a particle at x and the other targets j, each an ellipse:
+The papers print no formula. Chosen is, for a particle at x and the other targets j, each an ellipse:
 
     p(y | x) <- p(y | x) * prod_j (1 - strength * exp(-(d_j(x) / reach)^4 / 2))
 
@@ -14,12 +14,12 @@ where all its particles are penalised alike, none is.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.types import Array
+from facetrack_cli.recipe.skin import Exclusion
 
 
 class Cover(NamedTuple):
@@ -29,18 +29,11 @@ class Cover(NamedTuple):
     half: Array
 
 
-@dataclass(frozen=True)
-class Exclusion:
-    """`strength` 0..1, what is lost of the likelihood in the middle of another target; `reach` in its half axes."""
-
-    strength: float
-    reach: float
-
-    def log_weights(self, x: Array, covers: Sequence[Cover]) -> Array:
-        """(N, K): what is added to log p(y | x) of x (N, K, D)."""
-        total = np.zeros(x.shape[:2])
-        for cover in covers:
-            half = np.maximum(cover.half, 1.0)  # of a cloud that has shrunk to a point, a pixel is left
-            squared = np.sum(((x[..., :2] - cover.centre) / (half * self.reach)) ** 2, axis=2)
-            total += np.log1p(-min(self.strength, 1 - 1e-12) * np.exp(-0.5 * np.minimum(squared, 1e6) ** 2))
-        return total
+def log_weights(settings: Exclusion, x: Array, covers: Sequence[Cover]) -> Array:
+    """(N, K): what is added to log p(y | x) of x (N, K, D)."""
+    total = np.zeros(x.shape[:2])
+    for cover in covers:
+        half = np.maximum(cover.half, 1.0)  # of a cloud that has shrunk to a point, a pixel is left
+        squared = np.sum(((x[..., :2] - cover.centre) / (half * settings.reach)) ** 2, axis=2)
+        total += np.log1p(-min(settings.strength, 1 - 1e-12) * np.exp(-0.5 * np.minimum(squared, 1e6) ** 2))
+    return total

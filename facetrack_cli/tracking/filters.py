@@ -1,7 +1,7 @@
-"""The particle filters, side by side: what they differ by is all that stands here.
+"""The particle filters, side by side.
 
-A filter is a function `(rng, particles, model) -> (particles, info)`. It never sees a picture: `model` is the tracker
-with one frame bound in. All arithmetic on weights is in logs.
+A filter is a function `(settings, rng, particles, model) -> (particles, info)`. It never sees a frame: `model` is the
+tracker with one frame bound in. All arithmetic on weights is in logs.
 
 ============  ===========================================================  ================================
 filter        proposal                                                     weight
@@ -9,29 +9,22 @@ filter        proposal                                                     weigh
 sir           transition of resampled particles                            p(y|s) [p(s)]
 auxiliary     transition of particles that promise a high likelihood       p(y|s) [p(s)] / lambda
 factorized    product of the marginal posteriors of the parts              eq. 11, eq. 7, or 1 (independent)
-adaptive      noise around the place that the picture predicts             p(y|s)
+adaptive      noise around the place that the frame predicts               p(y|s)
 ============  ===========================================================  ================================
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Info, Particles
-from facetrack_cli.tracking.resampling import (
-    Resampling,
-    effective_sample_size,
-    logsumexp,
-    normalise,
-    systematic,
-    uniform,
-)
-
-Reweight: TypeAlias = Literal["prior", "transition", "none"]
+from facetrack_cli.recipe import filters
+from facetrack_cli.tracking.resampling import SCHEMES, effective_sample_size, logsumexp, normalise, uniform
 
 
 class Ahead(NamedTuple):
@@ -53,7 +46,7 @@ class Ahead(NamedTuple):
 class FrameModel(Protocol):
     """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently."""
 
-    def propagate(self, rng: np.random.Generator, x: Array) -> Array:
+    def propagate(self, rng: Generator, x: Array) -> Array:
         """(N, K, D) drawn from p(x_t | x_{t-1} = x)."""
 
     def log_transition(self, x: Array, parents: Array) -> Array:
@@ -69,53 +62,43 @@ class FrameModel(Protocol):
     def ahead(self) -> Ahead:
         """Where the target is expected; `propagate` takes its shift and noise into account."""
 
-    def propose_part(self, rng: np.random.Generator, x: Array, part: int) -> Array:
+    def propose_part(self, rng: Generator, x: Array, part: int) -> Array:
         """(N, D): part `part` drawn from the shape prior given the other parts of each particle."""
 
 
 # in place of log 0, so that a ratio of two zeros is 1 and not a NaN: where nothing is likely, nothing is preferred
 LEAST = -1e30
 
-Step: TypeAlias = Callable[[np.random.Generator, Particles, FrameModel], tuple[Particles, Info]]
+Stepped: TypeAlias = tuple[Particles, Info]
+Step: TypeAlias = Callable[[Generator, Particles, FrameModel], Stepped]
 
 
-@dataclass(frozen=True)
-class Sir:
+def sir(settings: filters.Sir, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """Sampling/importance resampling over the joint state (section 2): resample, propagate, weigh by the likelihood.
 
-    With a shape prior in the model, p(y|s)p(s) is the observation, as in `Auxiliary`.
+    With a shape prior in the model, p(y|s)p(s) is the observation, as in `auxiliary`.
     """
-
-    resample: Resampling = systematic
-
-    def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
-        parents = particles.x[self.resample(rng, particles.log_w, len(particles.x))]
-        x = model.propagate(rng, parents)
-        log_w = normalise(_log_observation(model, x, parents))
-        return Particles(x, log_w), _joint_info(x, log_w)
+    parents = particles.x[SCHEMES[settings.resampling](rng, particles.log_w, len(particles.x))]
+    x = model.propagate(rng, parents)
+    return _weighted(model, x, parents)
 
 
-@dataclass(frozen=True)
-class Auxiliary:
+def auxiliary(settings: filters.Auxiliary, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """Auxiliary filter over the joint state, p(y|s)p(s) as the observation (section 4; Pitt & Shephard 1999).
 
     The first stage looks ahead with a *random* draw mu ~ p(s|s^-), as section 2.1 has it, not with the mean.
     """
-
-    resample: Resampling = systematic
-
-    def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
-        mu = model.propagate(rng, particles.x)
-        log_lambda = _log_observation(model, mu, particles.x)
-        chosen = self.resample(rng, normalise(particles.log_w + log_lambda), len(mu))
-        parents = particles.x[chosen]
-        x = model.propagate(rng, parents)
-        log_w = normalise(_log_observation(model, x, parents) - log_lambda[chosen])
-        return Particles(x, log_w), _joint_info(x, log_w)
+    mu = model.propagate(rng, particles.x)
+    log_lambda = _log_observation(model, mu, particles.x)
+    chosen = SCHEMES[settings.resampling](rng, normalise(particles.log_w + log_lambda), len(mu))
+    parents = particles.x[chosen]
+    x = model.propagate(rng, parents)
+    return _weighted(model, x, parents, log_lambda[chosen])
 
 
-@dataclass(frozen=True)
-class Factorized:
+def factorized(
+    settings: filters.Factorized | filters.Independent, rng: Generator, particles: Particles, model: FrameModel
+) -> Stepped:
     """Filter with factorized likelihoods (Patras & Pantic 2004, section 2.1).
 
     Each part runs an auxiliary step of its own (steps 1-5), which represents its marginal posterior p(a_i | Y);
@@ -124,106 +107,93 @@ class Factorized:
 
     - `prior`: the shape prior in place of the ratio of eq. 5 (eq. 11);
     - `transition`: eq. 7, the ratio of predictive densities estimated from the particles themselves;
-    - `none`: 1. That is N independent auxiliary filters, the paper's first baseline.
+    - `none`, of `independent`: 1. That is N independent auxiliary filters, the paper's first baseline.
 
-    `from_prior` (ours, 0 as published): this share of the sub-particles of each part is drawn from the shape prior
-    given the other parts of the parent instead of from the transition, so that a part can come back from afar. The
-    transition of a part is then the mixture of both, the label of the component belongs to the auxiliary variable, and
-    the weights of steps 3 and 5 hold as they are.
+    With `from_prior` (beyond the paper) a part can come back from afar: the transition of a part is then the mixture of
+    both, the label of the component belongs to the auxiliary variable, and the weights of steps 3 and 5 hold as they
+    are.
     """
+    n, k, _ = particles.x.shape
+    resample, columns = SCHEMES[settings.resampling], np.arange(k)
+    jumps = rng.random((n, k)) < settings.from_prior if settings.from_prior > 0 else None
+    mu = _move(rng, particles.x, model, particles.x, jumps)
+    log_lambda = np.maximum(model.log_likelihood(mu, particles.x), LEAST)
+    chosen = resample(rng, normalise(particles.log_w[:, None] + log_lambda), n)
+    parents = particles.x[chosen, columns]
+    s = _move(rng, parents, model, particles.x, None if jumps is None else jumps[chosen, columns], chosen)
+    marginal = normalise(np.maximum(model.log_likelihood(s, parents), LEAST) - log_lambda[chosen, columns])
+    # shuffled, because resampled indices come in order and would tie the parts together
+    x = s[rng.permuted(resample(rng, marginal, n), axis=0), columns]
+    if settings.reweight == "none":
+        log_w = uniform(n)
+    else:
+        log_w = normalise(model.log_prior(x) if settings.reweight == "prior" else _log_ratio(x, particles, model))
+    return Particles(x, log_w), Info(np.minimum(effective_sample_size(marginal), effective_sample_size(log_w)))
 
-    reweight: Reweight = "prior"
-    from_prior: float = 0.0
-    resample: Resampling = systematic
 
-    def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
-        n, k, _ = particles.x.shape
-        columns = np.arange(k)
-        jumps = rng.random((n, k)) < self.from_prior if self.from_prior > 0 else None
-        mu = self._move(rng, particles.x, model, particles.x, jumps)
-        log_lambda = np.maximum(model.log_likelihood(mu, particles.x), LEAST)
-        chosen = self.resample(rng, normalise(particles.log_w[:, None] + log_lambda), n)
-        parents = particles.x[chosen, columns]
-        s = self._move(rng, parents, model, particles.x, None if jumps is None else jumps[chosen, columns], chosen)
-        marginal = normalise(np.maximum(model.log_likelihood(s, parents), LEAST) - log_lambda[chosen, columns])
-        # shuffled, because resampled indices come in order and would tie the parts together
-        x = s[rng.permuted(self.resample(rng, marginal, n), axis=0), columns]
-        log_w = self._log_weights(x, particles, model)
-        return Particles(x, log_w), Info(np.minimum(effective_sample_size(marginal), effective_sample_size(log_w)))
+def _log_ratio(x: Array, previous: Particles, model: FrameModel) -> Array:
+    """(N,): log of the ratio of eq. 7, of the joint predictive density to the product of the parts'."""
+    step = model.log_transition(x, previous.x)  # (N, M, K)
+    joint = logsumexp(step.sum(axis=2) + previous.log_w, axis=1)
+    marginals = logsumexp(step + previous.log_w[:, None], axis=1)
+    return np.asarray(joint - marginals.sum(axis=1))
 
-    def _log_weights(self, x: Array, previous: Particles, model: FrameModel) -> Array:
-        if self.reweight == "none":
-            return uniform(len(x))
-        if self.reweight == "prior":
-            return normalise(model.log_prior(x))
-        step = model.log_transition(x, previous.x)  # (N, M, K)
-        joint = logsumexp(step.sum(axis=2) + previous.log_w, axis=1)
-        marginals = logsumexp(step + previous.log_w[:, None], axis=1)
-        return normalise(joint - marginals.sum(axis=1))
 
-    @staticmethod
-    def _move(
-        rng: np.random.Generator,
-        x: Array,
-        model: FrameModel,
-        whole: Array,
-        jumps: np.ndarray[tuple[int, int], np.dtype[np.bool_]] | None,
-        chosen: np.ndarray[tuple[int, int], np.dtype[np.int64]] | None = None,
-    ) -> Array:
-        """x (N, K, D) moved by the transition, or by the prior where `jumps` (N, K); `whole` are the parents entire."""
-        moved = model.propagate(rng, x)
-        if jumps is None:
-            return moved
-        for i in range(x.shape[1]):
-            rows = np.flatnonzero(jumps[:, i])
-            if rows.size:
-                moved[rows, i] = model.propose_part(rng, whole[rows if chosen is None else chosen[rows, i]], i)
+def _move(
+    rng: Generator,
+    x: Array,
+    model: FrameModel,
+    whole: Array,
+    jumps: NDArray[np.bool_] | None,
+    chosen: NDArray[np.int64] | None = None,
+) -> Array:
+    """x (N, K, D) moved by the transition, or by the prior where `jumps` (N, K); `whole` are the parents entire."""
+    moved = model.propagate(rng, x)
+    if jumps is None:
         return moved
+    for i in range(x.shape[1]):
+        rows = np.flatnonzero(jumps[:, i])
+        if rows.size:
+            moved[rows, i] = model.propose_part(rng, whole[rows if chosen is None else chosen[rows, i]], i)
+    return moved
 
 
-@dataclass(frozen=True)
-class Adaptive:
+def adaptive(settings: filters.Adaptive, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """All particles around the one place that is predicted, as many as the prediction is worth (Zhou et al. 2003).
 
-    Figure 1: only the point estimate of the last frame is propagated, theta_t = theta_{t-1} + nu_t + u_t. With J_0 =
-    `particles` and d = `entropy`, their number is (eq. 17)
+    Figure 1: only the point estimate of the last frame is propagated, theta_t = theta_{t-1} + nu_t + u_t.
+    """
+    ahead = model.ahead
+    parents = np.repeat(ahead.state[None], number(settings, ahead), axis=0)
+    x = model.propagate(rng, parents)
+    if settings.centre:
+        x[0] = ahead.state + ahead.shift
+    return _weighted(model, x, parents)
+
+
+def number(settings: filters.Adaptive, ahead: Ahead) -> int:
+    """J_t, the number of particles (eq. 17). With J_0 = `particles` and d = `entropy` it is
 
         J_t = J_0 (eta + d)  if the entropy of the identity rose,  J_0 (eta - d)  if it did not,
 
     and J_0 eta where nobody is recognised; never below `least`. Eq. 17 prints (-1)^I[H_{t-1} < H_{t-2}], which adds d
     if the entropy stayed the same; the text says "otherwise we deduct", which is what is taken: a posterior that has
-    settled needs no more particles. `adapt` False keeps J_0.
+    settled needs no more particles.
     """
+    if not settings.adapt:
+        return settings.particles
+    change = {None: 0.0, True: -settings.entropy, False: settings.entropy}[ahead.entropy_fell]
+    return max(round(settings.particles * (ahead.noise + change)), settings.least)
 
-    particles: int
-    adapt: bool = True
-    entropy: float = 0.0
-    least: int = 10
-    centre: bool = False
 
-    def number(self, ahead: Ahead) -> int:
-        """J_t."""
-        if not self.adapt:
-            return self.particles
-        change = 0.0 if ahead.entropy_fell is None else -self.entropy if ahead.entropy_fell else self.entropy
-        return max(round(self.particles * (ahead.noise + change)), self.least)
-
-    def __call__(self, rng: np.random.Generator, particles: Particles, model: FrameModel) -> tuple[Particles, Info]:
-        ahead = model.ahead
-        parents = np.repeat(ahead.state[None], self.number(ahead), axis=0)
-        x = model.propagate(rng, parents)
-        if self.centre:
-            x[0] = ahead.state + ahead.shift
-        log_w = normalise(_log_observation(model, x, parents))
-        return Particles(x, log_w), _joint_info(x, log_w)
+def _weighted(model: FrameModel, x: Array, parents: Array, log_proposed: Array | float = 0.0) -> Stepped:
+    """Whole particles x by their observation, over the weights with which they were proposed."""
+    log_w = normalise(_log_observation(model, x, parents) - log_proposed)
+    # a joint weight says the same of every part
+    return Particles(x, log_w), Info(np.full(x.shape[1], float(effective_sample_size(log_w))))
 
 
 def _log_observation(model: FrameModel, x: Array, parents: Array) -> Array:
     """(N,): log p(y|s)p(s) of whole particles, what the filters over the joint state take for the observation."""
     observed = model.log_likelihood(x, parents).sum(axis=1) + model.log_prior(x)
     return np.asarray(np.maximum(observed, LEAST))
-
-
-def _joint_info(x: Array, log_w: Array) -> Info:
-    """A joint weight says the same of every part."""
-    return Info(np.full(x.shape[1], float(effective_sample_size(log_w))))

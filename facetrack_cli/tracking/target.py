@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Info, Particles, TargetStart
-from facetrack_cli.tracking.confidence import Confidence, Judgement, Measures
-from facetrack_cli.tracking.exclusion import Cover, Exclusion
+from facetrack_cli.recipe.particle_filter import Confidence
+from facetrack_cli.recipe.skin import Exclusion
+from facetrack_cli.tracking import confidence
+from facetrack_cli.tracking.confidence import Judgement, Measures
+from facetrack_cli.tracking.exclusion import Cover, log_weights
 from facetrack_cli.tracking.filters import Ahead, Step
-from facetrack_cli.tracking.models.motion import AffineWalk
 from facetrack_cli.tracking.models.shape_prior import BoundPrior
 from facetrack_cli.tracking.models.spaces import Estimate, PointSpace, Space, estimate, evenly
-from facetrack_cli.tracking.models.velocity import Flow, Guide
+from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
 from facetrack_cli.tracking.resampling import uniform
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, Trajectory, build
@@ -86,9 +88,9 @@ class Motion(Protocol):
 class State:
     """What a particle filter carries on: particles, estimate, what was learned of the clip, how parts are judged.
 
-    `reported` are the likelihood's diagnostics, `flow` is what the guide has learned, `ahead` what that predicted of
-    this frame, and `entropy_before` the entropy of the identity in the frame before this one. `absent` (K,) are the
-    parts that are not visible, None if all are.
+    `reported` are the likelihood's diagnostics, `flow` is what a motion that predicts has learned, `ahead` what it
+    predicted of this frame, and `entropy_before` the entropy of the identity in the frame before this one. `absent`
+    (K,) are the parts that are not visible, None if all are.
     """
 
     particles: Particles
@@ -108,8 +110,8 @@ class ParticleTarget:
 
     `confidence` is None where the likelihood knows how the target moves and not what it looks like. `exclusion` is how
     it keeps off what other targets explain. With `scatter` (K, 2), particles begin evenly over so many pixels around
-    x0, which are then the size of each part at the start. `guide` predicts from the picture where it went, and `best`
-    takes the best particle for the estimate, not the mean.
+    x0, which are then the size of each part at the start. `best` takes the best particle for the estimate, and not the
+    mean.
     """
 
     name: str
@@ -124,7 +126,6 @@ class ParticleTarget:
     confidence: Confidence | None
     exclusion: Exclusion | None = None
     scatter: Array | None = None
-    guide: Guide | None = None
     best: bool = False
 
     @property
@@ -155,8 +156,9 @@ class ParticleTarget:
         particles = self._fresh(rng, self.x0, self.scatter)
         judgement = None
         if self.confidence is not None:
-            judgement = self.confidence.begin(self.likelihood, learned, frame, self.x0, self.space.windows(still))
-        flow = None if self.guide is None else self.guide.begin(rng, frame, self.x0, self.motion)
+            windows = self.space.windows(still)
+            judgement = confidence.begin(self.confidence, self.likelihood, learned, frame, self.x0, windows)
+        flow = None if self._predicts is None else self._predicts.begin(rng, frame, self.x0)
         state = State(particles, still, learned, judgement, self._diagnose(learned), flow)
         result = self._result(state, frame, self._even, "init")
         return state, result._replace(notes=getattr(learned, "notes", ()))
@@ -192,9 +194,11 @@ class ParticleTarget:
         if judgement is not None:
             assert self.confidence is not None
             windows = self.space.windows(still)
-            judgement = self.confidence.resume(judgement, fresh, self.likelihood, learned, frame, x0, windows)
+            judgement = confidence.resume(
+                self.confidence, judgement, fresh, self.likelihood, learned, frame, x0, windows
+            )
         learned = self.likelihood.learn(learned, frame, x0, particles)
-        flow = None if self.guide is None else self.guide.begin(rng, frame, x0, self.motion)
+        flow = None if self._predicts is None else self._predicts.begin(rng, frame, x0)
         state = State(
             particles,
             still,
@@ -234,16 +238,20 @@ class ParticleTarget:
         if judgement is not None:
             assert self.confidence is not None
             distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
-            judgement = self.confidence.judge(judgement, distance)
+            judgement = confidence.judge(self.confidence, judgement, distance)
         learned = self.likelihood.learn(state.learned, frame, estimated.state, particles)
         reported = self._diagnose(learned)
-        if self.guide is None:
+        if self._predicts is None:
             state = State(particles, estimated, learned, judgement, reported, absent=state.absent)
         else:
-            flow = self.guide.learn(frame, estimated.state, particles.x)
+            flow = self._predicts.learn(frame, estimated.state, particles.x)
             before = state.reported.get(ENTROPY.name)
             state = State(particles, estimated, learned, judgement, reported, flow, bound.ahead, before)
         return state, self._result(state, frame, info, "tracked")
+
+    @cached_property
+    def _predicts(self) -> PredictedWalk | None:
+        return self.motion if isinstance(self.motion, PredictedWalk) else None
 
     @cached_property
     def _adapts(self) -> Adapts | None:
@@ -257,13 +265,13 @@ class ParticleTarget:
         return {} if self._reports is None else self._reports.diagnose(learned)
 
     def predict(self, state: State, frame: Frame) -> Ahead:
-        """Where the target is expected in `frame`: where its guide says, or where it was."""
+        """Where the target is expected in `frame`: where its motion predicts it, or where it was."""
         estimated = state.estimated.state
-        if self.guide is None:
+        if self._predicts is None:
             return Ahead(estimated, np.zeros_like(estimated))
         adapts, learned = self._adapts, state.learned
         assert state.flow is not None and adapts is not None
-        ahead = self.guide.predict(
+        ahead = self._predicts.predict(
             state.flow, frame, lambda patches: adapts.error(learned, patches), lambda: adapts.expected(learned)
         )
         entropy = state.reported.get(ENTROPY.name)
@@ -286,7 +294,7 @@ class ParticleTarget:
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What is reported of the target beside its rows."""
         return tuple(
-            one for part in (self._reports, self.space, self.guide) if part is not None for one in part.diagnostics
+            one for part in (self._reports, self.space, self._predicts) if part is not None for one in part.diagnostics
         )
 
     def _result(self, state: State, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
@@ -360,11 +368,10 @@ class Bound:
         return self.target.predict(self.state, self.frame)
 
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
-        motion = self.target.motion
-        if self.target.guide is None:
-            return motion.propagate(rng, x)
-        assert isinstance(motion, AffineWalk)
-        return motion.propagate(rng, x, self.ahead.shift, self.ahead.noise)
+        predicts = self.target._predicts
+        if predicts is None:
+            return self.target.motion.propagate(rng, x)
+        return predicts.propagate(rng, x, self.ahead.shift, self.ahead.noise)
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         return self._of_present(self.target.motion.log_transition(x, parents))
@@ -372,7 +379,7 @@ class Bound:
     def log_likelihood(self, x: Array, parents: Array) -> Array:
         log_p = self._of_present(self.target.likelihood.score(self.state.learned, self.frame, x, parents))
         exclusion = self.target.exclusion
-        return log_p if exclusion is None else log_p + exclusion.log_weights(x, self.covers)
+        return log_p if exclusion is None else log_p + log_weights(exclusion, x, self.covers)
 
     def log_prior(self, x: Array) -> Array:
         if self.target.prior is None:

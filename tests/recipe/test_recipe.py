@@ -11,9 +11,10 @@ from pydantic import ValidationError
 from facetrack_cli.core.errors import ExitCode, RecipeError
 from facetrack_cli.core.yaml_tree import MAX_BYTES, Source, YamlProblems, parse
 from facetrack_cli.recipe.files import read_recipe, resolve_file, shipped_recipes
+from facetrack_cli.recipe.filters import Factorized, Independent, Sir
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, json_schema, to_dict
-from facetrack_cli.recipe.points import ColourRatio, Factorized, Independent, Points, Sir
+from facetrack_cli.recipe.points import ColourRatio, Points
 from facetrack_cli.recipe.units import Length
 
 NAMES = ["auxiliary_prior", "factorized", "factorized_robust", "factorized_transition", "independent", "sir"]
@@ -457,6 +458,7 @@ def test_rules_between_sections():
     assert "filter.from_prior above 0 needs a prior" in message
     message = refused("factorized", "filter.reweight=transition", "filter.from_prior=0.1")[2]
     assert "filter.from_prior above 0 goes with reweight: prior" in message
+    assert "prior.sigma must be at least 0.005, not 0.001" in refused("factorized", "prior.sigma=0.001")[2]
     assert "makes no use of a prior" in refused("auxiliary_prior", "filter.type=independent")[2]
     assert load_recipe("auxiliary_prior", ["filter.type=sir"]).prior is not None
 

@@ -47,7 +47,7 @@ def test_each_step_of_the_ablation_adds_one_thing():
         (["motion.noise.most=0.2"], "motion.noise.most is below least"),
         (["motion={type: random_walk, sigma: 0.1}"], 'does not go with target type "affine"; write affine_walk'),
         (["likelihood={type: skin}"], 'does not go with target type "affine"; write appearance'),
-        (["filter.type=factorized"], 'does not go with target type "affine"; write adaptive or sir or auxiliary'),
+        (["filter.type=factorized"], 'does not go with target type "affine"; write sir or auxiliary or adaptive'),
         (["likelihood.mixing.w=0", "likelihood.mixing.s=0", "likelihood.mixing.f=0"], "mixing is all 0"),
         (["likelihood.sigma.s=0"], "likelihood.sigma.s must be at least 0.001"),
         (["likelihood.template=[5,30]"], "likelihood.template[1] must be at least 6, not 5"),

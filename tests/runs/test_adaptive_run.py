@@ -88,7 +88,7 @@ def run(facetrack, *args, config="adaptive_recognition", clip="zoom"):
         ("adaptive", ["motion.velocty=null"], 'did you mean "velocity"'),
         ("adaptive", ["target.parts=[nose]"], '"parts" does not belong to target type "affine" but to points'),
         ("adaptive", ["motion.sigma={nose: 1}"], "motion.sigma must be a length above 0"),
-        ("adaptive", ["filter={type: factorized, particles: 9}"], "write adaptive or sir or auxiliary"),
+        ("adaptive", ["filter={type: factorized, particles: 9}"], "write sir or auxiliary or adaptive"),
         ("adaptive", ["recognition.galery=x"], 'did you mean "gallery"'),
         ("adaptive", ["recognition=people.npz"], "recognition must be a mapping of keys"),
         ("factorized", ["filter={type: adaptive, particles: 9}"], '"adaptive" does not go with target type "points"'),

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.models.likelihoods.skin_ncc import SkinNcc
+from tests.support.parts import skin_ncc
 
 SIZE = (40.0, 48.0)
 TRUTH = (101.5, 83.5)
@@ -65,5 +65,5 @@ def scene(centre=TRUTH, second=None, darker=1.0, noise=0.0, height=170, width=26
 
 
 def learned(bgr, centre=TRUTH, size=SIZE, **options):
-    likelihood = SkinNcc(size, **options)
+    likelihood = skin_ncc(size, **options)
     return likelihood, likelihood.init(frame(bgr), states(centre)[0])

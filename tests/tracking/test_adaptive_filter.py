@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -10,15 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.filters import Adaptive, Ahead
-from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
-from facetrack_cli.tracking.models.motion import AffineWalk
+from facetrack_cli.recipe.affine import Noise, Velocity
+from facetrack_cli.tracking import filters
+from facetrack_cli.tracking.filters import Ahead
 from facetrack_cli.tracking.models.patches import Patches
 from facetrack_cli.tracking.models.spaces import AffineSpace, estimate
-from facetrack_cli.tracking.models.velocity import Guide, Noise, Velocity
+from facetrack_cli.tracking.models.velocity import eta
 from facetrack_cli.tracking.resampling import uniform
 from facetrack_cli.tracking.target import ParticleTarget
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
+from tests.support.parts import adaptive, affine_walk, appearance, predicted
 from tests.support.results import parts_of
 from tests.tracking.test_patches import frame, smooth, state
 
@@ -42,15 +44,16 @@ def ahead(noise=1.0, fell=None):
     ],
 )  # fmt: skip
 def test_the_number_of_particles(noise, fell, number):
-    assert Adaptive(100, entropy=0.2).number(ahead(noise, fell)) == number
-    assert Adaptive(300, entropy=0.2).number(ahead(noise, fell)) == pytest.approx(3 * number, abs=2)
-    assert Adaptive(100).number(ahead(noise, fell)) == round(100 * noise), "d is 0 unless it is given"
-    assert Adaptive(100, adapt=False, entropy=0.2).number(ahead(noise, fell)) == 100
+    there = ahead(noise, fell)
+    assert filters.number(adaptive(100, entropy=0.2), there) == number
+    assert filters.number(adaptive(300, entropy=0.2), there) == pytest.approx(3 * number, abs=2)
+    assert filters.number(adaptive(100, entropy=0.0), there) == round(100 * noise)
+    assert filters.number(adaptive(100, adapt=False, entropy=0.2), there) == 100
 
 
 @given(st.floats(0, 3), st.sampled_from([None, True, False]), st.integers(1, 500), st.floats(0, 2), st.integers(1, 60))
 def test_it_is_never_below_the_least(noise, fell, particles, entropy, least):
-    number = Adaptive(particles, entropy=entropy, least=least).number(ahead(noise, fell))
+    number = filters.number(adaptive(particles, entropy=entropy, least=least), ahead(noise, fell))
     change = {None: 0, True: -entropy, False: entropy}[fell]
     assert number >= least
     assert number == least or abs(number - particles * (noise + change)) <= 0.5 + 1e-6
@@ -58,7 +61,7 @@ def test_it_is_never_below_the_least(noise, fell, particles, entropy, least):
 
 def test_the_mean_error_of_a_good_track_takes_fewer_than_j_0():
     """Figure 2b: 77 of 100 with eta(eps; 0.5, 2, 1), at eps about 0.2."""
-    assert Adaptive(100).number(ahead(Noise().eta(0.18))) == 77
+    assert filters.number(adaptive(100), ahead(eta(Noise(), 0.18))) == 77
 
 
 # --- the step ------------------------------------------------------------------------------------------------------
@@ -89,7 +92,7 @@ class Gaussian:
 
 def stepped(model, number, seed=0, **settings):
     before = Particles(np.full((3, 1, 6), np.nan), uniform(3))  # what they were does not matter
-    return Adaptive(number, **settings)(np.random.default_rng(seed), before, model)
+    return filters.adaptive(adaptive(number, **settings), np.random.default_rng(seed), before, model)
 
 
 @pytest.mark.parametrize("noise", [0.5, 1.0, 2.0])
@@ -139,7 +142,7 @@ def test_as_many_as_eq_17_says_and_equal_weights_where_nothing_is_likely():
 
 
 def test_the_noise_of_the_walk_is_as_large_as_eq_13_says():
-    walk, parents = AffineWalk(2.0, 0.02, 0.01, 0.2, 5.0), np.repeat(STATE[None], 40_000, axis=0)
+    walk, parents = affine_walk(2.0, 0.02, 0.01), np.repeat(STATE[None], 40_000, axis=0)
     one = walk.propagate(np.random.default_rng(0), parents) - STATE
     three = walk.propagate(np.random.default_rng(0), parents, SHIFT, 3.0) - STATE - SHIFT
     np.testing.assert_allclose(three, 3.0 * one, atol=1e-12)
@@ -155,7 +158,7 @@ POSTERIORS = ((0.5, 0.5), (0.5, 0.5), (0.2, 0.8), (0.9, 0.1), (0.5, 0.5), (1.0, 
 class Watching:
     """The appearance, which says that somebody is recognised with these entropies."""
 
-    appearance: Appearance
+    appearance: object
     diagnostics: ClassVar = (POSTERIOR, ENTROPY)
 
     def init(self, frame, x0):
@@ -184,16 +187,16 @@ class Watching:
 
 
 BOX = (50.0, 56.0)
+WALK = affine_walk(2.0, 0.02)
 PICTURE, JUMP = smooth(5, 180, 240, 6.0), (3, -2)
 
 
 def target(**settings):
     patches = Patches(BOX)
-    model = Appearance(patches, 0.03, (0.3, 0.4, 0.3), (0.3, 0.5, 0.5), 0.1, 0.01)
     made = ParticleTarget(
         name="face", parts=("box",), space=AffineSpace(BOX), x0=state(110, 95), particles=100,
-        motion=AffineWalk(2.0, 0.02, 0.02, 0.2, 5.0), likelihood=Watching(model), prior=None,
-        step=Adaptive(100, entropy=0.2), confidence=None, guide=Guide(patches, Velocity(), None, 100),
+        motion=predicted(WALK, patches, Velocity()), likelihood=Watching(appearance(patches)), prior=None,
+        step=partial(filters.adaptive, adaptive(100, entropy=0.2)), confidence=None,
     )  # fmt: skip
     return replace(made, **settings)
 
@@ -237,8 +240,8 @@ def test_who_it_is_is_said_where_one_is_likelier_than_all_others():
 
 @pytest.mark.parametrize("best", [False, True])
 def test_what_is_predicted_is_where_the_picture_went(best):
-    noise = Noise(0.5, 2.0, 4.0)
-    states, results = followed(target(best=best, guide=Guide(Patches(BOX), Velocity(), noise, 100)))
+    noise = Noise(rate=4.0)
+    states, results = followed(target(best=best, motion=predicted(WALK, Patches(BOX), Velocity(), noise)))
     for before, after, result in zip(states, states[1:], results[1:], strict=False):
         np.testing.assert_array_equal(after.ahead.state, before.estimated.state)
         np.testing.assert_array_equal(after.flow.state, after.estimated.state)
@@ -251,7 +254,7 @@ def test_what_is_predicted_is_where_the_picture_went(best):
         assert np.abs(off[:, :2].mean(axis=0)).max() < 4 * 2.0 * after.ahead.noise / math.sqrt(len(off))
         assert off[:, :2].std() == pytest.approx(2.0 * after.ahead.noise, rel=0.35)
         said = reported(result)
-        assert (said["error"], said["noise"]) == (after.ahead.error, noise.eta(after.ahead.error))
+        assert (said["error"], said["noise"]) == (after.ahead.error, eta(noise, after.ahead.error))
         cx, cy, *a = after.estimated.state[0]
         assert said["affine"] == [*a, cx, cy] and said["scale"] == pytest.approx(math.sqrt(np.square(a).sum() / 2))
     middle = states[-1].estimated.state[0, :2]
@@ -259,8 +262,8 @@ def test_what_is_predicted_is_where_the_picture_went(best):
     assert not {"error", "noise"} & reported(results[0]).keys()
 
 
-def test_without_a_guide_nothing_is_predicted():
-    still = target(guide=None, step=Adaptive(100))
+def test_without_a_motion_that_predicts_nothing_is_predicted():
+    still = target(motion=WALK, step=partial(filters.adaptive, adaptive(100, entropy=0.0)))
     (first, second), results = followed(still, 2)
     ahead = still.predict(first, frame(PICTURE))
     np.testing.assert_array_equal(ahead.state, first.estimated.state)

@@ -8,14 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.models.motion import AffineWalk
-from facetrack_cli.tracking.models.patches import scale_of
-from facetrack_cli.tracking.models.spaces import AffineSpace, affine_state_of_box, estimate, evenly
+from facetrack_cli.tracking.models.spaces import AffineSpace, affine_state_of_box, estimate, evenly, scale_of
+from tests.support.parts import affine_walk
 from tests.twins import guide as naive
 
 SPACE = AffineSpace((41.0, 61.0))
 STILL = np.zeros((1, 2))
-WALK = AffineWalk(2.0, 0.04, 0.01, 0.2, 5.0, turn=0.03)
+WALK = affine_walk(2.0, 0.04, 0.01, turn=0.03)
 NUMBER = st.floats(-3, 3)
 STATES = st.tuples(st.floats(-500, 500), st.floats(-500, 500), NUMBER, NUMBER, NUMBER, NUMBER)
 
@@ -87,7 +86,7 @@ def test_a_box_of_a_pixel_has_corners():
     st.tuples(st.floats(0.01, 0.9), st.floats(1.1, 4)),
 )  # fmt: skip
 def test_the_walk_equals_the_plain_twin(seed, state, noise, turn, shear, bounds):
-    walk = AffineWalk(3.0, 0.2, shear, *bounds, turn)
+    walk = affine_walk(3.0, 0.2, shear, bounds, turn)
     shift = np.random.default_rng(seed + 1).normal(size=(1, 6))
     x = np.tile(np.array(state), (5, 1, 1))
     u = np.random.default_rng(seed).standard_normal(x.shape)
@@ -99,7 +98,7 @@ def test_the_walk_equals_the_plain_twin(seed, state, noise, turn, shear, bounds)
         )
 
 
-@pytest.mark.parametrize("walk", [WALK, AffineWalk(2.0, 0.04, 0.04, 0.2, 5.0)])
+@pytest.mark.parametrize("walk", [WALK, affine_walk(2.0, 0.04)])
 def test_the_transition_is_the_density_of_the_samples(walk):
     parent = np.array([[[10.0, 20, 1, 0.2, -0.1, 0.9]]])
     drawn = walk.propagate(np.random.default_rng(0), np.repeat(parent, 40_000, axis=0))
@@ -129,15 +128,15 @@ def test_scale_turn_and_shape_have_noise_of_their_own():
     # rotation of the scale and the turn: (a1 + a4) / 2 and (a3 - a2) / 2; each of four numbers has a half of it
     for number, sigma in ((a1 + a4, 0.04), (a3 - a2, 0.03), (a1 - a4, 0.01), (a2 + a3, 0.01)):
         assert number.std() == pytest.approx(math.sqrt(2) * sigma, rel=0.03)
-    upright_only = AffineWalk(2.0, 0.04, 0.0, 0.2, 5.0, turn=0.0).propagate(np.random.default_rng(0), upright)[:, 0, 2:]
+    upright_only = affine_walk(2.0, 0.04, 0.0, turn=0.0).propagate(np.random.default_rng(0), upright)[:, 0, 2:]
     np.testing.assert_array_equal(upright_only[:, 1:3], 0)
     np.testing.assert_allclose(upright_only[:, 0], upright_only[:, 3])
-    even = AffineWalk(2.0, 0.04, 0.04, 0.2, 5.0).propagate(np.random.default_rng(0), upright)[:, 0, 2:]
+    even = affine_walk(2.0, 0.04).propagate(np.random.default_rng(0), upright)[:, 0, 2:]
     np.testing.assert_allclose(even.std(axis=0), 0.04, rtol=0.03)
 
 
 def test_the_scale_stays_within_its_bounds_however_far_it_is_shifted():
-    walk = AffineWalk(2.0, 0.5, 0.5, 0.5, 2.0)
+    walk = affine_walk(2.0, 0.5, scale=(0.5, 2.0))
     rng = np.random.default_rng(0)
     x = np.repeat(np.array([[[0.0, 0, 1, 0, 0, 1]]]), 500, axis=0)
     for deform in ((9.0, 0, 0, 9), (-1.0, 0, 0, -1), (0.0, 3, -3, 0)):
@@ -147,7 +146,7 @@ def test_the_scale_stays_within_its_bounds_however_far_it_is_shifted():
             scale = scale_of(x)
             assert scale.min() >= 0.5 - 1e-9 and scale.max() <= 2.0 + 1e-9
     # it keeps its direction
-    still = AffineWalk(0.0, 0.0, 0.0, 0.5, 2.0)
+    still = affine_walk(0.0, 0.0, scale=(0.5, 2.0))
     wild = np.array([[[0.0, 0, 6, 2, -2, 6]], [[0.0, 0, 0.1, 0, 0, 0.2]], [[0.0, 0, 0, 0, 0, 0]]])
     found = still.propagate(rng, wild)[:, 0, 2:]
     np.testing.assert_allclose(found[0], np.array([6, 2, -2, 6]) * 2 / math.sqrt(40), rtol=1e-12)

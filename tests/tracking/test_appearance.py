@@ -11,16 +11,18 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.kernels import mixture as kernel
-from facetrack_cli.tracking.models.likelihoods.appearance import OUTLIER_RANGE, Appearance, Mixture
+from facetrack_cli.tracking.models.likelihoods.appearance import OUTLIER_RANGE, Mixture
 from facetrack_cli.tracking.models.patches import Patches
+from tests.support.parts import appearance, changed, components
 from tests.support.samples import read_boxes
 from tests.tracking.test_patches import frame, smooth, state, states
 from tests.twins import appearance as naive
 
 PATCHES = Patches((40.0, 50.0))
-MODEL = Appearance(PATCHES, 0.1, (0.3, 0.3, 0.4), (0.4, 0.5, 0.6), 0.05, 0.01)
-FIXED = replace(MODEL, mixing=(0, 0, 1))
-LAPLACE = replace(FIXED, density="laplace")
+MIXING, SIGMA = components(0.3, 0.3, 0.4), components(0.4, 0.5, 0.6)
+MODEL = appearance(PATCHES, 0.1, mixing=MIXING, sigma=SIGMA, least_sigma=0.05)
+FIXED = changed(MODEL, mixing=components(0, 0, 1))
+LAPLACE = changed(FIXED, density="laplace")
 TRUTH = state(80, 60)
 W, S, F = 0, 1, 2
 
@@ -123,7 +125,7 @@ def test_learning_equals_the_plain_twin(off, laplace, outlier, seed, alpha, leas
 )  # fmt: skip
 def test_nothing_drifts_away_in_thousands_of_frames(seed, alpha, floor, least_sigma, density, outlier, mixing):
     rng = np.random.default_rng(seed)
-    f, model = frame(smooth(1)), replace(MODEL, density=density, outlier=outlier, mixing=mixing)
+    f, model = frame(smooth(1)), changed(MODEL, density=density, outlier=outlier, mixing=components(*mixing))
     learned = model.init(f, TRUTH)
     face, pictures = learned.mu[F].copy(), rng.normal(size=(7, PATCHES.points)).astype(np.float32)
     for k in range(2000):
@@ -133,7 +135,7 @@ def test_nothing_drifts_away_in_thousands_of_frames(seed, alpha, floor, least_si
     for values in (learned.m, learned.mu, learned.sigma, learned.moments, *learned.terms):
         assert np.isfinite(values).all()
     assert learned.m.sum(axis=0) == pytest.approx(1, abs=1e-5)
-    assert learned.sigma.min() >= np.float32(min(least_sigma, *model.sigma))
+    assert learned.sigma.min() >= np.float32(min(least_sigma, *SIGMA.each))
     for i in (W, S, F):
         assert (learned.m[i] > 0).all() if mixing[i] > 0 and floor > 0 else True
         assert mixing[i] > 0 or not learned.m[i].any(), "what is out stays out"
@@ -220,7 +222,7 @@ def moved(rows):
     return (TRUTH[0, 0] + dx, TRUTH[0, 1] + dy, *(turn @ np.array([[1, shear], [0, 1]])).ravel())
 
 
-@pytest.mark.parametrize("model", [MODEL, FIXED, LAPLACE, replace(MODEL, outlier=0.1)])
+@pytest.mark.parametrize("model", [MODEL, FIXED, LAPLACE, changed(MODEL, outlier=0.1)])
 @pytest.mark.parametrize(("axis", "reach"), [(0, 6), (1, 6), (2, 0.2), (3, 0.3), (4, 0.3)])
 def test_the_peak_is_at_the_truth_whatever_is_wrong(model, axis, reach):
     offs = np.linspace(-reach, reach, 25)
@@ -263,7 +265,7 @@ def test_outliers_cost_little_and_teach_nothing_to_s():
     whole = smooth(12)
     covered = whole.copy()
     covered[70:90] = rng.integers(0, 256, (20, 160))
-    robust = replace(MODEL, outlier=0.1)
+    robust = changed(MODEL, outlier=0.1)
     lost, kept = {}, {}
     for name, model in (("plain", MODEL), ("robust", robust)):
         learned = model.init(frame(whole), TRUTH)
@@ -329,8 +331,9 @@ def test_a_fixed_template_stays_as_it_was():
 def test_a_component_that_is_left_out_needs_no_sigma():
     f, x = frame(smooth(15)), states((80, 60), (82, 61))
     for mixing in ((0, 0, 2), (0, 1, 0), (1, 0, 1)):
-        with_, without = replace(MODEL, mixing=mixing), replace(MODEL, mixing=mixing)
-        without = replace(without, sigma=tuple(s if m else 0.0 for s, m in zip(MODEL.sigma, mixing, strict=True)))
+        with_ = changed(MODEL, mixing=components(*mixing))
+        sigma = components(*(s if m else 0.0 for s, m in zip(SIGMA.each, mixing, strict=True)))
+        without = changed(with_, sigma=sigma)
         a, b = (model.learn(model.init(f, TRUTH), f, TRUTH) for model in (with_, without))
         np.testing.assert_array_equal(with_.score(a, f, x), without.score(b, f, x))
         y = PATCHES.read(f, x, 1)
@@ -358,15 +361,15 @@ def test_the_pictures_of_s_and_w_are_grey_levels_around_the_middle():
     assert shown["S"].ravel()[:6].tolist() == [128, 179, 77, 254, 255, 0]
     assert shown["W"].ravel()[:6].tolist() == [0, 0, 255, 153, 102, 128]
     assert [name for name, _ in FIXED.insets(learned)] == ["F"]
-    assert [name for name, _ in replace(MODEL, mixing=(0.5, 0, 0.5)).insets(learned)] == ["W"]
+    assert [name for name, _ in changed(MODEL, mixing=components(0.5, 0, 0.5)).insets(learned)] == ["W"]
 
 
 def test_so_many_pixels_count_as_independent():
     f, x = frame(smooth(1)), states((80, 60), (83, 60), (80, 64, 1.1, 0, 0, 1.1))
     learned = MODEL.init(f, TRUTH)
     all_ = MODEL.score(learned, f, x)
-    np.testing.assert_allclose(replace(MODEL, pixels=PATCHES.points).score(learned, f, x), all_)
-    np.testing.assert_allclose(replace(MODEL, pixels=5).score(learned, f, x), all_ * 5 / PATCHES.points)
+    np.testing.assert_allclose(changed(MODEL, pixels=PATCHES.points).score(learned, f, x), all_)
+    np.testing.assert_allclose(changed(MODEL, pixels=5).score(learned, f, x), all_ * 5 / PATCHES.points)
 
 
 def test_what_is_expected_is_the_mean_of_the_mixture():
@@ -378,7 +381,7 @@ def test_what_is_expected_is_the_mean_of_the_mixture():
 @pytest.mark.parametrize(("density", "outlier"), [("gaussian", None), ("gaussian", 0.3), ("laplace", 0.3)])
 def test_the_score_is_eq_6_of_the_patches_that_are_read(density, outlier):
     f, x = frame(smooth(1)), states((81, 60), (85, 57, 1.1, 0, 0.1, 0.9))
-    model = replace(MODEL, density=density, outlier=outlier)
+    model = changed(MODEL, density=density, outlier=outlier)
     learned = model.init(f, TRUTH)
     y = PATCHES.read(f, x, PATCHES.factor(TRUTH)).astype(np.float64)
     expected = [

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.models.likelihoods.colour_ratio import ColourRatio
+from tests.support.parts import colour_ratio
 from tests.twins import windows as naive
 
 
@@ -46,7 +46,7 @@ def peak(likelihood, learned, picture):
 @pytest.mark.parametrize("gain", [0.6, 1.0, 1.4])
 def test_peak_is_at_the_truth_whatever_the_light(robust, gain):
     picture = texture()
-    likelihood = ColourRatio(WINDOWS, robust=robust)
+    likelihood = colour_ratio(WINDOWS, robust=robust)
     learned = likelihood.init(frame(picture), X0)
     relit = np.clip(picture * gain, 0, 255).round().astype(np.uint8)
     np.testing.assert_array_equal(peak(likelihood, learned, relit), 0.0)
@@ -54,7 +54,7 @@ def test_peak_is_at_the_truth_whatever_the_light(robust, gain):
 
 def test_perfect_match_has_distance_zero_and_light_changes_next_to_nothing():
     picture = texture()
-    likelihood = ColourRatio(WINDOWS)
+    likelihood = colour_ratio(WINDOWS)
     learned = likelihood.init(frame(picture), X0)
     at_truth = likelihood.distances(learned, frame(picture), X0[None])[0]
     np.testing.assert_allclose(at_truth, 0.0, atol=1e-5)
@@ -64,7 +64,7 @@ def test_perfect_match_has_distance_zero_and_light_changes_next_to_nothing():
 
 def test_agrees_with_the_formula():
     picture = texture()
-    likelihood = ColourRatio(WINDOWS)
+    likelihood = colour_ratio(WINDOWS)
     learned = likelihood.init(frame(picture), np.round(X0))
     x = X0 + 2.7
     for i, (w, h) in enumerate(WINDOWS.astype(int)):
@@ -76,7 +76,7 @@ def test_agrees_with_the_formula():
 
 def test_the_floor_bounds_from_below_and_leaves_good_matches_alone():
     picture = texture()
-    plain, floored = ColourRatio(WINDOWS), ColourRatio(WINDOWS, floor=-10.0)
+    plain, floored = colour_ratio(WINDOWS), colour_ratio(WINDOWS, floor=-10.0)
     learned = plain.init(frame(picture), X0)
     x = X0 + grid(reach=40, step=8)[:, None]
     a, b = plain.score(learned, frame(picture), x), floored.score(learned, frame(picture), x)
@@ -88,7 +88,7 @@ def test_the_floor_bounds_from_below_and_leaves_good_matches_alone():
 @pytest.mark.parametrize("scale", [2, 4])
 def test_a_large_picture_read_reduced_peaks_at_the_truth(scale):
     picture = texture(scale=scale)
-    likelihood = ColourRatio(WINDOWS * scale, max_samples=13)
+    likelihood = colour_ratio(WINDOWS * scale, max_samples=13)
     x0 = X0 * scale + (scale - 1) / 2
     learned = likelihood.init(frame(picture), x0)
     assert max(group.sides.max() for group in learned.groups) <= 13
@@ -99,7 +99,7 @@ def test_a_large_picture_read_reduced_peaks_at_the_truth(scale):
 
 def test_reduced_reading_does_not_depend_on_the_other_particles():
     picture = texture(scale=3)
-    likelihood = ColourRatio(WINDOWS * 3, max_samples=9)
+    likelihood = colour_ratio(WINDOWS * 3, max_samples=9)
     x0 = X0 * 3
     learned = likelihood.init(frame(picture), x0)
     some = x0 + grid(reach=9, step=3)[:, None]
@@ -117,7 +117,7 @@ def test_reduced_reading_does_not_depend_on_the_other_particles():
     level=st.sampled_from([0, 1, 255]),
 )
 def test_any_place_in_any_flat_picture_has_a_finite_likelihood(x, y, max_samples, level):
-    likelihood = ColourRatio(WINDOWS, max_samples=max_samples)
+    likelihood = colour_ratio(WINDOWS, max_samples=max_samples)
     learned = likelihood.init(frame(texture()), X0)
     flat = np.full((37, 51, 3), level, np.uint8)
     score = likelihood.score(learned, frame(flat), np.array([[[x, y], [y, x]]]))
@@ -126,7 +126,7 @@ def test_any_place_in_any_flat_picture_has_a_finite_likelihood(x, y, max_samples
 
 def test_a_black_template_is_flat_but_finite():
     black = np.zeros((60, 60, 3), np.uint8)
-    likelihood = ColourRatio(WINDOWS)
+    likelihood = colour_ratio(WINDOWS)
     learned = likelihood.init(frame(black), X0 / 2)
     score = likelihood.score(learned, frame(texture()), X0[None])
     assert np.all(np.isfinite(score))

@@ -1,6 +1,8 @@
 """Confidence and status from the distances of windows alone."""
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.confidence import Confidence
+from facetrack_cli.recipe.particle_filter import Confidence
+from facetrack_cli.tracking import confidence as judging
 
 X0 = np.array([[50.0, 50.0], [80.0, 50.0]])
 WINDOWS = np.array([[10.0, 10.0], [20.0, 12.0]])
@@ -26,8 +29,14 @@ class Ring:
         return np.full(x.shape[:2], [0.4, 0.2]) if off[0, 0] > 0.5 else np.full(x.shape[:2], 0.1)
 
 
+def confidence_of(**options):
+    """The functions of confidence.py with these settings."""
+    settings = Confidence(**options)
+    return SimpleNamespace(begin=partial(judging.begin, settings), judge=partial(judging.judge, settings))
+
+
 def begin(**options):
-    confidence = Confidence(**options)
+    confidence = confidence_of(**options)
     frame = Frame(0, 0.0, np.arange(300, dtype=np.uint8).reshape(10, 10, 3))
     return confidence, confidence.begin(Ring(), None, frame, X0, WINDOWS)
 
@@ -59,7 +68,7 @@ def test_a_lower_quantile_of_the_windows_beside_is_stricter():
             return seen * np.linspace(0.5, 1.5, len(x))[:, None] if len(x) > 1 else seen
 
     frame = Frame(0, 0.0, np.arange(300, dtype=np.uint8).reshape(10, 10, 3))
-    low, median = (Confidence(beside=q).begin(Uneven(), None, frame, X0, WINDOWS).bad for q in (0.125, 0.5))
+    low, median = (confidence_of(beside=q).begin(Uneven(), None, frame, X0, WINDOWS).bad for q in (0.125, 0.5))
     assert np.all(low < median)
 
 

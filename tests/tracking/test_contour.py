@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.kernels import contour
-from facetrack_cli.tracking.models.likelihoods.contour import Contour, ellipse
+from facetrack_cli.tracking.models.likelihoods.contour import ellipse
+from tests.support import parts
 from tests.twins import contour as naive_contour
 
 SIZE = (40.0, 52.0)
@@ -21,8 +22,8 @@ LEAST = math.log(0.1)
 
 def model(size=SIZE, **changes):
     unit = sum(size) / 2
-    settings = {"normals": 32, "sigma": 0.1 * unit, "search": 0.25 * unit, "threshold": 15.0, "outlier": 0.1}
-    return Contour(size, **{**settings, **changes})
+    settings = {"sigma": 0.1 * unit, "search": 0.25 * unit, "threshold": 15.0, "outlier": 0.1}
+    return parts.contour(size, **{**settings, **changes})
 
 
 def head(inside=150.0, outside=90.0, zoom=1, clutter=0.0, seed=0, blur=1.0):

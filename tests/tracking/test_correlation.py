@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, Particles
 from facetrack_cli.tracking.kernels import patches
-from facetrack_cli.tracking.models.likelihoods.correlation import OUTSIDE, Correlation
+from facetrack_cli.tracking.models.likelihoods.correlation import OUTSIDE
+from tests.support.parts import correlation
 from tests.twins import patches as naive_patches
 
 DISTANCES = ["l2", "saturated_l1", "hausdorff"]
@@ -108,7 +109,7 @@ def test_extent_is_that_of_its_twin(boxes):
 @pytest.mark.parametrize("kind", DISTANCES)
 def test_likelihood_is_the_formula_of_the_paper(kind):
     before, now = frame(texture(0)), frame(texture(0) * 0.9 + 20)
-    likelihood = Correlation(SIZE, (5, 4), kind, sigma=60.0, saturation=15.0)
+    likelihood = correlation(SIZE, kind, grid=(5, 4), sigma=60.0, saturation=15.0)
     x, parent = [[70.3, 50.2, 1.1], [20.0, 30.0, 0.5], [150.0, 60.0, 1.0]], [71.0, 49.0, 1.05]
     factor = 8
     assert likelihood.init(before, states(parent)[0]).factor == factor, "40 / 5 pixels a step"
@@ -132,7 +133,7 @@ def test_peak_is_at_the_true_motion(kind, size):
     for grown in (1.0, 1.06):
         x[:, 2] = 0.95 * grown
         now = frame(moved(still, 3, -2, grown))
-        log_p = scored(Correlation(size, distance=kind), frame(still), now, x, [80, 60, 0.95])
+        log_p = scored(correlation(size, distance=kind), frame(still), now, x, [80, 60, 0.95])
         np.testing.assert_array_equal(x[np.argmax(log_p), :2], [83.0, 58.0])
 
 
@@ -141,7 +142,7 @@ def test_peak_is_at_the_true_scale(kind):
     still = texture()
     scales = np.arange(0.8, 1.21, 0.02)
     x = np.column_stack([np.full(len(scales), 80.0), np.full(len(scales), 60.0), scales])
-    log_p = scored(Correlation(SIZE, distance=kind), frame(still), frame(moved(still, 0, 0, 1.1)), x, [80, 60, 1])
+    log_p = scored(correlation(SIZE, distance=kind), frame(still), frame(moved(still, 0, 0, 1.1)), x, [80, 60, 1])
     assert scales[np.argmax(log_p)] == pytest.approx(1.1, abs=0.021)
 
 
@@ -152,7 +153,7 @@ def test_a_particle_on_the_ground_follows_the_ground(kind):
     mask[30:90, 20:70] = 1
     before = np.where(mask > 0, thing, ground)
     now = np.where(moved(mask, 4, 0) > 0.5, moved(thing, 4, 0), moved(ground, -2, 1))
-    likelihood = Correlation((30.0, 30.0), distance=kind)
+    likelihood = correlation((30.0, 30.0), distance=kind)
     for parent, motion in (((45.0, 60.0), (4, 0)), ((120.0, 60.0), (-2, 1))):
         near = around(parent, reach=7.0, step=1.0)
         log_p = scored(likelihood, frame(before), frame(now), near, [*parent, 1.0])
@@ -167,7 +168,7 @@ def test_flicker_hardly_moves_the_peak(kind, gain, more):
     still = texture()
     x = around((80.0, 60.0))
     now = moved(still, 3, -2) * gain + more
-    log_p = scored(Correlation(SIZE, distance=kind), frame(still), frame(now), x, [80, 60, 1])
+    log_p = scored(correlation(SIZE, distance=kind), frame(still), frame(now), x, [80, 60, 1])
     # hausdorff forgives a step of the grid, 2.5 pixels here
     most = 1.25 if kind == "hausdorff" else 0.5
     assert np.abs(x[np.argmax(log_p), :2] - (83.0, 58.0)).max() <= most
@@ -176,7 +177,7 @@ def test_flicker_hardly_moves_the_peak(kind, gain, more):
 @pytest.mark.parametrize("kind", DISTANCES)
 def test_flat_pictures_know_no_motion(kind):
     flat = frame(np.full((HEIGHT, WIDTH), 90.0))
-    log_p = scored(Correlation(SIZE, distance=kind), flat, flat, around((80.0, 60.0), 10.0, 2.0), [80, 60, 1])
+    log_p = scored(correlation(SIZE, distance=kind), flat, flat, around((80.0, 60.0), 10.0, 2.0), [80, 60, 1])
     np.testing.assert_array_equal(log_p, 0.0)
 
 
@@ -186,7 +187,7 @@ def test_leaving_the_picture_never_pays(kind):
     still = texture()
     still[:, -20:] = 128
     now = moved(still, 3, -2)
-    likelihood = Correlation(SIZE, distance=kind)
+    likelihood = correlation(SIZE, distance=kind)
     for parent in ([80, 60, 1], [300, 60, 1], [80, -200, 1]):
         x = [*parent[:2], 1.0] if parent != [80, 60, 1] else [500.0, 60.0, 1.0]
         outside = scored(likelihood, frame(still), frame(now), x, parent)
@@ -208,7 +209,7 @@ def test_a_box_that_leaves_keeps_its_peak(kind):
     parent = (WIDTH - 10.0, 60.0)
     near = around(parent, reach=6.0, step=1.0)
     now = frame(np.roll(still, 3, axis=1))
-    log_p = scored(Correlation(SIZE, distance=kind), frame(still), now, near, [*parent, 1.0])
+    log_p = scored(correlation(SIZE, distance=kind), frame(still), now, near, [*parent, 1.0])
     assert np.abs(near[np.argmax(log_p), :2] - (parent[0] + 3, parent[1])).max() <= 1
 
 
@@ -226,7 +227,7 @@ wild = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(-300,
 )
 def test_wild_particles_are_survived(kind, rows, parent, size):
     before, now = frame(texture(0)), frame(texture(1))
-    log_p = scored(Correlation(size, distance=kind), before, now, rows, parent)
+    log_p = scored(correlation(size, distance=kind), before, now, rows, parent)
     assert np.isfinite(log_p).all()
     assert (log_p <= 0).all()
 
@@ -234,7 +235,7 @@ def test_wild_particles_are_survived(kind, rows, parent, size):
 @pytest.mark.parametrize("kind", DISTANCES)
 def test_no_motion_is_a_perfect_match_and_each_frame_takes_the_place_of_the_one_before(kind):
     frames = [frame(texture(0)), frame(texture(1)), frame(moved(texture(1), 2, 0))]
-    likelihood = Correlation(SIZE, distance=kind)
+    likelihood = correlation(SIZE, distance=kind)
     x = states([[80.3, 60.1, 1.0], [75.2, 61.7, 0.83]])
     learned = likelihood.init(frames[0], x[0])
     np.testing.assert_array_equal(likelihood.score(learned, Frame(1, 0.0, frames[0].bgr), x, x), 0.0)
@@ -253,14 +254,14 @@ def test_the_picture_is_reduced_as_far_as_the_grid_allows():
         ((16, 16), (16, 16), 1), ((31, 90), (16, 16), 1), ((32, 90), (16, 16), 2), ((64, 64), (16, 16), 4),
         ((5, 5), (16, 16), 1), ((64, 64), (8, 32), 2), ((2000, 2000), (16, 16), 64),
     ]:  # fmt: skip
-        assert Correlation(size, grid).init(f, states([0, 0, 1.0])[0]).factor == factor
+        assert correlation(size, grid=grid).init(f, states([0, 0, 1.0])[0]).factor == factor
 
 
 def test_where_the_frame_is_cut_does_not_matter():
     """One stray particle makes the cut larger; the scores of the others stay as they were."""
     still = texture(0, 400, 300)
     before, now = frame(still), frame(moved(still, 2, 1))
-    likelihood = Correlation((64.0, 64.0))
+    likelihood = correlation((64.0, 64.0))
     x = [[200.0, 150.0, 1.0], [203.0, 152.0, 1.1]]
     alone = scored(likelihood, before, now, x, [201, 149, 1])
     fresh = Frame(0, 0.0, before.bgr), Frame(1, 0.0, now.bgr)
@@ -273,7 +274,7 @@ def test_a_parent_is_looked_up_wherever_it_was(grid):
     """Each frame is cut around the boxes that lie in it."""
     still = texture(0, 500, 400)
     before, now = frame(still), frame(moved(still, 2, 1))
-    likelihood = Correlation((64.0, 64.0), grid)
+    likelihood = correlation((64.0, 64.0), grid=grid)
     x, parent = [[420.0, 330.0, 1.0]], [60.0, 50.0, 1.4]
     cut = scored(likelihood, before, now, x, parent)
     whole = Frame(0, 0.0, before.bgr), Frame(1, 0.0, now.bgr)
@@ -285,7 +286,7 @@ def test_a_parent_is_looked_up_wherever_it_was(grid):
 def test_children_of_parents_that_differ_in_one_coordinate_are_told_apart():
     """Each parent is read once for all its children, which follow each other."""
     before, now = frame(texture(0)), frame(texture(1))
-    likelihood = Correlation(SIZE)
+    likelihood = correlation(SIZE)
     parents = states([[80, 60, 1], [80, 60, 1], [84, 60, 1], [84, 64, 1], [84, 64, 1.2], [80, 60, 1]])
     x = np.repeat(states([81, 61, 1.1]), len(parents), axis=0)
     learned = likelihood.init(before, x[0])

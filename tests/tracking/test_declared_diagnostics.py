@@ -13,8 +13,7 @@ from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import save
 from facetrack_cli.report import figures as plots
-from facetrack_cli.tracking.build import points
-from facetrack_cli.tracking.models.likelihoods.colour_ratio import ColourRatio
+from facetrack_cli.tracking.models.likelihoods import colour_ratio
 from facetrack_cli.trajectory.diagnostics import Diagnostic
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -29,7 +28,7 @@ SHARES = Diagnostic("shares", shape=None, least=0, most=1)
 
 
 @dataclass(frozen=True)
-class Focused(ColourRatio):
+class Focused(colour_ratio.ColourRatio):
     """The likelihood of the shipped recipes, which reports how far colours are spread."""
 
     diagnostics: ClassVar = (COLOURS, FOCUS, SHARES)
@@ -47,7 +46,7 @@ def run(folder, *options):
 
 @pytest.fixture
 def done(tmp_path, monkeypatch):
-    monkeypatch.setattr(points, "ColourRatio", Focused)
+    monkeypatch.setattr(colour_ratio, "ColourRatio", Focused)
     return run(tmp_path / "run")
 
 

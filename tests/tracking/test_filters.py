@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.filters import Auxiliary, Factorized, Sir
 from facetrack_cli.tracking.models.motion import RandomWalk
 from facetrack_cli.tracking.resampling import SCHEMES, logsumexp, uniform
+from tests.support.parts import auxiliary, factorized, sir
 
 K, D, FRAMES = 4, 1, 30
 Q, R, TIE = 1.0, 1.5, 1.2  # standard deviations: of a step, of the observation, of the shape prior's ties
@@ -107,39 +107,39 @@ TOGETHER = 0.3 * np.eye(K) + 4.0  # the parts begin strongly correlated
 
 
 def test_bootstrap_agrees_with_kalman():
-    assert rmse(Sir(), 5000, covariance=APART) < 0.082
+    assert rmse(sir(), 5000, covariance=APART) < 0.082
 
 
 def test_auxiliary_agrees_with_kalman():
-    assert rmse(Auxiliary(), 5000, covariance=APART) < 0.2
+    assert rmse(auxiliary(), 5000, covariance=APART) < 0.2
 
 
 @pytest.mark.parametrize("name", SCHEMES)
 def test_every_resampling_scheme_serves(name):
-    assert rmse(Factorized("none", resample=SCHEMES[name]), 2000, covariance=APART, seeds=4) < 0.1
+    assert rmse(factorized("none", resampling=name), 2000, covariance=APART, seeds=4) < 0.1
 
 
 def test_independent_filters_agree_with_kalman_where_parts_are_independent():
-    assert rmse(Factorized("none"), 5000, covariance=APART) < 0.06
+    assert rmse(factorized("none"), 5000, covariance=APART) < 0.06
 
 
 def test_transition_reweighting_keeps_correlations_that_independent_filters_lose():
     ys = simulate(5, TOGETHER)[:1]
     exact, exact_cov = kalman(ys, TOGETHER)
-    means, covs = run(Factorized("transition"), ys, TOGETHER, 1500, 1)
+    means, covs = run(factorized("transition"), ys, TOGETHER, 1500, 1)
     assert np.abs(means - exact).max() < 0.25
     assert np.abs(covs - exact_cov).max() < 0.2
-    _, alone = run(Factorized("none"), ys, TOGETHER, 1500, 1)
+    _, alone = run(factorized("none"), ys, TOGETHER, 1500, 1)
     assert abs(alone[-1][0, 1]) < 0.1 < exact_cov[-1][0, 1]
 
 
 def test_transition_reweighting_agrees_with_kalman():
-    assert rmse(Factorized("transition"), 400, covariance=TOGETHER, seeds=6) < 0.25
+    assert rmse(factorized("transition"), 400, covariance=TOGETHER, seeds=6) < 0.25
 
 
 def test_filters_over_the_joint_state_take_the_prior_as_an_observation():
-    assert rmse(Sir(), 5000, covariance=APART, seeds=6, tied=True) < 0.06
-    assert rmse(Auxiliary(), 20000, covariance=APART, seeds=4, tied=True) < 0.2
+    assert rmse(sir(), 5000, covariance=APART, seeds=6, tied=True) < 0.06
+    assert rmse(auxiliary(), 20000, covariance=APART, seeds=4, tied=True) < 0.2
 
 
 def test_prior_reweighting_is_the_product_of_marginals_and_prior():
@@ -147,7 +147,7 @@ def test_prior_reweighting_is_the_product_of_marginals_and_prior():
     ys = simulate(3, APART)[:8]
     joint, _ = kalman(ys, APART, tied=True)
     exact, exact_cov = kalman(ys, APART, tied=True, forget_ties=True)
-    means, covs = run(Factorized("prior"), ys, APART, 200_000, 0, tied=True)
+    means, covs = run(factorized("prior"), ys, APART, 200_000, 0, tied=True)
     assert np.sqrt(np.mean((means - exact) ** 2)) < 0.015
     assert np.sqrt(np.mean((means - joint) ** 2)) > 0.06
     np.testing.assert_allclose(covs, exact_cov, atol=0.03)
@@ -155,7 +155,7 @@ def test_prior_reweighting_is_the_product_of_marginals_and_prior():
 
 def test_factorized_needs_fewer_particles_than_bootstrap():
     """The paper's reason, on a model where it can be proved: with as many particles, a clearly smaller error."""
-    assert rmse(Factorized("none"), 300, covariance=APART, seeds=10) < rmse(Sir(), 300, covariance=APART, seeds=10)
+    assert rmse(factorized("none"), 300, covariance=APART, seeds=10) < rmse(sir(), 300, covariance=APART, seeds=10)
 
 
 def test_sub_particles_from_the_prior_find_a_part_that_jumped():
@@ -170,8 +170,8 @@ def test_sub_particles_from_the_prior_find_a_part_that_jumped():
             particles, _ = step(rng, particles, LinearGaussian(y, tied=True))
         return np.einsum("n,nkd->kd", np.exp(particles.log_w), particles.x)
 
-    assert np.abs(after(Factorized("prior", from_prior=0.1))).max() < 2
-    assert np.abs(after(Factorized("prior"))).max() > 20
+    assert np.abs(after(factorized("prior", from_prior=0.1))).max() < 2
+    assert np.abs(after(factorized("prior"))).max() > 20
 
 
 def test_mixture_transition_is_weighted_rightly():
@@ -180,14 +180,14 @@ def test_mixture_transition_is_weighted_rightly():
     model.log_likelihood = lambda x, parents: np.zeros(x.shape[:2])
     x = np.zeros((20000, K, D))
     x[:, 0] = 10.0
-    particles, info = Factorized("none", from_prior=0.25)(np.random.default_rng(0), Particles(x, uniform(20000)), model)
+    particles, info = factorized("none", from_prior=0.25)(np.random.default_rng(0), Particles(x, uniform(20000)), model)
     # part 0: three quarters stay at 10, a quarter goes to the others' mean, 0
     assert particles.x[:, 0].mean() == pytest.approx(7.5, abs=0.1)
     np.testing.assert_allclose(info.ess, 20000)
 
 
 @pytest.mark.parametrize(
-    "step", [Sir(), Auxiliary(), Factorized("prior"), Factorized("none"), Factorized("transition")]
+    "step", [sir(), auxiliary(), factorized("prior"), factorized("none"), factorized("transition")]
 )
 def test_zero_likelihood_everywhere_leaves_the_prediction(step):
     model = LinearGaussian(np.zeros((K, D)), blind=True)
@@ -198,7 +198,7 @@ def test_zero_likelihood_everywhere_leaves_the_prediction(step):
 
 
 @pytest.mark.parametrize(
-    "step", [Sir(), Auxiliary(), Factorized("prior"), Factorized("none"), Factorized("transition")]
+    "step", [sir(), auxiliary(), factorized("prior"), factorized("none"), factorized("transition")]
 )
 def test_one_particle_is_enough_to_run(step):
     particles = Particles(np.zeros((1, K, D)), uniform(1))
@@ -211,7 +211,7 @@ def test_one_particle_is_enough_to_run(step):
 def test_filters_leave_their_arguments_alone():
     x = np.random.default_rng(0).normal(size=(50, K, D))
     particles = Particles(x.copy(), uniform(50))
-    for step in (Sir(), Auxiliary(), Factorized("prior", from_prior=0.2), Factorized("transition")):
+    for step in (sir(), auxiliary(), factorized("prior", from_prior=0.2), factorized("transition")):
         step(np.random.default_rng(1), particles, LinearGaussian(np.zeros((K, D)), tied=True))
         np.testing.assert_array_equal(particles.x, x)
         np.testing.assert_array_equal(particles.log_w, uniform(50))

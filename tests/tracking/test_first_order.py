@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.filters import Auxiliary, Factorized, Sir
 from facetrack_cli.tracking.models.likelihoods.product import Product
 from facetrack_cli.tracking.models.motion import FirstOrder
 from facetrack_cli.tracking.models.spaces import BoxSpace, estimate, evenly, state_of_box
 from facetrack_cli.tracking.resampling import uniform
+from tests.support.parts import auxiliary, factorized, sir
 
 A = np.array([[1.0, 0.9], [0.0, 0.8]])
 B = np.array([[2.0, 0.5], [0.3, 1.0]])
@@ -129,7 +129,7 @@ def test_the_bootstrap_filter_agrees_with_a_kalman_filter():
         mean, cov = a @ mean, a @ cov @ a.T + q
         gain = cov @ h.T @ np.linalg.inv(h @ cov @ h.T + r * np.eye(2))
         mean, cov = mean + gain @ (seen - h @ mean), cov - gain @ h @ cov
-        particles, _ = Sir()(rng, particles, Seen(seen, r))
+        particles, _ = sir()(rng, particles, Seen(seen, r))
         found = estimate(particles)
         # in standard deviations of the posterior, speeds included
         off.append((found.state[0, [0, 1, 3, 4]] - mean[[0, 1, 3, 4]]) / np.sqrt(np.diag(cov)[[0, 1, 3, 4]]))
@@ -158,7 +158,7 @@ class Family:
         return np.zeros(len(x))
 
 
-@pytest.mark.parametrize(("step", "looks"), [(Sir(), 1), (Auxiliary(), 2), (Factorized("none"), 2)])
+@pytest.mark.parametrize(("step", "looks"), [(sir(), 1), (auxiliary(), 2), (factorized("none"), 2)])
 def test_filters_score_each_state_beside_the_one_it_was_moved_from(step, looks):
     """Its likelihood may depend on both (Odobez et al. 2003, eq. 9), in the first stage of a filter too."""
     family, rng = Family(), np.random.default_rng(7)

@@ -14,20 +14,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
+from facetrack_cli.recipe.affine import Noise, Velocity
 from facetrack_cli.tracking.kernels.least_squares import differences, gain, mapped
-from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
-from facetrack_cli.tracking.models.motion import AffineWalk
 from facetrack_cli.tracking.models.patches import Patches
-from facetrack_cli.tracking.models.velocity import RANK, Flow, Guide, Noise, Velocity
+from facetrack_cli.tracking.models.velocity import RANK, Flow, eta
+from tests.support.parts import affine_walk, appearance, changed, predicted
 from tests.support.samples import read_boxes, read_rows
 from tests.tracking.test_patches import frame, smooth, state
 from tests.twins import guide as naive
 
 SIZE = (50.0, 56.0)
 PATCHES = Patches(SIZE)
-MODEL = Appearance(PATCHES, 0.03, (0.3, 0.4, 0.3), (0.3, 0.5, 0.5), 0.1, 0.01)
-WALK = AffineWalk(2.0, 0.025, 0.025, 0.2, 5.0)
-GUIDE = Guide(PATCHES, Velocity(), Noise(), 100)
+MODEL = appearance(PATCHES)
+WALK = affine_walk(2.0, 0.025)
+GUIDE = predicted(WALK, PATCHES, Velocity(), Noise())
 HERE = state(120, 90)
 PICTURE = smooth(5, 180, 240, 6.0)
 
@@ -49,7 +49,7 @@ def moved(x=0.0, y=0.0, scale=1.0, turn=0.0, stretch=0.0):
 
 
 def flow_of(guide=GUIDE, picture=None, here=HERE, seed=0):
-    return guide.begin(np.random.default_rng(seed), frame(PICTURE) if picture is None else picture, here, WALK)
+    return guide.begin(np.random.default_rng(seed), frame(PICTURE) if picture is None else picture, here)
 
 
 def ahead_of(guide, flow, now, learned=None):
@@ -69,7 +69,7 @@ MOTIONS = [
 @pytest.mark.parametrize("samples", [None, 32])
 def test_the_shift_points_to_the_truth(motion, samples, towards):
     now, there = moved(**motion)
-    guide = replace(GUIDE, velocity=Velocity(samples=samples, towards=towards))
+    guide = changed(GUIDE, velocity=Velocity(samples=samples, towards=towards))
     ahead = ahead_of(guide, flow_of(guide), now)
     assert ahead.state is HERE or (ahead.state == HERE).all()
     before, after = apart(HERE, there), apart(ahead.state + ahead.shift, there)
@@ -85,7 +85,7 @@ def test_one_step_goes_most_of_the_way_and_the_printed_sign_goes_the_other_way(m
     before = apart(HERE, there)
     assert apart(HERE - step, there) < 0.6 * before
     assert apart(HERE + step, there) > 1.4 * before
-    alone = ahead_of(replace(GUIDE, velocity=Velocity(iterations=1)), flow, now)
+    alone = ahead_of(changed(GUIDE, velocity=Velocity(iterations=1)), flow, now)
     np.testing.assert_allclose(alone.shift, -step, atol=1e-4)
 
 
@@ -96,7 +96,7 @@ def test_on_the_sample_clips_the_place_is_predicted_to_a_fifth_of_a_pixel(clip):
     first = shown.boxes[0]
     patches = Patches((first[2], first[3]))
     model, unit = replace(MODEL, patches=patches), math.sqrt(first[2] * first[3])
-    guide, walk = Guide(patches, Velocity(samples=32), None, 100), AffineWalk(0.04 * unit, 0.025, 0.003, 0.2, 5.0)
+    guide = predicted(affine_walk(0.04 * unit, 0.025, 0.003), patches, Velocity(samples=32))
 
     def truth(t):
         (x, y, w, h), c, s = shown.boxes[t], math.cos(roll[t]), math.sin(roll[t])
@@ -106,7 +106,7 @@ def test_on_the_sample_clips_the_place_is_predicted_to_a_fifth_of_a_pixel(clip):
     for t in range(0, len(shown.pictures) - 1, 3):
         last, now = (Frame(i, 0.0, shown.pictures[i]) for i in (t, t + 1))
         here, there = truth(t), truth(t + 1)
-        ahead = ahead_of(guide, guide.begin(rng, last, here, walk), now, model.init(last, here))
+        ahead = ahead_of(guide, guide.begin(rng, last, here), now, model.init(last, here))
         wrong = 2 * here - (here + ahead.shift)
         found.append([np.hypot(*(one - there)[0, :2]) for one in (here, here + ahead.shift, wrong)])
         found[-1] += [abs(np.hypot(*one[0, 2:4]) - np.hypot(*there[0, 2:4])) for one in (here, here + ahead.shift)]
@@ -155,7 +155,7 @@ def test_q_is_how_many_directions_count():
     flow = flow_of()
     for q in (1, 5, 20):
         b = gain(np.eye(100, 6), (flow.rows @ flow.rows.T).astype(float), q, RANK)
-        one = flow_of(replace(GUIDE, velocity=Velocity(components=q)))
+        one = flow_of(changed(GUIDE, velocity=Velocity(components=q)))
         assert np.linalg.matrix_rank(one.gain @ one.rows, tol=1e-9) == min(q, 6) == np.linalg.matrix_rank(b, tol=1e-9)
     # the larger of two directions alone
     x, rows = np.zeros((2, 6)), np.array([[3, 0], [0, 2]], np.float32)
@@ -186,7 +186,7 @@ def test_any_products_end_and_give_numbers(products):
 @pytest.mark.parametrize(("count", "most"), [(100, 32), (33, 32), (32, 32), (5, 32), (1, 2), (7, None)])
 def test_b_comes_from_so_many_particles_evenly(count, most):
     x = WALK.propagate(np.random.default_rng(0), np.repeat(HERE[None], count, axis=0))
-    flow = replace(GUIDE, velocity=Velocity(samples=most)).learn(frame(PICTURE), HERE, x)
+    flow = changed(GUIDE, velocity=Velocity(samples=most)).learn(frame(PICTURE), HERE, x)
     used = count if most is None else min(count, most)
     rows = PATCHES.read(frame(PICTURE), x, 1) - flow.patch
     place = [int(np.abs(rows - row).sum(axis=1).argmin()) for row in flow.rows]
@@ -221,7 +221,7 @@ FLAT = np.full_like(PICTURE, 90)
 )
 @pytest.mark.parametrize("velocity", [Velocity(), Velocity(towards="appearance", search=1.0), None])
 def test_where_nothing_can_be_learned_nothing_is_wild(last, now, x, velocity):
-    guide = replace(GUIDE, velocity=velocity)
+    guide = changed(GUIDE, velocity=velocity)
     for here in (HERE, x[-1]):
         flow = guide.learn(frame(last), here, x)
         assert np.isfinite(flow.gain).all()
@@ -233,18 +233,17 @@ def test_where_nothing_can_be_learned_nothing_is_wild(last, now, x, velocity):
 
 
 def test_without_velocity_it_is_where_it_was():
-    guide, (now, _) = replace(GUIDE, velocity=None), moved(x=4)
+    guide, (now, _) = changed(GUIDE, velocity=None), moved(x=4)
     ahead = ahead_of(guide, flow_of(guide), now)
-    assert not ahead.shift.any() and ahead.noise == Noise().eta(ahead.error) and ahead.error > 0.5
-    assert ahead_of(replace(guide, noise=None), flow_of(guide), now).noise == 1
+    assert not ahead.shift.any() and ahead.noise == eta(Noise(), ahead.error) and ahead.error > 0.5
+    assert ahead_of(changed(guide, noise=None), flow_of(guide), now).noise == 1
 
 
 def test_the_noise_is_tight_after_a_good_prediction_and_wide_after_a_bad_one():
     # figure 2a, eta(x; 0.5, 2, 1)
-    eta = Noise().eta
-    assert eta(0.0) == 0.5 and eta(50.0) == 2.0
+    assert eta(Noise(), 0.0) == 0.5 and eta(Noise(), 50.0) == 2.0 and eta(None, 3.0) == 1.0
     for x, y in ((0.5, 1.193), (1.0, 1.642), (1.5, 1.858), (2.0, 1.946)):
-        assert eta(x) == pytest.approx(y, abs=5e-4)
+        assert eta(Noise(), x) == pytest.approx(y, abs=5e-4)
     now, _ = moved(x=4)
     learned = MODEL.init(frame(PICTURE), HERE)
     good, bad = (ahead_of(GUIDE, flow_of(), one, learned) for one in (now, frame(smooth(77, 180, 240))))
@@ -256,7 +255,7 @@ def test_the_noise_is_tight_after_a_good_prediction_and_wide_after_a_bad_one():
 
 @given(st.floats(0, 300), st.floats(0.1, 2), st.floats(0, 5), st.floats(0.5, 20))
 def test_eta_equals_the_plain_twin_and_keeps_its_bounds(error, least, more, rate):
-    found = Noise(least, least + more, rate).eta(error)
+    found = eta(Noise(least=least, most=least + more, rate=rate), error)
     assert least <= found <= least + more + 1e-12
     assert found == pytest.approx(naive.eta(min(error, 300 * rate), least, least + more, rate))
 
@@ -280,7 +279,7 @@ def told_by(errors):
 def test_it_ends_when_the_error_settles_and_keeps_the_best(errors, kept, asked):
     now, _ = moved(x=4)
     flow, said = flow_of(), list(errors)
-    guide = replace(GUIDE, velocity=Velocity(iterations=asked - 1 if kept == 4 else 10))
+    guide = changed(GUIDE, velocity=Velocity(iterations=asked - 1 if kept == 4 else 10))
     shifts, shift = [np.zeros((1, 6))], np.zeros((1, 6))
     for _ in range(asked - 1):
         difference = PATCHES.read(now, (HERE + shift)[None], 1)[0] - flow.patch
@@ -294,11 +293,11 @@ def test_it_ends_when_the_error_settles_and_keeps_the_best(errors, kept, asked):
 
 def test_a_search_finds_what_jumped_and_no_worse_place():
     now, there = moved(x=30, y=-25)
-    guide, searching = (replace(GUIDE, velocity=Velocity(search=s)) for s in (0.0, 1.0))
+    guide, searching = (changed(GUIDE, velocity=Velocity(search=s)) for s in (0.0, 1.0))
     near, far = (ahead_of(one, flow_of(), now) for one in (guide, searching))
     assert apart(near.state + near.shift, there) > 20
     assert apart(far.state + far.shift, there) < 0.25
-    still = ahead_of(replace(GUIDE, velocity=Velocity(search=1.0, iterations=1)), flow_of(), frame(PICTURE))
+    still = ahead_of(changed(GUIDE, velocity=Velocity(search=1.0, iterations=1)), flow_of(), frame(PICTURE))
     assert apart(still.state + still.shift, HERE) < 0.1
     # nor does it believe a match that the appearance does not
     flow, said = flow_of(), [1.0, 3.0, 4.0]
@@ -315,9 +314,8 @@ def test_a_search_looks_in_the_target_s_own_axes(deform):
     jump = np.array([14.0, -9.0])
     now = frame(cv2.warpAffine(turned, np.column_stack([np.eye(2), jump]), PICTURE.shape[::-1]))
     here = np.concatenate([middle, np.ravel(a)])[None]
-    guide = replace(GUIDE, velocity=Velocity(search=0.5, iterations=1))
     learned = MODEL.init(frame(turned), here)
-    found = guide._search(here, now, guide.patches.factor(here), MODEL.expected(learned))
+    found = GUIDE._search(here, now, GUIDE.patches.factor(here), MODEL.expected(learned), 0.5)
     assert np.abs(found[0, :2] - jump).max() < 1.6 and not found[0, 2:].any()
 
 
@@ -326,14 +324,14 @@ def test_towards_the_appearance_corrects_what_the_last_frame_was_wrong_by():
     wrong, picture = state(123, 90), frame(PICTURE)
     learned = MODEL.init(picture, HERE)
     for towards, off in (("last", 3.0), ("appearance", 0.0)):
-        guide = replace(GUIDE, velocity=Velocity(towards=towards))
+        guide = changed(GUIDE, velocity=Velocity(towards=towards))
         ahead = ahead_of(guide, flow_of(guide, here=wrong), picture, learned)
         assert apart(ahead.state + ahead.shift, HERE) == pytest.approx(off, abs=0.2)
 
 
 def test_the_start_learns_from_as_many_particles_as_it_is_told():
     assert flow_of(replace(GUIDE, particles=17)).gain.shape == (6, 17)
-    still = flow_of(replace(GUIDE, velocity=None))
+    still = flow_of(changed(GUIDE, velocity=None))
     assert isinstance(still, Flow) and still.gain.shape == (6, 0)
 
 

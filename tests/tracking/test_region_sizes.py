@@ -7,9 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.models.likelihoods.contour import Contour
-from facetrack_cli.tracking.models.likelihoods.correlation import Correlation
-from facetrack_cli.tracking.models.likelihoods.histogram import Histogram
+from tests.support.parts import contour, correlation, histogram
 
 SIZE = (30.0, 36.0)
 TRUTH = (70.5, 52.5)  # of a box over whole pixels, or its own histogram would peak beside it
@@ -44,9 +42,13 @@ def states(places, zoom=1):
 
 
 MODELS = {
-    "contour": lambda z, reduce: Contour((SIZE[0] * z, SIZE[1] * z), 24, 3.0 * z, 8.0 * z, 8.0, 0.05, reduce),
-    "histogram": lambda z, reduce: Histogram((SIZE[0] * z, SIZE[1] * z), 8, 4, (2, 2), 60.0, max_size=reduce),
-    "correlation": lambda z, reduce: Correlation((SIZE[0] * z, SIZE[1] * z), (16, 16), "l2", 60.0),
+    "contour": lambda z, reduce: contour(
+        (SIZE[0] * z, SIZE[1] * z), 3.0 * z, 8.0 * z, normals=24, threshold=8.0, outlier=0.05, max_size=reduce
+    ),
+    "histogram": lambda z, reduce: histogram(
+        (SIZE[0] * z, SIZE[1] * z), regions=(2, 2), lambda_h=60.0, max_size=reduce
+    ),
+    "correlation": lambda z, reduce: correlation((SIZE[0] * z, SIZE[1] * z), sigma=60.0),
 }
 
 

@@ -117,10 +117,10 @@ def scale_of(result):
     return scale
 
 
-def test_a_guide_and_the_insets_begin_in_the_frame_of_the_correction(zoom):
+def test_a_prediction_and_the_insets_begin_in_the_frame_of_the_correction(zoom):
     place = TargetStart(box=zoom.box(10))
     target, first, state, result = restarted("adaptive_velocity", zoom, place)
-    again = target.guide.begin(np.random.default_rng(9), zoom.frames[10], state.estimated.state, target.motion)
+    again = target.motion.begin(np.random.default_rng(9), zoom.frames[10], state.estimated.state)
     np.testing.assert_array_equal(state.flow.patch, again.patch)
     assert (state.flow.patch != first.flow.patch).any()
     expected = target.likelihood.insets(state.learned)

@@ -7,14 +7,14 @@ import pytest
 
 from facetrack_cli.core.types import Frame, Info, Particles, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.skin import Exclusion, SkinCloud
 from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.exclusion import Cover, Exclusion
-from facetrack_cli.tracking.filters import Sir
+from facetrack_cli.tracking.exclusion import Cover
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
 from facetrack_cli.tracking.models.motion import FirstOrder
 from facetrack_cli.tracking.models.spaces import BoxSpace, CloudSpace, evenly
 from facetrack_cli.tracking.target import ParticleTarget, State
+from tests.support.parts import sir
 from tests.support.results import target
 
 PICTURE = np.zeros((20, 30, 3), np.uint8)
@@ -84,7 +84,7 @@ def moving(space):
     stay, none = np.eye(2), np.zeros((2, 1))
     motion = FirstOrder((np.array([[1.0, 1.0], [0.0, 1.0]]), none), (stay, none), 0.1, 10.0)
     x0 = np.array([[10.0, 20.0, 1.5, 3.0, -2.0, 0.0]])
-    return ParticleTarget("a", ("box",), space, x0, 4, motion, Still(), None, Sir(), None)
+    return ParticleTarget("a", ("box",), space, x0, 4, motion, Still(), None, sir(), None)
 
 
 def state_of(target):
@@ -136,9 +136,10 @@ def built(config, *overrides, names=ALL):
 def test_targets_are_built_in_the_recipes_order_and_the_first_keep_off_none():
     tracker = built("head_hands", "exclusion.strength=0.3", "exclusion.reach=2", names=ALL[::-1])
     assert tuple(target.name for target in tracker) == ALL
-    assert [target.exclusion for target in tracker] == [None, Exclusion(0.3, 2.0), Exclusion(0.3, 2.0)]
+    exclusion = Exclusion(strength=0.3, reach=2.0, first=("head",))
+    assert [target.exclusion for target in tracker] == [None, exclusion, exclusion]
     everyone = built("head_hands", "exclusion.first=[]")
-    assert all(target.exclusion == Exclusion(0.9, 1.0) for target in everyone)
+    assert all(target.exclusion == Exclusion(strength=0.9, reach=1.0) for target in everyone)
     assert all(target.exclusion is None for target in built("head_hands", "exclusion=null"))
 
 
@@ -148,7 +149,9 @@ def test_a_cloud_begins_over_its_own_box_and_learns_from_whom_the_recipe_names()
         "head_hands", f"{hand}.least_share=0.2", f"{hand}.floor=0.05", f"{hand}.max_size=null",
         "targets.right_hand.likelihood.learn_from=null",
     )  # fmt: skip
-    assert left.likelihood == SkinCloud((24.0, 28.0), BOXES["head"], least_share=0.2, floor=0.05, max_size=None)
+    settings = SkinCloud(type="skin", learn_from="head", least_share=0.2, floor=0.05, max_size=None)
+    assert (left.likelihood.settings, left.likelihood.size) == (settings, (24.0, 28.0))
+    assert left.likelihood.teacher == BOXES["head"]
     assert right.likelihood.teacher == BOXES["right_hand"]
     np.testing.assert_array_equal(left.scatter, [[24.0, 28.0]])
     assert left.windows == {"box": pytest.approx((24.0, 28.0))}
@@ -157,7 +160,8 @@ def test_a_cloud_begins_over_its_own_box_and_learns_from_whom_the_recipe_names()
 def test_a_recipes_numbers_of_a_face_arrive():
     config = ("skin_ncc", "likelihood.k=0.7", "likelihood.skin.least_share=0.2", "likelihood.ncc.exponent=3")
     (head,) = built(*config, "motion.scale=0.2", names=("head",))
-    assert (head.likelihood.k, head.likelihood.skin.least_share, head.likelihood.ncc.exponent) == (0.7, 0.2, 3.0)
+    settings = head.likelihood.settings
+    assert (settings.k, settings.skin.least_share, settings.ncc.exponent) == (0.7, 0.2, 3.0)
     x = np.repeat(head.x0[None], 4000, axis=0)
     moved = head.motion.propagate(np.random.default_rng(0), x)[:, 0]
     side = np.sqrt(40 * 50)

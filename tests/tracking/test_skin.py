@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
+from facetrack_cli.recipe.skin import LEAST_SHARE
 from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.models.skin_colour import (
     LEAST_CONTRAST,
-    LEAST_SHARE,
     LEAST_VARIANCE,
     kovac,
     learn_skin,

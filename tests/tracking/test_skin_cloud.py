@@ -9,7 +9,7 @@ from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
+from tests.support.parts import skin_cloud
 from tests.support.results import rows_of
 
 SKIN, WALL = (120, 150, 205), (150, 120, 90)
@@ -131,7 +131,7 @@ def test_flat_pictures_go_on_and_say_lost(level):
 
 def test_a_pixel_weighs_what_its_colour_says_and_the_floor_elsewhere():
     frame = Frame(0, 0.0, picture(LEFT))
-    model = SkinCloud((28.0, 28.0), box(LEFT), floor=0.02)
+    model = skin_cloud((28.0, 28.0), box(LEFT), floor=0.02)
     learned = model.init(frame, np.zeros((1, 2)))
     x = np.array([[60.0, 139.0], [10.0, 10.0], [-50.0, 4.0], [1e8, 1e8]])[:, None]
     found = np.exp(model.score(learned, frame, x, x))[:, 0]
@@ -145,8 +145,8 @@ def test_a_large_target_is_read_from_a_reduced_picture():
     small = picture(LEFT)
     large = cv2.resize(small, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
     x = np.random.default_rng(0).uniform((30, 110), (90, 170), (500, 1, 2))
-    model = SkinCloud((28.0, 28.0), box(LEFT), max_size=32)
-    big = SkinCloud((112.0, 112.0), tuple(4 * v for v in box(LEFT)), max_size=32)
+    model = skin_cloud((28.0, 28.0), box(LEFT), max_size=32)
+    big = skin_cloud((112.0, 112.0), tuple(4 * v for v in box(LEFT)), max_size=32)
     a, b = (m.score(m.init(Frame(0, 0.0, p), None), Frame(0, 0.0, p), y, y)
             for m, p, y in ((model, small, x), (big, large, 4 * x + 1.5)))  # fmt: skip
     assert np.mean(np.abs(np.exp(a) - np.exp(b)) > 0.1) < 0.02
@@ -184,24 +184,24 @@ def test_particles_are_pixels_of_the_reduced_picture():
     bgr = noisy()
     teacher = Frame(0, 0.0, picture(HEAD))
     small = cv2.cvtColor(cv2.resize(bgr, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2YCrCb)
-    model = SkinCloud((50.0, 60.0), box(HEAD), max_size=32)
+    model = skin_cloud((50.0, 60.0), box(HEAD), max_size=32)
     learned = model.init(teacher, None)
     x = np.random.default_rng(0).uniform((0, 0), (259, 199), (300, 1, 2))
     # the pixels 2 i and 2 i + 1 are one
     column, row = np.floor((x[:, 0] + 0.5) / 2).astype(int).T
     p = learned.table[small[row, column, 2], small[row, column, 1]] / 255
-    assert np.ptp(p) > 0.3 and (p < model.floor).any()
+    assert np.ptp(p) > 0.3 and (p < model.settings.floor).any()
     found = np.exp(model.score(learned, Frame(1, 0.0, bgr), x, x))[:, 0]
-    np.testing.assert_allclose(found, np.maximum(p, model.floor))
+    np.testing.assert_allclose(found, np.maximum(p, model.settings.floor))
 
 
 def test_distances_look_at_the_middle_of_a_box_of_the_targets_shape():
     bgr = np.full((200, 260, 3), WALL, np.uint8)
     bgr[80:120, 90:170] = SKIN
-    learned = SkinCloud((80.0, 40.0), (90.0, 80.0, 80.0, 40.0)).init(Frame(0, 0.0, bgr), None)
+    learned = skin_cloud((80.0, 40.0), (90.0, 80.0, 80.0, 40.0)).init(Frame(0, 0.0, bgr), None)
     there = np.array([[[129.5, 99.5]]])
     wide, high, larger = (
-        SkinCloud(size, box(HEAD), max_size=None).distances(learned, Frame(0, 0.0, bgr), there)[0, 0]
+        skin_cloud(size, box(HEAD), max_size=None).distances(learned, Frame(0, 0.0, bgr), there)[0, 0]
         for size in ((110.0, 55.0), (55.0, 110.0), (130.0, 65.0))
     )
     assert wide < 0.05 < larger and high > 0.3
@@ -209,9 +209,9 @@ def test_distances_look_at_the_middle_of_a_box_of_the_targets_shape():
 
 def test_least_share_arrives():
     dark = Frame(0, 0.0, picture(HEAD, skin=(30, 36, 52)))
-    (said,) = SkinCloud((44.0, 56.0), box(HEAD)).init(dark, None).notes
+    (said,) = skin_cloud((44.0, 56.0), box(HEAD)).init(dark, None).notes
     assert said.startswith("Kovac")
     # none of it passes as skin, so that only what does not need to can be learned without a word
     usual = Frame(0, 0.0, picture(HEAD))
-    assert not SkinCloud((44.0, 56.0), box(HEAD)).init(usual, None).notes
-    assert SkinCloud((44.0, 56.0), box(HEAD), least_share=1.0).init(usual, None).notes
+    assert not skin_cloud((44.0, 56.0), box(HEAD)).init(usual, None).notes
+    assert skin_cloud((44.0, 56.0), box(HEAD), least_share=1.0).init(usual, None).notes

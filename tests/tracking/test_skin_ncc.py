@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Particles
+from facetrack_cli.recipe.skin import SkinNcc
 from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
-from facetrack_cli.tracking.models.likelihoods.ncc import Ncc
-from facetrack_cli.tracking.models.likelihoods.skin_ncc import LEAST_NCC, Skin, SkinNcc
+from facetrack_cli.tracking.models.likelihoods.skin_ncc import LEAST_NCC
 from facetrack_cli.tracking.models.skin_colour import learn_skin
+from tests.support.parts import pattern, skin_cue, skin_ncc
 from tests.support.skin_faces import SIZE, TRUTH, frame, learned, scene, states
 from tests.twins import ncc as naive
 
@@ -41,7 +42,7 @@ def test_regions_have_equal_areas_and_the_twins_edges(place, side, factor, corne
 @pytest.mark.parametrize("max_size", [None, 24])
 @pytest.mark.parametrize("inner", [1.0, 0.7])
 def test_rho_is_that_of_the_twin(max_size, inner):
-    likelihood, known = learned(scene(), skin=Skin(inner=inner, max_size=max_size), ncc=None)
+    likelihood, known = learned(scene(), skin=skin_cue(inner=inner, max_size=max_size), ncc=None)
     rows = [(*TRUTH, 1.0), (90.2, 77.7, 1.3), (5.0, 160.0, 0.8), (-300.0, 20.0, 1.0)]
     found = likelihood.rho(known, frame(scene()), states(rows))
     factor = 1 if max_size is None else 2
@@ -61,7 +62,7 @@ def test_skin_is_learned_from_the_box():
     known = learned(scene(), ncc=None)[1]
     table = learn_skin(frame(scene()), (82.0, 60.0, *SIZE)).table
     np.testing.assert_array_equal(known.table, table)
-    larger = SkinNcc(SIZE, ncc=None).init(frame(scene()), states((*TRUTH, 1.5))[0])
+    larger = skin_ncc(SIZE, ncc=None).init(frame(scene()), states((*TRUTH, 1.5))[0])
     np.testing.assert_array_equal(larger.table, learn_skin(frame(scene()), (72.0, 48.0, 60.0, 72.0)).table)
 
 
@@ -81,7 +82,7 @@ def test_rho_is_the_same_at_every_resolution():
 @pytest.mark.parametrize("cues", ["both", "skin", "ncc"])
 @pytest.mark.parametrize("k", [None, 0.4])
 def test_score_is_equation_11(cost, mean, cues, k):
-    skin, ncc = Skin() if cues != "ncc" else None, Ncc(mean, exponent=2.0) if cues != "skin" else None
+    skin, ncc = skin_cue() if cues != "ncc" else None, pattern(mean, exponent=2.0) if cues != "skin" else None
     likelihood, known = learned(scene(), skin=skin, ncc=ncc, cost=cost, k=k, sigma=0.3)
     x = states([TRUTH, (110, 80), (60, 40), (300, 400)])
     f = frame(scene())
@@ -125,7 +126,12 @@ def test_nothing_wild_is_an_error_or_no_number(shape, level, options, start, num
     rng = np.random.default_rng(1)
     bgr = rng.integers(0, 256, (*shape, 3), np.uint8) if level is None else np.full((*shape, 3), level, np.uint8)
     (cost, mean, max_size), size = options, (33.3, 40.7)
-    likelihood = SkinNcc(size, Skin(max_size=max_size), Ncc(mean, 1.5, 0.1, 0.0, max_size), cost)
+    likelihood = skin_ncc(
+        size,
+        skin=skin_cue(max_size=max_size),
+        ncc=pattern(mean, exponent=1.5, adapt=0.1, adapt_above=0.0, max_size=max_size),
+        cost=cost,
+    )
     try:
         known = likelihood.init(frame(bgr), states(start)[0])
     except InputError:
@@ -147,8 +153,8 @@ def test_a_start_outside_of_the_picture_is_refused():
             with pytest.raises(InputError, match=r"not in the picture|outside the picture"):
                 learned(scene(), place, **cues)
         assert learned(scene(), (-10, 5), **cues)[1].k is not None
-    with pytest.raises(ValueError, match="neither"):
-        SkinNcc(SIZE, None, None)
+    with pytest.raises(ValueError, match="neither skin nor ncc"):
+        SkinNcc(type="skin_ncc", sigma=0.1)
 
 
 def test_what_the_start_lacks_is_told():
@@ -160,7 +166,7 @@ def test_what_the_start_lacks_is_told():
     assert learned(grey_face, skin=None)[1].notes == ()
     flat = np.full((170, 260, 3), (120, 150, 205), np.uint8)
     assert any("pattern" in note for note in learned(flat)[1].notes)
-    assert learned(flat, skin=None, ncc=Ncc("remove"))[1].k == 0
+    assert learned(flat, skin=None, ncc=pattern("remove"))[1].k == 0
 
 
 def test_distances_are_zero_at_the_start_and_one_on_the_ground():
@@ -180,7 +186,7 @@ def test_distances_are_zero_at_the_start_and_one_on_the_ground():
 
 @pytest.mark.parametrize("max_size", [None, 24])
 def test_what_was_asked_of_a_frame_before_does_not_matter(max_size):
-    likelihood, known = learned(scene(), skin=Skin(max_size=max_size), ncc=Ncc(max_size=max_size))
+    likelihood, known = learned(scene(), skin=skin_cue(max_size=max_size), ncc=pattern(max_size=max_size))
     x = states(np.random.default_rng(0).normal(TRUTH, 8, (50, 2)))
     asked = frame(scene())
     for factor in (1, 2):
@@ -191,12 +197,12 @@ def test_what_was_asked_of_a_frame_before_does_not_matter(max_size):
 
 def test_least_share_decides_what_teaches_the_colour():
     assert learned(scene())[1].notes == ()
-    assert "Kovac" in learned(scene(), skin=Skin(least_share=1.0))[1].notes[0]
+    assert "Kovac" in learned(scene(), skin=skin_cue(least_share=1.0))[1].notes[0]
 
 
 def test_the_longer_side_decides_how_far_the_picture_is_reduced():
     asked = frame(scene())
-    likelihood, known = learned(scene(), size=(20.0, 60.0), skin=Skin(max_size=32), ncc=None)
+    likelihood, known = learned(scene(), size=(20.0, 60.0), skin=skin_cue(max_size=32), ncc=None)
     likelihood.rho(known, asked, states(TRUTH))
     assert list(asked._reduced) == [2]
 

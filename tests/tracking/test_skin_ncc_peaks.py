@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
-from facetrack_cli.tracking.models.likelihoods.ncc import Ncc
+from tests.support.parts import pattern
 from tests.support.samples import FOLDER, read_pictures
 from tests.support.skin_faces import SIZE, TRUTH, frame, learned, scene, states
 
@@ -16,14 +16,14 @@ READINGS = {
     "shifted": {"cost": "shifted"},
     "shifted, k = 0": {"cost": "shifted", "k": 0.0},
     "product": {"cost": "product"},
-    "printed, zero-mean": {"cost": "printed", "ncc": Ncc("remove")},
-    "shifted, zero-mean": {"cost": "shifted", "ncc": Ncc("remove")},
-    "shifted, k = 0, zero-mean": {"cost": "shifted", "k": 0.0, "ncc": Ncc("remove")},
-    "product, zero-mean": {"cost": "product", "ncc": Ncc("remove")},
+    "printed, zero-mean": {"cost": "printed", "ncc": pattern("remove")},
+    "shifted, zero-mean": {"cost": "shifted", "ncc": pattern("remove")},
+    "shifted, k = 0, zero-mean": {"cost": "shifted", "k": 0.0, "ncc": pattern("remove")},
+    "product, zero-mean": {"cost": "product", "ncc": pattern("remove")},
     "skin": {"ncc": None},
     "skin, k = 0": {"cost": "shifted", "k": 0.0, "ncc": None},
     "ncc": {"skin": None},
-    "ncc, zero-mean": {"skin": None, "ncc": Ncc("remove")},
+    "ncc, zero-mean": {"skin": None, "ncc": pattern("remove")},
 }
 
 
@@ -117,7 +117,7 @@ def test_the_sign_trap_of_equation_11():
     start, worse, _, centre, size = pictures("expressions")
     found = {}
     for cost, k in (("printed", -1.0), ("shifted", 0.0), ("product", -1.0)):
-        likelihood, known = learned(start, centre, size, ncc=Ncc("remove"), cost=cost, k=k)
+        likelihood, known = learned(start, centre, size, ncc=pattern("remove"), cost=cost, k=k)
         _, off, _ = surface("skin", "expressions", "start")
         score = likelihood.score(known, frame(worse), states(off + centre))[:, 0]
         best = states(off[[score.argmax()]] + centre)

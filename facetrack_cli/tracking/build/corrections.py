@@ -1,14 +1,14 @@
-"""From a recipe and the corrections of a start to targets that begin anew along the clip; a part of `build.py`."""
+"""From a recipe and the corrections of a start to targets that begin anew along the clip."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
-from facetrack_cli import recipe
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
+from facetrack_cli.recipe.sections import Target as Kind
 from facetrack_cli.tracking.corrected import Anew, CorrectedTarget, is_complete
 from facetrack_cli.tracking.loop import Target, Tracker
 from facetrack_cli.tracking.start.checks import check_size
@@ -16,7 +16,7 @@ from facetrack_cli.tracking.start.haar import PARTS, box_start
 from facetrack_cli.tracking.start.init_file import TARGET as FACE
 
 
-def corrected(recipe_: Recipe, start: Start, target: Target, targets: Callable[[Recipe, Start], Tracker]) -> Target:
+def corrected(recipe: Recipe, start: Start, target: Target, targets: Callable[[Recipe, Start], Tracker]) -> Target:
     """The target with the corrections that the start has of it, if any; `targets` builds those of another start.
 
     Raises InputError for a correction that the target cannot follow.
@@ -24,9 +24,9 @@ def corrected(recipe_: Recipe, start: Start, target: Target, targets: Callable[[
     corrections = [one for one in start.corrections if one.target == target.name]
     if not corrections:
         return target
-    kind = _kind_of(recipe_, target.name)
-    points = isinstance(kind, recipe.Points)
-    learns = kind is None or isinstance(kind, recipe.Region | recipe.Affine)
+    kind = _kind_of(recipe, target.name)
+    points = kind is not None and bool(kind.points)
+    learns = not points and (kind is None or kind.relearns)
     absent: set[str] = set()
     for one in corrections:
         origin = f"{start.origin}: the correction of {one.target} at frame {one.frame}"
@@ -40,7 +40,7 @@ def corrected(recipe_: Recipe, start: Start, target: Target, targets: Callable[[
             raise InputError(f"{origin}: {', '.join(sorted(absent))} cannot be learned while absent; leave learn out")
         if one.learn is False and kind is None:
             raise InputError(f"{origin}: OpenCV's trackers begin anew in any case; leave learn out")
-        if one.learn and isinstance(kind, recipe.Cloud):
+        if one.learn and not learns and not points:
             raise InputError(f"{origin}: colours are learned in the first frame alone; leave learn out")
 
     def place(frame: Frame, one: Correction) -> TargetStart:
@@ -54,17 +54,17 @@ def corrected(recipe_: Recipe, start: Start, target: Target, targets: Callable[[
         box = start.targets[target.name].box if points and given.box is None else given.box
         given = replace(given, box=box)
         known = replace(start, frame=frame.index, targets={**start.targets, target.name: given})
-        [anew] = [one for one in targets(recipe_, known) if one.name == target.name]
+        [anew] = [one for one in targets(recipe, known) if one.name == target.name]
         return anew
 
     return CorrectedTarget(target, {one.frame: one for one in corrections}, Anew(points, learns, place, build))
 
 
-def _kind_of(recipe_: Recipe, name: str) -> object | None:
+def _kind_of(recipe: Recipe, name: str) -> Kind | None:
     """What a target of the recipe is, None of OpenCV's trackers."""
-    if isinstance(recipe_, ParticlesRecipe):
-        return recipe_.filters[name].target
-    return recipe_.target if isinstance(recipe_, ParticleRecipe) else None
+    if isinstance(recipe, ParticlesRecipe):
+        return recipe.filters[name].target
+    return recipe.target if isinstance(recipe, ParticleRecipe) else None
 
 
 def _check(one: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:

@@ -7,7 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import BOX, Array
+from facetrack_cli.recipe import affine, points, regions
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels.affine import diffuse
 
 
@@ -90,18 +92,15 @@ class FirstOrder:
 class AffineWalk:
     """Gaussian noise on the parameters of an affine map, theta_t = theta_{t-1} + u_t (Zhou et al. 2003, eq. 1).
 
-    The state is (x, y, a1, a2, a3, a4). `position` is the standard deviation of x and y, in pixels, and of r_0 u_0 of
-    section 2.1; `deform` that of the scale, `turn` of the turn (None: the same), `shear` of the stretch along one side
-    and of the shear: the paper leaves u_0 open, and faces keep their shape more than their size. If all are the same it
-    is that of each of a1 to a4. `least` and `most` bound the scale: a deformation beyond is brought back to it.
+    The state is (x, y, a1, a2, a3, a4), `sigma` the standard deviation of x and y in pixels. The paper leaves u_0 open;
+    faces keep their shape more than their size, so turn, stretch and shear have noise of their own. If all of the
+    deformation have the same, it is that of each of a1 to a4. `scale` bounds the scale, [least, most]: a deformation
+    beyond is brought back to it.
     """
 
-    position: float
-    deform: float
-    shear: float
-    least: float
-    most: float
-    turn: float | None = None
+    settings: affine.AffineWalk
+    sigma: float
+    scale: tuple[float, float]
 
     @cached_property
     def _noise(self) -> Array:
@@ -109,14 +108,15 @@ class AffineWalk:
         return _AFFINE * self._sigma()
 
     def _sigma(self) -> Array:
-        turn = self.deform if self.turn is None else self.turn
-        return np.array([self.position, self.position, self.deform, turn, self.shear, self.shear])
+        deform, turn, shear = self.settings.deform, self.settings.turn, self.settings.shear
+        turn, shear = (deform if one is None else one for one in (turn, shear))
+        return np.array([self.sigma, self.sigma, deform, turn, shear, shear])
 
     def propagate(self, rng: np.random.Generator, x: Array, shift: Array | None = None, noise: float = 1.0) -> Array:
         """x (N, 1, 6) moved by one frame: by the `shift` (1, 6), nu_t, and `noise`, r_t / r_0, times the noise."""
         moved = np.zeros((1, 6)) if shift is None else shift
         u = rng.standard_normal(x.shape)
-        return np.asarray(diffuse(x[:, 0], u[:, 0], self._noise, moved[0], noise, self.least, self.most))[:, None]
+        return np.asarray(diffuse(x[:, 0], u[:, 0], self._noise, moved[0], noise, *self.scale))[:, None]
 
     def expect(self, x: Array) -> Array:
         """The mean of p(x_t | x_{t-1} = x), (N, 1, 6); the bounds of the scale are left out."""
@@ -141,3 +141,20 @@ def _log_normal(off: Array, cov: Array) -> Array:
     inside = (np.abs(along[..., ~spread]) <= 1e-9 * (1.0 + np.abs(off).max(axis=-1, keepdims=True))).all(axis=-1)
     log_p = -0.5 * (z**2).sum(axis=-1) - 0.5 * float(np.sum(np.log(2 * np.pi * values[spread])))
     return np.where(inside, log_p, -np.inf)
+
+
+def random_walk(settings: points.RandomWalk, context: Context) -> RandomWalk | FirstOrder:
+    """Of points, or of the place and the scale of a box, whose speeds stay 0."""
+    placed, target = context.placed, context.settings.target
+    sigma = [settings.sigma.of(part).pixels(placed.unit) for part in target.points or (BOX,)]
+    if target.points:
+        return RandomWalk(np.array(sigma))
+    stay = np.array([[1.0, 0.0], [0.0, 0.0]])
+    position, scale = ((stay, np.array([[step], [0.0]])) for step in (*sigma, settings.scale))
+    return FirstOrder(position, scale, *placed.scale)
+
+
+def first_order(settings: regions.FirstOrder, context: Context) -> FirstOrder:
+    noise = [[length.pixels(context.placed.unit) for length in row] for row in settings.position.B]
+    scale = np.array(settings.scale.A), np.array(settings.scale.B)
+    return FirstOrder((np.array(settings.position.A), np.array(noise)), scale, *context.placed.scale)

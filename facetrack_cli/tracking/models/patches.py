@@ -1,12 +1,12 @@
-"""How an affine face is read from a picture: template, patch, scale (Zhou, Chellappa & Moghaddam 2003, eq. 3).
+"""How an affine face is read from a frame: template and patch (Zhou, Chellappa & Moghaddam 2003, eq. 3).
 
 State x (N, 1, 6) = [cx, cy, a1, a2, a3, a4]: centre in pixels, deformation [[a1, a2], [a3, a4]] of the box at the
 start, of which it is the identity. Point (i, j) of a template of rows x cols is read at
 
     (cx, cy) + [[a1, a2], [a3, a4]] (w ((j + .5) / cols - .5), h ((i + .5) / rows - .5))
 
-A patch has mean 0 and variance 1, which takes gain and offset of the light out of it. Points beyond the picture are
-left out of mean and variance and are 0. A patch that is flat, or with less than half of it in the picture, is all 0.
+A patch has mean 0 and variance 1, which takes gain and offset of the light out of it. Points beyond the frame are
+left out of mean and variance and are 0. A patch that is flat, or with less than half of it in the frame, is all 0.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, factor_for
+from facetrack_cli.recipe.affine import PatchLikelihood
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import affine
 
 # a face of 13 times 256 pixels or more is read with gaps
@@ -37,7 +39,7 @@ class Patches:
         return self.shape[0] * self.shape[1]
 
     def factor(self, state: Array) -> int:
-        """By what to reduce the picture for patches around `state` (1, 6): a power of two.
+        """By what to reduce the frame for patches around `state` (1, 6): a power of two.
 
         The template's points then lie between 1 and 2 pixels apart, along that side where they are closer, so that
         the blur is about the same at every scale. 1 if they are closer than that already, or for no numbers.
@@ -48,7 +50,7 @@ class Patches:
         return factor_for(min(step, 2.0 * MOST_FACTOR), 2.0) if step > 2.0 else 1
 
     def read(self, frame: Frame, x: Array, factor: int) -> NDArray[np.float32]:
-        """Patches (N, d) of x (N, 1, 6), flattened by rows, from the picture in grey reduced by `factor`.
+        """Patches (N, d) of x (N, 1, 6), flattened by rows, from the frame in grey reduced by `factor`.
 
         The frame remembers the last few answers: of a single state by its values, of more by the array x itself, which
         must not change then. They are read-only.
@@ -72,7 +74,7 @@ class Patches:
         return patches
 
     def inside(self, frame: Frame, state: Array) -> float:
-        """Which share of the template's points lies within the picture at `state` (1, 6)."""
+        """Which share of the template's points lies within the frame at `state` (1, 6)."""
         (w, h), (rows, cols), (width, height) = self.size, self.shape, frame.size
         cx, cy, a1, a2, a3, a4 = state[0].tolist()
         x, y = np.meshgrid(w * ((np.arange(cols) + 0.5) / cols - 0.5), h * ((np.arange(rows) + 0.5) / rows - 0.5))
@@ -80,6 +82,10 @@ class Patches:
         return float(np.mean((u >= -0.5) & (v >= -0.5) & (u <= width - 0.5) & (v <= height - 0.5)))
 
 
-def scale_of(x: Array) -> Array:
-    """How large x (N, 1, 6) are, 1 at the start -> (N, 1): the RMS of the deformation's singular values."""
-    return np.asarray(np.sqrt(0.5 * np.sum(np.square(x[..., 2:6]), axis=-1)))
+def patches_of(context: Context) -> Patches:
+    """How the likelihood of a target reads patches, which must be one that does."""
+    likelihood = context.settings.likelihood
+    if not isinstance(likelihood, PatchLikelihood):
+        raise TypeError(f"the likelihood {likelihood.type} does not compare patches")
+    columns, rows = likelihood.template
+    return Patches(context.placed.size, (rows, columns))

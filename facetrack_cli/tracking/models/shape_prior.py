@@ -29,12 +29,13 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array
-from facetrack_cli.recipe.files import shipped_folder
+from facetrack_cli.recipe.files import resolve_file, shipped_folder
+from facetrack_cli.recipe.points import Parzen
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
 
 KIND = Kind("facetrack-shape-prior", 1, "shape prior", "facetrack prior fit")
 DEFAULT = "mouth_prior.npz"
-LEAST_SIGMA = 0.005  # of the unit; the float32 exponents of narrower kernels would be wrong by 0.001 and more
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,18 +112,15 @@ def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) ->
     """The prior for one track: `parts` in the tracker's order, `first` (K, 2) their pixels in the first frame.
 
     `sigma`, the kernel's standard deviation, is in mouth widths (the prior's unit). Raises RecipeError if the parts are
-    not the prior's or sigma is below LEAST_SIGMA, InputError if the first frame gives no scale.
+    not the prior's, InputError if the first frame gives no scale.
     """
     strange = [name for name in parts if name not in prior.parts]
     absent = [name for name in prior.parts if name not in parts]
-    if strange or absent or len(set(parts)) != len(parts):
+    if strange or absent:
         said = [f"the shape prior knows {', '.join(prior.parts)}"]
         said += [f"not {', '.join(strange)}"] if strange else []
         said += [f"and the recipe does not track {', '.join(absent)}"] if absent else []
-        said += ["and the recipe tracks a part twice"] if not strange and not absent else []
         raise RecipeError(" ".join(said) + "; fit a prior with `facetrack prior fit --parts` or change the parts")
-    if not LEAST_SIGMA <= sigma < math.inf:
-        raise RecipeError(f"the shape prior's sigma is {sigma:g}; give {LEAST_SIGMA} mouth widths or more, such as 0.1")
     first = np.array(first, np.float64)
     if first.shape != (len(parts), 2) or not np.isfinite(first).all():
         raise InputError(
@@ -139,6 +137,17 @@ def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) ->
     return BoundPrior(
         tuple(parts), prior.shapes[:, order], first, list(parts).index(prior.stable), length, float(sigma)
     )
+
+
+def build(settings: Parzen, context: Context) -> BoundPrior:
+    """The prior of a recipe, for its target's parts and where they begin."""
+    prior = load_prior(resolve_file(context.recipe, settings.file))
+    try:
+        return bind(prior, context.settings.points, context.placed.x0, settings.sigma)
+    except RecipeError as e:
+        raise context.error("prior.file", str(e)) from None
+    except InputError as e:
+        raise InputError(f"{context.start.origin}: {e}") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,10 +226,3 @@ class BoundPrior:
         else:
             centre = x[:, self._stable] - self.first[self._stable] + self.length * self._shapes[chosen, part]
         return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
-
-    def log_conditional(self, x_part: Array, x: Array, part: int) -> Array:
-        """(N,): log density, per square pixel, with which `propose` draws x_part (N, 2) for `part` of x (N, K, 2)."""
-        full = np.array(x, np.float64)
-        full[:, part] = x_part
-        others = self._log_sum(self._without[part], full)
-        return self._log_sum(self._all, full) - others - math.log(2.0 * math.pi * self._spread(part) ** 2)

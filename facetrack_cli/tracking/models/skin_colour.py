@@ -4,9 +4,9 @@
     mu_S, Sigma_S: mean and covariance of their (Cb, Cr)                                                (eq. 4)
     p(c | skin) = exp(-(c - mu_S)' Sigma_S^-1 (c - mu_S) / 2)        without the factor that makes it a density
 
-so that p is 1 at the mean whatever the spread. Two things are ours. The spread of Sigma_S is kept above a floor in
-every direction, or skin of one flat colour would be found nowhere else. And the rules know neither very dark nor very
-pale skin: when they pass too little of the ellipse in the box, all of that ellipse is the sample, and `note` says so.
+so that p is 1 at the mean whatever the spread. Beyond the paper, the spread of Sigma_S is kept above a floor in every
+direction, or skin of one flat colour would be found nowhere else. And the rules know neither very dark nor very pale
+skin: when they pass too little of the ellipse in the box, all of that ellipse is the sample, and `note` says so.
 Corners do not count, since a warm wall behind a dark face passes there; nor do they teach the wall's colour.
 """
 
@@ -23,12 +23,11 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame, Image
+from facetrack_cli.recipe.skin import LEAST_SHARE
 from facetrack_cli.tracking.kernels import skin as kernel
 
 Mask: TypeAlias = NDArray[np.bool_]
 
-# the rules pass 0.50 to 0.96 of faces that they know, 0.02 to 0.08 of very dark ones, 0.39 of one of a greyish pale
-LEAST_SHARE = 0.4
 # of (Cb, Cr) in any direction, in levels squared: less loses faces as the light changes, more lets in what is near
 LEAST_VARIANCE = 9.0
 # grey clips have chroma of 1 or 2 after lossy codecs, faces of 5 to 40 nearly everywhere
@@ -63,10 +62,10 @@ def kovac(bgr: Image) -> Mask:
 
 
 def learn_skin(frame: Frame, box: Box, *, least_share: float = LEAST_SHARE) -> SkinModel:
-    """The colour of the skin in a box (left, top, width, height; pixels), which may stick out of the picture.
+    """The colour of the skin in a box (left, top, width, height; pixels), which may stick out of the frame.
 
     All of the ellipse in the box is the sample when less than `least_share` of it passes Kovac's rules: 0 never (if any
-    pixel passes), above 1 always. Raises InputError if nothing of the box is in the picture,
+    pixel passes), above 1 always. Raises InputError if nothing of the box is in the frame,
     or hardly anything in it has a colour.
     """
     x0, y0, x1, y1 = _inside(frame, box)
@@ -127,7 +126,7 @@ def _ellipse(box: Box, x0: int, y0: int, region: Image) -> Mask:
 
 
 def _contrast(frame: Frame, box: Box, table: NDArray[np.uint8]) -> float:
-    """Mean p in the box less that around it, of pixels in the picture; 1 where there is nothing around it."""
+    """Mean p in the box less that around it, of pixels in the frame; 1 where there is nothing around it."""
     margin_x, margin_y = (math.sqrt(2) - 1) / 2 * box[2], (math.sqrt(2) - 1) / 2 * box[3]
     x0, y0, x1, y1 = _inside(frame, box)
     wide = (box[0] - margin_x, box[1] - margin_y, box[2] + 2 * margin_x, box[3] + 2 * margin_y)

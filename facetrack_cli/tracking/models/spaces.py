@@ -13,15 +13,17 @@ AffineSpace   x, y, a1, a2, a3, a4       the box of the start, turned, scaled an
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from facetrack_cli.core.geometry import centre
-from facetrack_cli.core.types import Array, Box, Particles
-from facetrack_cli.tracking.models.patches import scale_of
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import centre, size_of_points
+from facetrack_cli.core.types import Array, Box, Particles, Start
+from facetrack_cli.recipe import affine, points, regions, skin
+from facetrack_cli.tracking.start.checks import size_of_box, visible_box
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostic
 
 
@@ -33,7 +35,7 @@ class Estimate(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """What a part is in the picture if no upright box: `angle` in degrees, `corners` (4, 2) clockwise from top left."""
+    """What a part is in the frame if no upright box: `angle` in degrees, `corners` (4, 2) clockwise from top left."""
 
     angle: float
     corners: Array
@@ -165,6 +167,76 @@ def affine_state_of_box(left: float, top: float, w: float, h: float) -> Array:
     return np.array([[*centre((left, top, w, h)), 1.0, 0.0, 0.0, 1.0]])
 
 
+def scale_of(x: Array) -> Array:
+    """How large x (N, 1, 6) are, 1 at the start -> (N, 1): the RMS of the deformation's singular values."""
+    return np.asarray(np.sqrt(0.5 * np.sum(np.square(x[..., 2:6]), axis=-1)))
+
+
 def state_of_box(left: float, top: float, w: float, h: float) -> Array:
     """(1, 6): the state of a box at the start, at rest and of scale 1; pixel centres are whole numbers."""
     return np.array([[*centre((left, top, w, h)), 1.0, 0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where a target begins: its state `x0` (K, D), and `windows` (K, 2), each part's width and height, in pixels.
+
+    `unit` is the recipe's unit of length, in pixels; `scale` the least and the largest scale of a box. With `scatter`
+    (K, 2), particles begin evenly over so many pixels around x0, and not together.
+    """
+
+    space: Space
+    x0: Array
+    windows: Array
+    unit: float
+    scale: tuple[float, float] = (1.0, 1.0)
+    scatter: Array | None = None
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height of the first part, in pixels."""
+        w, h = self.windows[0].tolist()
+        return w, h
+
+
+def place_points(settings: points.Points, start: Start, name: str) -> Placed:
+    """Points where the start has them; the unit is the largest distance of two, or the box's size around one."""
+    placed, parts = start.targets[name], settings.parts
+    missing = [part for part in parts if part not in placed.points]
+    if missing:
+        raise InputError(f"{start.origin}: {name} has no point for {', '.join(missing)}; the recipe wants them")
+    x0 = np.array([placed.points[part] for part in parts], dtype=float)
+    unit = size_of_points(x0) if len(parts) > 1 else size_of_box(start, name)
+    if not unit:
+        raise InputError(f"{start.origin}: all points of {name} are in one place; move them apart")
+    windows = np.array([[side.pixels(unit) for side in settings.window(part)] for part in parts])
+    for part, side in placed.windows.items():
+        if part in parts:
+            windows[parts.index(part)] = side
+    return Placed(PointSpace(windows), x0, windows, unit)
+
+
+def place_region(settings: regions.Region, start: Start, name: str) -> Placed:
+    return _place_box(start, name, BoxSpace, state_of_box, settings.scale)
+
+
+def place_affine(settings: affine.Affine, start: Start, name: str) -> Placed:
+    return _place_box(start, name, AffineSpace, affine_state_of_box, settings.scale)
+
+
+def place_cloud(settings: skin.Cloud, start: Start, name: str) -> Placed:
+    """Its particles begin all over the box."""
+    placed = _place_box(start, name, lambda _: CloudSpace(), state_of_box)
+    return replace(placed, scatter=placed.windows)
+
+
+def _place_box(
+    start: Start,
+    name: str,
+    space: Callable[[tuple[float, float]], Space],
+    state: Callable[..., Array],
+    scale: tuple[float, float] = (0.25, 4.0),
+) -> Placed:
+    """A target whose `state` fills its box; the unit is the mean side."""
+    box = visible_box(start, name)
+    return Placed(space(box[2:]), state(*box), np.array([box[2:]]), size_of_box(start, name), scale)

@@ -1,4 +1,4 @@
-"""Where the picture says a target went, before any particle is drawn (Zhou et al. 2003, section 3.1.2).
+"""Prediction from the frame of where a target went, before any particle is drawn (Zhou et al. 2003, section 3.1.2).
 
 Adaptive velocity (eq. 12). In the last frame, particles theta^(j) around the estimate theta and their patches y^(j)
 around its patch y tell how a change of the patch and a change of the motion go together, to first order:
@@ -6,23 +6,16 @@ around its patch y tell how a change of the patch and a change of the motion go 
     X = [theta^(j) - theta],  Y = [y^(j) - y],  B = X V_q S_q^-1 U_q^T  with  Y = U S V^T,
 
 the least squares solution with the q largest singular values. The printed nu = B (T{z_t; theta} - y) has the wrong
-sign: if the target moved by nu, the new picture shows at the old place what the old one showed at theta - nu, so that
-B maps the difference to -nu. Taken is
-
-    nu = -B (T{z_t; theta} - y),
-
-repeated from theta + nu until the error eps = phi(T{z_t; theta + nu}, a_t) settles; the best of the steps is kept,
-none at all included. test_guide.py proves on translated, turned and scaled pictures that it points to the truth.
+sign: if the target moved by nu, the new frame shows at the old place what the old one showed at theta - nu, so that B
+maps the difference to -nu. Taken is nu = -B (T{z_t; theta} - y), repeated from theta + nu until the error
+eps = phi(T{z_t; theta + nu}, a_t) settles; the best of the steps is kept, none at all included.
 
 Adaptive noise (eq. 13). r_t / r_0 = eta(eps) = a + (b - a) tanh(eps / c): tight after a good prediction, wide after a
 bad one. phi is that of the likelihood, the mean squared distance from the appearance in its standard deviations.
 
-`samples`, a matter of speed: B is estimated from so many of the particles, evenly chosen; the paper takes all, None.
-From 32 of 100 a step takes little more than half the time; docs/results.md has what it costs.
-
-Beyond the paper: `towards` "appearance" takes for y what the appearance model expects, so that small errors do not add
-up from frame to frame; `search` first looks for that patch over so much of the box around, by normalised correlation,
-and begins there if the error is less.
+Beyond the paper: `samples` makes a step faster; with `towards: appearance` small errors do not add up from frame to
+frame; `search` first looks for the expected patch around, by normalised correlation, and begins there if the error is
+less.
 
 V and S come from the eigenvectors of Y^T Y (J x J), and B is never written out: -B D = -X V_q S_q^-2 V_q^T Y^T D.
 """
@@ -31,16 +24,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.recipe import affine
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.filters import Ahead
 from facetrack_cli.tracking.kernels.least_squares import differences, gain, mapped
-from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.models.motion import AffineWalk
+from facetrack_cli.tracking.models.patches import Patches, patches_of
 from facetrack_cli.trajectory.diagnostics import ERROR, NOISE
 
 Rows: TypeAlias = NDArray[np.float32]
@@ -48,39 +44,11 @@ Rows: TypeAlias = NDArray[np.float32]
 RANK = 1e-3
 
 
-class Moves(Protocol):
-    """A motion model that draws particles around a place; see `motion.py`."""
-
-    def propagate(self, rng: np.random.Generator, x: Array) -> Array: ...
-
-
-@dataclass(frozen=True)
-class Velocity:
-    """`components`: q; `iterations` at most; `settle`: it ends when eps falls by less than this share.
-
-    `samples`: from how many particles at most B is estimated, None for all. `towards` is "last" as published, or
-    "appearance"; `search` is in units of the box, 0 for none.
-    """
-
-    components: int = 20
-    iterations: int = 10
-    settle: float = 0.02
-    towards: str = "last"
-    search: float = 0.0
-    samples: int | None = None
-
-
-@dataclass(frozen=True)
-class Noise:
-    """a, b and c of eq. 13: `least`, `most` and `rate`."""
-
-    least: float = 0.5
-    most: float = 2.0
-    rate: float = 1.0
-
-    def eta(self, error: float) -> float:
-        """r_t / r_0 of eps_t = `error`."""
-        return self.least + (self.most - self.least) * float(np.tanh(error / self.rate))
+def eta(settings: affine.Noise | None, error: float) -> float:
+    """r_t / r_0 of eps_t = `error` (eq. 13); 1 without adaptive noise."""
+    if settings is None:
+        return 1.0
+    return settings.least + (settings.most - settings.least) * float(np.tanh(error / settings.rate))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,33 +62,32 @@ class Flow:
 
 
 @dataclass(frozen=True)
-class Guide:
-    """`velocity` None: the target is expected where it was; `noise` None: the noise is as usual.
+class PredictedWalk(AffineWalk):
+    """A walk around the place that the frame predicts, with noise as large as the prediction is bad.
 
     `particles` are drawn around the start, where there is no last frame to learn B from.
     """
 
     patches: Patches
-    velocity: Velocity | None
-    noise: Noise | None
     particles: int
     diagnostics: ClassVar = (NOISE, ERROR)
 
-    def begin(self, rng: np.random.Generator, frame: Frame, x0: Array, motion: Moves) -> Flow:
+    def begin(self, rng: np.random.Generator, frame: Frame, x0: Array) -> Flow:
         """The flow after the first frame, with the target at x0 (1, 6)."""
-        if self.velocity is None:
+        if self.settings.velocity is None:
             return self.learn(frame, x0, x0[None])
-        return self.learn(frame, x0, motion.propagate(rng, np.repeat(x0[None], self.particles, axis=0)))
+        return self.learn(frame, x0, self.propagate(rng, np.repeat(x0[None], self.particles, axis=0)))
 
     def learn(self, frame: Frame, state: Array, x: Array) -> Flow:
         """The flow after a frame with the estimate `state` (1, 6) and the particles x (J, 1, 6)."""
         factor = self.patches.factor(state)
         patch = self.patches.read(frame, state[None], factor)[0]
-        if self.velocity is None:
+        velocity = self.settings.velocity
+        if velocity is None:
             return Flow(state, patch, np.zeros((6, 0)), np.zeros((0, len(patch)), np.float32))
-        chosen = _evenly(len(x), self.velocity.samples)
+        chosen = _evenly(len(x), velocity.samples)
         rows, products = differences(self.patches.read(frame, x, factor), chosen, patch)
-        return Flow(state, patch, gain(x[chosen, 0] - state[0], products, self.velocity.components, RANK), rows)
+        return Flow(state, patch, gain(x[chosen, 0] - state[0], products, velocity.components, RANK), rows)
 
     def predict(self, flow: Flow, frame: Frame, error: Callable[[Rows], Array], expected: Callable[[], Rows]) -> Ahead:
         """Where the target is expected in `frame`.
@@ -131,13 +98,13 @@ class Guide:
         shift = best = np.zeros_like(flow.state)
         patch = self.patches.read(frame, flow.state[None], factor)
         least = float(error(patch)[0])
-        if (velocity := self.velocity) is None:
+        if (velocity := self.settings.velocity) is None:
             return self._ahead(flow.state, best, least)
         towards = velocity.towards == "appearance"
         model = expected() if towards or velocity.search > 0 else flow.patch
         wanted = model if towards else flow.patch
         if velocity.search > 0:
-            found = self._search(flow.state, frame, factor, model)
+            found = self._search(flow.state, frame, factor, model, velocity.search)
             there = self.patches.read(frame, (flow.state + found)[None], factor)
             now = float(error(there)[0])
             if now < least:
@@ -154,14 +121,16 @@ class Guide:
         return self._ahead(flow.state, best, least)
 
     def _ahead(self, state: Array, shift: Array, error: float) -> Ahead:
-        return Ahead(state, shift, 1.0 if self.noise is None else self.noise.eta(error), error)
+        return Ahead(state, shift, eta(self.settings.noise, error), error)
 
-    def _search(self, state: Array, frame: Frame, factor: int, expected: Rows) -> Array:
-        """(1, 6): the shift to the place around `state` at which the picture is most like the expected patch (d,)."""
-        assert self.velocity is not None
+    def _search(self, state: Array, frame: Frame, factor: int, expected: Rows, reach: float) -> Array:
+        """(1, 6): the shift to the place around `state` at which the frame is most like the expected patch (d,).
+
+        `reach` is how far around to look, in units of the box.
+        """
         rows, columns = self.patches.shape
         w, h = self.patches.size
-        m, n = (max(round(self.velocity.search * side), 1) for side in (rows, columns))
+        m, n = (max(round(reach * side), 1) for side in (rows, columns))
         around = Patches((w * (1 + 2 * n / columns), h * (1 + 2 * m / rows)), (rows + 2 * m, columns + 2 * n))
         field = around.read(frame, state[None], factor)[0].reshape(around.shape)
         match = cv2.matchTemplate(field, expected.reshape(self.patches.shape), cv2.TM_CCOEFF_NORMED)
@@ -173,3 +142,12 @@ class Guide:
 def _evenly(count: int, most: int | None) -> NDArray[np.int64]:
     """Indices of all of `count`, or of `most` of them, evenly: particles of a filter that resamples come in order."""
     return np.arange(count) if most is None or count <= most else np.arange(most) * count // most
+
+
+def affine_walk(settings: affine.AffineWalk, context: Context) -> AffineWalk:
+    """Around a place that is predicted from the frame, where the settings say so."""
+    placed = context.placed
+    walk = settings, settings.sigma.pixels(placed.unit), placed.scale
+    if settings.velocity is None and settings.noise is None:
+        return AffineWalk(*walk)
+    return PredictedWalk(*walk, patches_of(context), context.settings.particles)

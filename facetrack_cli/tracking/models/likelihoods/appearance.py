@@ -9,20 +9,20 @@ Each pixel of a patch y has a mixture of its own: W, the frame before; S, what i
     S = M_1 / m_s,  sigma_s^2 = M_2 / m_s - S^2                                   eq. 10
     W = y,  F, sigma_w and sigma_f stay                                           eq. 11
 
-What we took the print to mean: the product over the pixels is left out in eq. 6; eq. 7 has sigma_w where the
-component's own is meant, and eq. 10 has M_1 twice. The moments begin as M_1 = m_s F, M_2 = m_s (sigma_s^2 + F^2), which
-give F and sigma_s back; the printed m_s sigma_s^2 + F^2 does not. Ours beside it:
+Corrected in print: eq. 6 lacks the product over the pixels; eq. 7 has sigma_w where the component's own is meant, and
+eq. 10 has M_1 twice. The moments begin as M_1 = m_s F, M_2 = m_s (sigma_s^2 + F^2), which give F and sigma_s back; the
+printed m_s sigma_s^2 + F^2 does not. Beyond the paper:
 
-- sigma_s is at least `least_sigma`, or a pixel that never changes drives it to 0, and the weights are at least
-  `least_mixing` before they are made to sum to 1, or a component that owned nothing for long never comes back. M_1 and
-  M_2 follow m_s there, so that S stays. A component of weight 0 at the start stays out.
-- A point that was not seen, since it lies beyond the picture, teaches nothing.
+- sigma_s has the floor `least_sigma`; the weights have the floor `least_mixing` before they are made to sum to 1, since
+  a component that owned nothing for long would never come back. M_1 and M_2 follow m_s there, so that S stays. A
+  component of weight 0 at the start stays out.
+- A point beyond the frame, which was not seen, teaches nothing.
 - `laplace` has exp(-|y - mu| / b) / (2 b), b = sigma / sqrt(2), so that sigma is the standard deviation of both. With
   weights (0, 0, 1) it is the fixed template of the authors' earlier tracker.
-- `outlier`: a fourth component, the L of Jepson et al. (the paper's [3]), uniform over `OUTLIER_RANGE`, of that weight
-  always; the other three share the rest.
+- `outlier` is the weight of a fourth component, the L of Jepson et al. (the paper's [3]), uniform over `OUTLIER_RANGE`;
+  the other three share the rest.
 - `pixels`: neighbours in a patch are alike, and as independent factors they make the weights of eq. 6 so sharp that the
-  best particle has them all and the spread is nought. So many count as independent: log p_a times `pixels` / d.
+  best particle has all of the weight. log p_a is multiplied by `pixels` / d.
 """
 
 from __future__ import annotations
@@ -30,15 +30,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles
+from facetrack_cli.recipe import affine
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import mixture as kernel
-from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.models.patches import Patches, patches_of
 
 # a normalised patch lies within 3 standard deviations of its mean, but for a few points
 OUTLIER_RANGE = 6.0
@@ -75,20 +76,14 @@ class Mixture:
 
 @dataclass(frozen=True)
 class Appearance:
-    """`patches`: how faces are read; `alpha`: how fast the model learns. `mixing` and `sigma` at the start: w, s, f.
+    """`patches`: how faces are read."""
 
-    See the module for the rest.
-    """
-
+    settings: affine.Appearance
     patches: Patches
-    alpha: float
-    mixing: tuple[float, float, float]
-    sigma: tuple[float, float, float]
-    least_sigma: float
-    least_mixing: float
-    density: Literal["gaussian", "laplace"] = "gaussian"
-    outlier: float | None = None
-    pixels: float | None = None
+
+    @classmethod
+    def build(cls, settings: affine.Appearance, context: Context) -> Appearance:
+        return cls(settings, patches_of(context))
 
     def init(self, frame: Frame, x0: Array) -> Mixture:
         """The model of the patch at x0 (1, 6). Raises InputError if there is nothing to see."""
@@ -103,14 +98,15 @@ class Appearance:
                 f"frame {frame.index}: {what}, so that there is no face to follow: "
                 "choose another box, or begin elsewhere with --init-frame"
             )
-        mixing = np.array(self.mixing) / sum(self.mixing)
+        settings = self.settings
+        mixing = np.array(settings.mixing.each) / sum(settings.mixing.each)
         # a component that is left out may come without a sigma
-        sigmas = np.where(mixing > 0.0, self.sigma, 1.0)
+        sigmas = np.where(mixing > 0.0, settings.sigma.each, 1.0)
         m, sigma = (np.repeat(np.array(v, np.float32)[:, None], face.size, axis=1) for v in (mixing, sigmas))
         first = face.astype(np.float64)
         moments = m[1].astype(np.float64) * np.stack([first, sigmas[1] ** 2 + np.square(first)])
         centres = np.repeat(face[None], 3, axis=0)
-        return Mixture(m, centres, sigma, moments, x0, self.density == "laplace", self.outlier or 0.0)
+        return Mixture(m, centres, sigma, moments, x0, settings.density == "laplace", settings.outlier or 0.0)
 
     def score(self, learned: Mixture, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a of x (N, 1, 6) -> (N, 1), eq. 6; parents do not matter."""
@@ -118,17 +114,19 @@ class Appearance:
         uniform = learned.outlier / OUTLIER_RANGE
         rate, log = learned.terms
         log_p = np.asarray(kernel.log_densities(y, learned.mu, rate, log, uniform, learned.laplace))[:, None]
-        return log_p if self.pixels is None else log_p * (self.pixels / y.shape[1])
+        pixels = self.settings.pixels
+        return log_p if pixels is None else log_p * (pixels / y.shape[1])
 
     def learn(self, learned: Mixture, frame: Frame, state: Array, particles: Particles | None = None) -> Mixture:
         """The model after the patch at the estimate `state` (1, 6), eq. 7-11; particles do not matter."""
         y = self.patches.read(frame, state, self.patches.factor(learned.state))[0]
         if not y.any():
             return learned
-        rate, log = learned.terms
+        (rate, log), settings = learned.terms, self.settings
         m, mu, sigma, moments = kernel.update(
             y, learned.m, learned.mu, learned.sigma, learned.moments, rate, log,
-            learned.outlier / OUTLIER_RANGE, learned.laplace, self.alpha, self.least_sigma, self.least_mixing,
+            learned.outlier / OUTLIER_RANGE, learned.laplace,
+            settings.alpha, settings.least_sigma, settings.least_mixing,
         )  # fmt: skip
         return Mixture(m, mu, sigma, moments, np.array(state), learned.laplace, learned.outlier)
 
@@ -152,7 +150,7 @@ class Appearance:
 
     def insets(self, learned: Mixture) -> tuple[tuple[str, Image], ...]:
         """S and W as grey images, those that take part, as the paper's figure 3 shows them."""
-        shown = [(name, i) for name, i in (("S", 1), ("W", 0)) if self.mixing[i] > 0] or [("F", 2)]
+        shown = [(name, i) for name, i in (("S", 1), ("W", 0)) if self.settings.mixing.each[i] > 0] or [("F", 2)]
         return tuple((name, self._grey(learned.mu[i])) for name, i in shown)
 
     def _grey(self, values: NDArray[np.float32]) -> Image:

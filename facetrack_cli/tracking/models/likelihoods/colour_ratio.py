@@ -4,10 +4,7 @@
     d(o, q) = E_j{ rho(c_j) }              mean over the window of a robust function, L1 as published       (eq. 9)
     p(y|a)  = exp(-d / sigma_i)            sigma_i = sigma / E{o_i}, sigma = 1.5 for intensities in 0..255  (eq. 10)
 
-Templates are learned in the first frame and then stay, but where a part is put right by hand. Beyond the paper, as
-options: other robust functions; a floor, p + exp(floor) in place of p, so that a part which matches nothing costs the
-same wherever it is; and `max_samples`, which reads windows larger than that from a picture reduced by a power of two
-(area means), so that a clip in 4K costs no more than one in 240p.
+Templates are learned in the first frame and then stay, except where a correction places a part.
 """
 
 from __future__ import annotations
@@ -18,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Extent, Frame, Particles, factor_for
+from facetrack_cli.recipe import points
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import windows
 
 # a window darker than one grey level says nothing; dividing by less would only blow up its noise
@@ -26,7 +25,7 @@ LEAST_MEAN = 1.0
 
 @dataclass(frozen=True)
 class Group:
-    """Templates read at 1 / `factor` of the picture's size, laid out for the kernel; `parts` (G,) are their indices.
+    """Templates read at 1 / `factor` of the frame's size, laid out for the kernel; `parts` (G,) are their indices.
 
     `sides` (G, 2) are (w, h), odd, in reduced pixels; template g is `ratios[offsets[g] : offsets[g + 1]]`, o / E{o}.
     """
@@ -42,7 +41,7 @@ class Group:
 class Templates:
     """What K parts looked like in the first frame; `sigma` (K,) is sigma_i of eq. 10.
 
-    `reach`: how far from its centre any window reads, in pixels of the whole picture.
+    `reach`: how far from its centre any window reads, in pixels of the whole frame.
     """
 
     groups: tuple[Group, ...]
@@ -52,18 +51,19 @@ class Templates:
 
 @dataclass(frozen=True)
 class ColourRatio:
-    """`windows` (K, 2): width and height of each part's window in pixels. See the module for the rest."""
+    """`windows` (K, 2): width and height of each part's window, in pixels."""
 
+    settings: points.ColourRatio
     windows: Array
-    sigma: float = 1.5
-    robust: str = "l1"
-    scale: float = 1.0
-    floor: float | None = None
-    max_samples: int | None = None
+
+    @classmethod
+    def build(cls, settings: points.ColourRatio, context: Context) -> ColourRatio:
+        return cls(settings, context.placed.windows)
 
     def init(self, frame: Frame, x0: Array) -> Templates:
         """The templates of K parts at x0 (K, 2)."""
-        factors = np.array([factor_for(side, self.max_samples) for side in self.windows.max(axis=1).tolist()])
+        most = self.settings.max_samples
+        factors = np.array([factor_for(side, most) for side in self.windows.max(axis=1).tolist()])
         reach = float(self.windows.max()) / 2 + 3 * int(factors.max())
         extent = windows.extent(x0[None], reach)
         means = np.empty(len(x0))
@@ -72,23 +72,24 @@ class ColourRatio:
             parts = np.flatnonzero(factors == factor)
             group, means[parts] = self._group(frame, extent, x0, factor, parts)
             groups.append(group)
-        return Templates(tuple(groups), self.sigma / means, reach)
+        return Templates(tuple(groups), self.settings.sigma / means, reach)
 
     def score(self, learned: Templates, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; parents do not matter."""
         log_p = self.distances(learned, frame, x) / -learned.sigma
-        return log_p if self.floor is None else np.asarray(np.logaddexp(log_p, self.floor))
+        floor = self.settings.floor
+        return log_p if floor is None else np.asarray(np.logaddexp(log_p, floor))
 
     def distances(self, learned: Templates, frame: Frame, x: Array) -> Array:
         """d(o_i, q_i) of eq. 9 for windows at x (N, K, 2) -> (N, K)."""
         out = np.empty(x.shape[:2])
-        robust = windows.ROBUST[self.robust]
+        robust, scale = windows.ROBUST[self.settings.robust], self.settings.scale or 1.0
         extent = windows.extent(x, learned.reach)
         for g in learned.groups:
-            picture, left, top = frame.reduced(g.factor, extent)
+            image, left, top = frame.reduced(g.factor, extent)
             windows.colour_ratio_distances(
-                windows.flat(picture), g.ratios, g.offsets, g.sides, g.parts, x, left, top, g.factor,
-                LEAST_MEAN, robust, self.scale, out,
+                windows.flat(image), g.ratios, g.offsets, g.sides, g.parts, x, left, top, g.factor,
+                LEAST_MEAN, robust, scale, out,
             )  # fmt: skip
         return out
 
@@ -108,14 +109,14 @@ class ColourRatio:
     def _group(
         self, frame: Frame, extent: Extent, x0: Array, factor: int, parts: NDArray[np.int64]
     ) -> tuple[Group, list[float]]:
-        """The templates of `parts`, read at 1 / `factor` of the picture's size, and E{o_i} of each."""
+        """The templates of `parts`, read at 1 / `factor` of the frame's size, and E{o_i} of each."""
         sides = np.array([[_odd(side / factor) for side in self.windows[k]] for k in parts], np.int64)
-        picture, left, top = frame.reduced(factor, extent)
+        image, left, top = frame.reduced(factor, extent)
         ratios: list[NDArray[np.float32]] = []
         means: list[float] = []
         for k, (w, h) in zip(parts, sides, strict=True):
             x, y = (x0[k] - (left, top) - (factor - 1) / 2) / factor
-            o = windows.read_window(windows.flat(picture), x, y, w, h)
+            o = windows.read_window(windows.flat(image), x, y, w, h)
             means.append(max(float(o[:, :w].mean()), LEAST_MEAN))
             ratios.append(o.ravel() / np.float32(means[-1]))
         offsets = np.concatenate([[0], np.cumsum([len(row) for row in ratios])]).astype(np.int64)

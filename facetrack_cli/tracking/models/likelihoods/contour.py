@@ -2,18 +2,15 @@
 
     p_o = product over l of max(K, exp(-|nu_m^l - nu_0^l|^2 / (2 sigma^2)))                                  (eq. 11)
 
-nu_0^l is where normal l of L leaves the ellipse, and nu_m^l the nearest edge on it; without one, the factor is K. The
-paper leaves the rest to Blake & Isard, *Active Contours*, 1998. Ours:
+nu_0^l is where normal l of L leaves the ellipse, and nu_m^l the nearest edge on it; without an edge the factor is K.
+For the rest, the paper refers to Blake & Isard, *Active Contours*, 1998. Chosen here:
 
-- The ellipse touches the borders of the box: semi-axes s w / 2 and s h / 2. Its normals stand at equal steps of arc.
-- Only grey values count. Edges are maxima of the contrast along a normal: the mean of two values less that of the two
-  before them, so that a step of C grey levels has the contrast C. They lie between values, by a parabola.
-- `sigma` and `search` are the same at every scale, as printed. If they grew with s, a larger ellipse would meet more
-  edges on its normals, and on any textured ground it would be the better one.
-- The picture is first averaged over 3x3 pixels: an outline is smooth across its normals, and much clutter is not.
-- Beyond the picture there is no edge, and its border is none.
-- A box larger than `max_size` at the start is read from a picture reduced by a power of two (area means), in steps of
-  its pixels; so cost and contrasts do not depend on the size of the clip.
+- The ellipse touches the borders of the box. Its normals stand at equal steps of arc.
+- Edges are maxima of the contrast along a normal: the mean of two grey values less that of the two before them, so that
+  a step of C grey levels has the contrast C. Their place between values is that of a parabola.
+- `sigma` and `search` are the same at every scale, as printed: otherwise a larger ellipse would meet more edges.
+- The frame is averaged over 3x3 pixels first: an outline is smooth across its normals, and much clutter is not.
+- Beyond the frame there is no edge, and its border is none.
 """
 
 from __future__ import annotations
@@ -25,16 +22,18 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Array, Extent, Frame, Particles, factor_for
+from facetrack_cli.recipe import regions
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import contour
 
-_FAR = 1e9  # pixels; no picture is as large
+_FAR = 1e9  # pixels; no frame is as large
 
 
 @dataclass(frozen=True)
 class Outline:
     """The ellipse at scale 1: `points` (L, 2) from its centre, in pixels, and its outward unit `normals` (L, 2).
 
-    `factor`: what pictures are reduced by.
+    `factor`: by what frames are reduced.
     """
 
     factor: int
@@ -44,26 +43,25 @@ class Outline:
 
 @dataclass(frozen=True)
 class Contour:
-    """`size`: (w, h) of the box at scale 1. Lengths in pixels, `threshold` in grey levels.
+    """`size`: (w, h) of the box at scale 1; `sigma` and `search` as in the settings, all in pixels."""
 
-    `normals`: L; `search`: half the length of a normal; `outlier`: K, in (0, 1]. See the module for the rest.
-    """
-
+    settings: regions.Contour
     size: tuple[float, float]
-    normals: int
     sigma: float
     search: float
-    threshold: float
-    outlier: float
-    max_size: int | None = None
+
+    @classmethod
+    def build(cls, settings: regions.Contour, context: Context) -> Contour:
+        unit = context.placed.unit
+        return cls(settings, context.placed.size, settings.sigma.pixels(unit), settings.search.pixels(unit))
 
     def init(self, frame: Frame, x0: Array) -> Outline:
         """The ellipse; nothing is learned from the first frame or from x0 (1, 6)."""
-        return Outline(factor_for(max(self.size), self.max_size), *ellipse(self.size, self.normals))
+        return Outline(factor_for(max(self.size), self.settings.max_size), *ellipse(self.size, self.settings.normals))
 
     def score(self, learned: Outline, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_o of x (N, 1, 6) -> (N, 1), from L log K to 0; parents do not matter."""
-        least = math.log(self.outlier)
+        least = math.log(self.settings.outlier)
         # what lies farther off counts K, found or not
         reach = min(self.search, self.sigma * math.sqrt(-2.0 * least))
         d = self._nearest(learned, frame, x, reach)
@@ -85,9 +83,10 @@ class Contour:
         grey, left, top = frame.grey(learned.factor, self._extent(boxes, reach + 5.0 * learned.factor))
         # sums, which are whole numbers: their ninths are the means
         nine = cv2.boxFilter(grey, cv2.CV_16U, (3, 3), normalize=False)
+        threshold = 9.0 * self.settings.threshold
         return np.asarray(
             contour.nearest_edges(
-                nine, boxes, left, top, learned.factor, learned.points, learned.normals, reach, 9.0 * self.threshold
+                nine, boxes, left, top, learned.factor, learned.points, learned.normals, reach, threshold
             )
         )
 

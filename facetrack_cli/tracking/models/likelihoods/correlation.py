@@ -6,28 +6,24 @@
     p_c   = exp(-lambda_c d_c)                       c_k-1 is the particle's own parent                       (eq. 12)
     d_c   = sum over r of rho(z now(r) - z before(r))                                                         (eq. 13)
 
-It scores how a particle moved, not where it lies: one that rests on a resting ground has distance 0. R are the centres
-of cols x rows equal cells of the box, read bilinearly from the grey picture. The distances of figure 5:
+It scores how a particle moved, not where it lies: one that rests on a resting background has distance 0. R are the
+centres of equal cells of the box, read bilinearly from the grey frame. The distances of figure 5:
 
     l2            rho(x) = x^2, lambda_c = 1 / (2 sigma^2)            as published
     saturated_l1  rho(x) = min(|x|, saturation), lambda_c = 1 / sigma
-    hausdorff     lambda_c = 1 / sigma; the paper gives no formula. Ours is the modified Hausdorff distance (Dubuisson &
-                  Jain 1994) between the two grey surfaces: for each point the least |difference| from the 3x3 points of
-                  the other patch around it, summed over the grid, and of both directions the larger sum. It stays small
-                  until the error exceeds one step of the grid.
+    hausdorff     lambda_c = 1 / sigma; the paper gives no formula. It is the modified Hausdorff distance (Dubuisson
+                  & Jain 1994) between the two grey surfaces: for each point the least |difference| from the 3x3
+                  points of the other patch around it, summed over the grid, and of both directions the larger sum.
 
 d_c is a sum, so sigma belongs to one grid, and it is far larger than the noise of a pixel: the points of a grid differ
-together when a region moves, and with their own noise, 6 to 20 grey levels between frames, two or three particles take
-all the weight. On 16x16 points sigma = 100 (l2), 400 (saturated_l1 at 20) or 100 (hausdorff) leaves some tens of 200
-particles that were scattered by 5 % of the region's size. With n points instead: times sqrt(n / 256) for l2, and
+together when a region moves. On 16x16 points sigma = 100 (l2), 400 (saturated_l1 at 20) or 100 (hausdorff) leaves some
+tens of 200 particles that are scattered by 5 % of the region's size; with n points, times sqrt(n / 256) for l2, and
 n / 256 for the others.
 
-What the paper leaves open:
-
-- The picture is read reduced by the largest power of two that leaves at least one pixel for each step of the grid (area
-  means), or the grid would alias. The power is fixed at the start, whatever scale the region takes on later.
-- A point beyond the picture's border, now or before, counts as a difference of `OUTSIDE` grey levels (if the border
-  were repeated there, a box wholly outside would match itself perfectly); with `saturated_l1`, at most `saturation`.
+Chosen here, since the paper leaves it open: the frame is read reduced by the largest power of two that leaves a pixel
+for each step of the grid at the start (area means). A point beyond the frame's border, now or before, counts as a
+difference of `OUTSIDE` grey levels, with `saturated_l1` at most `saturation`: if the border were repeated there, a box
+wholly outside would match itself perfectly.
 """
 
 from __future__ import annotations
@@ -38,16 +34,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Image, Particles
+from facetrack_cli.recipe import regions
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import patches
 
-# clearly worse than a region that is followed well (6 to 20, RMS), about as bad as missing its motion by a tenth of its
-# size; much more would push regions that do leave the picture back into it
+# worse than a region that is followed well (6 to 20, RMS), as bad as missing its motion by a tenth of its size; much
+# more would push regions that leave the frame back into it
 OUTSIDE = 32.0
 
 
 @dataclass(frozen=True)
 class Previous:
-    """The frame that parents lie in; `factor`: what pictures are reduced by."""
+    """The frame that parents lie in; `factor`: by what frames are reduced."""
 
     frame: Frame
     factor: int
@@ -55,25 +53,26 @@ class Previous:
 
 @dataclass(frozen=True)
 class Correlation:
-    """`size`: (w, h) of the box at scale 1, pixels; `grid`: (cols, rows). `sigma` and `saturation` in grey levels.
+    """`size`: width and height of what is compared at scale 1, in pixels: the settings' `region` of the box."""
 
-    See the module for the rest.
-    """
-
+    settings: regions.Correlation
     size: tuple[float, float]
-    grid: tuple[int, int] = (16, 16)
-    distance: str = "l2"
-    sigma: float = 100.0
-    saturation: float = 20.0
+
+    @classmethod
+    def build(cls, settings: regions.Correlation, context: Context) -> Correlation:
+        w, h = context.placed.size
+        return cls(settings, (w * settings.region, h * settings.region))
 
     def init(self, frame: Frame, x0: Array) -> Previous:
         """What the first frame after this one is compared with; x0 (1, 6) does not matter."""
-        step = min(self.size[0] / self.grid[0], self.size[1] / self.grid[1])
+        columns, rows = self.settings.grid
+        step = min(self.size[0] / columns, self.size[1] / rows)
         return Previous(frame, 2 ** math.floor(math.log2(max(step, 1.0))))
 
     def score(self, learned: Previous, frame: Frame, x: Array, parents: Array) -> Array:
         """log p_c of x (N, 1, 6) in `frame` given its parents (N, 1, 6) in the frame before -> (N, 1), at most 0."""
-        rate = 0.5 / self.sigma**2 if self.distance == "l2" else 1.0 / self.sigma
+        sigma = self.settings.sigma
+        rate = 0.5 / sigma**2 if self.settings.distance == "l2" else 1.0 / sigma
         return -rate * self.differences(learned, frame, x, parents)
 
     def differences(self, learned: Previous, frame: Frame, x: Array, parents: Array) -> Array:
@@ -81,14 +80,15 @@ class Correlation:
         out = np.empty((len(x), 1))
         here = np.ascontiguousarray(x[:, 0, :3])
         there = np.ascontiguousarray(parents[:, 0, :3])
-        now, now_view = self._picture(frame, learned.factor, here)
-        before, before_view = self._picture(learned.frame, learned.factor, there)
-        outside = OUTSIDE**2 if self.distance == "l2" else OUTSIDE
-        if self.distance == "saturated_l1":
-            outside = min(outside, self.saturation)
+        now, now_view = self._image(frame, learned.factor, here)
+        before, before_view = self._image(learned.frame, learned.factor, there)
+        distance, saturation = self.settings.distance, self.settings.saturation or 0.0
+        outside = OUTSIDE**2 if distance == "l2" else OUTSIDE
+        if distance == "saturated_l1":
+            outside = min(outside, saturation)
         patches.patch_distances(
-            now, now_view, before, before_view, learned.factor, here, there, self.size, *self.grid,
-            patches.DISTANCES[self.distance], self.saturation, outside, out[:, 0],
+            now, now_view, before, before_view, learned.factor, here, there, self.size, *self.settings.grid,
+            patches.DISTANCES[distance], saturation, outside, out[:, 0],
         )  # fmt: skip
         return out
 
@@ -96,8 +96,8 @@ class Correlation:
         """`frame`, in which the parents of the next frame's particles lie; state and particles do not matter."""
         return replace(learned, frame=frame)
 
-    def _picture(self, frame: Frame, factor: int, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:
-        """The grey picture around the boxes (N, 3), reduced, and its view: (left, top, whole width, whole height)."""
+    def _image(self, frame: Frame, factor: int, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:
+        """The grey image around the boxes (N, 3), reduced, and its view: (left, top, whole width, whole height)."""
         width, height = frame.size
         left, top, right, bottom = patches.boxes_extent(boxes, self.size, width, height)
         # between its border and the centre of its first block, a box is read from the block before too

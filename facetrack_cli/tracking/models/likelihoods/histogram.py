@@ -4,17 +4,14 @@
     D^2      = 1 - sum_j sqrt( b_j(c) b_ref_j )            the reference is the box of the first frame
     p(z|c)   ~ exp(-lambda D^2)
 
-The box is split into columns and rows of equal size; a pixel belongs to the sub-region its centre lies in, so at any
-place and scale their sides differ by at most one pixel. Beyond the picture there is no colour: a candidate is divided
-by all pixels of its box, so that what lies outside matches nothing; the reference by those inside. Hue and saturation
-are OpenCV's of 8 bits, hue in steps of 2 degrees; bins are equally wide and the first begins at red.
+A pixel belongs to the sub-region in which its centre lies, so that the sides of sub-regions differ by at most one pixel
+at any place and scale. Beyond the frame there is no colour: a candidate is divided by all pixels of its box, so that
+what lies outside matches nothing; the reference by those inside. Hue and saturation are OpenCV's of 8 bits, hue in
+steps of 2 degrees; bins are equally wide and the first begins at red.
 
-Hue means nothing where there is next to no colour or light. Pixels of saturation below `least_saturation` or value
-below `least_value` go to `value_bins` further bins of each sub-region, by their value, as Perez et al. have it (ECCV
-2002, with thresholds 0.1 and 0.2): one bin tells only that there is no colour, eight are a grey histogram. With
-`value_bins` 0 every pixel goes to its bin of hue and saturation, as printed.
-
-Beyond the paper: `max_size` reads boxes larger than that from a picture reduced by a power of two (area means).
+Hue means nothing where there is next to no colour or light. Pale and dark pixels go to `value_bins` further bins of
+each sub-region, by their value, as Perez et al. have it (ECCV 2002, with thresholds 0.1 and 0.2): one bin tells only
+that there is no colour, eight are a grey histogram.
 """
 
 from __future__ import annotations
@@ -27,6 +24,8 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles, factor_for
+from facetrack_cli.recipe import regions
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import histogram as kernel
 
 # faces have colour in half of their pixels and more; grey clips after lossy codecs in less than one in a thousand
@@ -51,24 +50,21 @@ class Reference:
 
 @dataclass(frozen=True)
 class Histogram:
-    """`size`: width and height in pixels at scale 1; `regions`: columns and rows. See the module for the rest."""
+    """`size`: width and height of the box at scale 1, in pixels."""
 
+    settings: regions.Histogram
     size: tuple[float, float]
-    hue_bins: int = 8
-    saturation_bins: int = 4
-    regions: tuple[int, int] = (3, 3)
-    lambda_: float = 20.0
-    value_bins: int = 1
-    least_saturation: float = 0.1
-    least_value: float = 0.2
-    max_size: float | None = None
+
+    @classmethod
+    def build(cls, settings: regions.Histogram, context: Context) -> Histogram:
+        return cls(settings, context.placed.size)
 
     def init(self, frame: Frame, x0: Array) -> Reference:
         """The reference: the histogram of the box at x0 (1, 6).
 
         Raises InputError if the box shows no colours and `value_bins` does not tell greys apart.
         """
-        factor = factor_for(max(self.size), self.max_size)
+        factor = factor_for(max(self.size), self.settings.max_size)
         region, ex, ey, _, pixels = self._read(frame, x0[None], factor)
         if region is None:
             wrong = "lies outside the picture: choose another box"
@@ -79,20 +75,20 @@ class Histogram:
                 )
             raise InputError(f"frame {frame.index}: the box {wrong}")
         hsv = _hsv(region)
-        if self.value_bins <= 1:
+        if self.settings.value_bins <= 1:
             self._need_colours(frame, hsv)
 
-        hue = np.arange(180) * self.hue_bins // 180 * self.saturation_bins
-        saturation = np.arange(256) * self.saturation_bins // 256
+        hue = np.arange(180) * self.settings.hue_bins // 180 * self.settings.saturation_bins
+        saturation = np.arange(256) * self.settings.saturation_bins // 256
         coloured = (hue[:, None] + saturation).astype(np.uint16)
-        bins = self.hue_bins * self.saturation_bins
-        colourless = (bins + np.arange(256) * self.value_bins // 256).astype(np.uint16)
+        bins = self.settings.hue_bins * self.settings.saturation_bins
+        colourless = (bins + np.arange(256) * self.settings.value_bins // 256).astype(np.uint16)
         codes = kernel.code(hsv, coloured, colourless, *self._least())
-        counts = kernel.count(codes, ex[0], ey[0], bins + self.value_bins)
+        counts = kernel.count(codes, ex[0], ey[0], bins + self.settings.value_bins)
 
         used = np.flatnonzero(counts.any(axis=0))
         width = kernel.LANES * (len(used) // kernel.LANES + 1)
-        new = np.full(bins + max(self.value_bins, 1), len(used), np.uint16)
+        new = np.full(bins + max(self.settings.value_bins, 1), len(used), np.uint16)
         new[used] = np.arange(len(used))
         root = np.zeros((len(counts), width), np.float32)
         root[:, : len(used)] = np.sqrt(counts[:, used] / pixels)
@@ -100,7 +96,7 @@ class Histogram:
 
     def score(self, learned: Reference, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """-lambda D^2 of boxes x (N, 1, 6) -> (N, 1); parents do not matter."""
-        return -self.lambda_ * self._squared(learned, frame, x)
+        return -self.settings.lambda_h * self._squared(learned, frame, x)
 
     def distances(self, learned: Reference, frame: Frame, x: Array) -> Array:
         """D of boxes x (N, 1, 6) -> (N, 1): 0 for a perfect match, 1 for no colour in common."""
@@ -125,23 +121,23 @@ class Histogram:
     def _read(
         self, frame: Frame, x: Array, factor: int
     ) -> tuple[Image | None, NDArray[np.int64], NDArray[np.int64], Array, int]:
-        """The part of the picture that boxes (N, 1, 6) cover, their edges in it, areas, and pixels of all together."""
+        """The part of the frame that boxes (N, 1, 6) cover, their edges in it, areas, and pixels of all together."""
         width, height = (max(side // factor, 1) for side in frame.size)
         boxes = np.ascontiguousarray(x[:, 0, :3])
-        ex, ey, area = kernel.edges(boxes, *self.size, *self.regions, factor, width, height)
+        ex, ey, area = kernel.edges(boxes, *self.size, *self.settings.regions, factor, width, height)
         left, top, right, bottom, pixels = kernel.crop(ex, ey)
         if pixels == 0:
             return None, ex, ey, area, 0
         extent = (left * factor, top * factor, right * factor - 1, bottom * factor - 1)
-        picture, dx, dy = frame.reduced(factor, extent)
+        image, dx, dy = frame.reduced(factor, extent)
         dx, dy = dx // factor, dy // factor
-        return picture[top - dy : bottom - dy, left - dx : right - dx], ex, ey, area, pixels
+        return image[top - dy : bottom - dy, left - dx : right - dx], ex, ey, area, pixels
 
     def _least(self) -> tuple[int, int]:
         """The least saturation and value, 0..255, of a pixel that has a hue."""
-        if self.value_bins == 0:
+        if self.settings.value_bins == 0:
             return 0, 0
-        return int(np.ceil(self.least_saturation * 255)), int(np.ceil(self.least_value * 255))
+        return int(np.ceil(self.settings.least_saturation * 255)), int(np.ceil(self.settings.least_value * 255))
 
     def _need_colours(self, frame: Frame, hsv: Image) -> None:
         saturated, light = self._has_hue(hsv)
@@ -154,15 +150,16 @@ class Histogram:
         remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
         if np.mean(saturated & ~light) >= LEAST_COLOURED and dark > 0.5:
             remedy += ", or a lower likelihood.histogram.least_value"
+        least = self.settings
         raise InputError(
             f"frame {frame.index}: {what}, so a colour histogram cannot know it: {share:.1%} of the box's pixels have "
-            f"a hue (saturation at least {self.least_saturation:g}, value at least {self.least_value:g}), "
+            f"a hue (saturation at least {least.least_saturation:g}, value at least {least.least_value:g}), "
             f"{dark:.0%} are too dark: {remedy}"
         )
 
     def _has_hue(self, hsv: Image) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Whether each pixel is saturated enough, and light enough."""
-        return hsv[..., 1] >= self.least_saturation * 255, hsv[..., 2] >= self.least_value * 255
+        return hsv[..., 1] >= self.settings.least_saturation * 255, hsv[..., 2] >= self.settings.least_value * 255
 
 
 def _hsv(bgr: Image) -> Image:

@@ -1,19 +1,18 @@
 """Normalised cross-correlation of boxes with a grey template (Gonzalez & Collet, section 4.2, eq. 10).
 
     NCC = sum T I / sqrt( sum T^2  sum I^2 )             `keep`, as published: no mean is subtracted
-          the same of T - mean(T) and I - mean(I)        `remove`, ours (zero-mean NCC)
+          the same of T - mean(T) and I - mean(I)        `remove`, beyond the paper (zero-mean NCC)
 
-The published one is 0.9 and more for most patches of natural pictures, since all of them are light. The template is
-the box of the first frame, on whole pixels of the picture reduced by `max_size`; a particle's box is read at the same
-number of points, bilinearly, at its own scale. Beyond the picture grey is 0, and a patch without a pattern has NCC 0.
+The published one is 0.9 and more for most patches of natural images, since all of them are light. The template is the
+box of the first frame, on whole pixels of the reduced frame; a particle's box is read at the same number of points,
+bilinearly, at its own scale. Beyond the frame grey is 0, and a patch without a pattern has NCC 0.
 
 Two ways give the same. If all scales are 1 and the particles lie close together, sum T I comes from one dense
 correlation (cv2.matchTemplate), read off bilinearly. Otherwise each particle is read by itself. sum I and sum I^2 are
 area sums over integral images in both, so that at scale 1 they agree to the rounding of float32; at other scales area
 sums stand in for sums over the points.
 
-Beyond the paper (its future work): with `adapt` = a the template follows, T <- (1 - a) T + a I at the estimate, while
-the zero-mean NCC of I with the first template is at least `adapt_above`.
+Beyond the paper (its future work): with `adapt` = a the template follows, T <- (1 - a) T + a I at the estimate.
 """
 
 from __future__ import annotations
@@ -29,26 +28,13 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, factor_for
+from facetrack_cli.recipe.skin import Pattern
 from facetrack_cli.tracking.kernels import ncc as kernel
 
 # grey levels squared: what varies less than rounding to whole grey levels does is no pattern
 LEAST_VARIANCE = 0.25
 # what one pixel of a dense correlation takes, in points read directly
 DENSE = 10.0
-
-
-@dataclass(frozen=True)
-class Ncc:
-    """Settings: `mean` "keep" or "remove"; `max_size` in pixels of the box's longer side. See the module for the rest.
-
-    `exponent`: by how much a worse match counts, where the match is used.
-    """
-
-    mean: str = "keep"
-    exponent: float = 1.0
-    adapt: float = 0.0
-    adapt_above: float = 0.7
-    max_size: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +58,7 @@ class Template:
 
 
 def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size: float | None) -> Template:
-    """The template of the box at x0 (1, 6). Raises InputError if nothing of it is in the picture."""
+    """The template of the box at x0 (1, 6). Raises InputError if nothing of it is in the frame."""
     cx, cy, s = x0[0, :3].tolist()
     width, height = frame.size
     if any(not (c + 0.5 * n * s > -0.5 and c - 0.5 * n * s < m - 0.5)
@@ -80,7 +66,7 @@ def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size:
         raise InputError(f"frame {frame.index}: the box lies outside the picture: choose another box")
     factor = factor_for(max(size), max_size)
     tw, th = (max(round(side / factor), 2) for side in size)
-    # at scale 1 on whole pixels, so that the picture is learned as it is, and read again where it was learned
+    # at scale 1 on whole pixels, so that the frame is learned as it is, and read again where it was learned
     u, v = ((c - 0.5 * (factor - 1)) / factor - 0.5 * s * (n - 1) for c, n in ((cx, tw), (cy, th)))
     offset = ((round(u) - u) / s, (round(v) - v) / s)
     blank = np.zeros((th, tw), np.float32)
@@ -99,13 +85,13 @@ def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]
     view = _view(template, frame, x)
     centred, mean, variance = template.moments
     cross = _cross(view, centred) / centred.size
-    sums = cv2.integral2(view.picture, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
+    sums = cv2.integral2(view.image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     level, square = kernel.means(*sums, view.boxes, *centred.shape).T
     keep = _ratio(cross + mean * level, (variance + mean * mean) * square, view.seen)
     return keep, _ratio(cross, variance * (square - level * level), view.seen)
 
 
-def adapted(template: Template, settings: Ncc, frame: Frame, state: Array) -> Template:
+def adapted(template: Template, settings: Pattern, frame: Frame, state: Array) -> Template:
     """The template after a frame whose estimate is `state` (1, 6)."""
     if settings.adapt == 0.0:
         return template
@@ -117,9 +103,9 @@ def adapted(template: Template, settings: Ncc, frame: Frame, state: Array) -> Te
 
 
 class _View(NamedTuple):
-    """The grey picture around boxes (N, 3) = (u, v, s) in its pixels; which are `seen` at all; the range of (u, v)."""
+    """The grey image around boxes (N, 3) = (u, v, s) in its pixels; which are `seen` at all; the range of (u, v)."""
 
-    picture: Image
+    image: Image
     boxes: Array
     seen: NDArray[np.bool_]
     low: Array
@@ -145,22 +131,22 @@ def _ratio(cross: Array, energy: Array, seen: NDArray[np.bool_]) -> Array:
 
 
 def _cross(view: _View, centred: NDArray[np.float32]) -> Array:
-    """Sum of template times picture for each of the boxes -> (N,), by whichever way is cheaper."""
+    """Sum of template times image for each of the boxes -> (N,), by whichever way is cheaper."""
     low, high = np.floor(view.low).astype(int), np.floor(view.high).astype(int) + 1
     cells = math.prod((high - low + centred.shape[::-1]).tolist())
     if view.same_scale and cells * DENSE <= len(view.boxes) * centred.size:
         return _cross_dense(view, centred, low.tolist(), high.tolist())
-    return np.asarray(kernel.cross_direct(view.picture, centred, view.boxes))
+    return np.asarray(kernel.cross_direct(view.image, centred, view.boxes))
 
 
 def _cross_dense(view: _View, centred: NDArray[np.float32], low: list[int], high: list[int]) -> Array:
     """The same from one correlation at all whole places between `low` and `high`, (u, v)."""
-    (height, width), (th, tw) = view.picture.shape, centred.shape
+    (height, width), (th, tw) = view.image.shape, centred.shape
     x0, y0, x1, y1 = low[0], low[1], high[0] + tw, high[1] + th
     region = np.zeros((y1 - y0, x1 - x0), np.float32)
     left, right, top, bottom = max(x0, 0), min(x1, width), max(y0, 0), min(y1, height)
     if right > left and bottom > top:
-        region[top - y0 : bottom - y0, left - x0 : right - x0] = view.picture[top:bottom, left:right]
+        region[top - y0 : bottom - y0, left - x0 : right - x0] = view.image[top:bottom, left:right]
     return np.asarray(kernel.bilinear(cv2.matchTemplate(region, centred, cv2.TM_CCORR), view.boxes, x0, y0))
 
 
@@ -169,4 +155,4 @@ def _patch(template: Template, frame: Frame, x0: Array) -> NDArray[np.float32]:
     view = _view(template, frame, x0[None])
     if not view.seen[0]:
         return np.zeros_like(template.now)
-    return np.asarray(kernel.read_patch(view.picture, *view.boxes[0].tolist(), *template.now.shape))
+    return np.asarray(kernel.read_patch(view.image, *view.boxes[0].tolist(), *template.now.shape))

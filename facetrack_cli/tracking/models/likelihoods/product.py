@@ -14,6 +14,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Particles
+from facetrack_cli.recipe import regions
+from facetrack_cli.tracking.build.context import Context
 
 
 class Factor(Protocol):
@@ -38,6 +40,12 @@ class Product:
 
     objects: tuple[ObjectFactor, ...]
     motions: tuple[Factor, ...] = ()
+
+    @classmethod
+    def build(cls, settings: regions.Product, context: Context) -> Product:
+        factors: list[Any] = [one.build(context) for one in settings.factors]
+        objects = tuple(one for one in factors if hasattr(one, "distances"))
+        return cls(objects, tuple(one for one in factors if not hasattr(one, "distances")))
 
     @property
     def factors(self) -> tuple[Factor, ...]:

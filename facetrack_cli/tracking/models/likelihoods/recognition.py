@@ -3,14 +3,12 @@
     alpha_l(j) = beta_l p_a(j) {p_f(j) p_n(j, l) + (1 - p_f(j)) / N}      weight of particle j and identity l
     w(j) = sum_l alpha_l(j),  beta_l = sum_j alpha_l(j)                   both normalised; beta is the posterior
 
-for any likelihood p_a that reads affine patches, and the scores p_f and p_n of a gallery (`gallery.py`), in logs.
+for any likelihood p_a of affine patches, and the scores p_f and p_n of a gallery (`gallery.py`), in logs. A filter
+keeps the particles and their weights, so `score` gives log w(j), and `learn` finds beta from them:
+sum_j w(j) alpha_l(j) / w(j).
 
-A filter keeps the particles and their weights, so `score` gives log w(j), and `learn` finds beta from them:
-sum_j w(j) alpha_l(j) / w(j). The filter's own weights are what w(j) became when it had normalised them.
-
-`switch` is the "slight transition probability between identity variables" of section 2.2: before each frame that share
-of every beta_l goes to the others in equal parts. 0 as published: the identity does not change, and a posterior comes
-back only as fast as frames speak against it. `none` is one more identity, nobody of the gallery, and one more in N.
+Before each frame the share `switch` of every beta_l goes to the others in equal parts; with 0, as published, a
+posterior comes back only as fast as frames speak against it. `none` is one more identity, nobody of the gallery.
 """
 
 from __future__ import annotations
@@ -23,9 +21,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles
-from facetrack_cli.tracking.identity.gallery import NONE, Gallery
+from facetrack_cli.recipe import affine
+from facetrack_cli.recipe.files import resolve_file
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.tracking.build.context import Context
+from facetrack_cli.tracking.identity.gallery import NONE, Gallery, load_gallery
 from facetrack_cli.tracking.models.likelihoods.appearance import Appearance, Mixture
 from facetrack_cli.tracking.resampling import logsumexp, normalise
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
@@ -37,10 +38,6 @@ MOST_STRETCH = 1.2
 _LEAST_WEIGHT = 1e-9
 # in place of log 0, when a posterior has nothing left for an identity
 _NEVER = -1e30
-
-
-class TemplateError(InputError):
-    """A gallery whose faces have another size than the tracker's template."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,34 +70,23 @@ class Recognised:
 
 @dataclass(frozen=True)
 class Recognition:
-    """A likelihood of the `Appearance` kind that also says who it is.
+    """A likelihood of the `Appearance` kind that also says who it is."""
 
-    `sharpness` multiplies the log of eq. 16, 1 as published: below it a patch says less of who it is. Raises
-    TemplateError for a gallery of another template size.
-    """
-
+    settings: affine.Recognition
     appearance: Appearance
     gallery: Gallery
-    none: bool = False
-    switch: float = 0.0
-    sharpness: float = 1.0
     diagnostics: ClassVar = (POSTERIOR, ENTROPY)
 
-    def __post_init__(self) -> None:
-        if self.gallery.shape != self.appearance.patches.shape:
-            mine, its = (
-                "{} points high and {} wide".format(*shape)
-                for shape in (self.appearance.patches.shape, self.gallery.shape)
-            )
-            raise TemplateError(
-                f"the gallery's faces are {its}, and the recipe's template is {mine}; "
-                "fit a gallery of that size, or change the template"
-            )
+    @classmethod
+    def build(cls, settings: affine.Recognition, context: Context) -> Recognition:
+        appearance = context.settings.likelihood.build(context)
+        shape = appearance.patches.shape
+        return cls(settings, appearance, find_gallery(settings, shape, context.recipe, context.above))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """The identities: persons, and nobody where that is asked for."""
-        return (*self.gallery.names, NONE) if self.none else self.gallery.names
+        return (*self.gallery.names, NONE) if self.settings.none else self.gallery.names
 
     def init(self, frame: Frame, x0: Array) -> Recognised:
         """Every identity is as likely. Raises InputError as the appearance does."""
@@ -159,11 +145,12 @@ class Recognition:
         """(N, L): log beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6)."""
         factor = self.appearance.patches.factor(learned.appearance.state)
         # of the array x itself, since `score` and `learn` ask for the same one
-        key = id(x), self.gallery, self.none, self.sharpness, factor, self.appearance.patches
+        none, sharpness = self.settings.none, self.settings.sharpness
+        key = id(x), self.gallery, none, sharpness, factor, self.appearance.patches
         told = frame.remembered(key)
         if told is None:
             patches = self.appearance.patches.read(frame, x, factor)
-            frontal, log_n = self.gallery.log_scores(patches, sharpness=self.sharpness, none=self.none)
+            frontal, log_n = self.gallery.log_scores(patches, sharpness=sharpness, none=none)
             with np.errstate(divide="ignore"):
                 told = np.logaddexp(
                     np.log(frontal)[:, None] + log_n, np.log1p(-frontal)[:, None] - math.log(len(self.names))
@@ -173,8 +160,27 @@ class Recognition:
 
     def _switched(self, log_beta: Array) -> Array:
         """Log beta (N,) of the next frame before it is seen."""
-        if not self.switch:
+        switch = self.settings.switch
+        if not switch:
             return log_beta
         beta = np.exp(log_beta)
         with np.errstate(divide="ignore"):
-            return np.asarray(np.log((1.0 - self.switch) * beta + self.switch * (1.0 - beta) / (len(beta) - 1)))
+            return np.asarray(np.log((1.0 - switch) * beta + switch * (1.0 - beta) / (len(beta) - 1)))
+
+
+def find_gallery(settings: affine.Recognition, shape: tuple[int, int], recipe: Recipe, above: str) -> Gallery:
+    """The gallery of a recipe, for a template of that shape; RecipeError if there is none that fits.
+
+    `above` is what stands before the key `recognition`, as in `Context`.
+    """
+    key = f"{above}recognition.gallery"
+    if settings.gallery is None:
+        remedy = "give --gallery FILE, as facetrack gallery fit writes it, or name it here"
+        raise recipe.error(key, f"nobody is known to recognise; {remedy}")
+    path = resolve_file(recipe, settings.gallery, key)
+    gallery = load_gallery(path)
+    if gallery.shape != shape:
+        its, mine = ("{} points high and {} wide".format(*one) for one in (gallery.shape, shape))
+        remedy = "fit a gallery of that size, or change the template"
+        raise recipe.error(key, f"{path}: the gallery's faces are {its}, and the recipe's template is {mine}; {remedy}")
+    return gallery

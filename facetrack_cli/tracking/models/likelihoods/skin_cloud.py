@@ -5,11 +5,9 @@ that targets do not take each other's skin is left to exclusion (`exclusion.py`)
 
     p(y | x) = max(p(c(x) | skin), floor)
 
-with the skin colour of eq. 4, learned from one box in the first frame, such as the face's for head and hands alike. The
-floor, ours, is what a pixel that is no skin counts, so that a cloud without any skin spreads out and finds some.
-
-Beyond the paper: `max_size` takes for pixels those of a picture reduced by a power of two (area means), so that noise
-of the camera and the clip's resolution matter less.
+with the skin colour of eq. 4, learned from one box in the first frame, such as the face's for head and hands alike.
+Beyond the paper: with the floor, a cloud without any skin spreads out and finds some; `max_size` makes noise of the
+camera and the clip's resolution matter less.
 """
 
 from __future__ import annotations
@@ -19,10 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Box, Frame, Particles, factor_for
+from facetrack_cli.recipe import skin
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.kernels.windows import extent
-from facetrack_cli.tracking.models.skin_colour import LEAST_SHARE, learn_skin, note
+from facetrack_cli.tracking.models.skin_colour import learn_skin, note
+from facetrack_cli.tracking.start.checks import box_of
 
 MIDDLE = 0.7  # of the box's sides: what is looked at to tell whether a place is skin
 GRID = 9  # points along each side of it
@@ -40,21 +42,26 @@ class Learned:
 class SkinCloud:
     """`size`: width and height in pixels at the start; `teacher`: the box that teaches the colour, in pixels."""
 
+    settings: skin.SkinCloud
     size: tuple[float, float]
     teacher: Box
-    least_share: float = LEAST_SHARE
-    floor: float = 0.01
-    max_size: int | None = 32
+
+    @classmethod
+    def build(cls, settings: skin.SkinCloud, context: Context) -> SkinCloud:
+        start, teacher = context.start, settings.learn_from or context.name
+        if teacher not in start.targets:
+            raise InputError(f"{start.origin}: has no {teacher}, whose colours {context.name} learns from; add its box")
+        return cls(settings, context.placed.size, box_of(start, teacher))
 
     def init(self, frame: Frame, x0: Array) -> Learned:
-        """The colour of skin in the teacher's box. Raises InputError if nothing of it is in the picture."""
-        model = learn_skin(frame, self.teacher, least_share=self.least_share)
+        """The colour of skin in the teacher's box. Raises InputError if nothing of it is in the frame."""
+        model = learn_skin(frame, self.teacher, least_share=self.settings.least_share)
         said = note(model)
         return Learned(model.table, () if said is None else (said,))
 
     def score(self, learned: Learned, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log p(y | x) of x (N, 1, D), x and y first."""
-        return np.log(np.maximum(self._skin(learned, frame, x[:, 0, :2]), self.floor))[:, None]
+        return np.log(np.maximum(self._skin(learned, frame, x[:, 0, :2]), self.settings.floor))[:, None]
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
         """As it was: the colour is the first frame's."""
@@ -68,8 +75,8 @@ class SkinCloud:
         return np.asarray(1.0 - skin.reshape(len(x), -1).mean(axis=1)[:, None])
 
     def _skin(self, learned: Learned, frame: Frame, xy: Array) -> Array:
-        """(N,): p of the pixel at each place xy (N, 2); 0 beyond the picture."""
-        factor = factor_for(max(self.size), self.max_size)
-        picture, left, top = frame.reduced(factor, extent(xy[:, None], 0.0))
+        """(N,): p of the pixel at each place xy (N, 2); 0 beyond the frame."""
+        factor = factor_for(max(self.size), self.settings.max_size)
+        image, left, top = frame.reduced(factor, extent(xy[:, None], 0.0))
         there = (xy - (left, top) - (factor - 1) / 2) / factor
-        return np.asarray(kernel.at_points(picture, learned.table, there))
+        return np.asarray(kernel.at_points(image, learned.table, there))

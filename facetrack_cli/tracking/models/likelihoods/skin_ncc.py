@@ -6,33 +6,33 @@ Based on Particle Filter", section 4).
     p   ~ exp( -(k - rho / NCC)^2 / (2 sigma^2) )                                                           (eq. 11)
 
 R_int is the box times `inner`, R_ext a frame around it of equal area: together a box with sides sqrt(2) as long. rho is
-divided by the area of R_int, so that it lies in -1..1 at any scale. Beyond the picture nothing is skin.
+divided by the area of R_int, so that it lies in -1..1 at any scale. Beyond the frame nothing is skin.
 
-rho is most negative where the face is, -1 at best, so that rho / NCC prefers the worse match. What k and the cost are:
+rho is most negative where the face is, -1 at best, so that rho / NCC prefers the worse match. Hence `cost`:
 
     printed   v = rho / NCC              as in eq. 11, for k = v at the start: a target value, not an extreme
     shifted   v = (1 + rho) / NCC        positive and least at the face, so that k = 0 makes its least value the best
-    product   v = rho max(NCC, 0)        ours: most negative where there is skin and the match is good
+    product   v = rho max(NCC, 0)        beyond the paper: most negative where there is skin and the match is good
 
-with `exponent` e, NCC^e stands for NCC. Of skin alone v = rho (shifted: 1 + rho), of NCC alone v = NCC^e. The
-log-likelihood is -(k - v)^2 / (2 sigma^2); `k` None takes v at the start.
+NCC^`exponent` stands for NCC. Of skin alone v = rho (shifted: 1 + rho), of NCC alone v = NCC^`exponent`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Particles, factor_for
+from facetrack_cli.recipe import skin as sections
+from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import patches
 from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
-from facetrack_cli.tracking.models.likelihoods.ncc import Ncc
-from facetrack_cli.tracking.models.skin_colour import LEAST_SHARE, learn_skin, note
+from facetrack_cli.tracking.models.skin_colour import learn_skin, note
 
 # what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
 LEAST_NCC = 0.01
@@ -40,18 +40,6 @@ LEAST_NCC = 0.01
 LEAST_RHO = 0.05
 # pixels whose sum, each up to 255, an int32 holds
 MOST_EXACT = 2**23
-
-
-@dataclass(frozen=True)
-class Skin:
-    """Settings of the skin cue: `inner`: R_int in terms of the box; `least_share` as in `learn_skin`.
-
-    `max_size` (pixels of the box's longer side) reads larger boxes from a reduced picture.
-    """
-
-    inner: float = 1.0
-    least_share: float = LEAST_SHARE
-    max_size: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,48 +58,41 @@ class Learned:
 
 @dataclass(frozen=True)
 class SkinNcc:
-    """`size`: (w, h) of the box at scale 1, pixels. Without `skin` or without `ncc` the other cue alone.
+    """`size`: width and height of the box at scale 1, in pixels."""
 
-    `cost`: "printed", "shifted" or "product"; see the module. Raises ValueError without any cue.
-    """
-
+    settings: sections.SkinNcc
     size: tuple[float, float]
-    skin: Skin | None = field(default_factory=Skin)
-    ncc: Ncc | None = field(default_factory=Ncc)
-    cost: str = "shifted"
-    k: float | None = None
-    sigma: float = 0.1
 
-    def __post_init__(self) -> None:
-        if self.skin is None and self.ncc is None:
-            raise ValueError("neither skin nor ncc: nothing tells the target")
+    @classmethod
+    def build(cls, settings: sections.SkinNcc, context: Context) -> SkinNcc:
+        return cls(settings, context.placed.size)
 
     def init(self, frame: Frame, x0: Array) -> Learned:
         """The skin's colour and the template of the box at x0 (1, 6).
 
-        Raises InputError if nothing of the box is in the picture.
+        Raises InputError if nothing of the box is in the frame.
         """
         notes, table, template = [], None, None
-        if self.skin is not None:
+        skin, ncc, k = self.settings.skin, self.settings.ncc, self.settings.k
+        if skin is not None:
             cx, cy, s = x0[0, :3].tolist()
             w, h = (side * s for side in self.size)
-            box = (cx - 0.5 * (w - 1), cy - 0.5 * (h - 1), w, h)
-            model = learn_skin(frame, box, least_share=self.skin.least_share)
+            model = learn_skin(frame, (cx - 0.5 * (w - 1), cy - 0.5 * (h - 1), w, h), least_share=skin.least_share)
             table = model.table
             notes.append(note(model))
-        if self.ncc is not None:
-            template = matching.learn_template(frame, self.size, x0, self.ncc.max_size)
+        if ncc is not None:
+            template = matching.learn_template(frame, self.size, x0, ncc.max_size)
             if not matching.has_pattern(template):
                 notes.append("the face's box is of one grey level throughout, so that no pattern can be matched")
         learned = Learned(table, template, 0.0, 0.0, tuple(one for one in notes if one))
-        rho = float(self.rho(learned, frame, x0[None])[0]) if self.skin is not None else 0.0
-        k = float(self._values(learned, frame, x0[None])[0]) if self.k is None else self.k
+        rho = 0.0 if skin is None else float(self.rho(learned, frame, x0[None])[0])
+        k = float(self._values(learned, frame, x0[None])[0]) if k is None else k
         return replace(learned, rho=rho, k=k)
 
     def score(self, learned: Learned, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """-(k - v)^2 / (2 sigma^2) of boxes x (N, 1, 6) -> (N, 1) (eq. 11); parents do not matter."""
         off = learned.k - self._values(learned, frame, x)
-        return np.asarray((off * off / (-2.0 * self.sigma**2))[:, None])
+        return np.asarray((off * off / (-2.0 * self.settings.sigma**2))[:, None])
 
     def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
         """How far boxes x (N, 1, 6) are from the start's -> (N, 1), 0..1, the mean over the cues.
@@ -120,7 +101,7 @@ class SkinNcc:
         less the zero-mean NCC, at most 1.
         """
         found = []
-        if self.skin is not None:
+        if self.settings.skin is not None:
             found.append(1.0 - np.clip(-self.rho(learned, frame, x) / max(-learned.rho, LEAST_RHO), 0.0, 1.0))
         if learned.template is not None:
             found.append(1.0 - np.maximum(matching.correlate(learned.template, frame, x)[1], 0.0))
@@ -128,28 +109,28 @@ class SkinNcc:
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
         """The template adapts, if it is to; skin stays as it is."""
-        if self.ncc is None or learned.template is None:
+        if self.settings.ncc is None or learned.template is None:
             return learned
-        return replace(learned, template=matching.adapted(learned.template, self.ncc, frame, state))
+        return replace(learned, template=matching.adapted(learned.template, self.settings.ncc, frame, state))
 
     def rho(self, learned: Learned, frame: Frame, x: Array) -> Array:
         """(R_ext - R_int) / area of R_int, eq. 9, of boxes x (N, 1, 6) -> (N,), -1..1; 0 of what is no box."""
-        assert self.skin is not None
-        assert learned.table is not None
-        factor = factor_for(max(self.size), self.skin.max_size)
-        w, h = (self.skin.inner * side for side in self.size)
+        skin = self.settings.skin
+        assert skin is not None and learned.table is not None
+        factor = factor_for(max(self.size), skin.max_size)
+        w, h = (skin.inner * side for side in self.size)
         reach = math.sqrt(2.0) * w, math.sqrt(2.0) * h
         extent = patches.boxes_extent(np.ascontiguousarray(x[:, 0, :3]), reach, *frame.size)
-        picture, left, top = frame.reduced(factor, extent)
-        # of the whole picture, or of what another asked for, no more than the boxes cover
-        height, width = picture.shape[:2]
+        image, left, top = frame.reduced(factor, extent)
+        # of the whole frame, or of what another asked for, no more than the boxes cover
+        height, width = image.shape[:2]
         x0, y0 = (
             min(int(low - at) // factor, n - 1)
             for low, at, n in zip(extent[:2], (left, top), (width, height), strict=True)
         )
         x1, y1 = (int(high - at) // factor + 2 for high, at in zip(extent[2:], (left, top), strict=True))
-        skin = kernel.skin_map(picture[y0:y1, x0:x1], learned.table)
-        integral = cv2.integral(skin, sdepth=cv2.CV_32S if skin.size <= MOST_EXACT else cv2.CV_64F)
+        shown = kernel.skin_map(image[y0:y1, x0:x1], learned.table)
+        integral = cv2.integral(shown, sdepth=cv2.CV_32S if shown.size <= MOST_EXACT else cv2.CV_64F)
         inner, outer, area = kernel.nested(x, w, h, factor, left + x0 * factor, top + y0 * factor)
         sums = kernel.differences(integral, inner, outer)
         rho = (sums[:, 1] - 2.0 * sums[:, 0]) / np.where(area > 0.0, 255.0 * area, 1.0)
@@ -157,13 +138,14 @@ class SkinNcc:
 
     def _values(self, learned: Learned, frame: Frame, x: Array) -> Array:
         """v of boxes x (N, 1, 6) -> (N,)."""
-        rho = self.rho(learned, frame, x) if self.skin is not None else None
-        if self.ncc is None or learned.template is None:
+        ncc, cost = self.settings.ncc, self.settings.cost
+        rho = self.rho(learned, frame, x) if self.settings.skin is not None else None
+        if ncc is None or learned.template is None:
             assert rho is not None
-            return 1.0 + rho if self.cost == "shifted" else rho
+            return 1.0 + rho if cost == "shifted" else rho
         keep, remove = matching.correlate(learned.template, frame, x)
-        match = keep if self.ncc.mean == "keep" else remove
-        if rho is None or self.cost == "product":
-            good = np.maximum(match, 0.0) ** self.ncc.exponent
+        match = keep if ncc.mean == "keep" else remove
+        if rho is None or cost == "product":
+            good = np.maximum(match, 0.0) ** ncc.exponent
             return good if rho is None else rho * good
-        return (1.0 + rho if self.cost == "shifted" else rho) / np.maximum(match, LEAST_NCC) ** self.ncc.exponent
+        return (1.0 + rho if cost == "shifted" else rho) / np.maximum(match, LEAST_NCC) ** ncc.exponent

@@ -1,0 +1,207 @@
+"""What the sections of a recipe are made from, and the registry of those that a recipe names by `type`.
+
+A section declares each setting once: its default, bounds, unit and, in the docstring below it, what it means and where
+the paper has it. What computes with it is its engine, which keeps the section. No numerics are imported here: an engine
+is named by a text and imported when it is built.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
+from functools import partial
+from importlib import import_module, metadata
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, Union, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, model_validator
+from pydantic_core import PydanticCustomError, core_schema
+
+from facetrack_cli.core.errors import RecipeError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    from facetrack_cli.recipe.particle_filter import ParticleFilter
+
+Steps: TypeAlias = tuple[str | int, ...]
+# the modules beside this one that hold sections, in the order in which types are listed
+FAMILIES = ("points", "regions", "skin", "affine", "filters")
+# the entry points by which other packages bring sections of their own
+GROUP = "facetrack.sections"
+
+
+class Refusal(NamedTuple):
+    """What a rule between several fields finds wrong: the path from the model on, and whether its key is meant."""
+
+    path: Steps
+    message: str
+    at_key: bool = False
+
+
+def suggest(wrong: str, known: Sequence[str], otherwise: str) -> str:
+    """`did you mean "x"?` where something known is near, else `otherwise` and all that is known."""
+    near = get_close_matches(wrong, known, n=1)
+    return f'did you mean "{near[0]}"?' if near else f"{otherwise}: {', '.join(known)}"
+
+
+class Section(BaseModel):
+    """A part of a recipe: frozen, without unknown keys, its fields described by the docstrings below them."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        strict=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+        defer_build=True,  # until the first recipe is read, when all types of sections are known
+    )
+
+    def mistakes(self) -> Iterable[Refusal]:
+        """What is wrong between the fields of this section; paths begin at it."""
+        return ()
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if found := list(self.mistakes()):
+            raise PydanticCustomError("refused", "{summary}", {"summary": found[0].message, "refusals": found})
+        return self
+
+
+class Component(Section):
+    """A section from which a part of the tracker is built."""
+
+    engine: ClassVar[str]
+    """What builds it, as `module:name`: a callable that takes the section and a `tracking.build.context.Context`."""
+    goes_with: ClassVar[tuple[str, ...]] = ()
+    """The types of target that it goes with."""
+
+    def build(self, context: Any) -> Any:
+        """The part of the tracker. A section outside of this package may override this in place of `engine`."""
+        return pkgutil.resolve_name(self.engine)(self, context)
+
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        """What does not fit the other sections of its particle filter; paths begin at that."""
+        return ()
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        """The files that it names, by key."""
+        return {}
+
+
+class Kind(Component):
+    """A section of which there are several types: what it is called in a recipe is the Literal of its `type`."""
+
+    type: str
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        """Of a kind, as of the field `filter: Filter`, the schema of a union of all its types."""
+        if cls not in KINDS:
+            return handler(source)
+        types = tuple(registered(cls).values())
+        union = Annotated[Union[types], Field(discriminator="type")] if len(types) > 1 else types[0]  # noqa: UP007
+        return handler.generate_schema(union)
+
+
+class Target(Kind):
+    """What is tracked. Its engine takes the section, the start and the target's name, and says where it begins."""
+
+    relearns: ClassVar[bool] = True
+    """Whether it is learned anew, by default, where its box is corrected."""
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """The points that a start must place; none where it begins with a box."""
+        return ()
+
+    @property
+    def best(self) -> bool:
+        """Whether the estimate is the particle of the greatest weight, not the mean."""
+        return False
+
+    def place(self, start: Any, name: str) -> Any:
+        """Where the target begins, a `tracking.models.spaces.Placed`; InputError if the start lacks what it needs."""
+        return pkgutil.resolve_name(self.engine)(self, start, name)
+
+
+class Motion(Kind):
+    """How a target moves from frame to frame: the transition density p(alpha_i | alpha^-)."""
+
+
+class Likelihood(Kind):
+    """How a part looks: the observation model p(y | alpha_i)."""
+
+    @property
+    def judges(self) -> bool:
+        """Whether it can tell by itself how well a place matches, so that a part may be `lost`."""
+        return True
+
+
+class Filter(Kind):
+    """How particles are proposed, weighted and resampled. Its engine is a function, as in `tracking/filters.py`."""
+
+    particles: int
+
+    def build(self, context: Any) -> Any:
+        return partial(pkgutil.resolve_name(self.engine), self)
+
+    def most(self, whole: ParticleFilter) -> tuple[int, Steps]:
+        """How many particles there may be in any frame, and the path of the key that says so."""
+        return self.particles, ("filter", "particles")
+
+
+class Prior(Kind):
+    """Which shapes are likely: p(alpha)."""
+
+
+KINDS: tuple[type[Kind], ...] = (Target, Motion, Likelihood, Filter, Prior)
+_types: dict[type[Kind], dict[str, type[Kind]]] = {}
+
+
+def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
+    """The types of a kind, as `Filter`, by what recipes call them. Raises RecipeError for an entry point that fails."""
+    if not _types:
+        _types.update({one: {} for one in KINDS})
+        for family in FAMILIES:
+            for section in vars(import_module(f"facetrack_cli.recipe.{family}")).values():
+                if isinstance(section, type) and issubclass(section, Kind) and type_of(section):
+                    add(section)
+        for point in metadata.entry_points(group=GROUP):
+            try:
+                add(point.load())
+            except Exception as e:
+                _types.clear()
+                where = f"the entry point {point.name} = {point.value} of {point.dist.name if point.dist else '?'}"
+                said = " ".join(str(e).split()) or type(e).__name__
+                raise RecipeError(f"{where} brings no section: {said}; correct or uninstall that package") from e
+    return _types[kind]
+
+
+def add(section: type[Kind]) -> None:
+    """Put a section into the registry. Raises TypeError for what is none, ValueError for a name that is taken."""
+    kind = next((one for one in KINDS if isinstance(section, type) and issubclass(section, one)), None)
+    name = type_of(section) if kind is not None else ""
+    if kind is None or not name:
+        bases = ", ".join(one.__name__ for one in KINDS)
+        raise TypeError(f'{section!r} is no section: derive it from one of {bases}, with type: Literal["its_name"]')
+    if kind is not Target and not section.goes_with:
+        raise TypeError(f'{section.__name__} goes with no type of target: add goes_with = ("points",), as it may be')
+    if kind is not Target and not hasattr(section, "engine") and section.build is kind.build:
+        raise TypeError(f"{section.__name__} builds nothing: give it a method build(self, context)")
+    known = registered(kind).get(name, section)
+    if (known.__module__, known.__qualname__) != (section.__module__, section.__qualname__):
+        raise ValueError(f'the {kind.__name__.lower()} type "{name}" is taken by {known.__module__}; choose another')
+    _types[kind][name] = section
+
+
+def type_of(section: type[BaseModel]) -> str:
+    """What recipes call it; empty for a section of which there are no several types."""
+    field = section.model_fields.get("type")
+    return str(get_args(field.annotation)[0]) if field and get_origin(field.annotation) is Literal else ""
+
+
+def variants(section: type[BaseModel]) -> list[type[BaseModel]]:
+    """The models that may stand where `section` is written: all types of a kind, or the section itself."""
+    return list(registered(section).values()) if section in KINDS and issubclass(section, Kind) else [section]

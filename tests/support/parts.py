@@ -1,0 +1,105 @@
+"""Parts of trackers from their settings: what a test does not give has a default, and bounds are not checked."""
+
+from dataclasses import replace
+from functools import partial
+
+from facetrack_cli.recipe import affine, filters, points, regions, skin
+from facetrack_cli.recipe.sections import type_of
+from facetrack_cli.tracking import filters as steps
+from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
+from facetrack_cli.tracking.models.likelihoods.colour_ratio import ColourRatio
+from facetrack_cli.tracking.models.likelihoods.contour import Contour
+from facetrack_cli.tracking.models.likelihoods.correlation import Correlation
+from facetrack_cli.tracking.models.likelihoods.histogram import Histogram
+from facetrack_cli.tracking.models.likelihoods.recognition import Recognition
+from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
+from facetrack_cli.tracking.models.likelihoods.skin_ncc import SkinNcc
+from facetrack_cli.tracking.models.motion import AffineWalk
+from facetrack_cli.tracking.models.velocity import PredictedWalk
+
+
+def section(kind, **settings):
+    name = type_of(kind)
+    return kind.model_construct(**({"type": name} if name else {}), **settings)
+
+
+def changed(part, **settings):
+    """A part with other settings."""
+    return replace(part, settings=part.settings.model_copy(update=settings))
+
+
+def colour_ratio(windows, **settings):
+    return ColourRatio(section(points.ColourRatio, **settings), windows)
+
+
+def contour(size, sigma, search, **settings):
+    """Sigma and search in pixels."""
+    return Contour(section(regions.Contour, **{"max_size": None, **settings}), size, sigma, search)
+
+
+def histogram(size, **settings):
+    plain = {"hue_bins": 8, "saturation_bins": 4, "regions": (3, 3), "lambda_h": 20.0, "max_size": None}
+    return Histogram(section(regions.Histogram, **{**plain, **settings}), size)
+
+
+def correlation(size, distance="l2", **settings):
+    plain = {"sigma": 100.0, "saturation": 20.0}
+    return Correlation(section(regions.Correlation, distance=distance, **{**plain, **settings}), size)
+
+
+def skin_cue(**settings):
+    return section(skin.Skin, **{"max_size": None, **settings})
+
+
+def pattern(mean="keep", **settings):
+    return section(skin.Pattern, mean=mean, **{"max_size": None, **settings})
+
+
+def skin_ncc(size, **settings):
+    plain = {"skin": skin_cue(), "ncc": pattern(), "sigma": 0.1}
+    return SkinNcc(section(skin.SkinNcc, **{**plain, **settings}), size)
+
+
+def skin_cloud(size, teacher, **settings):
+    return SkinCloud(section(skin.SkinCloud, **settings), size, teacher)
+
+
+def components(w, s, f):
+    return section(affine.Components, w=w, s=s, f=f)
+
+
+def appearance(patches, alpha=0.03, **settings):
+    plain = {"mixing": components(0.3, 0.4, 0.3), "sigma": components(0.3, 0.5, 0.5)}
+    return Appearance(section(affine.Appearance, alpha=alpha, **{**plain, **settings}), patches)
+
+
+def recognition(gallery, model, **settings):
+    return Recognition(section(affine.Recognition, **settings), model, gallery)
+
+
+def affine_walk(sigma, deform, shear=None, scale=(0.2, 5.0), turn=None):
+    """The noise of the place in pixels."""
+    return AffineWalk(section(affine.AffineWalk, deform=deform, shear=shear, turn=turn), sigma, scale)
+
+
+def predicted(walk, patches, velocity=None, noise=None, particles=100):
+    """The walk around a predicted place."""
+    settings = walk.settings.model_copy(update={"velocity": velocity, "noise": noise})
+    return PredictedWalk(settings, walk.sigma, walk.scale, patches, particles)
+
+
+def sir(**settings):
+    return partial(steps.sir, section(filters.Sir, **settings))
+
+
+def auxiliary(**settings):
+    return partial(steps.auxiliary, section(filters.Auxiliary, **settings))
+
+
+def factorized(reweight="prior", **settings):
+    """`none` is what the filter `independent` does."""
+    return partial(steps.factorized, section(filters.Factorized, reweight=reweight, **settings))
+
+
+def adaptive(particles, **settings):
+    return section(filters.Adaptive, particles=particles, **settings)

@@ -1,0 +1,342 @@
+"""Sections from outside of the package, as docs/extending.md shows them: its code is executed here."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from typing import ClassVar, Literal
+
+import numpy as np
+import pytest
+from pydantic import Field
+
+from facetrack_cli.core.errors import ExitCode, RecipeError
+from facetrack_cli.recipe import Filter, Likelihood, Refusal, Section, sections
+from facetrack_cli.recipe.files import read_recipe, shipped_recipes
+from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.model import completed, json_schema, rebuild, register, to_dict
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.start import read_init
+from facetrack_cli.video.source import open_source
+from tests.support.results import rows_of
+from tests.support.samples import FOLDER, read_rows
+from tests.test_docs import ROOT, blocks, load_tool
+
+PAGE = ROOT / "docs" / "extending.md"
+MODULES = ("grey_difference", "heavy_tails", "lazy_sir")
+PLUGGED = "likelihood={type: grey_difference, sigma: 8}"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The modules of the page as files that can be imported."""
+    folder = tmp_path_factory.mktemp("outside")
+    for block in blocks(PAGE, "python"):
+        if named := re.match(r"# (\w+\.py)\n", block):
+            (folder / named[1]).write_text(block, encoding="utf-8")
+    assert sorted(path.stem for path in folder.iterdir()) == sorted(MODULES)
+    sys.path.insert(0, str(folder))
+    yield folder
+    sys.path.remove(str(folder))
+    for name in MODULES:
+        sys.modules.pop(name, None)
+
+
+@pytest.fixture
+def registry(folder):
+    """Afterwards the registry is as it was."""
+    sections.registered(Likelihood)
+    before = {kind: dict(types) for kind, types in sections._types.items()}
+    yield
+    sections._types.update(before)
+    rebuild()
+
+
+@pytest.fixture
+def plugged(registry):
+    """The first example of the page has been executed."""
+    return executed("sigma: 8}")
+
+
+def executed(part, names=None):
+    """The names that the first block of code of the page leaves that has `part` and no file's name."""
+    names = {} if names is None else names
+    exec(next(one for one in blocks(PAGE, "python") if part in one and not one.startswith(("#", " "))), names)
+    return names
+
+
+def followed(recipe, clip="occlusion", stop=25):
+    """Mean distance in pixels of the estimates from the ground truth, and the rows of all frames, joined."""
+    start = read_init(FOLDER / f"{clip}.init.yaml")
+    truth = {(row["frame"], row["part"]): (float(row["x"]), float(row["y"])) for row in read_rows(clip)}
+    with open_source(FOLDER / f"{clip}.mp4", stop=stop) as source:
+        results = list(track(build_tracker(recipe, start), source, 3))
+    parts = [part for one in results for part in rows_of(one.rows)]
+    off = [np.hypot(*np.subtract(truth[str(part.frame), part.part], (part.x, part.y))) for part in parts]
+    assert len(results) == stop
+    return np.mean(off), rows_of(results[-1].rows)
+
+
+def refused(*overrides, config="sir"):
+    with pytest.raises(RecipeError) as caught:
+        load_recipe(config, overrides)
+    return str(caught.value)
+
+
+# --- the page's examples follow a clip
+
+
+def test_the_likelihood_follows_a_clip(plugged):
+    recipe = plugged["recipe"]
+    assert recipe.likelihood == plugged["GreyDifference"](type="grey_difference", sigma=8.0)
+    off, parts = followed(recipe)
+    assert off < 1.5
+    assert {part.status for part in parts} == {"tracked"} and np.mean([part.confidence for part in parts]) > 0.6
+
+
+def test_what_the_likelihood_reports_is_in_the_trajectory(plugged, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    names = executed("diagnostics[", plugged)
+    found, module = names["found"], sys.modules["grey_difference"]
+    assert len(found) == 25 and np.isnan(found[0]) and ((found[1:] > 0) & (found[1:] < 60)).all()
+    # it is the one that was declared, and its values are those of the likelihood at the estimate
+    rows, recipe = names["trajectory"], plugged["recipe"]
+    assert rows.diagnostics["face"].declared == (module.DIFFERENCE,)
+    [target] = build_tracker(recipe, read_init(FOLDER / "occlusion.init.yaml"))
+    with open_source(FOLDER / "occlusion.mp4", stop=25) as source:
+        frames = list(source)
+    learned = target.likelihood.init(frames[0], target.x0)
+    last = rows.between(24, 25)
+    x = np.stack([last.x, last.y], axis=1)[np.argsort(last.which)][None]
+    distances = 255 * target.likelihood.distances(learned, frames[24], x)
+    assert found[24] == pytest.approx(np.sqrt(np.square(distances).mean()))
+
+
+def test_all_three_together_follow_a_clip(registry):
+    recipe = executed("LazySir")["recipe"]
+    assert [one.type for one in (recipe.likelihood, recipe.motion, recipe.filter)] == [
+        "grey_difference", "student_walk", "lazy_sir",
+    ]  # fmt: skip
+    off, parts = followed(recipe)
+    assert off < 5  # a target that stands still is off by 7.8
+    ess = [part.ess for part in parts]
+    assert all(1 <= one <= recipe.particles == 500 for one in ess)
+
+
+def test_the_density_of_the_motion_is_that_of_its_steps(registry):
+    executed("LazySir")
+    recipe = load_recipe("sir", [PLUGGED, "motion={type: student_walk, scale: 4px, freedom: 3}"])
+    [target] = build_tracker(recipe, read_init(FOLDER / "occlusion.init.yaml"))
+    x = np.zeros((1, 5, 2))
+    grid = np.linspace(-4000, 4000, 400_001)
+    places = np.zeros((len(grid), 5, 2))
+    places[..., 0] = grid[:, None]
+    density = np.exp(target.motion.log_transition(places, x)[:, 0])
+    # along one axis, at the peak along the other
+    np.testing.assert_allclose(np.trapezoid(density, grid, axis=0), density.max(axis=0) ** 0.5, rtol=1e-3)
+    assert target.motion.expect(x) is x and target.motion.propagate(np.random.default_rng(0), x).shape == x.shape
+
+
+def test_it_is_the_same_recipe_when_it_is_read_back(plugged):
+    settings = to_dict(plugged["recipe"])
+    assert settings["likelihood"] == {"type": "grey_difference", "sigma": 8.0}
+    assert completed(settings) == settings
+    old = {**settings, "likelihood": {"type": "grey_difference"}}
+    assert completed(old)["likelihood"]["sigma"] == 20.0
+
+
+def test_what_was_recorded_with_a_section_that_is_not_there_is_kept_as_it_is():
+    settings = {**to_dict(load_recipe("sir")), "likelihood": {"type": "grey_difference", "sigma": 8.0}}
+    assert completed(settings) == settings
+
+
+# --- messages, schema and tables know of it
+
+
+def test_messages_know_of_it(plugged, tmp_path):
+    assert refused("likelihood.type=grey_diference").endswith(
+        'unknown likelihood type "grey_diference"; did you mean "grey_difference"?'
+    )
+    assert refused("likelihood.type=nothing").endswith(
+        "it is one of: colour_ratio, product, skin_ncc, skin, appearance, grey_difference"
+    )
+    wrong = 'likelihood type "grey_difference" does not go with target type "region"; write product or skin_ncc'
+    assert wrong in refused(PLUGGED, config="histogram")
+    assert 'does not go with target type "points"; write colour_ratio or grey_difference' in refused(
+        "likelihood={type: skin}"
+    )
+    text = read_recipe(next(path for path in shipped_recipes() if path.stem == "sir"))
+    text = re.sub(r"likelihood:\n(  .*\n)+", "likelihood:\n  type: grey_difference\n  sigma: 300\n", text)
+    path = tmp_path / "mine.yaml"
+    path.write_text(text, encoding="utf-8")
+    [problem] = check_recipe(str(path))
+    line = text.splitlines().index("  sigma: 300") + 1
+    assert str(problem) == f"{path}:{line}:10: likelihood.sigma must be at most 255, not 300"
+    assert problem.span.excerpt().splitlines()[1].endswith("^^^")
+    path.write_text(text.replace("sigma: 300", "sigm: 3"), encoding="utf-8")
+    assert 'unknown key "sigm" in "likelihood"; did you mean "sigma"?' in str(check_recipe(str(path))[0])
+    assert "to colour_ratio" in refused("likelihood.type=grey_difference")  # `robust` is another one's
+
+
+def test_the_schema_and_the_tables_know_of_it(plugged):
+    schema = json_schema()
+    assert schema["$defs"]["GreyDifference"]["properties"]["sigma"]["maximum"] == 255
+    mapping = schema["$defs"]["ParticleRecipe"]["properties"]["likelihood"]["discriminator"]["mapping"]
+    assert mapping["grey_difference"] == "#/$defs/GreyDifference"
+    tables = load_tool().keys_tables()
+    assert "`grey_difference`: Mean squared difference of grey levels" in tables
+    assert "| `likelihood.sigma` | number > 0, ≤ 255 | `20.0` | For `grey_difference` only. Standard" in tables
+
+
+def test_the_yaml_of_the_page_is_the_section(plugged):
+    [block] = blocks(PAGE, "yaml")
+    settings = plugged["recipe"].likelihood
+    assert block.split() == ["likelihood:", "type:", settings.type, "sigma:", f"{settings.sigma:g}"]
+
+
+def test_every_engine_that_a_section_names_is_there():
+    for kind in sections.KINDS:
+        for section in sections.registered(kind).values():
+            assert callable(sections.pkgutil.resolve_name(section.engine)), section
+            assert section.goes_with or kind is sections.Target
+    engines = re.findall(r"engine = \"(.*)\"", PAGE.read_text(encoding="utf-8"))
+    assert engines and all(one.startswith("facetrack_cli.tracking.models.likelihoods.") for one in engines)
+
+
+# --- what cannot be registered
+
+
+class Known(Likelihood):
+    """A likelihood that is fine."""
+
+    goes_with = ("points",)
+    type: Literal["known"]
+
+    def build(self, context):
+        raise AssertionError
+
+
+def likelihood(**changes):
+    """A class like `Known` in another place, with other attributes."""
+    name = changes.pop("name", "another")
+    annotations = {"type": Literal[name]} if name else {}
+    body = {"goes_with": ("points",), "build": Known.build, "__annotations__": annotations, **changes}
+    return type("Another", (Likelihood,), body)
+
+
+def nothing_built(base):
+    return type("Another", (base,), {"goes_with": ("points",), "__annotations__": {"type": Literal["x"]}})
+
+
+def test_a_class_that_is_run_again_takes_the_place_of_the_first(registry):
+    one, two = likelihood(), likelihood()
+    assert register(one) is one and register(two) is two
+    assert type(load_recipe("sir", ["likelihood={type: another}"]).likelihood) is two
+
+
+def test_what_is_no_section_is_refused(registry):
+    for nothing in (int, Section, "text", likelihood(name="")):
+        with pytest.raises(TypeError, match=r"is no section: derive it from one of Target, Motion, Likelihood, Filter"):
+            register(nothing)
+    with pytest.raises(TypeError, match=r'Another goes with no type of target: add goes_with = \("points",\)'):
+        register(likelihood(goes_with=()))
+    with pytest.raises(TypeError, match="Another builds nothing: give it a method build"):
+        register(nothing_built(Likelihood))
+    with pytest.raises(TypeError, match="Another builds nothing"):
+        register(nothing_built(Filter))
+    register(Known)
+    for taken in ("known", "colour_ratio"):
+        with pytest.raises(ValueError, match=f'the likelihood type "{taken}" is taken by .*; choose another'):
+            register(likelihood(name=taken))
+    assert 'unknown likelihood type "another"' in refused("likelihood.type=another")
+
+
+def test_a_section_may_have_rules_of_its_own(registry):
+    class Strict(Filter):
+        """A filter that wants a prior."""
+
+        goes_with: ClassVar[tuple[str, ...]] = ("points",)
+        type: Literal["strict"]
+        particles: int = Field(ge=1)
+
+        def build(self, context):
+            raise context.error("filter.particles", "too few")
+
+        def mismatches(self, whole):
+            if whole.prior is None:
+                yield Refusal(("filter", "type"), "filter type strict needs a prior")
+
+    register(Strict)
+    strict = "filter={type: strict, particles: 3}"
+    assert refused(strict) == f"--set {strict}: filter type strict needs a prior"
+    recipe = load_recipe("factorized", [strict])
+    with pytest.raises(RecipeError) as caught:
+        build_tracker(recipe, read_init(FOLDER / "occlusion.init.yaml"))
+    assert str(caught.value) == f"--set {strict}: too few"
+
+
+# --- packages that bring sections
+
+
+@pytest.fixture
+def installed(folder, tmp_path):
+    """A folder with a package that names an entry point; returns how facetrack is called beside it."""
+
+    def call(*arguments, value="grey_difference:GreyDifference"):
+        info = tmp_path / "site" / "grey-1.0.dist-info"
+        info.mkdir(parents=True, exist_ok=True)
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: grey\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[facetrack.sections]\ngrey_difference = {value}\n")
+        path = os.pathsep.join(map(str, (tmp_path / "site", folder, ROOT)))
+        return subprocess.run(
+            [sys.executable, "-m", "facetrack_cli", *map(str, arguments)], capture_output=True, text=True,
+            env={**os.environ, "PYTHONPATH": path}, cwd=tmp_path,
+        )  # fmt: skip
+
+    return call
+
+
+def test_an_installed_package_brings_its_sections(installed, tmp_path):
+    done = installed("recipes", "check", "sir", "--set", PLUGGED)
+    assert (done.returncode, done.stdout) == (0, "sir: good\n"), done.stderr
+    clip = FOLDER / "occlusion.mp4"
+    done = installed(
+        "run",
+        clip,
+        "--config",
+        "sir",
+        "--set",
+        PLUGGED,
+        "--stop",
+        3,
+        "--no-video",
+        "-q",
+        "-o",
+        "out",
+        "--format",
+        "csv,json",
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "trajectory.csv").read_text().count("tracked") == 10
+    whole = json.loads((tmp_path / "out" / "trajectory.json").read_text())
+    assert [one["name"] for one in whole["diagnostics"]] == ["difference"]
+    assert ["difference" in frame["targets"][0] for frame in whole["frames"]] == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("value", "why"),
+    [
+        ("no_such_module:X", "No module named 'no_such_module'"),
+        ("grey_difference:Nothing", "has no attribute 'Nothing'"),
+        ("grey_difference:GreyWindows", "is no section: derive it from one of"),
+    ],
+)
+def test_a_package_whose_section_fails_is_named(installed, value, why):
+    done = installed("recipes", "check", "sir", value=value)
+    assert done.returncode == ExitCode.USAGE
+    said = done.stdout + done.stderr
+    assert f"the entry point grey_difference = {value} of grey brings no section: " in said and why in said
+    assert "correct or uninstall that package" in said and "Traceback" not in said
+    assert installed("--help", value=value).returncode == 0
