@@ -1,10 +1,12 @@
 """What holds for every test."""
 
+import os
 import signal
 import sys
 
 import cv2
 import pytest
+from hypothesis import HealthCheck, settings
 
 from facetrack_cli.__main__ import main
 from tests.support.samples import FOLDER
@@ -13,6 +15,12 @@ from tests.support.samples import FOLDER
 # that: the tests of Ctrl-C would wait for a signal that never comes
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# property tests try 50 examples; HYPOTHESIS_PROFILE=nightly tries 200
+for profile, examples in {"default": 50, "nightly": 200}.items():
+    unhealthy = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    settings.register_profile(profile, max_examples=examples, deadline=None, suppress_health_check=unhealthy)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 
 @pytest.fixture

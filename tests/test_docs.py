@@ -84,7 +84,7 @@ def slug(heading):
 
 def shell_lines():
     return [
-        pytest.param(arguments, xargs, id=f"{page.name}: {' '.join(arguments)}")
+        (page.name, arguments, xargs)
         for page in PAGES
         for block in blocks(page, "sh", "bash", "console", "")
         for arguments, xargs in command_lines(block)
@@ -115,12 +115,14 @@ def test_every_command_and_option_is_in_the_reference():
             assert all(word in text for word in option.opts if word.startswith("-")), (name, option.opts)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_and_pictures_are_there(page):
-    text = FENCE.sub("", page.read_text(encoding="utf-8"))
-    for link in re.findall(r"\]\(([^)\s]+)\)", text):
-        if re.match(r"[a-z]+:", link):
-            continue
+def links():
+    for page in PAGES:
+        text = FENCE.sub("", page.read_text(encoding="utf-8"))
+        yield from ((page, link) for link in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"[a-z]+:", link))
+
+
+def test_links_and_images_are_there():
+    for page, link in links():
         name, _, anchor = link.partition("#")
         path = (page.parent / name).resolve() if name else page
         assert path.exists(), f"{page.name}: {link}"
@@ -137,18 +139,21 @@ def test_command_lines_are_found():
     assert len(shell_lines()) > 40
 
 
-@pytest.mark.parametrize(("arguments", "xargs"), shell_lines())
-def test_command_lines_parse(arguments, xargs):
-    if "..." in arguments or "COMMAND" in arguments or any(word.startswith("[") for word in arguments):
-        return  # a usage line
-    try:
-        params = parse(arguments, ["clip.mp4"] if xargs else [])
-    except click.exceptions.Exit as left:  # --help
-        assert left.exit_code == 0
-        return
-    config = params.get("config")
-    if config is not None and config.removesuffix(".yaml") in {path.stem for path in shipped_recipes()}:
-        load_recipe(config, [text for text in params.get("overrides", ()) if text != "KEY=VALUE"])
+def test_command_lines_parse():
+    recipes = {path.stem for path in shipped_recipes()}
+    for page, arguments, xargs in shell_lines():
+        if "..." in arguments or "COMMAND" in arguments or any(word.startswith("[") for word in arguments):
+            continue  # a usage line
+        try:
+            params = parse(arguments, ["clip.mp4"] if xargs else [])
+        except click.exceptions.Exit as left:  # --help
+            assert left.exit_code == 0, (page, arguments)
+            continue
+        except click.ClickException as error:
+            pytest.fail(f"{page}: facetrack {' '.join(arguments)}: {error.format_message()}")
+        config = params.get("config")
+        if isinstance(config, str) and config.removesuffix(".yaml") in recipes:
+            load_recipe(config, [text for text in params.get("set", ()) if text != "KEY=VALUE"])
 
 
 @pytest.mark.parametrize("wrong", [["run", "a.mp4", "--colour"], ["rnu"], ["run"], ["recipes", "shwo", "sir"]])
@@ -275,7 +280,7 @@ def script_lines():
                 configs = [words[i + 1] for i, word in enumerate(words) if word == "--config"]
                 clips = [word for word in words if word.startswith("sample_videos/")]
                 if clips:
-                    yield pytest.param(clips, configs, id=f"{name}: {Path(words[1]).stem} {' '.join(clips + configs)}")
+                    yield name, clips, configs
 
 
 def tracker_on(clip, config):
@@ -283,12 +288,13 @@ def tracker_on(clip, config):
     return build_tracker(recipe, Begin(Path(clip)).find(recipe, read_truth(default_truth(Path(clip)))))
 
 
-@pytest.mark.parametrize(("clips", "configs"), list(script_lines()))
-def test_benchmarks_are_documented_with_clips_that_their_recipes_fit(monkeypatch, clips, configs):
+def test_benchmarks_are_documented_with_clips_that_their_recipes_fit(monkeypatch):
     monkeypatch.chdir(ROOT)
-    assert configs
-    for clip, config in itertools.product(expanded(clips), configs):
-        assert tracker_on(clip, config)
+    assert len(list(script_lines())) > 4
+    for name, clips, configs in script_lines():
+        assert configs, name
+        for clip, config in itertools.product(expanded(clips), configs):
+            assert tracker_on(clip, config), name
 
 
 def test_clips_that_a_recipe_does_not_fit_are_told(monkeypatch):
