@@ -151,9 +151,10 @@ def test_command_lines_parse():
             continue
         except click.ClickException as error:
             pytest.fail(f"{page}: facetrack {' '.join(arguments)}: {error.format_message()}")
-        config = params.get("config")
-        if isinstance(config, str) and config.removesuffix(".yaml") in recipes:
-            load_recipe(config, [text for text in params.get("set", ()) if text != "KEY=VALUE"])
+        configs = params.get("config") or ()
+        for name, own in map(variant, (configs,) if isinstance(configs, str) else configs):
+            if name.removesuffix(".yaml") in recipes:
+                load_recipe(name, [text for text in (*params.get("set", ()), *own) if text != "KEY=VALUE"])
 
 
 @pytest.mark.parametrize("wrong", [["run", "a.mp4", "--colour"], ["rnu"], ["run"], ["recipes", "shwo", "sir"]])

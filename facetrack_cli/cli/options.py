@@ -43,7 +43,7 @@ class Whole(click.IntRange):
 
 
 FRAME = Whole(min=0)
-FIGURES = ("png", "svg", "pdf")  # those of report/figures/style.py, which would load numpy
+FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
 
 
 class _Field(NamedTuple):

@@ -139,9 +139,9 @@ def test_an_interrupt_keeps_what_is_complete(facetrack, monkeypatch):
     found = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))
     assert not found["complete"] and [len(one["runs"]) for one in found["recipes"]] == [2, 0]
 
-    def at_once(plans, workers, stop, report, **more):
+    def at_once(plans, workers, stop, report, *, partial=False):
         stop.code = ExitCode.INTERRUPTED
-        yield from ()
+        yield from map(runs.Ended, plans if partial else ())
 
     for module in (compare, runs):
         monkeypatch.setattr(module, "run_plans", at_once)
@@ -177,10 +177,10 @@ def test_a_truth_of_other_frames_is_told_after_the_first_recipe(facetrack):
     Path("cut.mp4").write_bytes((SAMPLES / "expressions.mp4").read_bytes()[:30000])
     given = ["--truth", SAMPLES / "expressions.truth.csv", "--init", SAMPLES / "expressions.init.yaml", "--no-plots"]
     seen = []
-    original = runs._run
+    original = runs._work
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runs, "_run", lambda plan, *more: seen.append(plan.label) or original(plan, *more))
+        patch.setattr(runs, "_work", lambda task, *more: seen.append(task[0].label) or original(task, *more))
         code, _, err = facetrack("compare", "cut.mp4", *TWO, *given, "--seeds", "1")
     assert code == ExitCode.INPUT and "--partial" in err and err.count("\n") == 1 and len(seen) == 1
 
