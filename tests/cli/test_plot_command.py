@@ -131,7 +131,7 @@ def test_truth_that_does_not_belong_is_refused(capsys, run, truth, tmp_path):
 def test_usage(capsys, run, arguments, code, said):
     found, err = facetrack(capsys, run, *arguments)
     assert found == code and said in err and err.startswith("facetrack: error: ") and err.count("\n") == 1
-    assert [p.ours.name for p in run.iterdir()] == ["trajectory.csv"]
+    assert [p.name for p in run.iterdir()] == ["trajectory.csv"]
 
 
 def test_what_is_no_trajectory(capsys, tmp_path):
