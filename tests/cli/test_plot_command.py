@@ -130,7 +130,7 @@ def test_truth_that_does_not_belong_is_refused(capsys, run, truth, tmp_path):
 def test_usage(capsys, run, arguments, code, said):
     found, err = facetrack(capsys, run, *arguments)
     assert found == code and said in err and err.startswith("facetrack: error: ") and err.count("\n") == 1
-    assert [p.ours.name for p in run.iterdir()] == ["trajectory.csv"]
+    assert [p.name for p in run.iterdir()] == ["trajectory.csv"]
 
 
 def test_what_is_no_trajectory(capsys, tmp_path):
@@ -148,7 +148,7 @@ def test_a_full_disk_leaves_nothing_behind(capsys, run, monkeypatch):
     monkeypatch.setattr(Path, "write_bytes", full)
     code, err = facetrack(capsys, run)
     assert code == 2 and "plot.png: cannot be written: No space left on device" in err
-    assert [p.ours.name for p in run.iterdir()] == ["trajectory.csv"]
+    assert [p.name for p in run.iterdir()] == ["trajectory.csv"]
 
 
 def test_without_matplotlib(run):
