@@ -10,7 +10,7 @@ another seed. A statistic averages over a span of frames of one part: mean x and
 of the clip mean log std_x, std_y, ess and step length |x_t - x_{t-1}|, mean confidence, share of frames lost; and of
 a tracker that gives them, mean log w, h and number of particles, mean angle and probability of who it is (`names.py`).
 
-*The test* is a permutation test (`exchange.py`) of three families of statistics, each with a false alarm probability
+*The test* is a permutation test (`permutation_test.py`) of three families of statistics, each with a false alarm probability
 of ALPHA at most, so together below 1 in 1000:
 
 - *local*: the largest |z| over all statistics;
@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.evaluation.goldens import permutation_test as exchange
+from facetrack_cli.evaluation.goldens import permutation_test
 from facetrack_cli.evaluation.goldens.identities import names, probability
 from facetrack_cli.evaluation.goldens.permutation_test import FAR
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -275,19 +275,19 @@ def judge(statistics: Sequence[Statistic], recorded: Array, tested: Array) -> Ve
     least = np.array([QUANTITIES[s.quantity].least for s in statistics])
     if alike(recorded):
         return _judge_repeatable(statistics, recorded[0] * units, tested.mean(axis=0) * units, least)
-    placed = exchange.place(np.vstack([tested, recorded]) * units, least)
-    counted = exchange.bend(placed.z)
-    picks = exchange.picks(len(tested), len(recorded))
-    local = exchange.largest(counted, picks)
+    placed = permutation_test.place(np.vstack([tested, recorded]) * units, least)
+    counted = permutation_test.bend(placed.z)
+    picks = permutation_test.picks(len(tested), len(recorded))
+    local = permutation_test.largest(counted, picks)
     groups, members = _groups(statistics)
     means = np.stack([counted[:, columns].mean(axis=1) for columns in members], axis=1)
-    overall_placed = exchange.place(means, np.full(len(members), 0.05))
+    overall_placed = permutation_test.place(means, np.full(len(members), 0.05))
     clipped = np.clip(overall_placed.z, -FAR, FAR)
-    overall = exchange.largest(clipped, picks)
+    overall = permutation_test.largest(clipped, picks)
     # a mean of deviations, each in units of its own scale, is a weighted mean of them with the weights 1 / scale
     natural = overall_placed.scale / np.array([np.mean(1 / placed.scale[columns]) for columns in members])
     whole = [i for i, group in enumerate(groups) if (group.series, group.last) == (groups[0].series, groups[0].last)]
-    together = exchange.joint(clipped[:, whole], picks)
+    together = permutation_test.joint(clipped[:, whole], picks)
 
     def changed(i: int) -> Deviation:
         value, low, high = (
@@ -301,7 +301,7 @@ def judge(statistics: Sequence[Statistic], recorded: Array, tested: Array) -> Ve
     for i in _outside(local.far):
         edges = (local.mean[i], local.centre[i] - local.half[i], local.centre[i] + local.half[i])
         told = QUANTITIES[statistics[i].quantity].told
-        value, low, high = (told(placed.median[i] + placed.scale[i] * exchange.unbend(float(v))) for v in edges)
+        value, low, high = (told(placed.median[i] + placed.scale[i] * permutation_test.unbend(float(v))) for v in edges)
         deviations.append(Deviation(statistics[i], float(local.far[i]), value, low, high))
     deviations += [changed(i) for i in _outside(overall.far)]
     if together.far > 1:
