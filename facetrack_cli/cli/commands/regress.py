@@ -174,8 +174,8 @@ def _update(
         stopped=ending,
         report=lambda done, total: shown.update(done, total or None),
     ):
-        what = f"wrote {one.path} ({one.message})" if one.path else f"skipped: {one.message}"
-        if not (one.path or one.skipped):
+        what = f"wrote {one.golden} ({one.message})" if one.status == "ok" else f"skipped: {one.message}"
+        if one.status == "fails":
             failed = True
             what = f"not recorded: {one.message}"
         _print([f"{one.clip} {one.recipe}: {what}"])

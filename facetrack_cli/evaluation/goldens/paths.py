@@ -6,13 +6,14 @@ It is there to be read: what decides is `bands.py`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
-from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 HOLD: Final = 3  # frames in a row outside the band that make leaving more than noise
@@ -21,16 +22,16 @@ LEAST_PX: Final = 0.5
 EVERY: Final = 5  # frames that share a reach
 
 
-@dataclass(frozen=True, eq=False)
-class Path:
-    """One part's medians over runs, x and y (T,) in pixels, and how far the band reaches around them, a number
-    for each EVERY frames. nan where no run has a position.
+class PartPath(BaseModel):
+    """The medians of one part over runs, x and y (T,) in pixels, None where no run has a position, and how far the
+    band reaches around them, one number for each EVERY frames.
     """
 
-    series: str
-    x: Array
-    y: Array
-    reach: Array
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    x: list[float | None]
+    y: list[float | None]
+    reach: list[float]
 
 
 @dataclass(frozen=True)
@@ -49,32 +50,30 @@ class Leave:
         )
 
 
-def paths(tables: Sequence[Trajectory]) -> tuple[Path, ...]:
-    """The paths of runs over the same frames and parts, in tenths of pixels."""
-    found = []
+def paths(tables: Sequence[Trajectory]) -> dict[str, PartPath]:
+    """The paths of runs over the same frames and parts, by `target/part`, in tenths of pixels."""
+    found = {}
     for i, one in enumerate(tables[0].parts):
         x, y = _medians(tables, i)
         away = np.hypot([t.parts[i].x - x for t in tables], [t.parts[i].y - y for t in tables])
-        reach = np.maximum(WIDE * _median(away), LEAST_PX)
-        blocks = [reach[a : a + EVERY] for a in range(0, len(reach), EVERY)]
-        widest = [float(block[np.isfinite(block)].max(initial=LEAST_PX)) for block in blocks]
-        found.append(Path(one.name, np.round(x, 1), np.round(y, 1), np.round(widest, 1)))
-    return tuple(found)
+        reach = np.nan_to_num(np.maximum(WIDE * _median(away), LEAST_PX), nan=LEAST_PX)
+        widest = np.maximum.reduceat(reach, np.arange(0, len(reach), EVERY))
+        mx, my = ([None if np.isnan(v) else v for v in np.round(axis, 1).tolist()] for axis in (x, y))
+        found[one.name] = PartPath(x=mx, y=my, reach=np.round(widest, 1).tolist())
+    return found
 
 
-def first_leave(recorded: Sequence[Path], tables: Sequence[Trajectory]) -> Leave | None:
+def first_leave(recorded: Mapping[str, PartPath], tables: Sequence[Trajectory]) -> Leave | None:
     """Where the median of these runs first leaves the band of a path, for HOLD frames in a row; None if it does not."""
     leaves = []
-    for i, path in enumerate(recorded):
+    for i, (name, path) in enumerate(recorded.items()):
         x, y = _medians(tables, i)
-        distance = np.hypot(x - path.x, y - path.y)
+        distance = np.hypot(x - np.array(path.x, float), y - np.array(path.y, float))
         reach = np.repeat(path.reach, EVERY)[: len(distance)]
-        outside = distance > reach
-        held = np.convolve(outside, np.ones(HOLD))[HOLD - 1 :] == HOLD
+        held = np.convolve(distance > reach, np.ones(HOLD))[HOLD - 1 :] == HOLD
         if held.any():
             at = int(held.argmax())
-            frames: Whole = tables[0].parts[i].frame
-            leaves.append(Leave(int(frames[at]), path.series, float(distance[at]), float(reach[at])))
+            leaves.append(Leave(int(tables[0].parts[i].frame[at]), name, float(distance[at]), float(reach[at])))
     return min(leaves, key=lambda leave: leave.frame, default=None)
 
 

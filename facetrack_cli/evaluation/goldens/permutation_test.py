@@ -57,7 +57,7 @@ class Joint(NamedTuple):
     shares: Array
 
 
-def picks(k: int, s: int) -> Picks:
+def picks_of(k: int, s: int) -> Picks:
     """(SPLITS, K + S): which runs are picked, 1 or 0. The tested runs come first, and the first row picks them."""
     rng = np.random.default_rng(0)
     out = np.zeros((SPLITS, k + s), np.float32)
