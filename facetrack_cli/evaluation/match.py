@@ -1,8 +1,8 @@
-"""Which rows of a trajectory are measured against which rows of the truth: names, frames, and whether they fit at all.
+"""Which rows of a trajectory are measured against which rows of the ground truth: by names and by frames.
 
     pairs = match(read_trajectory(run), read_truth(file), partial=False, select=None, check_shift=True)
 
-A truth that is empty, shorter, counted from another frame or of another clip gives an error that says so, not a number.
+Ground truth that is empty, shorter, counted from another frame or of another clip gives an error that says so.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import BOX, Mask, Whole
+from facetrack_cli.core.types import BOX, Whole
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.shift import find_shift
 from facetrack_cli.trajectory.header import picture_of
@@ -20,11 +20,7 @@ from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 NOT_SEEN = ("hidden", "absent")
-
-
 OF_TRUTH = ("visible", *NOT_SEEN)
-
-
 OF_TRACK = ("init", "tracked", "lost")
 
 
@@ -40,18 +36,18 @@ def match(
     """The pairs of what both tables have, on the frames that both have, in the order of the trajectory.
 
     `select` (`face` or `face/nose`) takes a target or part of the trajectory alone. Truth without names goes to the
-    only series there with boxes; truth of one target, to the one target there, whatever its name. `note` is told of
-    what was paired under other names, and of what has no counterpart. Without `partial` both must begin and end
+    only part there with a size; truth of one target, to the one target there, whatever its name. `note` is given lines
+    about pairs under other names, and about what has no counterpart. Without `partial` both must begin and end
     together, as far as the truth is dense enough to tell, and no frame of the truth may be missing.
 
     Raises InputError for tables that do not belong together, with the remedy: no name or frame in common, a status that
-    truth cannot have, frames of one that the other lacks, truth outside of the picture, and with `check_shift` rows
-    that fit another frame of the truth much better. UsageError for a `select` that names nothing.
+    truth cannot have, frames of one that the other lacks, truth outside of the frame, and with `check_shift` rows that
+    fit another frame of the truth much better. UsageError for a `select` that names nothing.
     """
     named = _pair_names(choose(trajectory, select), truth, select, note)
     _check_status(trajectory, truth, named)
     _check_frames(trajectory, truth, named, partial)
-    _check_picture(trajectory, truth, named)
+    _check_places(trajectory, truth, named)
     if check_shift and (found := find_shift(named)):
         raise InputError(
             f"{truth.path}: fits {trajectory.path} with {-found.lag:+d} added to its frames (median error "
@@ -59,28 +55,25 @@ def match(
             f"--shift {_shift(truth, -found.lag)} --partial moves the truth, --shift 0 measures it as it is"
         )
     pairs = []
-    for one in named:
-        _, mine, theirs = np.intersect1d(one.ours.frame, one.truth.frame, assume_unique=True, return_indices=True)
+    for ours, theirs in named:
+        _, mine, true = np.intersect1d(ours.frame, theirs.frame, assume_unique=True, return_indices=True)
         if mine.size:
-            pairs.append(Pair(one.ours.take(mine), one.truth.take(theirs)))
+            pairs.append(Pair(ours.take(mine), theirs.take(true)))
         else:
-            note(f"{one.ours.name}: no frame in common, and left out")
+            note(f"{ours.name}: no frame in common, and left out")
     return pairs
-
-
-# --- names -----------------------------------------------------------------------------------------------------------
 
 
 def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: Callable[[str], None]) -> list[Pair]:
     theirs = truth.parts
     if truth.targets == ("",):
-        return [_nameless(ours, truth, select, note)]
+        return [_nameless(ours, truth, note)]
     found = [Pair(one, other) for one in ours.parts if (other := truth.find(one.target, one.part))]
     if not found and len(ours.targets) == len(truth.targets) == 1:
         renamed = {one.part: one.renamed(ours.target, one.part) for one in theirs}
         found = [Pair(one, renamed[one.part]) for one in ours.parts if one.part in renamed]
-        if found and ours.targets[0]:
-            note(f"{truth.targets[0]} of the truth is taken for {ours.targets[0]}: both have one target")
+        if found and ours.target:
+            note(f"{truth.target} of the truth is taken for {ours.target}: both have one target")
             theirs = tuple(renamed.values())
     if not found:
         raise InputError(
@@ -103,15 +96,16 @@ def _remedy(theirs: Sequence[Trajectory], ours: Sequence[Trajectory]) -> str:
     if (true, tracked) == ({False}, {True}):
         return "boxes are not measured by points; give truth of boxes, or track by a recipe of points, as factorized"
     if (true, tracked) == ({True}, {False}):
-        return (
-            "points are not measured by boxes; give truth of points, or track by a recipe of regions, as "
-            "contour_histogram"
-        )
+        remedy = "give truth of points, or track by a recipe of regions, as contour_histogram"
+        return f"points are not measured by boxes; {remedy}"
     return "name targets and parts alike"
 
 
-def _nameless(ours: Trajectory, truth: Trajectory, select: str | None, note: Callable[[str], None]) -> Pair:
+def _nameless(ours: Trajectory, truth: Trajectory, note: Callable[[str], None]) -> Pair:
+    """The boxes of ground truth without names, paired with the only part that has a size."""
     boxed = [one for one in ours.parts if np.any(np.isfinite(one.w) & np.isfinite(one.h))]
+    if not boxed:
+        raise InputError(f"{truth.path}: holds boxes, and no part of {ours.path} has w and h; give truth of its points")
     if len(boxed) > 1 and len({one.target for one in boxed}) == 1:
         raise InputError(
             f"{truth.path}: holds boxes, and {ours.path} points, {_names(boxed)}; give truth of these points "
@@ -122,25 +116,18 @@ def _nameless(ours: Trajectory, truth: Trajectory, select: str | None, note: Cal
             f"{truth.path}: its boxes have no names, and {ours.path} has {_names(boxed)}; "
             "choose the one that they belong to with --target NAME/PART"
         )
-    if not boxed:
-        raise InputError(f"{truth.path}: holds boxes, and no part of {ours.path} has w and h; give truth of its points")
-    if boxed[0].part != "box":
+    if boxed[0].part != BOX:
         note(f"{truth.path}: its boxes are taken for {boxed[0].name}, the only part with a size")
     return Pair(boxed[0], truth.parts[0])
 
 
 def _names(those: Sequence[Trajectory], most: int = 6) -> str:
     names = [one.name if one.target else f"{one.part} without a name" for one in those]
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
-
-
-# --- status ----------------------------------------------------------------------------------------------------------
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def _check_status(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair]) -> None:
-    theirs = [one.truth for one in named]
-    for one in theirs:
+    for one in (pair.truth for pair in named):
         strange = np.flatnonzero(~np.isin(one.status, ("", *OF_TRUTH, *OF_TRACK)))
         if strange.size:
             row = int(strange[0])
@@ -148,37 +135,31 @@ def _check_status(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
                 f"{truth.path}: frame {one.frame[row]}, {one.name}: status {str(one.status[row])!r} is none of "
                 f"{', '.join(OF_TRUTH)}; correct it"
             )
-    ours = [one.ours for one in named]  # whose absent rows are those of corrections, unless nothing was tracked
-    if _says(theirs, OF_TRACK) and _says(ours, OF_TRUTH) and not _says(ours, OF_TRACK):
+    ours, theirs = (np.unique(np.concatenate([one.status for one in those])) for those in zip(*named, strict=True))
+    # absent rows of ours are those of corrections, unless nothing was tracked
+    if np.isin(theirs, OF_TRACK).any() and np.isin(ours, OF_TRUTH).any() and not np.isin(ours, OF_TRACK).any():
         raise InputError(
             f"{truth.path}: is a trajectory, and {trajectory.path} is truth, as their status says: "
             "name them the other way round"
         )
-    if all(bool(np.all(one.status == "lost")) for one in theirs):
+    if set(theirs.tolist()) <= {"lost"}:
         raise InputError(
             f"{truth.path}: calls every row lost, so there is nothing to measure against; name a truth file"
         )
 
 
-def _says(those: Sequence[Trajectory], words: Sequence[str]) -> bool:
-    return any(bool(np.isin(one.status, words).any()) for one in those)
-
-
-# --- frames ----------------------------------------------------------------------------------------------------------
-
-
 def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair], partial: bool) -> None:
-    ours = np.unique(np.concatenate([one.ours.frame for one in named]))
-    theirs = np.unique(np.concatenate([one.truth.frame for one in named]))
+    ours, theirs = (np.unique(np.concatenate([one.frame for one in those])) for those in zip(*named, strict=True))
     both = len(np.intersect1d(ours, theirs))
     first, last = int(theirs[0] - ours[0]), int(theirs[-1] - ours[-1])
     spans = f"the truth has frames {_span(theirs)}, the trajectory {_span(ours)}"
     moved = f"--shift {_shift(truth, -first)}" if first == last != 0 else ""
     if not both:
-        remedy = (
-            f"if it counts from another frame, {moved}" if moved else "move the truth by --shift N, or name its own"
+        remedy = f"if it counts from another frame, {moved}"
+        raise InputError(
+            f"{truth.path}: {spans}: no frame in common; "
+            f"{remedy if moved else 'move the truth by --shift N, or name its own'}"
         )
-        raise InputError(f"{truth.path}: {spans}: no frame in common; {remedy}")
     if partial:
         return
     rest = f"--partial measures the {both} that both have"
@@ -186,16 +167,13 @@ def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
     if moved and abs(first) >= (stride if first > 0 else 1):
         by = "one" if abs(first) == 1 else str(abs(first))
         raise InputError(f"{truth.path}: {spans}: shifted by {by}? {moved}; if not, {rest}")
+    uneven = ""
     if not 0 <= first < stride:
-        raise InputError(
-            f"{truth.path}: begins at frame {theirs[0]}, the trajectory at {ours[0]}: {rest}, --shift N moves the truth"
-        )
-    if not -stride < last <= 0:
-        goes = "goes on to" if last < 0 else "ends at"
-        raise InputError(
-            f"{truth.path}: ends at frame {theirs[-1]}, the trajectory {goes} {ours[-1]}: {rest}, "
-            "--shift N moves the truth"
-        )
+        uneven = f"begins at frame {theirs[0]}, the trajectory at {ours[0]}"
+    elif not -stride < last <= 0:
+        uneven = f"ends at frame {theirs[-1]}, the trajectory {'goes on to' if last < 0 else 'ends at'} {ours[-1]}"
+    if uneven:
+        raise InputError(f"{truth.path}: {uneven}: {rest}, --shift N moves the truth")
     for one in named:
         missing = np.setdiff1d(one.truth.frame, one.ours.frame)
         if missing.size:
@@ -207,7 +185,7 @@ def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
 
 
 def _shift(truth: Trajectory, more: int) -> int:
-    """What --shift has to be for `more` frames than the truth was moved already."""
+    """The value of --shift that moves the truth by `more` frames than it was moved already."""
     return int(truth.header.get("shift", 0)) + more
 
 
@@ -215,20 +193,14 @@ def _span(frames: Whole) -> str:
     return f"{frames[0]}..{frames[-1]}" if len(frames) > 1 else f"{frames[0]} alone"
 
 
-# --- places ----------------------------------------------------------------------------------------------------------
-
-
-def _check_picture(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair]) -> None:
-    """Truth that is seen lies in the picture; most of it outside is of another clip, or of the clip in another size."""
+def _check_places(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair]) -> None:
+    """Visible truth lies in the frame; where most of it does not, it is of another clip or size."""
     size = picture_of(trajectory)
     if size is None:
         return
-    outside: list[Mask] = []
-    for one in named:
-        seen = np.isfinite(one.truth.x) & ~np.isin(one.truth.status, NOT_SEEN)
-        x, y = one.truth.x[seen], one.truth.y[seen]
-        outside.append((x < -0.5) | (y < -0.5) | (x > size[0] - 0.5) | (y > size[1] - 0.5))
-    where = np.concatenate(outside)
+    x, y, status = (np.concatenate([getattr(one.truth, name) for one in named]) for name in ("x", "y", "status"))
+    outside = (x < -0.5) | (y < -0.5) | (x > size[0] - 0.5) | (y > size[1] - 0.5)
+    where = outside[np.isfinite(x) & ~np.isin(status, NOT_SEEN)]
     if where.size and where.mean() > 0.5:
         raise InputError(
             f"{truth.path}: {where.sum()} of its {where.size} places are outside of the picture of {size[0]}x{size[1]} "

@@ -6,7 +6,7 @@ Axes: R rows of one part, one a frame, in the order of their frames.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,10 +15,8 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-NEAR = 1 / 6
-"""A point is near if its error is less than this share of the normalising length."""
-NEAR_IOU = 0.5
-"""A box is near if its overlap with the ground truth (intersection over union) is more than this."""
+NEAR = 1 / 6  # of the normalising length: a point is near if its error is less
+NEAR_IOU = 0.5  # a box is near if its overlap with the ground truth (intersection over union) is more
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +54,6 @@ class Rows:
         return len(self.frame)
 
     @property
-    def name(self) -> str:
-        return f"{self.target}/{self.part}"
-
-    @property
     def covered(self) -> Mask:
         """(R,) hidden or absent."""
         return self.hidden | self.absent
@@ -77,25 +71,20 @@ class Rows:
 
     def take(self, rows: Mask) -> Rows:
         """These rows alone."""
-        arrays: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        picked: dict[str, Any] = {key: value[rows] for key, value in arrays.items() if isinstance(value, np.ndarray)}
-        return replace(self, **picked)
+        arrays: dict[str, Any] = {key: one[rows] for key, one in vars(self).items() if isinstance(one, np.ndarray)}
+        return replace(self, **arrays)
 
 
 def rows_of(pair: Pair, unit: Array) -> Rows:
-    """The rows of a pair, with `unit` (R,) in pixels.
-
-    A row of ground truth without a status is visible. Whether a box is near is known without a unit.
-    """
+    """The rows of a pair, with `unit` (R,) in pixels. A row of ground truth without a status is visible."""
     ours, truth = pair.ours, pair.truth
     hidden, absent = truth.status == "hidden", truth.status == "absent"
     offset = np.stack([ours.x - truth.x, ours.y - truth.y], axis=1)
     placed = ~absent & np.isfinite(truth.x) & np.isfinite(truth.y)
-    with np.errstate(invalid="ignore"):
-        if pair.is_box:
-            near, known = iou(ours.boxes, truth.boxes) > NEAR_IOU, np.isfinite(truth.boxes).all(axis=1)
-        else:
-            near, known = np.hypot(offset[:, 0], offset[:, 1]) < NEAR * unit, np.isfinite(unit)
+    if pair.is_box:  # which is near without a unit too
+        near, known = iou(ours.boxes, truth.boxes) > NEAR_IOU, np.isfinite(truth.boxes).all(axis=1)
+    else:
+        near, known = np.hypot(offset[:, 0], offset[:, 1]) < NEAR * unit, np.isfinite(unit)
     init = ours.status == "init"
     if len(ours) and not np.any(ours.status != ""):
         init = np.arange(len(ours)) == 0  # without any status, the first row alone

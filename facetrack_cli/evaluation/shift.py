@@ -38,25 +38,23 @@ class Shift(NamedTuple):
 
 def find_shift(pairs: Sequence[tuple[Trajectory, Trajectory]]) -> Shift | None:
     """The lag at which (ours, truth) clearly belong together, or None where 0 is as good, or nothing can be said."""
-    tracks = [track for track in (_Track.of(*pair) for pair in pairs) if track is not None]
-    if not tracks:
-        return None
-    lags = [lag for lag in range(-FARTHEST, FARTHEST + 1) if lag]
-    compared = {lag: _compare(tracks, lag) for lag in lags}
+    tracks = [track for track in (_track(*pair) for pair in pairs) if track is not None]
     rows = sum(len(track.truth) for track in tracks)
-    usable = {lag: c for lag, c in compared.items() if c is not None and 2 * c.rows >= rows}
+    compared = {lag: _compare(tracks, lag) for lag in range(-FARTHEST, FARTHEST + 1) if lag and tracks}
+    usable = {lag: one for lag, one in compared.items() if one is not None and 2 * one.rows >= rows}
     if not usable:
         return None
     lag = min(usable, key=lambda one: (usable[one].error, abs(one)))
-    best = usable[lag]
-    twin = usable.get(-lag)
+    best, twin = usable[lag], usable.get(-lag)
+    # the first rows of a tracker that trails lie on the truth at lag 0, where it began
+    first = np.concatenate([track.first for track in tracks])
     if (
         best.ratio < LOWER
         and best.spread_ratio < SPREAD_LOWER
         and best.closer > ROWS_CLOSER
         and (twin is None or best.error < TWIN * twin.error)
         and not -TRAILING <= lag <= LEADING
-        and not _starts_on_truth(tracks, best.error_at_zero)
+        and not (len(first) and np.nanmedian(first) < 0.25 * best.error_at_zero)
     ):
         return Shift(lag, best.error_at_zero, best.error)
     return None
@@ -72,63 +70,36 @@ class _Compared(NamedTuple):
 
 
 def _compare(tracks: Sequence[_Track], lag: int) -> _Compared | None:
-    there: list[Array] = []
-    same_truth: list[Array] = []
-    same_ours: list[Array] = []
-    spreads: list[Array] = []
-    spreads_at_zero: list[Array] = []
+    columns: list[list[Array]] = []
     for track in tracks:
         at_lag, still, at_ours = track.errors(lag)
         known = np.isfinite(at_lag).all(axis=1) & np.isfinite(still).all(axis=1)
-        if known.sum() < 2:
-            continue
-        there.append(np.hypot(*at_lag[known].T))
-        same_truth.append(np.hypot(*still[known].T))
-        same_ours.append(np.hypot(*at_ours[known].T))
-        spreads.append(np.hypot(*(at_lag[known] - np.median(at_lag[known], axis=0)).T))
-        spreads_at_zero.append(np.hypot(*(still[known] - np.median(still[known], axis=0)).T))
-    if sum(map(len, there)) < LEAST_ROWS:
+        if known.sum() >= 2:
+            at_lag, still, at_ours = at_lag[known], still[known], at_ours[known]
+            spreads = [offset - np.median(offset, axis=0) for offset in (at_lag, still)]
+            columns.append([np.hypot(*offset.T) for offset in (at_lag, still, at_ours, *spreads)])
+    if sum(len(distances[0]) for distances in columns) < LEAST_ROWS:
         return None
-    a, b, c, s, z = map(np.concatenate, (there, same_truth, same_ours, spreads, spreads_at_zero))
-    error, at_zero = float(np.median(a)), float(min(np.median(b), np.nanmedian(c)))
-    spread, spread_at_zero = float(np.median(s)), float(np.median(z))
+    there, same_truth, same_ours, spread, spread_at_zero = map(np.concatenate, zip(*columns, strict=True))
+    error, at_zero = float(np.median(there)), float(min(np.median(same_truth), np.nanmedian(same_ours)))
     return _Compared(
-        len(a),
+        len(there),
         error,
         at_zero,
         (error + ROUNDING) / (at_zero + ROUNDING),
-        (spread + ROUNDING) / (spread_at_zero + ROUNDING),
-        float(np.mean(a < b)),
+        (float(np.median(spread)) + ROUNDING) / (float(np.median(spread_at_zero)) + ROUNDING),
+        float(np.mean(there < same_truth)),
     )
 
 
-def _starts_on_truth(tracks: Sequence[_Track], typical: float) -> bool:
-    """Whether the first rows lie on the truth at lag 0, as those of a tracker that was set on it there and trails."""
-    first = np.concatenate([track.first for track in tracks])
-    return bool(len(first) and np.nanmedian(first) < 0.25 * typical)
+class _Track(NamedTuple):
+    """One pair: rows of ours with their frames, visible rows of truth with theirs, and the error of the first row."""
 
-
-class _Track:
-    """One pair with rows of ours found by frame, and the visible truth interpolated between its rows."""
-
-    def __init__(self, frame: Whole, ours: Array, truth_frame: Whole, truth: Array) -> None:
-        self.frame, self.ours, self.truth_frame, self.truth = frame, ours, truth_frame, truth
-        began = np.flatnonzero(np.isin(truth_frame, frame[:1]))
-        self.first = np.hypot(*(ours[:1] - truth[began]).T) if began.size else np.empty(0)
-
-    @classmethod
-    def of(cls, ours: Trajectory, truth: Trajectory) -> _Track | None:
-        mine = np.isfinite(ours.x) & np.isfinite(ours.y) & (ours.status != "lost")
-        seen = np.isfinite(truth.x) & np.isfinite(truth.y) & ~np.isin(truth.status, ("hidden", "absent"))
-        rows = np.flatnonzero(seen)[:: 1 + int(seen.sum()) // MOST_ROWS]
-        if rows.size < 2 or not mine.any():
-            return None
-        return cls(
-            ours.frame[mine],
-            np.stack([ours.x, ours.y], axis=1)[mine],
-            truth.frame[rows],
-            np.stack([truth.x, truth.y], axis=1)[rows],
-        )
+    frame: Whole
+    ours: Array
+    truth_frame: Whole
+    truth: Array
+    first: Array
 
     def errors(self, lag: int) -> tuple[Array, Array, Array]:
         """(rows, 2) each: ours less truth at the lag; at 0, the same rows of truth; at 0, the same rows of ours."""
@@ -140,3 +111,16 @@ class _Track:
     def _ours_at(self, frames: Whole) -> Array:
         place = np.minimum(np.searchsorted(self.frame, frames), len(self.frame) - 1)
         return np.where((self.frame[place] == frames)[:, None], self.ours[place], np.nan)
+
+
+def _track(ours: Trajectory, truth: Trajectory) -> _Track | None:
+    """None where too little is known."""
+    mine, true = (np.stack([one.x, one.y], axis=1) for one in (ours, truth))
+    tracked = np.isfinite(mine).all(axis=1) & (ours.status != "lost")
+    seen = np.isfinite(true).all(axis=1) & ~np.isin(truth.status, ("hidden", "absent"))
+    rows = np.flatnonzero(seen)[:: 1 + int(seen.sum()) // MOST_ROWS]
+    if rows.size < 2 or not tracked.any():
+        return None
+    frame, mine, truth_frame, true = ours.frame[tracked], mine[tracked], truth.frame[rows], true[rows]
+    began = np.flatnonzero(truth_frame == frame[0])
+    return _Track(frame, mine, truth_frame, true, np.hypot(*(mine[:1] - true[began]).T))

@@ -47,7 +47,7 @@ GROUPS: Final[Mapping[str, type]] = {
     "confidence": ConfidenceMeasures,
     "coverage": CoverageMeasures,
 }
-"""The first words of the names of measures, and what declares the second ones."""
+"""The first words of the names of measures, and the dataclass whose fields are the second ones."""
 MEASURES: Final[Mapping[str, Measure]] = {
     f"{group}.{name}": one for group, kind in GROUPS.items() for name, one in measures_of(kind).items()
 }
@@ -140,12 +140,13 @@ def evaluate(
     if not any(len(pair.ours) for pair in pairs):
         raise InputError("there is no row that both the trajectory and the ground truth have; nothing can be measured")
     units = _units(pairs, options.normalise, reference)
-    rows = [rows_of(pair, units[pair.ours.target].at(pair.ours.frame)) for pair in pairs]
+    every = [(pair, rows_of(pair, units[pair.ours.target].at(pair.ours.frame))) for pair in pairs]
+    rows = tuple(one for _, one in every)
     found = occlusions(rows)
-    every = replace(_measured("all", "", pairs, rows, options), occlusions=measure_recovery(found))
-    parts = [_measured(one.target, one.part, [pair], [one], options) for pair, one in zip(pairs, rows, strict=True)]
+    whole = replace(_measured("all", "", every, options), occlusions=measure_recovery(found))
+    parts = tuple(_measured(one.target, one.part, [(pair, one)], options) for pair, one in every)
     texts = {target: unit.text for target, unit in units.items()}
-    evaluation = Evaluation(options, tuple(rows), texts, tuple(parts), every, found, ())
+    evaluation = Evaluation(options, rows, texts, parts, whole, found, ())
     return replace(evaluation, notes=(*notes, *_strange_start(rows), *_why_undefined(evaluation)))
 
 
@@ -171,12 +172,12 @@ def _units(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory
         frames = np.unique(np.concatenate([pair.ours.frame for pair in own]))
         box = own[0].declared_box and bool(np.any(own[0].truth.w > 0))
         series = [own[0].truth] if box and normalise == "size" else list(truth.values())
-        found[target] = unit_of(normalise, target, series, box=box, frames=frames)
+        found[target] = unit_of(normalise, series, box=box, frames=frames)
     return found
 
 
-def _measured(target: str, part: str, pairs: Sequence[Pair], rows: Sequence[Rows], options: Options) -> Measured:
-    every = list(zip(pairs, rows, strict=True))
+def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], options: Options) -> Measured:
+    rows = [one for _, one in every]
     points = [one for pair, one in every if not pair.is_box]
     boxed = [(pair, one) for pair, one in every if pair.is_box]
     return Measured(
@@ -193,18 +194,14 @@ def _measured(target: str, part: str, pairs: Sequence[Pair], rows: Sequence[Rows
 def _boxes(those: Sequence[tuple[Pair, Rows]], size: tuple[int, int] | None) -> BoxMeasures:
     """The rows of all pairs as if they were one target's; rows that a correction gave do not count."""
     pairs, rows = zip(*those, strict=True)
-    ours, truth = (
-        joined([one.renamed(str(i), "box") for i, one in enumerate(those)]) for those in zip(*pairs, strict=True)
-    )
-    visible, hidden, later, init, left_out = (
-        column(rows, name) for name in ("visible", "hidden", "later", "init", "left_out")
-    )
+    ours, truth = (joined([s.renamed(str(i), "box") for i, s in enumerate(each)]) for each in zip(*pairs, strict=True))
+    later = column(rows, "later")
     return measure_boxes(
         ours.boxes,
         truth.boxes,
-        visible=visible & ~later,
-        hidden=hidden & ~later & ~left_out,
-        init=init,
+        visible=column(rows, "visible") & ~later,
+        hidden=column(rows, "hidden") & ~later & ~column(rows, "left_out"),
+        init=column(rows, "init"),
         our_corners=ours.corners,
         true_corners=truth.corners,
         size=size,
@@ -219,11 +216,7 @@ def scalars(evaluation: Evaluation) -> dict[str, float]:
 _WHY: Final = (  # a figure that is not defined although the other is, and why
     ("points.mean_px", "points.rows", "no visible row has a true position and one of ours, so there is no error"),
     ("boxes.success_auc", "boxes.rows", "no visible row has a true box, so there is no overlap"),
-    (
-        "boxes.ao",
-        "boxes.success_auc",
-        "only given rows have a true box, which AO, SR and the accuracy of VOT leave out",
-    ),
+    ("boxes.ao", "boxes.success_auc", "AO, SR and the accuracy of VOT leave out given rows; no others have a true box"),
     (
         "occlusions.recovered",
         "occlusions.occlusions",

@@ -1,4 +1,4 @@
-"""The length by which errors are normalised, from the truth.
+"""The length in pixels by which errors are normalised, from the ground truth.
 
 size     the largest distance between two points of the target, in the first frame with all of them: the unit of
          recipes. Of a box sqrt(width * height), in each frame. The default.
@@ -29,17 +29,21 @@ NAMED = {"mouth": (("mouth_left", "mouth_right"),), "eyes": (("eye_left", "eye_r
 class Unit:
     """The length of one target: (F,) pixels, nan where unknown, for increasing frames (F,); `text` explains it."""
 
-    target: str
     frame: Whole
     length: Array
     text: str
 
     def at(self, frames: Whole) -> Array:
         """(R,) lengths for frames (R,); nan where there is none."""
-        if not len(self.frame):
-            return np.full(len(frames), np.nan)
-        place = np.minimum(np.searchsorted(self.frame, frames), len(self.frame) - 1)
-        return np.where(self.frame[place] == frames, self.length[place], np.nan)
+        return _at(frames, self.frame, self.length)
+
+
+def _at(frames: Whole, known: Whole, values: Array) -> Array:
+    """(R,) values (F,) of the increasing frames `known` (F,) at `frames` (R,); nan for frames that are not there."""
+    if not len(known):
+        return np.full(len(frames), np.nan)
+    place = np.searchsorted(known, frames).clip(max=len(known) - 1)
+    return np.where(known[place] == frames, values[place], np.nan)
 
 
 def check_normalise(how: str) -> str:
@@ -58,62 +62,51 @@ def check_normalise(how: str) -> str:
     return how
 
 
-def unit_of(how: str, target: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) -> Unit:
-    """The length of one target, whose truth is `truth`, for increasing `frames` (F,).
+def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) -> Unit:
+    """The length of one target, whose ground truth is `truth`, for increasing `frames` (F,).
 
-    Raises UsageError where the truth has not the two parts that `how` names.
+    Raises UsageError where the ground truth does not have the two parts that `how` names.
     """
-    if (pair := _pair(how, truth)) is not None:
-        one, other = pair
-        rows = [np.searchsorted(s.frame, frames).clip(max=len(s) - 1) for s in pair]
-        ends = [np.stack([s.x, s.y], axis=1)[r] for s, r in zip(pair, rows, strict=True)]
-        there = [s.frame[r] == frames for s, r in zip(pair, rows, strict=True)]
-        length = np.where(there[0] & there[1], np.hypot(*(ends[0] - ends[1]).T), np.nan)
-        length[length == 0] = np.nan
-        return Unit(target, frames, length, f"{one.part} to {other.part} in each frame, {_typical(length)}")
-    if how != "size":
-        return Unit(target, frames, np.full(len(frames), float(how)), f"{float(how):g} px")
-    if box:
-        row = np.searchsorted(truth[0].frame, frames).clip(max=len(truth[0]) - 1)
-        area = np.where(truth[0].frame[row] == frames, truth[0].w[row] * truth[0].h[row], np.nan)
-        length = np.sqrt(np.where(area > 0, area, np.nan))
-        return Unit(target, frames, length, f"size, sqrt(width * height) in each frame, {_typical(length)}")
-    size, text = _size(truth, frames)
-    return Unit(target, frames, np.full(len(frames), size), text)
+    one = truth[0]
+    if how in NAMED or ":" in how:
+        one, other = _pair(how, truth)
+        ends = [np.stack([_at(frames, s.frame, s.x), _at(frames, s.frame, s.y)]) for s in (one, other)]
+        length, what = np.hypot(*(ends[0] - ends[1])), f"{one.part} to {other.part}"
+    elif how == "size" and box:
+        length, what = _at(frames, one.frame, np.sqrt(np.maximum(one.w * one.h, 0))), "size, sqrt(width * height)"
+    else:
+        size, text = _size(truth, frames) if how == "size" else (float(how), f"{float(how):g} px")
+        return Unit(frames, np.full(len(frames), size), text)
+    length = np.where(length > 0, length, np.nan)
+    known = length[np.isfinite(length)]
+    typical = f"median {np.median(known):.1f} px" if len(known) else "not known in any"
+    return Unit(frames, length, f"{what} in each frame, {typical}")
 
 
-def _pair(how: str, truth: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory] | None:
-    """The two parts that `how` names, None if it names none."""
-    wanted = NAMED.get(how) or (((how.split(":")[0], how.split(":")[1]),) if ":" in how else ())
+def _pair(how: str, truth: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory]:
+    """The two parts that `how` names."""
+    wanted = NAMED.get(how) or (tuple(how.split(":")),)
     there = {s.part: s for s in truth}
     for one, other in wanted:
         if one in there and other in there:
             return there[one], there[other]
-    if wanted:
-        missing = " or ".join(" and ".join(part for part in names if part not in there) for names in wanted)
-        names = ", ".join(list(there)[:8]) + (", ..." if len(there) > 8 else "")
-        raise UsageError(f"--normalise {how}: the truth has no {missing}; it has {names}")
-    return None
+    missing = " or ".join(" and ".join(part for part in names if part not in there) for names in wanted)
+    names = ", ".join(list(there)[:8]) + (", ..." if len(there) > 8 else "")
+    raise UsageError(f"--normalise {how}: the truth has no {missing}; it has {names}")
 
 
 def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:
     """The unit of recipes and what it is; nan if there is none."""
     if len(truth) < 2:
         return math.nan, "size: one point has none"
-    known = [s.frame[np.isfinite(s.x) & np.isfinite(s.y) & (s.status != "absent")] for s in truth]
-    together = frames
-    for those in known:
-        together = np.intersect1d(together, those, assume_unique=True)
-    if not len(together):
+    absent = [_at(frames, s.frame, np.where(s.status == "absent", np.nan, 0.0)) for s in truth]
+    axes = [[_at(frames, s.frame, axis) for axis in (s.x, s.y)] for s in truth]
+    points = np.array(axes) + np.array(absent)[:, None]  # (K, 2, F)
+    together = np.flatnonzero(np.isfinite(points).all(axis=(0, 1)))
+    if not together.size:
         return math.nan, "size: no frame of the truth has all points"
-    first = int(together[0])
-    rows = [int(np.searchsorted(s.frame, first)) for s in truth]
-    size = size_of_points(np.array([(s.x[r], s.y[r]) for s, r in zip(truth, rows, strict=True)]))
+    size = size_of_points(points[:, :, together[0]])
     if size == 0:
         return math.nan, "size: all points of the truth are at one place"
+    first = frames[together[0]]
     return size, f"size, the largest distance between two points in frame {first}, {size:.1f} px"
-
-
-def _typical(length: Array) -> str:
-    known = length[np.isfinite(length)]
-    return f"median {np.median(known):.1f} px" if len(known) else "not known in any"

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.evaluation import boxes
-from facetrack_cli.evaluation.boxes import measure_boxes, share_above, share_up_to, within
-from facetrack_cli.evaluation.raster import vot_overlaps
+from facetrack_cli.evaluation.boxes import measure_boxes, share_above, share_up_to, vot_overlaps, within
 from tests.twins import boxes as naive_boxes
 
 NAN = [np.nan] * 4
