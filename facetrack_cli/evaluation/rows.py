@@ -25,10 +25,9 @@ class Rows:
 
     `offset` is ours minus the ground truth in pixels, nan where either has no position; `unit` the length in pixels by
     which errors are normalised, nan where it is unknown. Each row is one of visible, hidden, absent; `placed` are the
-    visible and hidden ones whose true position is known. `near` is defined where `judged`: an absent part has no place
-    to be near to, so an absent row is judged, and not near. `lost` is defined where `stated`: the status is tracked or
-    lost. `init` are the rows that the tracker was given, `later` those of them after the first, by corrections;
-    `left_out` are rows that a correction calls absent.
+    visible and hidden ones whose true position is known. `near` is defined where `judged`; an absent row is judged, and
+    not near. `lost` is defined where `stated`: the status is tracked or lost. `init` are the rows that the tracker was
+    given, `later` those of them after the first, by corrections; `left_out` rows that a correction calls absent.
     """
 
     target: str
@@ -55,12 +54,11 @@ class Rows:
 
     @property
     def covered(self) -> Mask:
-        """(R,) hidden or absent."""
         return self.hidden | self.absent
 
     @property
     def by_hand(self) -> Mask:
-        """(R,) given by a correction: a place, or that the part is absent."""
+        """(R,) given by a correction: a position, or that the part is absent."""
         return self.later | self.left_out
 
     @property
@@ -85,9 +83,8 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         near, known = iou(ours.boxes, truth.boxes) > NEAR_IOU, np.isfinite(truth.boxes).all(axis=1)
     else:
         near, known = np.hypot(offset[:, 0], offset[:, 1]) < NEAR * unit, np.isfinite(unit)
-    init = ours.status == "init"
-    if len(ours) and not np.any(ours.status != ""):
-        init = np.arange(len(ours)) == 0  # without any status, the first row alone
+    first = np.arange(len(ours)) == 0
+    init = ours.status == "init" if np.any(ours.status != "") else first
     return Rows(
         target=ours.target,
         part=ours.part,
@@ -103,7 +100,7 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         stated=(ours.status == "tracked") | (ours.status == "lost"),
         lost=ours.status == "lost",
         init=init,
-        later=init & (np.arange(len(ours)) > 0),
+        later=init & ~first,
         left_out=ours.status == "absent",
         confidence=ours.confidence,
         std=np.stack([ours.std_x, ours.std_y], axis=1),

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, get_args, get_type_hints
 
 import numpy as np
 
@@ -39,26 +39,11 @@ from facetrack_cli.evaluation.trust import (
 from facetrack_cli.evaluation.units import Unit, check_normalise, unit_of
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
-GROUPS: Final[Mapping[str, type]] = {
-    "points": PointMeasures,
-    "boxes": BoxMeasures,
-    "occlusions": RecoveryMeasures,
-    "lost": LostMeasures,
-    "confidence": ConfidenceMeasures,
-    "coverage": CoverageMeasures,
-}
-"""The first words of the names of measures, and the dataclass whose fields are the second ones."""
-MEASURES: Final[Mapping[str, Measure]] = {
-    f"{group}.{name}": one for group, kind in GROUPS.items() for name, one in measures_of(kind).items()
-}
-"""All measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `coverage.unknown_std`."""
-
 
 @dataclass(frozen=True)
 class Options:
-    """`normalise`: by what errors are divided (units.py); `failure`: the normalised error above which a row failed.
-
-    `size` is the frames' (width, height) where it is known, to which GOT-10k and VOT clip boxes.
+    """`normalise`: by what errors are divided (units.py); `failure`: the normalised error above which a row failed;
+    `size`: (width, height) of the frames where it is known, to which GOT-10k and VOT clip boxes.
     """
 
     normalise: str = "size"
@@ -77,10 +62,10 @@ class Measured:
     part: str
     points: PointMeasures | None
     boxes: BoxMeasures | None
+    occlusions: RecoveryMeasures | None
     lost: LostMeasures | None
     confidence: ConfidenceMeasures | None
     coverage: CoverageMeasures | None
-    occlusions: RecoveryMeasures | None = None
 
     @property
     def name(self) -> str:
@@ -97,12 +82,19 @@ class Measured:
         return found
 
 
+# the first words of the names of measures, and the dataclass whose fields are the second ones
+GROUPS: Final = {name: get_args(hint)[0] for name, hint in get_type_hints(Measured).items() if get_args(hint)}
+# all measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `coverage.unknown_std`
+MEASURES: Final[Mapping[str, Measure]] = {
+    f"{group}.{name}": one for group, kind in GROUPS.items() for name, one in measures_of(kind).items()
+}
+
+
 @dataclass(frozen=True)
 class Evaluation:
-    """What was measured of one trajectory.
+    """What was measured of one trajectory, on the `rows` that it shares with the ground truth.
 
-    `rows` are those that trajectory and ground truth share, `units` explain by what length the errors of each target
-    are normalised. `notes` are lines of text, among them why a figure is not defined.
+    `units` says by what length the errors of each target are normalised; `notes` why figures are not defined, and more.
     """
 
     options: Options
@@ -115,12 +107,11 @@ class Evaluation:
 
     @property
     def frames(self) -> Whole:
-        """The frames that are measured, increasing."""
         return np.unique(column(self.rows, "frame"))
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many rows, one a frame and part, are visible, hidden and absent."""
+        """How many rows, one for each frame and part, are visible, hidden and absent."""
         return {status: int(column(self.rows, status).sum()) for status in ("visible", "hidden", "absent")}
 
 
@@ -136,24 +127,20 @@ def evaluate(
     Raises InputError without any row, UsageError for a length that the ground truth does not have.
     """
     options = options or Options()
-    pairs = [_known(pair) for pair in pairs]
+    # the rows that the ground truth itself calls lost, as a trajectory does that serves as ground truth, are unknown
+    known = [pair.truth.status != "lost" for pair in pairs]
+    pairs = [Pair(*(one.take(rows) for one in pair)) for pair, rows in zip(pairs, known, strict=True)]
     if not any(len(pair.ours) for pair in pairs):
         raise InputError("there is no row that both the trajectory and the ground truth have; nothing can be measured")
     units = _units(pairs, options.normalise, reference)
     every = [(pair, rows_of(pair, units[pair.ours.target].at(pair.ours.frame))) for pair in pairs]
     rows = tuple(one for _, one in every)
     found = occlusions(rows)
-    whole = replace(_measured("all", "", every, options), occlusions=measure_recovery(found))
+    whole = _measured("all", "", every, options, measure_recovery(found))
     parts = tuple(_measured(one.target, one.part, [(pair, one)], options) for pair, one in every)
     texts = {target: unit.text for target, unit in units.items()}
     evaluation = Evaluation(options, rows, texts, parts, whole, found, ())
     return replace(evaluation, notes=(*notes, *_strange_start(rows), *_why_undefined(evaluation)))
-
-
-def _known(pair: Pair) -> Pair:
-    """Without the rows that the ground truth itself calls lost, as a trajectory does that serves as ground truth."""
-    known = pair.truth.status != "lost"
-    return pair if known.all() else Pair(pair.ours.take(known), pair.truth.take(known))
 
 
 def _units(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory]) -> dict[str, Unit]:
@@ -176,18 +163,25 @@ def _units(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory
     return found
 
 
-def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], options: Options) -> Measured:
+def _measured(
+    target: str,
+    part: str,
+    every: Sequence[tuple[Pair, Rows]],
+    options: Options,
+    recovery: RecoveryMeasures | None = None,
+) -> Measured:
     rows = [one for _, one in every]
     points = [one for pair, one in every if not pair.is_box]
     boxed = [(pair, one) for pair, one in every if pair.is_box]
     return Measured(
-        target=target,
-        part=part,
-        points=measure_points(points, options.failure) if points else None,
-        boxes=_boxes(boxed, options.size) if boxed else None,
-        lost=measure_lost(rows),
-        confidence=measure_confidence(rows),
-        coverage=measure_coverage(rows),
+        target,
+        part,
+        measure_points(points, options.failure) if points else None,
+        _boxes(boxed, options.size) if boxed else None,
+        recovery,
+        measure_lost(rows),
+        measure_confidence(rows),
+        measure_coverage(rows),
     )
 
 

@@ -1,8 +1,7 @@
 """How far `lost`, `confidence` and the posterior's spread can be trusted, against the ground truth.
 
-Counted are rows, one a frame and part, without those that the tracker was given. A row is *near* if its error is less
-than a sixth of the normalising length (a box: if its IoU is more than 1/2), *covered* if the ground truth calls it
-hidden or absent, *gone* if it is covered or not near.
+Counted are rows, one for each frame and part, without those that the tracker was given. A row is *near* as rows.py has
+it, *covered* if the ground truth calls it hidden or absent, *gone* if it is covered or not near.
 """
 
 from __future__ import annotations
@@ -32,8 +31,7 @@ class LostMeasures:
     precision        of the rows called lost, those covered; `precision_gone`: those gone
     recall           of the covered rows, those called lost; `recall_gone`: of the rows gone
     false_alarms     of the rows visible and near, those called lost
-    tracked_near     of the rows called tracked, those near
-    tracked_visible_near  of the rows called tracked and visible in the ground truth, those near
+    tracked_near     of the rows called tracked, those near; `tracked_visible_near`: of those visible too
     spans            the stretches in which a part is covered; `spans_called`: those in which it is called lost at all
     delay_lost       from the first covered row until a part is called lost: median over the spans in which it is
     delay_back       from a part's return until it is tracked and near: median over the spans after which it is
@@ -94,11 +92,11 @@ class ConfidenceMeasures:
 class CoverageMeasures:
     """Whether the posterior's spread covers the error: visible rows with a known true position, and with a std.
 
-    within_50, within_90  share of rows whose true position lies within the 50 and the 90 % ellipse of a normal
-                          distribution with std_x and std_y along x and y; 0.5 and 0.9 for a correct spread
-    factor                by which the std would have to be multiplied for the 50 % ellipse to hold half of the rows
-    zero_std              rows without spread along x or y, which are within only if they are exactly right there
-    unknown_std           rows left out because they have no std
+    within_..    share of rows whose true position lies within the 50 or 90 % ellipse of a normal distribution with
+                 std_x and std_y along x and y; 0.5 and 0.9 for a correct spread
+    factor       by which the std would have to be multiplied for the 50 % ellipse to hold half of the rows
+    zero_std     rows without spread along x or y, which are within only if they are exactly right there
+    unknown_std  rows left out because they have no std
     """
 
     rows: Annotated[int, Measure("rows\n", COUNT)]

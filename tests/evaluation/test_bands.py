@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.evaluation.goldens import bands, paths, permutation_test
+from facetrack_cli.evaluation.goldens import bands, goldens, permutation_test
 from facetrack_cli.evaluation.goldens.bands import Statistic
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
@@ -196,10 +196,10 @@ def test_together_sees_what_each_statistic_hides():
 
 
 def test_the_first_frame_off_the_path_is_told():
-    recorded = paths.paths(RECORDED)
+    recorded = goldens.paths_of(RECORDED)
     assert list(recorded) == ["face/nose", "face/mouth_left"]
-    assert paths.first_leave(recorded, [run(s) for s in range(4)]) is None
-    leave = paths.first_leave(recorded, [run(s, jump=("mouth_left",)) for s in range(4)])
+    assert goldens.first_leave(recorded, [run(s) for s in range(4)]) is None
+    leave = goldens.first_leave(recorded, [run(s, jump=("mouth_left",)) for s in range(4)])
     assert leave is not None and (leave.frame, leave.series) == (60, "face/mouth_left")
     assert leave.distance == pytest.approx(12, abs=3) and 0.5 <= leave.reach < 5
     assert "frame 60" in str(leave)
@@ -208,7 +208,7 @@ def test_the_first_frame_off_the_path_is_told():
 def test_a_path_where_no_run_has_a_position_is_no_place_to_leave():
     t = np.arange(20)
     gone = [one_part("face", "nose", t, x=np.where(t > 9, math.nan, t), y=t)] * 3
-    recorded = paths.paths(gone)
+    recorded = goldens.paths_of(gone)
     path = recorded["face/nose"]
     assert path.x[10:] == [None] * 10 and None not in path.x[:10] and np.isfinite(path.reach).all()
-    assert paths.first_leave(recorded, gone) is None
+    assert goldens.first_leave(recorded, gone) is None

@@ -15,6 +15,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.evaluation.goldens.bands import QUANTITIES
 from facetrack_cli.evaluation.goldens.goldens import (
+    EVERY,
     File,
     Golden,
     checksum,
@@ -25,7 +26,6 @@ from facetrack_cli.evaluation.goldens.goldens import (
     record,
     write_golden,
 )
-from facetrack_cli.evaluation.goldens.paths import EVERY
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, Recipe, completed, to_dict

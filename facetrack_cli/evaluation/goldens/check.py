@@ -15,17 +15,18 @@ from facetrack_cli.evaluation.goldens.bands import Deviation, Verdict, judge, la
 from facetrack_cli.evaluation.goldens.goldens import (
     FIRST_SEED,
     Golden,
+    Leave,
     beside,
     checksum,
     differences,
     find_goldens,
+    first_leave,
     golden_path,
     read_golden,
     record,
     versions,
     write_golden,
 )
-from facetrack_cli.evaluation.goldens.paths import Leave, first_leave
 from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.gallery_option import put
 from facetrack_cli.recipe.load import load_recipe

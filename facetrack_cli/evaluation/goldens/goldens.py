@@ -14,7 +14,9 @@ import json
 import math
 import os
 import platform
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -29,7 +31,6 @@ from facetrack_cli.core.files import write_new
 from facetrack_cli.core.types import Array, Start
 from facetrack_cli.evaluation.goldens import bands
 from facetrack_cli.evaluation.goldens.bands import QUANTITIES, Name, Statistic, names
-from facetrack_cli.evaluation.goldens.paths import EVERY, PartPath, paths
 from facetrack_cli.trajectory.start import StartRecord, TargetRecord, to_record
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.images import listing
@@ -38,6 +39,10 @@ FOLDER: Final = "goldens"
 FIRST_SEED: Final = 1000  # of those recorded; those tested count from 0
 # settings that change no band; the gallery is a file, whose checksum is compared
 NOT_COMPARED: Final = ("description", "seed", "recognition.gallery")
+HOLD: Final = 3  # frames in a row outside the band that make leaving more than noise
+WIDE: Final = 2.5  # times the median distance of runs from their median: three standard deviations of a normal one
+LEAST_PX: Final = 0.5
+EVERY: Final = 5  # frames that share a reach
 
 
 class _Strict(BaseModel):
@@ -76,6 +81,16 @@ class Row(NamedTuple):
     last: int
     median: int
     offsets: list[int | None]
+
+
+class PartPath(_Strict):
+    """The medians of one part over runs, x and y (T,) in pixels, None where no run has a position, and how far the
+    band reaches around them, one number for each EVERY frames.
+    """
+
+    x: list[float | None]
+    y: list[float | None]
+    reach: list[float]
 
 
 class Golden(_Strict):
@@ -171,7 +186,7 @@ def record(
         frames=(int(frames[0]), int(frames[-1])),
         units={name: QUANTITIES[name].unit for name in dict.fromkeys(one.quantity for one in statistics)},
         statistics=[_row(*each) for each in zip(statistics, recorded.T, strict=True)],
-        paths=paths(tables),
+        paths=paths_of(tables),
     )
 
 
@@ -231,6 +246,64 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _shown(settings: Mapping[str, Any], key: str) -> str:
     return json.dumps(settings[key], ensure_ascii=False) if key in settings else "nothing"
+
+
+# --- paths ---------------------------------------------------------------------------------------------------------
+# they are there to be read: what decides is `bands.py`
+
+
+@dataclass(frozen=True)
+class Leave:
+    """Where runs leave the path: the source frame, the part, its distance, and the band's reach there; pixels."""
+
+    frame: int
+    series: str
+    distance: float
+    reach: float
+
+    def __str__(self) -> str:
+        return (
+            f"leaves its path at frame {self.frame}: {self.distance:.1f} px off, "
+            f"{self.distance / self.reach:.1f} times the band of {self.reach:.1f} px"
+        )
+
+
+def paths_of(tables: Sequence[Trajectory]) -> dict[str, PartPath]:
+    """The paths of runs over the same frames and parts, by `target/part`, in tenths of pixels."""
+    found = {}
+    for i, one in enumerate(tables[0].parts):
+        x, y = _medians(tables, i)
+        away = np.hypot([t.parts[i].x - x for t in tables], [t.parts[i].y - y for t in tables])
+        reach = np.nan_to_num(np.maximum(WIDE * _median(away), LEAST_PX), nan=LEAST_PX)
+        widest = np.maximum.reduceat(reach, np.arange(0, len(reach), EVERY))
+        mx, my = ([None if np.isnan(v) else v for v in np.round(axis, 1).tolist()] for axis in (x, y))
+        found[one.name] = PartPath(x=mx, y=my, reach=np.round(widest, 1).tolist())
+    return found
+
+
+def first_leave(recorded: Mapping[str, PartPath], tables: Sequence[Trajectory]) -> Leave | None:
+    """Where the median of these runs first leaves the band of a path, for HOLD frames in a row; None if it does not."""
+    leaves = []
+    for i, (name, path) in enumerate(recorded.items()):
+        x, y = _medians(tables, i)
+        distance = np.hypot(x - np.array(path.x, float), y - np.array(path.y, float))
+        reach = np.repeat(path.reach, EVERY)[: len(distance)]
+        held = np.convolve(distance > reach, np.ones(HOLD))[HOLD - 1 :] == HOLD
+        if held.any():
+            at = int(held.argmax())
+            leaves.append(Leave(int(tables[0].parts[i].frame[at]), name, float(distance[at]), float(reach[at])))
+    return min(leaves, key=lambda leave: leave.frame, default=None)
+
+
+def _medians(tables: Sequence[Trajectory], i: int) -> tuple[Array, Array]:
+    return _median(np.array([t.parts[i].x for t in tables])), _median(np.array([t.parts[i].y for t in tables]))
+
+
+def _median(values: Array) -> Array:
+    """Over runs (S, T) -> (T,), nan where none has a value."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # no run has one
+        return np.asarray(np.nanmedian(values, axis=0))
 
 
 # --- files ---------------------------------------------------------------------------------------------------------
