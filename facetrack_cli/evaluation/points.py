@@ -1,6 +1,6 @@
 """Errors of points against the ground truth, and the recovery of parts after occlusions.
 
-Errors are Euclidean distances in pixels; a *normalised* error is divided by a length of the ground truth (units.py).
+Errors are Euclidean distances in pixels; a *normalised* error is divided by a length of the ground truth (rows.py).
 Failure rate and AUC are those of the facial landmark literature (300-W, COFW, WFLW), with a row for an image.
 """
 

@@ -27,7 +27,7 @@ from facetrack_cli.evaluation.points import (
     measure_recovery,
     occlusions,
 )
-from facetrack_cli.evaluation.rows import Pair, Rows, column, rows_of
+from facetrack_cli.evaluation.rows import Pair, Rows, Unit, check_normalise, column, rows_of, unit_of
 from facetrack_cli.evaluation.trust import (
     ConfidenceMeasures,
     CoverageMeasures,
@@ -36,13 +36,12 @@ from facetrack_cli.evaluation.trust import (
     measure_coverage,
     measure_lost,
 )
-from facetrack_cli.evaluation.units import Unit, check_normalise, unit_of
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 
 @dataclass(frozen=True)
 class Options:
-    """`normalise`: by what errors are divided (units.py); `failure`: the normalised error above which a row failed;
+    """`normalise`: by what errors are divided (`check_normalise`); `failure`: the normalised error above which a row failed;
     `size`: (width, height) of the frames where it is known, to which GOT-10k and VOT clip boxes.
     """
 
@@ -136,7 +135,7 @@ def evaluate(
     every = [(pair, rows_of(pair, units[pair.ours.target].at(pair.ours.frame))) for pair in pairs]
     rows = tuple(one for _, one in every)
     found = occlusions(rows)
-    whole = _measured("all", "", every, options, measure_recovery(found))
+    whole = replace(_measured("all", "", every, options), occlusions=measure_recovery(found))
     parts = tuple(_measured(one.target, one.part, [(pair, one)], options) for pair, one in every)
     texts = {target: unit.text for target, unit in units.items()}
     evaluation = Evaluation(options, rows, texts, parts, whole, found, ())
@@ -163,13 +162,7 @@ def _units(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory
     return found
 
 
-def _measured(
-    target: str,
-    part: str,
-    every: Sequence[tuple[Pair, Rows]],
-    options: Options,
-    recovery: RecoveryMeasures | None = None,
-) -> Measured:
+def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], options: Options) -> Measured:
     rows = [one for _, one in every]
     points = [one for pair, one in every if not pair.is_box]
     boxed = [(pair, one) for pair, one in every if pair.is_box]
@@ -178,7 +171,7 @@ def _measured(
         part,
         measure_points(points, options.failure) if points else None,
         _boxes(boxed, options.size) if boxed else None,
-        recovery,
+        None,
         measure_lost(rows),
         measure_confidence(rows),
         measure_coverage(rows),

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.evaluation.points import auc, lost_for_good, measure_points, measure_recovery, occlusions
-from facetrack_cli.evaluation.rows import Pair, rows_of
-from facetrack_cli.evaluation.units import check_normalise, unit_of
+from facetrack_cli.evaluation.rows import Pair, check_normalise, rows_of, unit_of
 from facetrack_cli.trajectory.trajectory import one_part
 
 UNIT = 12.0  # a sixth of it, within which a point is near, is 2; a quarter, beyond which it is lost for good, is 3

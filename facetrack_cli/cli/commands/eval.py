@@ -116,8 +116,8 @@ def command(
     from facetrack_cli.core.files import check_new
     from facetrack_cli.evaluation.match import match
     from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
+    from facetrack_cli.evaluation.rows import check_normalise
     from facetrack_cli.evaluation.summary import Options, evaluate
-    from facetrack_cli.evaluation.units import check_normalise
     from facetrack_cli.trajectory.formats.read import read_results, read_truth
     from facetrack_cli.trajectory.header import clip_of, picture_of
 

@@ -14,7 +14,6 @@ import json
 import math
 import os
 import platform
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +30,7 @@ from facetrack_cli.core.files import write_new
 from facetrack_cli.core.types import Array, Start
 from facetrack_cli.evaluation.goldens import bands
 from facetrack_cli.evaluation.goldens.bands import QUANTITIES, Name, Statistic, names
+from facetrack_cli.evaluation.goldens.permutation_test import median_of_runs
 from facetrack_cli.trajectory.start import StartRecord, TargetRecord, to_record
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.images import listing
@@ -274,7 +274,7 @@ def paths_of(tables: Sequence[Trajectory]) -> dict[str, PartPath]:
     for i, one in enumerate(tables[0].parts):
         x, y = _medians(tables, i)
         away = np.hypot([t.parts[i].x - x for t in tables], [t.parts[i].y - y for t in tables])
-        reach = np.nan_to_num(np.maximum(WIDE * _median(away), LEAST_PX), nan=LEAST_PX)
+        reach = np.nan_to_num(np.maximum(WIDE * median_of_runs(away), LEAST_PX), nan=LEAST_PX)
         widest = np.maximum.reduceat(reach, np.arange(0, len(reach), EVERY))
         mx, my = ([None if np.isnan(v) else v for v in np.round(axis, 1).tolist()] for axis in (x, y))
         found[one.name] = PartPath(x=mx, y=my, reach=np.round(widest, 1).tolist())
@@ -296,14 +296,9 @@ def first_leave(recorded: Mapping[str, PartPath], tables: Sequence[Trajectory]) 
 
 
 def _medians(tables: Sequence[Trajectory], i: int) -> tuple[Array, Array]:
-    return _median(np.array([t.parts[i].x for t in tables])), _median(np.array([t.parts[i].y for t in tables]))
-
-
-def _median(values: Array) -> Array:
-    """Over runs (S, T) -> (T,), nan where none has a value."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # no run has one
-        return np.asarray(np.nanmedian(values, axis=0))
+    return median_of_runs(np.array([t.parts[i].x for t in tables])), median_of_runs(
+        np.array([t.parts[i].y for t in tables])
+    )
 
 
 # --- files ---------------------------------------------------------------------------------------------------------
