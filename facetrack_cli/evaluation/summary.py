@@ -41,8 +41,8 @@ from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 @dataclass(frozen=True)
 class Options:
-    """`normalise`: by what errors are divided (`check_normalise`); `failure`: the normalised error above which a row failed;
-    `size`: (width, height) of the frames where it is known, to which GOT-10k and VOT clip boxes.
+    """`normalise`: see `check_normalise`; `failure`: the normalised error above which a row has failed; `size`: (width,
+    height) of the frames where it is known, to which GOT-10k and VOT clip boxes.
     """
 
     normalise: str = "size"

@@ -296,9 +296,8 @@ def first_leave(recorded: Mapping[str, PartPath], tables: Sequence[Trajectory]) 
 
 
 def _medians(tables: Sequence[Trajectory], i: int) -> tuple[Array, Array]:
-    return median_of_runs(np.array([t.parts[i].x for t in tables])), median_of_runs(
-        np.array([t.parts[i].y for t in tables])
-    )
+    parts = [table.parts[i] for table in tables]
+    return median_of_runs(np.array([one.x for one in parts])), median_of_runs(np.array([one.y for one in parts]))
 
 
 # --- files ---------------------------------------------------------------------------------------------------------
