@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from rich.console import Console
 from rich.table import Table
@@ -113,15 +113,8 @@ _TABLES: Final = {
 
 def to_text(evaluation: Evaluation, about: About, *, colour: bool = False) -> str:
     """All tables; with `colour`, with the escapes of a terminal."""
-    console = Console(
-        file=io.StringIO(),
-        width=WIDTH,
-        force_terminal=colour,
-        color_system="standard" if colour else None,
-        markup=False,
-        highlight=False,
-        emoji=False,
-    )
+    system: Literal["standard"] | None = "standard" if colour else None
+    console = Console(width=WIDTH, force_terminal=colour, color_system=system, markup=False, emoji=False)
     with console.capture() as captured:
         for block in _blocks(evaluation, about):
             console.print(block, soft_wrap=isinstance(block, Text))

@@ -1,9 +1,7 @@
 """Whether runs of a tracker still belong with those recorded before: statistics of a run, and their bands.
 
-    statistics = choose(tables)                          # what to measure in a run of this clip
-    recorded = measure(tables, statistics)               # (S, F), one row for each seed
-    verdict = judge(statistics, recorded, measure(new, statistics))
-    verdict.passed, verdict.deviations
+    statistics = choose(tables)
+    verdict = judge(statistics, measure(tables, statistics), measure(new, statistics))
 
 A single position says little: seeds differ, and rounding on another processor changes a run as another seed does. A
 statistic averages over a span of frames of one part: mean x and y over about 25 frames; over a quarter of the clip mean
@@ -113,21 +111,25 @@ class Deviation:
 
     @property
     def change(self) -> str:
-        """`mean std_x +12 %`, of an overall statistic."""
-        q = QUANTITIES[self.statistic.quantity]
-        return f"{q.words} {self._number(self.value)}{q.suffix if q.offset is None else ' %'}"
+        """The statistic and its value, as `mean std_x +12 %`."""
+        return f"{QUANTITIES[self.statistic.quantity].words} {self._number(self.value)}{self._suffix}"
 
     def __str__(self) -> str:
         if self.together:
             return f"{', '.join(one.change for one in self.together)} against the recorded, which do not go together"
-        q, value, low, high = QUANTITIES[self.statistic.quantity], *map(self._number, (self.value, self.low, self.high))
-        if not self.relative:
-            return f"{q.words} {value}{q.suffix}, band {low}..{high}"
-        return f"{self.change} against the recorded, band {low}..{high}{q.suffix if q.offset is None else ' %'}"
+        band = f"band {self._number(self.low)}..{self._number(self.high)}"
+        return (
+            f"{self.change} against the recorded, {band}{self._suffix}" if self.relative else f"{self.change}, {band}"
+        )
+
+    @property
+    def _suffix(self) -> str:
+        q = QUANTITIES[self.statistic.quantity]
+        return " %" if self.relative and q.offset is not None else q.suffix
 
     def _number(self, value: float) -> str:
         """With the decimals that show a band of this width; a ratio as a change in percent."""
-        if self.relative and QUANTITIES[self.statistic.quantity].offset is not None:
+        if self._suffix == " %":
             return f"{100 * (value - 1):+.0f}"
         digits = min(max(1 - math.floor(math.log10(max(self.high - self.low, 1e-6))), 0), 4)
         return f"{value:{'+' if self.relative else ''}.{digits}f}"

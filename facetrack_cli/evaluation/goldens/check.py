@@ -213,14 +213,17 @@ def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) ->
         return result("ok", message, tuple(notes), verdict=verdict)
     leave = first_leave(golden.paths, tables)
     quantities = {one.statistic.quantity for one in verdict.deviations}
-    lines = [f"{_where(golden, one)}: {one}" for one in _shown(verdict)]
+    lines = []
+    for one in _shown(verdict):
+        _, series, first, last = one.statistic
+        lines.append(f"frames {first}-{last}, {golden.short(series) if series else 'all parts'}: {one}")
     if leave is not None:
         lines.insert(1, f"{golden.short(leave.series)} {leave}")
     elif not quantities & {"x", "y"}:
         lines.insert(1, "no part leaves its path; positions are as recorded")
     if names(tables) != golden.names or "identity" in quantities:
-        one = len(golden.names) == 1
-        recorded = ", ".join(golden.names.values() if one else map(": ".join, golden.names.items()))
+        named = golden.names
+        recorded = ", ".join(named.values() if len(named) == 1 else map(": ".join, named.items()))
         lines.append(f"recorded was {recorded or 'nobody'}; now it is {who or 'nobody'}")
     now = versions()
     other = [f"{key} {was} -> {now.get(key, 'none')}" for key, was in golden.versions.items() if now.get(key) != was]
@@ -234,11 +237,6 @@ def _shown(verdict: Verdict) -> list[Deviation]:
     """The deviations to show: the farthest of a span, the farthest overall, and the joint one if it stands alone."""
     families = {one.family: one for one in reversed(verdict.deviations)}
     return [families[name] for name in ("local", "overall") if name in families] or list(verdict.deviations[:1])
-
-
-def _where(golden: Golden, one: Deviation) -> str:
-    series = one.statistic.series
-    return f"frames {one.statistic.first}-{one.statistic.last}, {golden.short(series) if series else 'all parts'}"
 
 
 def _other_shape(golden: Golden, table: Trajectory) -> str:

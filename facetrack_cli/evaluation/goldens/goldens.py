@@ -9,12 +9,13 @@ averages so). `paths` are the medians of x and y in every frame. What it takes t
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import metadata
@@ -206,10 +207,8 @@ def versions() -> dict[str, str]:
     """Of what a track's numbers depend on."""
     found = {"facetrack": __version__, "python": platform.python_version(), "machine": platform.machine()}
     for name in ("numpy", "numba", "opencv-python-headless", "opencv-contrib-python-headless"):
-        try:
+        with contextlib.suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return found
 
 
@@ -229,23 +228,18 @@ def checksum(clip: Path) -> str:
 
 def differences(recorded: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Settings that differ, as `filter.particles 100 -> 200`."""
-    before, after = _flat(recorded), _flat(now)
-    keys = [key for key in dict.fromkeys([*before, *after]) if key not in NOT_COMPARED]
-    return [f"{key} {_shown(before, key)} -> {_shown(after, key)}" for key in keys if before.get(key) != after.get(key)]
+    both = [dict(_flat(settings)) for settings in (recorded, now)]
+    keys = [key for key in both[0] | both[1] if both[0].get(key) != both[1].get(key) and key not in NOT_COMPARED]
+    shown = [[json.dumps(one[k], ensure_ascii=False) if k in one else "nothing" for one in both] for k in keys]
+    return [f"{key} {before} -> {after}" for key, (before, after) in zip(keys, shown, strict=True)]
 
 
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    out: dict[str, Any] = {}
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     for key, value in settings.items():
         if isinstance(value, Mapping):
-            out |= _flat(value, f"{prefix}{key}.")
+            yield from _flat(value, f"{prefix}{key}.")
         elif value is not None:  # a section that is left out is as good as null
-            out[f"{prefix}{key}"] = value
-    return out
-
-
-def _shown(settings: Mapping[str, Any], key: str) -> str:
-    return json.dumps(settings[key], ensure_ascii=False) if key in settings else "nothing"
+            yield f"{prefix}{key}", value
 
 
 # --- paths ---------------------------------------------------------------------------------------------------------
@@ -262,10 +256,8 @@ class Leave:
     reach: float
 
     def __str__(self) -> str:
-        return (
-            f"leaves its path at frame {self.frame}: {self.distance:.1f} px off, "
-            f"{self.distance / self.reach:.1f} times the band of {self.reach:.1f} px"
-        )
+        times = f"{self.distance / self.reach:.1f} times the band of {self.reach:.1f} px"
+        return f"leaves its path at frame {self.frame}: {self.distance:.1f} px off, {times}"
 
 
 def paths_of(tables: Sequence[Trajectory]) -> dict[str, PartPath]:
