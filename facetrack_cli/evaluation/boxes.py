@@ -96,8 +96,7 @@ def within(ours: Array, truth: Array, share: float = 0.5) -> Mask:
     0.5 is the true box itself, border included: these rows are what we take the good tracking rate of Gonzalez and
     Collet to count (table 1, which does not define it). 0.25 is our strict form. False where one of them has nan.
     """
-    inside: Mask = np.all(np.abs(_centres(ours) - _centres(truth)) <= truth[:, 2:] * share, axis=1)
-    return inside
+    return np.asarray(np.all(np.abs(_centres(ours) - _centres(truth)) <= truth[:, 2:] * share, axis=1))
 
 
 def share_above(values: Array, thresholds: Array) -> Array:
@@ -179,18 +178,15 @@ def measure_boxes(
 
 
 def _centres(boxes: Array) -> Array:
-    centres: Array = boxes[:, :2] + (boxes[:, 2:] - 1.0) / 2.0
-    return centres
+    return np.asarray(boxes[:, :2] + (boxes[:, 2:] - 1.0) / 2.0)
 
 
 def _length(offsets: Array) -> Array:
-    length: Array = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
-    return length
+    return np.asarray(np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2))
 
 
 def _shares(counts: Whole, of: int) -> Array:
-    shares: Array = counts / of if of else np.full(len(counts), np.nan)
-    return shares
+    return np.asarray(counts / of) if of else np.full(len(counts), np.nan)
 
 
 # --- regions of VOT ----------------------------------------------------------------------------------------------

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -274,8 +275,21 @@ def update(
 
     def prepare(clip: Path, config: str, known: Golden | None) -> Plan:
         recipe = _recognising(load_recipe(config), folder, known, gallery)
+        _check_runs_here(recipe)
         last = known.stop if known is not None and not configs and stop is None else stop
-        return _plan(clip, recipe, seeds, last, stopped or Stop())
+        start = find_plan_start(clip, recipe, stop=last, stopped=stopped or Stop())
+        boxed = all(target.box for target in start.targets.values())
+        missing = [part for part in recipe.points if any(part not in one.points for one in start.targets.values())]
+        why = ""
+        if missing:
+            why = f"has no point for {', '.join(missing)}, which the recipe follows"
+            why += "; a recipe of regions, as contour_histogram, follows its boxes" if boxed else ""
+        elif not recipe.points and not boxed:
+            why = "has no box, which the recipe follows; one of points, as factorized, may do"
+        if why:
+            raise _SkippedError(f"{start.origin}: {why}")
+        numbers = tuple(range(FIRST_SEED, FIRST_SEED + seeds))
+        return Plan(f"{clip.stem}.{recipe.name}", clip, recipe, start, numbers, last)
 
     jobs = []
     for clip, config, known in _asked(folder, configs):
@@ -318,29 +332,11 @@ def _asked(folder: Path, configs: Sequence[str]) -> list[tuple[Path, str, Golden
     twice = [name for name, count in Counter(clip.stem for clip in clips).items() if count > 1]
     if twice:
         raise UsageError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
-    return [(clip, config, _known(folder, clip, config)) for clip in clips for config in configs]
-
-
-def _known(folder: Path, clip: Path, config: str) -> Golden | None:
-    """The golden that is to be replaced, if there is one that can be read."""
-    try:
-        return read_golden(golden_path(folder, clip.name, Path(config).name.removesuffix(".yaml")))
-    except InputError:
-        return None
-
-
-def _plan(clip: Path, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> Plan:
-    _check_runs_here(recipe)
-    start = find_plan_start(clip, recipe, stop=stop, stopped=stopped)
-    targets = start.targets.values()
-    boxed = all(target.box for target in targets)
-    missing = [part for part in recipe.points if any(part not in target.points for target in targets)]
-    if missing:
-        remedy = "; a recipe of regions, as contour_histogram, follows its boxes" if boxed else ""
-        raise _SkippedError(f"{start.origin}: has no point for {', '.join(missing)}, which the recipe follows{remedy}")
-    if not recipe.points and not boxed:
-        raise _SkippedError(
-            f"{start.origin}: has no box, which the recipe follows; one of points, as factorized, may do"
-        )
-    label, numbers = f"{clip.stem}.{recipe.name}", tuple(range(FIRST_SEED, FIRST_SEED + seeds))
-    return Plan(label, clip, recipe, start, numbers, stop)
+    found: list[tuple[Path, str, Golden | None]] = []
+    for clip, config in itertools.product(clips, configs):
+        path = golden_path(folder, clip.name, Path(config).name.removesuffix(".yaml"))
+        known = None
+        with suppress(InputError):  # it may be that there is none yet, or none that can be read
+            known = read_golden(path)
+        found.append((clip, config, known))
+    return found
