@@ -118,7 +118,7 @@ def tracker_of(golden: Golden, case: Case) -> Tracker | None:
         recipe = load_recipe(golden.recipe, _changes(recipe, case))
     elif case.must_fail:
         return None
-    tracker = build_tracker(recipe, golden.start)
+    tracker = build_tracker(recipe, golden.start.start_from("golden"))
     if not case.shift:
         return tracker
     return tuple(replace(t, likelihood=Shifted(t.likelihood)) if isinstance(t, ParticleTarget) else t for t in tracker)
@@ -142,7 +142,7 @@ def one_run(folder: Path, path: Path, case: Case, seed: int) -> Array | None:
     tracker = tracker_of(golden, case)
     if tracker is None:
         return None
-    clip = folder / golden.clip
+    clip = folder / golden.clip.file
     results = track(tracker, frames_of(clip, golden, case.noise, seed), seed)
     collected = Collector()
     for result in results:
@@ -153,7 +153,7 @@ def one_run(folder: Path, path: Path, case: Case, seed: int) -> Array | None:
 
 def cell(golden: Golden, case: Case, runs: Array) -> tuple[str, int, bool]:
     """What to print, how many groups were judged, and whether they were as they must be."""
-    k = golden.tested
+    k = golden.seeds.tested
     groups = [runs[i : i + k] for i in range(0, len(runs) - k + 1, k)]
     verdicts = [judge(golden.statistics, golden.recorded, group) for group in groups]
     failed = sum(not v.passed for v in verdicts)
@@ -179,7 +179,7 @@ def main() -> None:
             golden = read_golden(path)
             cells = []
             for case in CASES:
-                count = golden.tested * (given.groups if case is CASES[0] else max(given.groups // 4, 1))
+                count = golden.seeds.tested * (given.groups if case is CASES[0] else max(given.groups // 4, 1))
                 seeds = range(FIRST_SEED, FIRST_SEED + count)
                 runs = [r for r in pool.map(partial(one_run, given.folder, path, case), seeds) if r is not None]
                 if not runs:
@@ -189,8 +189,8 @@ def main() -> None:
                 cells.append(text)
                 good &= right
                 passed += 0 if case.must_fail else groups
-            name = Path(golden.recipe).stem
-            print(f"| {Path(golden.clip).stem} | {name} | {golden.tested} | " + " | ".join(cells) + " |", flush=True)
+            name, k = Path(golden.recipe).stem, golden.seeds.tested
+            print(f"| {Path(golden.clip.file).stem} | {name} | {k} | " + " | ".join(cells) + " |", flush=True)
     print(f"\n{'as it must be' if good else 'NOT as it must be'}; {passed} groups that must pass")
     raise SystemExit(0 if good else 1)
 

@@ -3,17 +3,17 @@
     measures = measure_boxes(ours, truth, visible=visible, size=(1280, 720))
     measures.success_auc, measures.ao, measures.vot_accuracy
 
-Boxes are (T, 4): left, top, width, height in pixels, one row a frame; the centre is left + (width - 1) / 2. What is not
-known is nan. Three rules hold for every measure:
+Boxes are (T, 4): left, top, width, height in pixels, one row for each frame; the centre is left + (width - 1) / 2. What
+is not known is nan. Three rules hold for every measure:
 
 - A row counts when its ground truth is known: `visible`, and no nan in its box. The others are left out.
 - A row that counts and has no box of ours is a miss: overlap 0, infinite error of the centre.
 - The toolkits' arithmetic is followed to the last bit, since comparisons with thresholds depend on it.
 
 Where the toolkits differ from that: got10k 0.1.3 counts a row without ground truth as a failure in its OTB experiment
-(in its GOT-10k experiment, and in the LaSOT experiment of its later sources, such rows are left out), and its AO is nan
-as soon as one prediction is nan. vot-toolkit leaves out rows without ground truth, but also rows without a prediction,
-unless it is given `ignore_unknown: False`, as in VOTS.
+(its GOT-10k experiment, and the LaSOT experiment of later sources, leave such rows out), and its AO is nan as soon as
+one prediction is nan. vot-toolkit leaves out rows without ground truth, but also rows without a prediction, unless it
+is given `ignore_unknown: False`, as in VOTS.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ import numpy as np
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.measure import COUNT, PERCENT, UNIT, Measure, Value, mean
-from facetrack_cli.evaluation.raster import vot_overlaps
 
 SUCCESS_THRESHOLDS: Array = np.linspace(0.0, 1.0, 21)  # overlap; OTB
 PRECISION_THRESHOLDS: Array = np.arange(51.0)  # pixels
@@ -47,8 +46,7 @@ class BoxMeasures:
                     (Müller et al. 2018; Fan et al. 2019), as LaSOT's table and got10k report; `normalised_20` is at 0.2
     ao, sr50, sr75  mean IoU, and the shares strictly above 0.5 and 0.75 (Huang, Zhao and Huang 2019; got10k's
                     ExperimentGOT10k); `got10k_success` is its curve over GOT10K_THRESHOLDS
-    vot_accuracy    mean overlap of rasterised regions (`raster.vot_overlaps`; vot-toolkit's SequenceAccuracy; Kristan
-                    et al. 2016)
+    vot_accuracy    mean of `vot_overlaps` (vot-toolkit's SequenceAccuracy; Kristan et al. 2016)
     good_rate, strict_rate  share of rows `within` 0.5 and 0.25 of the box
     hidden_rows     hidden rows with a true box, which no other measure counts; `hidden_overlap` is their mean IoU
 
@@ -87,7 +85,7 @@ def normalised_errors(ours: Array, truth: Array) -> Array:
     """(T,) distance of the centres, each axis in widths and heights of the true box.
 
     The normalised precision of TrackingNet (Müller et al. 2018) and LaSOT (Fan et al. 2019). Sides below one pixel
-    count as one, as in got10k's `normalized_center_error` of its later sources; 0.1.3 on PyPI is without it.
+    count as one, as in `normalized_center_error` of got10k's later sources; 0.1.3 on PyPI does not have it.
     """
     return _length((_centres(ours) - _centres(truth)) / np.maximum(1.0, truth[:, 2:]))
 
@@ -98,8 +96,7 @@ def within(ours: Array, truth: Array, share: float = 0.5) -> Mask:
     0.5 is the true box itself, border included: these rows are what we take the good tracking rate of Gonzalez and
     Collet to count (table 1, which does not define it). 0.25 is our strict form. False where one of them has nan.
     """
-    inside: Mask = np.all(np.abs(_centres(ours) - _centres(truth)) <= truth[:, 2:] * share, axis=1)
-    return inside
+    return np.asarray(np.all(np.abs(_centres(ours) - _centres(truth)) <= truth[:, 2:] * share, axis=1))
 
 
 def share_above(values: Array, thresholds: Array) -> Array:
@@ -126,9 +123,9 @@ def measure_boxes(
     """All measures of boxes `ours` against `truth`, (T, 4) each, row by row of the same frames.
 
     visible, hidden: (T,) what the ground truth says of each row; by default all rows are visible.
-    init: (T,) rows that the tracker was given, which say nothing about it; by default the first. OTB's experiment puts
-    the ground truth there (overlap 1, error 0), and so does the good tracking rate here; GOT-10k and VOT leave them out
-    (VOT: the burn-in of 1 of the unsupervised experiments of VOT-ST2020 to 2022).
+    init: (T,) rows that the tracker was given; by default the first. OTB's experiment puts the ground truth there
+    (overlap 1, error 0), and so does the good tracking rate here; GOT-10k and VOT leave them out (VOT: the burn-in of 1
+    of the unsupervised experiments of VOT-ST2020 to 2022).
     our_corners, true_corners: (T, 4, 2) polygons, which VOT takes in place of the boxes where they are not nan.
     size: (width, height) of the frames, for GOT-10k and VOT, which both clip to it; without it nothing is clipped.
 
@@ -137,17 +134,19 @@ def measure_boxes(
     ours, truth = np.asarray(ours, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     if ours.shape != truth.shape or ours.ndim != 2 or ours.shape[1] != 4:
         raise ValueError(f"boxes are (T, 4) and as many as those of the truth, not {ours.shape} and {truth.shape}")
-    known, there = _known(truth), _known(ours)
+    known = np.isfinite(truth).all(axis=1)
     counts = known if visible is None else known & visible
     given: Mask = np.asarray(np.arange(len(ours)) == 0 if init is None else init)
     covered = np.zeros_like(known) if hidden is None else known & hidden
     later = counts & ~given
     # nan all over, so that no half of a box is compared with anything
-    ours = np.where(there[:, None], ours, np.nan)
+    ours = np.where(np.isfinite(ours).all(axis=1, keepdims=True), ours, np.nan)
     otb = np.where(given[:, None], truth, ours)
 
     overlap = np.where(counts, np.nan_to_num(iou(otb, truth)), np.nan)
-    distance, normalised = (_missed(errors(otb, truth)) for errors in (centre_errors, normalised_errors))
+    distance, normalised = (
+        np.where(np.isnan(one), np.inf, one) for one in (centre_errors(otb, truth), normalised_errors(otb, truth))
+    )
     success = share_above(overlap[counts], SUCCESS_THRESHOLDS)
     precision = share_up_to(distance[counts], PRECISION_THRESHOLDS)
     normalised_precision = share_up_to(normalised[counts], NORMALISED_THRESHOLDS)
@@ -178,25 +177,88 @@ def measure_boxes(
     )
 
 
-def _known(boxes: Array) -> Mask:
-    return np.asarray(np.isfinite(boxes).all(axis=1))
-
-
-def _missed(errors: Array) -> Array:
-    """Infinite errors of rows without a box of ours."""
-    return np.where(np.isnan(errors), np.inf, errors)
-
-
 def _centres(boxes: Array) -> Array:
-    centres: Array = boxes[:, :2] + (boxes[:, 2:] - 1.0) / 2.0
-    return centres
+    return np.asarray(boxes[:, :2] + (boxes[:, 2:] - 1.0) / 2.0)
 
 
 def _length(offsets: Array) -> Array:
-    length: Array = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
-    return length
+    return np.asarray(np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2))
 
 
 def _shares(counts: Whole, of: int) -> Array:
-    shares: Array = counts / of if of else np.full(len(counts), np.nan)
-    return shares
+    return np.asarray(counts / of) if of else np.full(len(counts), np.nan)
+
+
+# --- regions of VOT ----------------------------------------------------------------------------------------------
+
+
+def vot_overlaps(
+    ours: Array,
+    truth: Array,
+    our_corners: Array | None = None,
+    true_corners: Array | None = None,
+    size: tuple[int, int] | None = None,
+) -> Array:
+    """(T,) overlap 0..1 of boxes (T, 4), or of polygons (T, 4, 2) where there are corners without nan, as VOT has it.
+
+    A row without a region of ours (nan) has 0; one without truth has nan. vot-toolkit
+    (`vot.region.raster.calculate_overlap`) makes float32 of all numbers, rounds them to whole pixels (halves to the
+    even one), paints both regions and counts. What follows from that, and is followed here:
+
+    - A rectangle [left, top, w, h] covers columns round(left) .. round(left) + round(w) - 1.
+    - A polygon covers the pixels of its border too: one over the corners of a rectangle has a row and a column more.
+    - With `size` only pixels of the frame count.
+    - Where the upright rectangle around both regions is not at least 2 by 2 pixels, the overlap is 1: of lines in one
+      column, or of two empty boxes at one place. Where only its part within the frame is not, the overlap is 0.
+
+    Two oddities are not followed. Without `size` (its analyses always pass it) vot-toolkit counts wrongly where a
+    rectangle has negative coordinates, since it cuts the mask at the absolute coordinate. And it takes a missing region
+    for one at the frame's corner, so that the rectangle around it and truth there can be less than 2 by 2, and their
+    overlap 1; here it is 0.
+    """
+    a, a_low, a_high, a_polygon = _regions(ours, our_corners)
+    b, b_low, b_high, b_polygon = _regions(truth, true_corners)
+    low, high = np.minimum(a_low, b_low), np.maximum(a_high, b_high)
+    degenerate = ~(low < high).all(axis=1)
+    if size is not None:
+        low, high = np.maximum(low, 0.0), np.minimum(high, np.array(size, dtype=np.float64) - 1.0)
+
+    def count(first: Array, last: Array) -> Array:
+        sides = np.minimum(last, high) - np.maximum(first, low) + 1.0
+        return np.asarray(np.prod(np.maximum(sides, 0.0), axis=1))
+
+    shared = count(np.maximum(a_low, b_low), np.minimum(a_high, b_high))
+    union = count(a_low, a_high) + count(b_low, b_high) - shared
+    missing, unknown = np.isnan(a).any(axis=(1, 2)), np.isnan(b).any(axis=(1, 2))
+    if (other := (a_polygon | b_polygon) & ~missing & ~unknown).any():
+        # numba takes a quarter of a second to load, and most truth is of rectangles
+        from facetrack_cli.tracking.kernels.polygons import count_pixels
+
+        pixels = np.empty((int(other.sum()), 2))
+        around = np.concatenate([low, high], axis=1)[other]
+        count_pixels(a[other], a_polygon[other], b[other], b_polygon[other], around, pixels)
+        shared[other], union[other] = pixels.T
+    found = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0.0)
+    found[(low >= high).any(axis=1)] = 0.0
+    found[degenerate] = 1.0
+    found[missing] = 0.0
+    found[unknown] = np.nan
+    return found
+
+
+def _regions(boxes: Array, corners: Array | None) -> tuple[Array, Array, Array, Mask]:
+    """(T, 4, 2) corners on whole pixels, of rectangles their outermost pixels; (T, 2) first column and row, and last
+    ones; and (T,) whether it is a polygon. An empty rectangle ends before it begins, and is not turned round.
+    """
+    with np.errstate(over="ignore"):
+        left, top, w, h = np.round(np.asarray(boxes, dtype=np.float64).astype(np.float32)).T
+        # the sum is one of float32, which matters from 2 ** 24 on
+        right, bottom = (left + w).astype(np.float64) - 1.0, (top + h).astype(np.float64) - 1.0
+    region = np.stack([left, top, right, top, right, bottom, left, bottom], axis=1).astype(np.float64).reshape(-1, 4, 2)
+    if corners is None:
+        return region, region[:, 0], region[:, 2], np.zeros(len(boxes), dtype=np.bool_)
+    polygons = np.round(np.asarray(corners, dtype=np.float64).astype(np.float32)).astype(np.float64)
+    there: Mask = np.asarray(np.isfinite(polygons).all(axis=(1, 2)))
+    low = np.where(there[:, None], polygons.min(axis=1), region[:, 0])
+    high = np.where(there[:, None], polygons.max(axis=1), region[:, 2])
+    return np.where(there[:, None, None], polygons, region), low, high, there

@@ -19,7 +19,6 @@ from facetrack_cli.core.types import Array, Mask
 
 Value: TypeAlias = float | int | None
 """A measured value; None where it is not defined, as the precision of nothing."""
-Better: TypeAlias = Literal["more", "less"] | None
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Measure:
 
     title: str
     write: Callable[[float], str]
-    better: Better = None
+    better: Literal["more", "less"] | None = None
     rare: bool = False
 
 
@@ -62,5 +61,4 @@ def median(values: Array) -> Value:
 
 def share(of: Mask, those: Mask) -> Value:
     """How much of `of` is also `those`, 0 to 1; None if there is nothing to count."""
-    count = int(np.sum(of))
-    return float(np.sum(of & those) / count) if count else None
+    return mean(those[of])

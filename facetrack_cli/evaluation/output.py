@@ -6,12 +6,11 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -21,10 +20,13 @@ from facetrack_cli.evaluation.measure import HALVES, PERCENT, measures_of
 from facetrack_cli.evaluation.points import HELD
 from facetrack_cli.evaluation.rows import NEAR_IOU
 from facetrack_cli.evaluation.summary import GROUPS, MEASURES, Evaluation, Measured
+from facetrack_cli.evaluation.trust import CalibrationBin
 
-SCHEMA: Final = "facetrack-evaluation"
-VERSION: Final = 1
 CURVES: Final = ("success", "precision", "normalised_precision")
+WIDTH: Final = 200  # more than any table takes: lines are never cut
+MANY: Final = 12  # parts; of more, the tables of trust show all together alone
+MOST: Final = 20  # occlusions that are listed
+DASH: Final = "\N{EN DASH}"
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,8 @@ def to_json(evaluation: Evaluation, about: About) -> str:
     """Figures stand below the first words of their names, as `all.points.mean_px`; what is not defined is null."""
     options, frames = evaluation.options, evaluation.frames
     whole = {
-        "schema": SCHEMA,
-        "version": VERSION,
+        "schema": "facetrack-evaluation",
+        "version": 1,
         "facetrack": __version__,
         "trajectory": str(about.trajectory),
         **({"trajectory_read_as": about.results_read_as} if about.results_read_as else {}),
@@ -57,7 +59,7 @@ def to_json(evaluation: Evaluation, about: About) -> str:
         "units": dict(evaluation.units),
         "all": _groups(evaluation.all),
         "parts": [{"target": one.target, "part": one.part, **_groups(one)} for one in evaluation.parts],
-        "occlusions": _plain(evaluation.occlusions),
+        "occlusions": [asdict(one) for one in evaluation.occlusions],
         "notes": list(evaluation.notes),
     }
     return json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
@@ -72,21 +74,13 @@ def _groups(one: Measured) -> dict[str, Any]:
         if getattr(one, group) is not None
     }
     if one.boxes is not None:
-        out["boxes"]["curves"] = {name: _plain(getattr(one.boxes, name)) for name in CURVES}
+        curves = {name: getattr(one.boxes, name).tolist() for name in CURVES}
+        out["boxes"]["curves"] = {
+            name: [v if math.isfinite(v) else None for v in each] for name, each in curves.items()
+        }
     if one.confidence is not None:
-        out["confidence"]["bins"] = _plain(one.confidence.bins)
+        out["confidence"]["bins"] = [asdict(each) for each in one.confidence.bins]
     return out
-
-
-def _plain(value: Any) -> Any:
-    """Dataclasses as objects, tuples and arrays as lists, nan as None."""
-    if is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if isinstance(value, tuple | list):
-        return [_plain(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def to_csv(evaluation: Evaluation, about: About) -> str:
@@ -105,10 +99,6 @@ def to_csv(evaluation: Evaluation, about: About) -> str:
 
 # --- tables ------------------------------------------------------------------------------------------------------
 
-WIDTH: Final = 200  # more than any table takes: lines are never cut
-MANY: Final = 12  # parts; of more, the tables of trust show all together alone
-MOST: Final = 20  # occlusions that are listed
-DASH: Final = "\N{EN DASH}"
 _TABLES: Final = {
     "points": ("POINTS", "distance to the ground truth"),
     "boxes": ("BOXES", "overlap with the ground truth"),
@@ -123,140 +113,109 @@ _TABLES: Final = {
 
 def to_text(evaluation: Evaluation, about: About, *, colour: bool = False) -> str:
     """All tables; with `colour`, with the escapes of a terminal."""
-    out = io.StringIO()
-    console = Console(
-        file=out,
-        width=WIDTH,
-        force_terminal=colour,
-        color_system="standard" if colour else None,
-        markup=False,
-        highlight=False,
-        emoji=False,
-    )
-    _Tables(console, evaluation).print(about)
-    return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
+    system: Literal["standard"] | None = "standard" if colour else None
+    console = Console(width=WIDTH, force_terminal=colour, color_system=system, markup=False, emoji=False)
+    with console.capture() as captured:
+        for block in _blocks(evaluation, about):
+            console.print(block, soft_wrap=isinstance(block, Text))
+    return "\n".join(line.rstrip() for line in captured.get().splitlines()) + "\n"
 
 
-class _Tables:
-    def __init__(self, console: Console, evaluation: Evaluation) -> None:
-        self._console, self._evaluation = console, evaluation
-        self._several = len({one.target for one in evaluation.parts}) > 1
+def _blocks(found: Evaluation, about: About) -> Iterator[Text | Table]:
+    several = len({one.target for one in found.parts}) > 1
 
-    def print(self, about: About) -> None:
-        self._head(about)
-        found = self._evaluation
-        rows = [*found.parts, *([found.all] if len(found.parts) > 1 else [])]
-        for group, words in _TABLES.items():
-            trust = group not in ("points", "boxes")
-            if group == "lost":
-                self._occlusions()
-            self._table(group, words, rows if not trust or len(found.parts) <= MANY else rows[-1:])
-        if found.notes:
-            self._title("NOTES")
-            for note in found.notes:
-                self._line(note)
+    def name(target: str, part: str) -> str:
+        return f"{target}/{part}" if several and part else part or target
 
-    def _line(self, text: str, style: str | None = None) -> None:
-        self._console.print(" ".join(text.splitlines()), style=style, soft_wrap=True)
-
-    def _title(self, title: str, note: str = "") -> None:
-        self._console.print()
-        self._console.print(Text.assemble((title, "bold"), (f"  {note}", "dim") if note else ""), soft_wrap=True)
-
-    def _name(self, target: str, part: str) -> str:
-        return f"{target}/{part}" if self._several and part else part or target
-
-    def _table(self, group: str, words: tuple[str, str], rows: Sequence[Measured]) -> None:
-        rows = [one for one in rows if getattr(one, group) is not None]
-        values = [one.figures for one in rows]
-        shown = {
-            name: one
-            for name, one in MEASURES.items()
-            if name.startswith(f"{group}.") and one.title and (not one.rare or any(each[name] for each in values))
-        }
+    yield from _head(found, about)
+    every = [*found.parts, *([found.all] if len(found.parts) > 1 else [])]
+    for group, words in _TABLES.items():
+        if group == "lost":
+            yield from _occlusions(found, name)
+        few = group in ("points", "boxes") or len(found.parts) <= MANY
+        rows = [one for one in (every if few else every[-1:]) if getattr(one, group) is not None]
         if rows:
-            self._title(*words)
-            cells = [
-                [DASH if (value := each[name]) is None else one.write(value) for name, one in shown.items()]
-                for each in values
-            ]
-            names = [self._name(one.target, one.part) for one in rows]
-            whole = [not one.part for one in rows]
-            self._grid(["part", *(one.title for one in shown.values())], names, cells, whole)
-        if group == "confidence":
-            self._calibration()
+            yield _title(*words)
+            yield _measured(group, rows, name)
+        if group == "confidence" and found.all.confidence is not None and found.all.confidence.bins:
+            yield Text()
+            yield _calibration(found.all.confidence.bins)
+    if found.notes:
+        yield _title("NOTES")
+        yield from map(_line, found.notes)
 
-    def _grid(
-        self,
-        heads: Sequence[str],
-        names: Sequence[str],
-        cells: Sequence[Sequence[str]],
-        bold: Sequence[bool] = (),
-        left: int = 1,
-    ) -> None:
-        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-        for at, head in enumerate(heads):
-            table.add_column(head, justify="left" if at < left else "right", no_wrap=True, vertical="bottom")
-        for name, row, strong in zip(names, cells, bold or [False] * len(names), strict=True):
-            table.add_row(name, *row, style="bold" if strong else None)
-        self._console.print(table)
 
-    def _head(self, about: About) -> None:
-        found, frames = self._evaluation, self._evaluation.frames
-        shift = f", shifted by {about.shift:+d} frames" if about.shift else ""
-        ours = f"{about.trajectory}" + (f" (read as {about.results_read_as})" if about.results_read_as else "")
-        self._line(f"{ours} against {about.truth} (read as {about.read_as}{shift})", "bold")
-        rows = ", ".join(f"{n:,} {name}" for name, n in found.counts.items() if n or name == "visible")
-        count = f"{len(frames):,} frame{'s' if len(frames) != 1 else ''}"
-        self._line(f"{count}, {frames[0]} to {frames[-1]}; rows, one a frame and part: {rows}")
-        for target, text in found.units.items():
-            self._line(f"length{f' of {target}' if len(found.units) > 1 else ''}: {text}")
-        if found.all.points:
-            failure = f"{100 * found.options.failure:g} %"
-            self._line(
-                f"a point is near if its error is less than 1/6 of the length; it has failed above {failure} of it"
-            )
-        if found.all.boxes:
-            self._line(f"a box is near if its IoU with the ground truth is more than {NEAR_IOU:g}")
+def _line(text: str, style: str = "") -> Text:
+    return Text(" ".join(text.splitlines()), style)
 
-    def _occlusions(self) -> None:
-        found = self._evaluation.all.occlusions
-        if found is None:
-            return
-        back = f"{found.returned} of {found.decided} come back" if found.decided else "none can be decided"
-        median = "" if found.frames_median is None else f", the median after {HALVES(found.frames_median)}"
-        note = f"frames until all covered parts are near for {HELD} rows in a row; {back}{median}"
-        self._title("OCCLUSIONS", note)
-        every = self._evaluation.occlusions
-        cells = []
-        for one in every[:MOST]:
-            by_hand = one.frames_to_return is not None and not one.decided
-            unknown = "by hand" if by_hand else "cannot be decided" if not one.decided else "never"
-            parts = [self._name(one.target, part) for part in one.parts[:MANY]]
-            known = one.frames_to_return is not None and one.decided
-            cells.append(
-                (
-                    ", ".join([*parts, *(["..."] if len(one.parts) > MANY else [])]),
-                    str(one.frames_to_return) if known else unknown,
-                )
-            )
-        names = [f"{one.first}-{one.last}" for one in every[:MOST]]
-        self._grid(["frames", "parts", "back after"], names, cells, left=2)
-        if len(every) > MOST:
-            self._line(f"... and {len(every) - MOST} more; --json has them all")
 
-    def _calibration(self) -> None:
-        confidence = self._evaluation.all.confidence
-        if confidence is None or not confidence.bins:
-            return
-        bins = confidence.bins
-        cells = [
-            [f"{one.rows:,}" for one in bins],
-            *(
-                [DASH if v is None else PERCENT(v) for v in those]
-                for those in zip(*((b.near, b.visible) for b in bins), strict=True)
-            ),
-        ]
-        self._line("")
-        heads = ["confidence", *(f"{one.low:.1f}-{one.high:.1f}" for one in bins)]
-        self._grid(heads, ["rows", "near, %", "visible, %"], cells)
+def _title(title: str, note: str = "") -> Text:
+    return Text.assemble("\n", (title, "bold"), (f"  {note}", "dim") if note else "")
+
+
+def _grid(heads: Sequence[str], left: int = 1) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    for at, head in enumerate(heads):
+        table.add_column(head, justify="left" if at < left else "right", no_wrap=True, vertical="bottom")
+    return table
+
+
+def _head(found: Evaluation, about: About) -> Iterator[Text]:
+    frames = found.frames
+    shift = f", shifted by {about.shift:+d} frames" if about.shift else ""
+    ours = f"{about.trajectory}" + (f" (read as {about.results_read_as})" if about.results_read_as else "")
+    yield _line(f"{ours} against {about.truth} (read as {about.read_as}{shift})", "bold")
+    rows = ", ".join(f"{n:,} {name}" for name, n in found.counts.items() if n or name == "visible")
+    count = f"{len(frames):,} frame{'s' if len(frames) != 1 else ''}"
+    yield _line(f"{count}, {frames[0]} to {frames[-1]}; rows, one a frame and part: {rows}")
+    for target, text in found.units.items():
+        yield _line(f"length{f' of {target}' if len(found.units) > 1 else ''}: {text}")
+    if found.all.points:
+        failed = f"it has failed above {100 * found.options.failure:g} % of it"
+        yield _line(f"a point is near if its error is less than 1/6 of the length; {failed}")
+    if found.all.boxes:
+        yield _line(f"a box is near if its IoU with the ground truth is more than {NEAR_IOU:g}")
+
+
+def _measured(group: str, rows: Sequence[Measured], name: Callable[[str, str], str]) -> Table:
+    """A row for each part and a column for each measure of a group."""
+    values = [one.figures for one in rows]
+    shown = {
+        key: one
+        for key, one in MEASURES.items()
+        if key.startswith(f"{group}.") and one.title and (not one.rare or any(each[key] for each in values))
+    }
+    table = _grid(["part", *(one.title for one in shown.values())])
+    for row, each in zip(rows, values, strict=True):
+        cells = (DASH if (value := each[key]) is None else one.write(value) for key, one in shown.items())
+        table.add_row(name(row.target, row.part), *cells, style=None if row.part else "bold")
+    return table
+
+
+def _occlusions(found: Evaluation, name: Callable[[str, str], str]) -> Iterator[Text | Table]:
+    whole, every = found.all.occlusions, found.occlusions
+    if whole is None:
+        return
+    back = f"{whole.returned} of {whole.decided} come back" if whole.decided else "none can be decided"
+    median = "" if whole.frames_median is None else f", the median after {HALVES(whole.frames_median)}"
+    yield _title("OCCLUSIONS", f"frames until all covered parts are near for {HELD} rows in a row; {back}{median}")
+    table = _grid(["frames", "parts", "back after"], left=2)
+    for one in every[:MOST]:
+        known = one.frames_to_return is not None
+        after = (str(one.frames_to_return) if known else "never") if one.decided else "cannot be decided"
+        if known and not one.decided:
+            after = "by hand"
+        parts = [name(one.target, part) for part in one.parts[:MANY]] + ["..."] * (len(one.parts) > MANY)
+        table.add_row(f"{one.first}-{one.last}", ", ".join(parts), after)
+    yield table
+    if len(every) > MOST:
+        yield _line(f"... and {len(every) - MOST} more; --json has them all")
+
+
+def _calibration(bins: Sequence[CalibrationBin]) -> Table:
+    table = _grid(["confidence", *(f"{one.low:.1f}-{one.high:.1f}" for one in bins)])
+    table.add_row("rows", *(f"{one.rows:,}" for one in bins))
+    for title, name in (("near, %", "near"), ("visible, %", "visible")):
+        shares = [getattr(one, name) for one in bins]
+        table.add_row(title, *(DASH if one is None else PERCENT(one) for one in shares))
+    return table

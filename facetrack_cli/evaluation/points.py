@@ -1,6 +1,6 @@
 """Errors of points against the ground truth, and the recovery of parts after occlusions.
 
-Errors are Euclidean distances in pixels; a *normalised* error is divided by a length of the ground truth (units.py).
+Errors are Euclidean distances in pixels; a *normalised* error is divided by a length of the ground truth (rows.py).
 Failure rate and AUC are those of the facial landmark literature (300-W, COFW, WFLW), with a row for an image.
 """
 
@@ -17,30 +17,23 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.measure import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Value, mean, median
 from facetrack_cli.evaluation.rows import Rows, column
 
-FAILURE = 0.1
-"""Normalised error above which a row has failed, as COFW and WFLW have it; 300-W takes 0.08."""
-HELD = 5
-"""A part is back once it is near for so many rows in a row."""
-LAST = 25
-"""Visible rows at the end whose median error tells whether a part is lost for good."""
-LOST = 1 / 4
-"""Of the normalising length: a part whose last rows are further off is lost for good."""
+FAILURE = 0.1  # normalised error above which a row has failed, as in COFW and WFLW; 300-W takes 0.08
+HELD = 5  # a part is back once it is near for so many rows in a row
+LAST = 25  # visible rows at the end whose median error tells whether a part is lost for good
+LOST = 1 / 4  # of the normalising length: a part whose last rows are further off is lost for good
 
 
 @dataclass(frozen=True)
 class PointMeasures:
     """Errors of one part, or of several together.
 
-    rows             visible rows with a known true position and a position of ours; the figures below are of these
-    missing          visible rows for which we have no position; they count as failures, and in nothing else
-    mean_px, median_px, std_px, p95_px  error in pixels: mean, median, standard deviation, 95th percentile
-    mean_normalised, median_normalised  the same normalised
-    failure_rate     share of the visible rows whose normalised error is above the failure threshold, or missing
-    auc              area under the cumulative distribution of their normalised error up to that threshold, divided by
-                     it: 1 if every error is 0
-    hidden_rows, hidden_mean_px, hidden_median_px  the same of hidden rows whose true position is known
-    lost_for_good    parts whose median error over their last 25 visible rows exceeds a quarter of the normalising
-                     length
+    rows           visible rows with a known true position and a position of ours; the figures below are of these
+    missing        visible rows for which we have no position; they count as failures, and in nothing else
+    ..._px         error in pixels: mean, median, standard deviation, 95th percentile
+    failure_rate   share of the visible rows whose normalised error is above the failure threshold, or missing
+    auc            area under the cumulative distribution of their normalised error up to that threshold, divided by it
+    hidden_...     the same of hidden rows whose true position is known
+    lost_for_good  parts whose median error over their last 25 visible rows exceeds 1/4 of the normalising length
     """
 
     rows: Annotated[int, Measure("visible\nrows", COUNT)]
@@ -61,12 +54,11 @@ class PointMeasures:
 
 @dataclass(frozen=True)
 class Occlusion:
-    """A stretch of rows of one target in which parts of it are hidden or absent.
+    """A stretch of rows of one target in which parts of it are hidden or absent; `first` and `last` are its frames.
 
-    `first` and `last` are its frames. `frames_to_return`: from the first frame after it to the first of 5 rows in a row
-    in which every part that was covered is near; None if there is none before the next occlusion or the end.
-    `decided` is False where fewer than 5 rows follow of which it is known whether those parts are near, and where a
-    correction of them came before they were back.
+    `frames_to_return`: from the first frame after it to the first of 5 rows in a row in which every part that was
+    covered is near; None if there is none before the next occlusion or the end. `decided` is False where fewer than 5
+    rows follow of which it is known whether those parts are near, and where a correction of them came before.
     """
 
     target: str
@@ -79,7 +71,7 @@ class Occlusion:
 
 @dataclass(frozen=True)
 class RecoveryMeasures:
-    """Over all occlusions: how many there are, those that can be decided, those after which the parts come back.
+    """How many occlusions there are, those that can be decided, and those of these after which the parts come back.
 
     `recovered` is the share of the decided ones; the median and the worst frames to return are of those that come back.
     """
@@ -99,10 +91,8 @@ def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeas
     """
     parts = [part.take(~part.later) for part in parts]
     error, unit, visible, hidden = (column(parts, name) for name in ("error", "unit", "visible", "hidden"))
-    seen = visible & np.isfinite(error)
-    missing = visible & np.isinf(error)
-    covered = hidden & np.isfinite(error)
-    px = error[seen]
+    seen, missing = visible & np.isfinite(error), visible & np.isinf(error)
+    px, covered = error[seen], error[hidden & np.isfinite(error)]
     # rows without a length have no normalised error; those without a position fail by any length
     scaled = (seen | missing) & np.isfinite(unit)
     normalised = error[scaled] / unit[scaled]
@@ -119,9 +109,9 @@ def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeas
         median_normalised=median(finite),
         failure_rate=mean(normalised > failure),
         auc=auc(normalised, failure),
-        hidden_rows=int(np.sum(covered)),
-        hidden_mean_px=mean(error[covered]),
-        hidden_median_px=median(error[covered]),
+        hidden_rows=len(covered),
+        hidden_mean_px=mean(covered),
+        hidden_median_px=median(covered),
         lost_for_good=sum(for_good) if for_good else None,
     )
 
@@ -142,35 +132,32 @@ def lost_for_good(part: Rows) -> bool | None:
 
 def occlusions(parts: Sequence[Rows]) -> tuple[Occlusion, ...]:
     """The occlusions of every target, in the order of targets and frames."""
-    found: list[Occlusion] = []
-    for target in dict.fromkeys(part.target for part in parts):
-        found += _of_target(target, [part for part in parts if part.target == target])
-    return tuple(found)
+    targets = dict.fromkeys(part.target for part in parts)
+    return tuple(one for name in targets for one in _of_target([part for part in parts if part.target == name]))
 
 
-def _of_target(target: str, parts: Sequence[Rows]) -> list[Occlusion]:
+def _of_target(parts: Sequence[Rows]) -> list[Occlusion]:
     frames = np.unique(column(parts, "frame"))
     # a part without a row in a frame is not known to be covered there, nor to be near
-    covered = np.zeros((len(frames), len(parts)), dtype=np.bool_)
-    near, judged, by_hand = np.zeros_like(covered), np.zeros_like(covered), np.zeros_like(covered)
+    covered, near, judged, by_hand = np.zeros((4, len(frames), len(parts)), dtype=np.bool_)
     for k, part in enumerate(parts):
         at = np.searchsorted(frames, part.frame)
-        covered[at, k] = part.covered
-        near[at, k], judged[at, k], by_hand[at, k] = part.near, part.judged, part.by_hand
+        covered[at, k], near[at, k], judged[at, k], by_hand[at, k] = part.covered, part.near, part.judged, part.by_hand
     stretches = spans(np.any(covered, axis=1))
     nexts = [*[first for first, _ in stretches], len(frames)][1:]
     found = []
     for (first, end), until in zip(stretches, nexts, strict=True):
         those = np.flatnonzero(covered[first:end].any(axis=0))
-        runs = [(a, b) for a, b in spans(np.all(near[end:until, those], axis=1)) if b - a >= HELD]
-        helped = by_hand[first : end + runs[0][0] + 1 if runs else until, those].any()
+        held = (end + a for a, b in spans(np.all(near[end:until, those], axis=1)) if b - a >= HELD)
+        back = next(held, None)
+        helped = by_hand[first : until if back is None else back + 1, those].any()
         found.append(
             Occlusion(
-                target=target,
+                target=parts[0].target,
                 parts=tuple(parts[k].part for k in those.tolist()),
                 first=int(frames[first]),
                 last=int(frames[end - 1]),
-                frames_to_return=int(frames[end + runs[0][0]] - frames[end]) if runs else None,
+                frames_to_return=None if back is None else int(frames[back] - frames[end]),
                 decided=int(judged[end:until, those].all(axis=1).sum()) >= HELD and not bool(helped),
             )
         )

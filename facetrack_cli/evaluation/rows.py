@@ -1,24 +1,25 @@
-"""A trajectory beside its ground truth, row by row: the arrays that every measure is computed from.
+"""A trajectory beside its ground truth, row by row: the arrays that every measure is computed from, and the lengths
+by which errors are normalised.
 
 Axes: R rows of one part, one a frame, in the order of their frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.geometry import iou, size_of_points
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-NEAR = 1 / 6
-"""A point is near if its error is less than this share of the normalising length."""
-NEAR_IOU = 0.5
-"""A box is near if its overlap with the ground truth (intersection over union) is more than this."""
+NEAR = 1 / 6  # of the normalising length: a point is near if its error is less
+NEAR_IOU = 0.5  # a box is near if its overlap with the ground truth (intersection over union) is more
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +28,9 @@ class Rows:
 
     `offset` is ours minus the ground truth in pixels, nan where either has no position; `unit` the length in pixels by
     which errors are normalised, nan where it is unknown. Each row is one of visible, hidden, absent; `placed` are the
-    visible and hidden ones whose true position is known. `near` is defined where `judged`: an absent part has no place
-    to be near to, so an absent row is judged, and not near. `lost` is defined where `stated`: the status is tracked or
-    lost. `init` are the rows that the tracker was given, `later` those of them after the first, by corrections;
-    `left_out` are rows that a correction calls absent.
+    visible and hidden ones whose true position is known. `near` is defined where `judged`; an absent row is judged, and
+    not near. `lost` is defined where `stated`: the status is tracked or lost. `init` are the rows that the tracker was
+    given, `later` those of them after the first, by corrections; `left_out` rows that a correction calls absent.
     """
 
     target: str
@@ -56,17 +56,12 @@ class Rows:
         return len(self.frame)
 
     @property
-    def name(self) -> str:
-        return f"{self.target}/{self.part}"
-
-    @property
     def covered(self) -> Mask:
-        """(R,) hidden or absent."""
         return self.hidden | self.absent
 
     @property
     def by_hand(self) -> Mask:
-        """(R,) given by a correction: a place, or that the part is absent."""
+        """(R,) given by a correction: a position, or that the part is absent."""
         return self.later | self.left_out
 
     @property
@@ -77,28 +72,22 @@ class Rows:
 
     def take(self, rows: Mask) -> Rows:
         """These rows alone."""
-        arrays: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        picked: dict[str, Any] = {key: value[rows] for key, value in arrays.items() if isinstance(value, np.ndarray)}
-        return replace(self, **picked)
+        arrays: dict[str, Any] = {key: one[rows] for key, one in vars(self).items() if isinstance(one, np.ndarray)}
+        return replace(self, **arrays)
 
 
 def rows_of(pair: Pair, unit: Array) -> Rows:
-    """The rows of a pair, with `unit` (R,) in pixels.
-
-    A row of ground truth without a status is visible. Whether a box is near is known without a unit.
-    """
+    """The rows of a pair, with `unit` (R,) in pixels. A row of ground truth without a status is visible."""
     ours, truth = pair.ours, pair.truth
     hidden, absent = truth.status == "hidden", truth.status == "absent"
     offset = np.stack([ours.x - truth.x, ours.y - truth.y], axis=1)
     placed = ~absent & np.isfinite(truth.x) & np.isfinite(truth.y)
-    with np.errstate(invalid="ignore"):
-        if pair.is_box:
-            near, known = iou(ours.boxes, truth.boxes) > NEAR_IOU, np.isfinite(truth.boxes).all(axis=1)
-        else:
-            near, known = np.hypot(offset[:, 0], offset[:, 1]) < NEAR * unit, np.isfinite(unit)
-    init = ours.status == "init"
-    if len(ours) and not np.any(ours.status != ""):
-        init = np.arange(len(ours)) == 0  # without any status, the first row alone
+    if pair.is_box:  # which is near without a unit too
+        near, known = iou(ours.boxes, truth.boxes) > NEAR_IOU, np.isfinite(truth.boxes).all(axis=1)
+    else:
+        near, known = np.hypot(offset[:, 0], offset[:, 1]) < NEAR * unit, np.isfinite(unit)
+    first = np.arange(len(ours)) == 0
+    init = ours.status == "init" if np.any(ours.status != "") else first
     return Rows(
         target=ours.target,
         part=ours.part,
@@ -114,7 +103,7 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         stated=(ours.status == "tracked") | (ours.status == "lost"),
         lost=ours.status == "lost",
         init=init,
-        later=init & (np.arange(len(ours)) > 0),
+        later=init & ~first,
         left_out=ours.status == "absent",
         confidence=ours.confidence,
         std=np.stack([ours.std_x, ours.std_y], axis=1),
@@ -141,3 +130,104 @@ class Pair(NamedTuple):
     def is_box(self) -> bool:
         """Whether the pair is measured as boxes: one is declared a box, and both have a size in some row."""
         return self.declared_box and all(bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in self)
+
+
+# --- lengths -------------------------------------------------------------------------------------------------------
+
+# names of the two parts, tried in this order
+NAMED = {"mouth": (("mouth_left", "mouth_right"),), "eyes": (("eye_left", "eye_right"), ("point_37", "point_46"))}
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """The length of one target: (F,) pixels, nan where unknown, for increasing frames (F,); `text` explains it."""
+
+    frame: Whole
+    length: Array
+    text: str
+
+    def at(self, frames: Whole) -> Array:
+        """(R,) lengths for frames (R,); nan where there is none."""
+        return _at(frames, self.frame, self.length)
+
+
+def _at(frames: Whole, known: Whole, values: Array) -> Array:
+    """(R,) values (F,) of the increasing frames `known` (F,) at `frames` (R,); nan for frames that are not there."""
+    if not len(known):
+        return np.full(len(frames), np.nan)
+    place = np.searchsorted(known, frames).clip(max=len(known) - 1)
+    return np.where(known[place] == frames, values[place], np.nan)
+
+
+def check_normalise(how: str) -> str:
+    """`how`, if it is one of these ways to give the length in pixels by which errors are normalised. Raises UsageError.
+
+    size     the largest distance between two points of the target, in the first frame with all of them: the unit of
+             recipes. Of a box sqrt(width * height), in each frame. The default.
+    A:B      the distance between two parts, in each frame
+    mouth    mouth_left:mouth_right
+    eyes     eye_left:eye_right, or the outer corners of the eyes of a face of 68 points
+    NUMBER   so many pixels
+    """
+    parts = how.split(":")
+    if how == "size" or how in NAMED or (len(parts) == 2 and all(parts) and parts[0] != parts[1]):
+        return how
+    try:
+        pixels = float(how)
+    except ValueError:
+        pixels = math.nan
+    if not 0 < pixels < math.inf:
+        raise UsageError(
+            f"--normalise {how!r}: give size, mouth, eyes, two parts as nose:mouth_left, or a number of pixels above 0"
+        )
+    return how
+
+
+def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) -> Unit:
+    """The length of one target, whose ground truth is `truth`, for increasing `frames` (F,).
+
+    Raises UsageError where the ground truth does not have the two parts that `how` names.
+    """
+    one = truth[0]
+    if how in NAMED or ":" in how:
+        one, other = _pair(how, truth)
+        ends = [np.stack([_at(frames, s.frame, s.x), _at(frames, s.frame, s.y)]) for s in (one, other)]
+        length, what = np.hypot(*(ends[0] - ends[1])), f"{one.part} to {other.part}"
+    elif how == "size" and box:
+        length, what = _at(frames, one.frame, np.sqrt(np.maximum(one.w * one.h, 0))), "size, sqrt(width * height)"
+    else:
+        size, text = _size(truth, frames) if how == "size" else (float(how), f"{float(how):g} px")
+        return Unit(frames, np.full(len(frames), size), text)
+    length = np.where(length > 0, length, np.nan)
+    known = length[np.isfinite(length)]
+    typical = f"median {np.median(known):.1f} px" if len(known) else "not known in any"
+    return Unit(frames, length, f"{what} in each frame, {typical}")
+
+
+def _pair(how: str, truth: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory]:
+    """The two parts that `how` names."""
+    wanted = NAMED.get(how) or (tuple(how.split(":")),)
+    there = {s.part: s for s in truth}
+    for one, other in wanted:
+        if one in there and other in there:
+            return there[one], there[other]
+    missing = " or ".join(" and ".join(part for part in names if part not in there) for names in wanted)
+    names = ", ".join(list(there)[:8]) + (", ..." if len(there) > 8 else "")
+    raise UsageError(f"--normalise {how}: the truth has no {missing}; it has {names}")
+
+
+def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:
+    """The unit of recipes and what it is; nan if there is none."""
+    if len(truth) < 2:
+        return math.nan, "size: one point has none"
+    absent = [_at(frames, s.frame, np.where(s.status == "absent", np.nan, 0.0)) for s in truth]
+    axes = [[_at(frames, s.frame, axis) for axis in (s.x, s.y)] for s in truth]
+    points = np.array(axes) + np.array(absent)[:, None]  # (K, 2, F)
+    together = np.flatnonzero(np.isfinite(points).all(axis=(0, 1)))
+    if not together.size:
+        return math.nan, "size: no frame of the truth has all points"
+    size = size_of_points(points[:, :, together[0]])
+    if size == 0:
+        return math.nan, "size: all points of the truth are at one place"
+    first = frames[together[0]]
+    return size, f"size, the largest distance between two points in frame {first}, {size:.1f} px"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, get_args, get_type_hints
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from facetrack_cli.evaluation.points import (
     measure_recovery,
     occlusions,
 )
-from facetrack_cli.evaluation.rows import Pair, Rows, column, rows_of
+from facetrack_cli.evaluation.rows import Pair, Rows, Unit, check_normalise, column, rows_of, unit_of
 from facetrack_cli.evaluation.trust import (
     ConfidenceMeasures,
     CoverageMeasures,
@@ -36,29 +36,13 @@ from facetrack_cli.evaluation.trust import (
     measure_coverage,
     measure_lost,
 )
-from facetrack_cli.evaluation.units import Unit, check_normalise, unit_of
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
-
-GROUPS: Final[Mapping[str, type]] = {
-    "points": PointMeasures,
-    "boxes": BoxMeasures,
-    "occlusions": RecoveryMeasures,
-    "lost": LostMeasures,
-    "confidence": ConfidenceMeasures,
-    "coverage": CoverageMeasures,
-}
-"""The first words of the names of measures, and what declares the second ones."""
-MEASURES: Final[Mapping[str, Measure]] = {
-    f"{group}.{name}": one for group, kind in GROUPS.items() for name, one in measures_of(kind).items()
-}
-"""All measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `coverage.unknown_std`."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """`normalise`: by what errors are divided (units.py); `failure`: the normalised error above which a row failed.
-
-    `size` is the frames' (width, height) where it is known, to which GOT-10k and VOT clip boxes.
+    """`normalise`: see `check_normalise`; `failure`: the normalised error above which a row has failed; `size`: (width,
+    height) of the frames where it is known, to which GOT-10k and VOT clip boxes.
     """
 
     normalise: str = "size"
@@ -77,10 +61,10 @@ class Measured:
     part: str
     points: PointMeasures | None
     boxes: BoxMeasures | None
+    occlusions: RecoveryMeasures | None
     lost: LostMeasures | None
     confidence: ConfidenceMeasures | None
     coverage: CoverageMeasures | None
-    occlusions: RecoveryMeasures | None = None
 
     @property
     def name(self) -> str:
@@ -97,12 +81,19 @@ class Measured:
         return found
 
 
+# the first words of the names of measures, and the dataclass whose fields are the second ones
+GROUPS: Final = {name: get_args(hint)[0] for name, hint in get_type_hints(Measured).items() if get_args(hint)}
+# all measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `coverage.unknown_std`
+MEASURES: Final[Mapping[str, Measure]] = {
+    f"{group}.{name}": one for group, kind in GROUPS.items() for name, one in measures_of(kind).items()
+}
+
+
 @dataclass(frozen=True)
 class Evaluation:
-    """What was measured of one trajectory.
+    """What was measured of one trajectory, on the `rows` that it shares with the ground truth.
 
-    `rows` are those that trajectory and ground truth share, `units` explain by what length the errors of each target
-    are normalised. `notes` are lines of text, among them why a figure is not defined.
+    `units` says by what length the errors of each target are normalised; `notes` why figures are not defined, and more.
     """
 
     options: Options
@@ -115,12 +106,11 @@ class Evaluation:
 
     @property
     def frames(self) -> Whole:
-        """The frames that are measured, increasing."""
         return np.unique(column(self.rows, "frame"))
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many rows, one a frame and part, are visible, hidden and absent."""
+        """How many rows, one for each frame and part, are visible, hidden and absent."""
         return {status: int(column(self.rows, status).sum()) for status in ("visible", "hidden", "absent")}
 
 
@@ -136,23 +126,20 @@ def evaluate(
     Raises InputError without any row, UsageError for a length that the ground truth does not have.
     """
     options = options or Options()
-    pairs = [_known(pair) for pair in pairs]
+    # the rows that the ground truth itself calls lost, as a trajectory does that serves as ground truth, are unknown
+    known = [pair.truth.status != "lost" for pair in pairs]
+    pairs = [Pair(*(one.take(rows) for one in pair)) for pair, rows in zip(pairs, known, strict=True)]
     if not any(len(pair.ours) for pair in pairs):
         raise InputError("there is no row that both the trajectory and the ground truth have; nothing can be measured")
     units = _units(pairs, options.normalise, reference)
-    rows = [rows_of(pair, units[pair.ours.target].at(pair.ours.frame)) for pair in pairs]
+    every = [(pair, rows_of(pair, units[pair.ours.target].at(pair.ours.frame))) for pair in pairs]
+    rows = tuple(one for _, one in every)
     found = occlusions(rows)
-    every = replace(_measured("all", "", pairs, rows, options), occlusions=measure_recovery(found))
-    parts = [_measured(one.target, one.part, [pair], [one], options) for pair, one in zip(pairs, rows, strict=True)]
+    whole = replace(_measured("all", "", every, options), occlusions=measure_recovery(found))
+    parts = tuple(_measured(one.target, one.part, [(pair, one)], options) for pair, one in every)
     texts = {target: unit.text for target, unit in units.items()}
-    evaluation = Evaluation(options, tuple(rows), texts, tuple(parts), every, found, ())
+    evaluation = Evaluation(options, rows, texts, parts, whole, found, ())
     return replace(evaluation, notes=(*notes, *_strange_start(rows), *_why_undefined(evaluation)))
-
-
-def _known(pair: Pair) -> Pair:
-    """Without the rows that the ground truth itself calls lost, as a trajectory does that serves as ground truth."""
-    known = pair.truth.status != "lost"
-    return pair if known.all() else Pair(pair.ours.take(known), pair.truth.take(known))
 
 
 def _units(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory]) -> dict[str, Unit]:
@@ -171,40 +158,37 @@ def _units(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory
         frames = np.unique(np.concatenate([pair.ours.frame for pair in own]))
         box = own[0].declared_box and bool(np.any(own[0].truth.w > 0))
         series = [own[0].truth] if box and normalise == "size" else list(truth.values())
-        found[target] = unit_of(normalise, target, series, box=box, frames=frames)
+        found[target] = unit_of(normalise, series, box=box, frames=frames)
     return found
 
 
-def _measured(target: str, part: str, pairs: Sequence[Pair], rows: Sequence[Rows], options: Options) -> Measured:
-    every = list(zip(pairs, rows, strict=True))
+def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], options: Options) -> Measured:
+    rows = [one for _, one in every]
     points = [one for pair, one in every if not pair.is_box]
     boxed = [(pair, one) for pair, one in every if pair.is_box]
     return Measured(
-        target=target,
-        part=part,
-        points=measure_points(points, options.failure) if points else None,
-        boxes=_boxes(boxed, options.size) if boxed else None,
-        lost=measure_lost(rows),
-        confidence=measure_confidence(rows),
-        coverage=measure_coverage(rows),
+        target,
+        part,
+        measure_points(points, options.failure) if points else None,
+        _boxes(boxed, options.size) if boxed else None,
+        None,
+        measure_lost(rows),
+        measure_confidence(rows),
+        measure_coverage(rows),
     )
 
 
 def _boxes(those: Sequence[tuple[Pair, Rows]], size: tuple[int, int] | None) -> BoxMeasures:
     """The rows of all pairs as if they were one target's; rows that a correction gave do not count."""
     pairs, rows = zip(*those, strict=True)
-    ours, truth = (
-        joined([one.renamed(str(i), "box") for i, one in enumerate(those)]) for those in zip(*pairs, strict=True)
-    )
-    visible, hidden, later, init, left_out = (
-        column(rows, name) for name in ("visible", "hidden", "later", "init", "left_out")
-    )
+    ours, truth = (joined([s.renamed(str(i), "box") for i, s in enumerate(each)]) for each in zip(*pairs, strict=True))
+    later = column(rows, "later")
     return measure_boxes(
         ours.boxes,
         truth.boxes,
-        visible=visible & ~later,
-        hidden=hidden & ~later & ~left_out,
-        init=init,
+        visible=column(rows, "visible") & ~later,
+        hidden=column(rows, "hidden") & ~later & ~column(rows, "left_out"),
+        init=column(rows, "init"),
         our_corners=ours.corners,
         true_corners=truth.corners,
         size=size,
@@ -219,11 +203,7 @@ def scalars(evaluation: Evaluation) -> dict[str, float]:
 _WHY: Final = (  # a figure that is not defined although the other is, and why
     ("points.mean_px", "points.rows", "no visible row has a true position and one of ours, so there is no error"),
     ("boxes.success_auc", "boxes.rows", "no visible row has a true box, so there is no overlap"),
-    (
-        "boxes.ao",
-        "boxes.success_auc",
-        "only given rows have a true box, which AO, SR and the accuracy of VOT leave out",
-    ),
+    ("boxes.ao", "boxes.success_auc", "AO, SR and the accuracy of VOT leave out given rows; no others have a true box"),
     (
         "occlusions.recovered",
         "occlusions.occlusions",

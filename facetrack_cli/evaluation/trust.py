@@ -1,8 +1,7 @@
 """How far `lost`, `confidence` and the posterior's spread can be trusted, against the ground truth.
 
-Counted are rows, one a frame and part, without those that the tracker was given. A row is *near* if its error is less
-than a sixth of the normalising length (a box: if its IoU is more than 1/2), *covered* if the ground truth calls it
-hidden or absent, *gone* if it is covered or not near.
+Counted are rows, one for each frame and part, without those that the tracker was given. A row is *near* as rows.py has
+it, *covered* if the ground truth calls it hidden or absent, *gone* if it is covered or not near.
 """
 
 from __future__ import annotations
@@ -15,15 +14,13 @@ from typing import Annotated
 import numpy as np
 
 from facetrack_cli.core.spans import spans
-from facetrack_cli.core.types import Array, Mask, Whole
+from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.evaluation.measure import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Value, mean, median, share
 from facetrack_cli.evaluation.rows import Rows, column
 
 BINS = 10
-ELLIPSE_50 = 2 * math.log(2)
-"""Squared Mahalanobis distance within which half of a two-dimensional normal distribution lies."""
-ELLIPSE_90 = 2 * math.log(10)
-"""The same for nine tenths of it."""
+# squared Mahalanobis distances within which 50 and 90 % of a two-dimensional normal distribution lie
+ELLIPSE_50, ELLIPSE_90 = 2 * math.log(2), 2 * math.log(10)
 
 
 @dataclass(frozen=True)
@@ -34,8 +31,7 @@ class LostMeasures:
     precision        of the rows called lost, those covered; `precision_gone`: those gone
     recall           of the covered rows, those called lost; `recall_gone`: of the rows gone
     false_alarms     of the rows visible and near, those called lost
-    tracked_near     of the rows called tracked, those near
-    tracked_visible_near  of the rows called tracked and visible in the ground truth, those near
+    tracked_near     of the rows called tracked, those near; `tracked_visible_near`: of those visible too
     spans            the stretches in which a part is covered; `spans_called`: those in which it is called lost at all
     delay_lost       from the first covered row until a part is called lost: median over the spans in which it is
     delay_back       from a part's return until it is tracked and near: median over the spans after which it is
@@ -75,8 +71,8 @@ class ConfidenceMeasures:
 
     rows           rows with a confidence of which is known whether they are near; absent rows are not
     near           share of them that are near, whatever their confidence
-    auroc_near     chance that a near row has more confidence than one that is not near, ties counting half: 0.5 is
-                   worthless, 1 tells them apart by some threshold (area under the ROC curve)
+    auroc_near     area under the ROC curve: chance that a near row has more confidence than one that is not near, ties
+                   counting half; 0.5 is no better than chance, 1 separates them by a threshold
     auroc_visible  the same of visible rows against covered ones
     ece            expected calibration error: mean over rows of |share near - mean confidence| of their bin
     brier          mean of (confidence - 1 if near else 0) squared
@@ -96,11 +92,11 @@ class ConfidenceMeasures:
 class CoverageMeasures:
     """Whether the posterior's spread covers the error: visible rows with a known true position, and with a std.
 
-    within_50, within_90  share of rows whose true position lies within the 50 and the 90 % ellipse of a normal
-                          distribution with std_x and std_y along x and y; 0.5 and 0.9 for a correct spread
-    factor                by which the std would have to be multiplied for the 50 % ellipse to hold half of the rows
-    zero_std              rows without spread along x or y, which are within only if they are exactly right there
-    unknown_std           rows left out because they have no std
+    within_..    share of rows whose true position lies within the 50 or 90 % ellipse of a normal distribution with
+                 std_x and std_y along x and y; 0.5 and 0.9 for a correct spread
+    factor       by which the std would have to be multiplied for the 50 % ellipse to hold half of the rows
+    zero_std     rows without spread along x or y, which are within only if they are exactly right there
+    unknown_std  rows left out because they have no std
     """
 
     rows: Annotated[int, Measure("rows\n", COUNT)]
@@ -115,23 +111,23 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
     """`lost` against the ground truth; None if no row has a status. Delays: of spans in which no correction helped."""
     by_hand = [part.frame[part.by_hand] for part in parts]
     parts = [part.take(part.stated) for part in parts]
-    lost, visible, covered, near, judged = (
-        column(parts, name) for name in ("lost", "visible", "covered", "near", "judged")
-    )
+    names = ("lost", "visible", "covered", "near", "judged")
+    lost, visible, covered, near, judged = (column(parts, name) for name in names)
     if not len(lost):
         return None
     until_lost: list[int] = []
     until_back: list[int] = []
-    count = 0
-    for part, helped in zip(parts, by_hand, strict=True):
-        for first, end in spans(part.covered):
-            count += 1
-            called = part.frame[first:end][part.lost[first:end]][:1]
-            back = part.frame[end:][~part.lost[end:] & part.near[end:]][:1]
-            if not _any_within(helped, part.frame[first], called):
-                until_lost += (called - part.frame[first]).tolist()
-            if not _any_within(helped, part.frame[first], back):
-                until_back += (back - part.frame[end : end + 1]).tolist()
+    stretches = [
+        (part, helped, span) for part, helped in zip(parts, by_hand, strict=True) for span in spans(part.covered)
+    ]
+    for part, helped, (first, end) in stretches:
+        begin = part.frame[first]
+        for called in part.frame[first:end][part.lost[first:end]][:1]:
+            if not np.any((helped >= begin) & (helped <= called)):
+                until_lost.append(called - begin)
+        for back in part.frame[end:][~part.lost[end:] & part.near[end:]][:1]:
+            if not np.any((helped >= begin) & (helped <= back)):
+                until_back.append(back - part.frame[end])
     known = covered | judged  # a hidden row is gone, wherever it is
     gone = covered | (judged & ~near)
     return LostMeasures(
@@ -145,16 +141,11 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
         false_alarms=share(visible & judged & near, lost),
         tracked_near=share(~lost & judged, near),
         tracked_visible_near=share(~lost & judged & visible, near),
-        spans=count,
+        spans=len(stretches),
         spans_called=len(until_lost),
         delay_lost=median(np.array(until_lost)),
         delay_back=median(np.array(until_back)),
     )
-
-
-def _any_within(frames: Whole, first: int, last: Whole) -> bool:
-    """Whether any frame is from `first` to `last` (1,); False where there is no last."""
-    return bool(len(last)) and bool(np.any((frames >= first) & (frames <= last[0])))
 
 
 def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
@@ -168,14 +159,15 @@ def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
     rows = known & judged
     confidence, near, visible = confidence[rows], near[rows], visible[rows]
     # scores of other tools need not lie between 0 and 1; then they rank rows, and that is all
-    scaled = bool(len(confidence)) and bool(np.all((confidence >= 0) & (confidence <= 1)))
+    scaled = len(confidence) and np.all((confidence >= 0) & (confidence <= 1))
     bins = calibration(confidence, near, visible) if scaled else ()
+    gaps = [one.rows * abs((one.near or 0.0) - (one.mean_confidence or 0.0)) for one in bins]
     return ConfidenceMeasures(
         rows=len(confidence),
         near=mean(near),
         auroc_near=auroc(confidence, near),
         auroc_visible=seen,
-        ece=_calibration_error(bins) if scaled else None,
+        ece=float(sum(gaps) / len(confidence)) if scaled else None,
         brier=float(np.mean((confidence - near) ** 2)) if scaled else None,
         bins=bins,
     )
@@ -191,15 +183,13 @@ def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
         return None
     offset, spread = offset[counted & known], std[counted & known]
     squared = mahalanobis_squared(offset, spread)
-    # the middle row's own distance where their number is odd, as the 50 % ellipse would have to reach it
-    factor = (
-        math.sqrt(float(np.quantile(squared, 0.5, method="inverted_cdf")) / ELLIPSE_50) if len(squared) else math.inf
-    )
+    # the distance of a row, which the 50 % ellipse would have to reach
+    half = float(np.quantile(squared, 0.5, method="inverted_cdf")) if len(squared) else math.inf
     return CoverageMeasures(
         rows=len(squared),
         within_50=mean(squared <= ELLIPSE_50),
         within_90=mean(squared <= ELLIPSE_90),
-        factor=factor if math.isfinite(factor) else None,
+        factor=math.sqrt(half / ELLIPSE_50) if math.isfinite(half) else None,
         zero_std=int(np.sum((spread == 0).any(axis=1))),
         unknown_std=int(np.sum(counted & ~known)),
     )
@@ -237,22 +227,10 @@ def calibration(confidence: Array, near: Mask, visible: Mask) -> tuple[Calibrati
     edges = np.arange(BINS + 1) / BINS
     which = np.clip(np.searchsorted(edges, confidence, side="right") - 1, 0, BINS - 1)
     rows = np.bincount(which, minlength=BINS)
-    sums = np.bincount(which, weights=confidence, minlength=BINS)
-    hits, seen = (np.bincount(which, weights=mask.astype(np.float64), minlength=BINS) for mask in (near, visible))
+    sums = (np.bincount(which, weights=one.astype(np.float64), minlength=BINS) for one in (confidence, near, visible))
+    with np.errstate(invalid="ignore"):
+        means = np.stack([one / rows for one in sums], axis=1)
     return tuple(
-        CalibrationBin(
-            low=float(edges[i]),
-            high=float(edges[i + 1]),
-            rows=int(n),
-            mean_confidence=float(sums[i] / n) if n else None,
-            near=float(hits[i] / n) if n else None,
-            visible=float(seen[i] / n) if n else None,
-        )
+        CalibrationBin(float(edges[i]), float(edges[i + 1]), n, *(means[i].tolist() if n else [None] * 3))
         for i, n in enumerate(rows.tolist())
     )
-
-
-def _calibration_error(bins: Sequence[CalibrationBin]) -> float:
-    filled = [b for b in bins if b.near is not None and b.mean_confidence is not None]
-    gaps = [b.rows * abs((b.near or 0.0) - (b.mean_confidence or 0.0)) for b in filled]
-    return float(sum(gaps) / sum(b.rows for b in filled))

@@ -175,7 +175,7 @@ def test_truth_that_is_a_trajectory_is_not_believed_where_it_is_lost():
     one = pair("nose", frame=[0, 1, 2], ours_x=[0, 0, 0], ours_y=[0, 0, 0], true_x=[0, 1, 50], true_y=[0, 0, 0],
                true_status=["init", "tracked", "lost"])  # fmt: skip
     found = evaluate([one])
-    assert found.visible == 2 and found.all.points.mean_px == 0.5
+    assert found.counts["visible"] == 2 and found.all.points.mean_px == 0.5
 
 
 def test_no_rows_at_all_are_refused():
@@ -226,9 +226,9 @@ def test_the_tables(folder):
     points = lines[lines.index(next(line for line in lines if line.startswith("POINTS"))) :][:6]
     cells = [line.split() for line in points[3:]]
     assert cells == [
-        ["left", "3", "0.33", "0.00", "0.47", "0.90", "2.8", "0.0", "0.722", "0", "0", "–", "–"],
-        ["right", "2", "1.50", "1.50", "1.50", "2.85", "12.5", "50.0", "0.500", "0", "1", "9.00", "9.00"],
-        ["all", "5", "0.80", "0.00", "1.17", "2.60", "6.7", "20.0", "0.633", "0", "1", "9.00", "9.00"],
+        ["left", "3", "0.33", "0.00", "0.47", "0.90", "2.8", "0.0", "0.722", "0", "–", "–", "0"],
+        ["right", "2", "1.50", "1.50", "1.50", "2.85", "12.5", "50.0", "0.500", "1", "9.00", "9.00", "0"],
+        ["all", "5", "0.80", "0.00", "1.17", "2.60", "6.7", "20.0", "0.633", "1", "9.00", "9.00", "0"],
     ]
     assert len({len(line) for line in points[2:]}) == 1, "the columns are aligned"
     assert "\x1b" not in done.stdout and "nan" not in done.stdout and max(map(len, lines)) <= 130
@@ -326,7 +326,7 @@ def test_no_confidence_no_plot(folder, capsys):
 
 
 def test_truth_of_another_size_is_told_by_the_start(folder, capsys):
-    said = "the track starts 30 px from the truth: is that of another clip, another size, or other frames?"
+    said = "the track starts 30 px from the ground truth: is that of another clip, size or frames?"
     assert said not in run("ours.csv", "--truth", "truth.csv", capsys=capsys).out
     Path("truth.csv").write_text(TRUTH.replace("left,10", "left,40").replace("right,22", "right,52"))
     assert said in run("ours.csv", "--truth", "truth.csv", "--shift", "0", capsys=capsys).out

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,7 +18,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.evaluation.goldens import check as regress
 from facetrack_cli.evaluation.goldens.goldens import find_goldens, read_golden
-from facetrack_cli.evaluation.goldens.output import Case, junit
+from facetrack_cli.evaluation.goldens.output import as_junit
 from facetrack_cli.tracking.models.likelihoods.colour_ratio import ColourRatio
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
@@ -255,10 +256,10 @@ def test_an_interrupt_leaves_the_goldens_as_they_were(
 def test_junit_escapes_what_xml_cannot_hold(tmp_path: Path) -> None:
     nasty = 'a <b> & "c" \x00\x1b[31m ]]> \ud800'
     path = tmp_path / "r.xml"
-    text = junit("s", [Case(nasty, nasty, 0.5, "fails", nasty, nasty), Case("g", "n", 0, "skipped", nasty)], 1.0, "now")
-    path.write_text(text, encoding="utf-8")
-    failure = check_junit(path).find(".//failure")
-    assert failure is not None and failure.text == 'a <b> & "c" \ufffd\ufffd[31m ]]> \ufffd'
+    fails = regress.Checked(Path("golden"), nasty, nasty, "fails", nasty, (nasty,))
+    path.write_text(as_junit([fails, replace(fails, status="skipped")], 1.0), encoding="utf-8")
+    failure, clean = check_junit(path).find(".//failure"), 'a <b> & "c" \ufffd\ufffd[31m ]]> \ufffd'
+    assert failure is not None and failure.text == f"{clean}\n{clean}\ngolden: golden"
 
 
 # --- the shipped goldens -------------------------------------------------------------------------------------------

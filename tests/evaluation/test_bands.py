@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.evaluation.goldens import bands, paths
-from facetrack_cli.evaluation.goldens import permutation_test as exchange
+from facetrack_cli.evaluation.goldens import bands, goldens, permutation_test
 from facetrack_cli.evaluation.goldens.bands import Statistic
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
@@ -150,17 +149,17 @@ def test_more_runs_are_tested_where_seeds_differ_more():
 @pytest.mark.parametrize("tails", ["normal", "cauchy", "lost"])
 def test_false_alarms_are_as_rare_as_told(test, tails, monkeypatch):
     """The rank of the tested runs among the picks is uniform, whatever the tails."""
-    monkeypatch.setattr(exchange, "SPLITS", 400)
-    monkeypatch.setattr(exchange, "ALPHA", 0.05)
+    monkeypatch.setattr(permutation_test, "SPLITS", 400)
+    monkeypatch.setattr(permutation_test, "ALPHA", 0.05)
     rng = np.random.default_rng(3)
-    picks = exchange.picks(4, 30)
+    picks = permutation_test.picks_of(4, 30)
     failed = 0
     for _ in range(300):
         values = rng.standard_cauchy((34, 12)) if tails == "cauchy" else rng.normal(size=(34, 12))
         if tails == "lost":
             values += 50.0 * (rng.random((34, 1)) < 0.2)
-        z = exchange.bend(exchange.place(values, np.full(12, 0.01)).z)
-        found = getattr(exchange, test)(z, picks)
+        z = permutation_test.bend(permutation_test.place(values, np.full(12, 0.01)).z)
+        found = getattr(permutation_test, test)(z, picks)
         far = found.far.max() if test == "largest" else found.far
         assert (far > 1) == (found.p <= 0.05 + 1e-9)
         failed += far > 1
@@ -169,17 +168,17 @@ def test_false_alarms_are_as_rare_as_told(test, tails, monkeypatch):
 
 
 def test_the_first_pick_is_the_tested_runs_and_each_has_as_many():
-    picks = exchange.picks(4, 40)
-    assert picks.shape == (exchange.SPLITS, 44) and (picks.sum(axis=1) == 4).all()
+    picks = permutation_test.picks_of(4, 40)
+    assert picks.shape == (permutation_test.SPLITS, 44) and (picks.sum(axis=1) == 4).all()
     assert picks[0].tolist() == [1.0] * 4 + [0.0] * 40
-    np.testing.assert_array_equal(picks, exchange.picks(4, 40))
+    np.testing.assert_array_equal(picks, permutation_test.picks_of(4, 40))
 
 
 @given(st.floats(-50, 50))
 def test_bend_is_undone_and_keeps_order(v):
-    bent = float(exchange.bend(np.array([v]))[0])
-    assert exchange.unbend(bent) == pytest.approx(v, rel=1e-6, abs=1e-9)
-    assert abs(bent) <= abs(v) and exchange.bend(np.array([v + 0.1]))[0] > bent
+    bent = float(permutation_test.bend(np.array([v]))[0])
+    assert permutation_test.unbend(bent) == pytest.approx(v, rel=1e-6, abs=1e-9)
+    assert abs(bent) <= abs(v) and permutation_test.bend(np.array([v + 0.1]))[0] > bent
 
 
 def test_together_sees_what_each_statistic_hides():
@@ -187,9 +186,9 @@ def test_together_sees_what_each_statistic_hides():
     both = rng.normal(size=(44, 1)) @ np.ones((1, 2)) + 0.1 * rng.normal(size=(44, 2))
     both[:4, 0] += 0.8
     both[:4, 1] -= 0.8
-    picks = exchange.picks(4, 40)
-    assert exchange.largest(both, picks).far.max() < 1
-    found = exchange.joint(both, picks)
+    picks = permutation_test.picks_of(4, 40)
+    assert permutation_test.largest(both, picks).far.max() < 1
+    found = permutation_test.joint(both, picks)
     assert found.far > 1 and found.shares == pytest.approx([0.5, 0.5], abs=0.2)
 
 
@@ -197,10 +196,10 @@ def test_together_sees_what_each_statistic_hides():
 
 
 def test_the_first_frame_off_the_path_is_told():
-    recorded = paths.paths(RECORDED)
-    assert [path.series for path in recorded] == ["face/nose", "face/mouth_left"]
-    assert paths.first_leave(recorded, [run(s) for s in range(4)]) is None
-    leave = paths.first_leave(recorded, [run(s, jump=("mouth_left",)) for s in range(4)])
+    recorded = goldens.paths_of(RECORDED)
+    assert list(recorded) == ["face/nose", "face/mouth_left"]
+    assert goldens.first_leave(recorded, [run(s) for s in range(4)]) is None
+    leave = goldens.first_leave(recorded, [run(s, jump=("mouth_left",)) for s in range(4)])
     assert leave is not None and (leave.frame, leave.series) == (60, "face/mouth_left")
     assert leave.distance == pytest.approx(12, abs=3) and 0.5 <= leave.reach < 5
     assert "frame 60" in str(leave)
@@ -209,6 +208,7 @@ def test_the_first_frame_off_the_path_is_told():
 def test_a_path_where_no_run_has_a_position_is_no_place_to_leave():
     t = np.arange(20)
     gone = [one_part("face", "nose", t, x=np.where(t > 9, math.nan, t), y=t)] * 3
-    recorded = paths.paths(gone)
-    assert np.isnan(recorded[0].x[10:]).all() and np.isfinite(recorded[0].reach).all()
-    assert paths.first_leave(recorded, gone) is None
+    recorded = goldens.paths_of(gone)
+    path = recorded["face/nose"]
+    assert path.x[10:] == [None] * 10 and None not in path.x[:10] and np.isfinite(path.reach).all()
+    assert goldens.first_leave(recorded, gone) is None

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.evaluation import boxes
-from facetrack_cli.evaluation.boxes import measure_boxes, share_above, share_up_to, within
-from facetrack_cli.evaluation.raster import vot_overlaps
+from facetrack_cli.evaluation.boxes import measure_boxes, share_above, share_up_to, vot_overlaps, within
 from tests.twins import boxes as naive_boxes
 
 NAN = [np.nan] * 4
@@ -235,7 +234,7 @@ def test_vot_overlap_is_on_whole_pixels():
 def test_accuracy_takes_polygons_where_there_are_some():
     ours, truth, valid = example()
     corners = np.tile([[10, 20], [49, 20], [49, 39], [10, 39.0]], (7, 1, 1))
-    same = measure_boxes(ours, truth, valid=valid, true_corners=corners)
+    same = measure_boxes(ours, truth, visible=valid, true_corners=corners)
     assert same.vot_accuracy == pytest.approx(measure_boxes(ours, truth, visible=valid).vot_accuracy)
     corners[1] += 100
-    assert measure_boxes(ours, truth, valid=valid, true_corners=corners).vot_accuracy == same.vot_accuracy - 1 / 4
+    assert measure_boxes(ours, truth, visible=valid, true_corners=corners).vot_accuracy == same.vot_accuracy - 1 / 4

@@ -86,7 +86,7 @@ def test_truth_that_is_lost_all_along() -> None:
 def test_truth_without_names_goes_to_the_only_boxes() -> None:
     point = one_part("head", "nose", range(50), x=np.arange(50), y=np.arange(50))
     (pair,) = pairs(table(point, box(range(50))), truth(range(50)))
-    assert (pair.name, pair.kind, len(pair.truth)) == ("head/box", "boxes", 50)
+    assert (pair.ours.name, pair.is_box, len(pair.truth)) == ("head/box", True, 50)
     assert np.array_equal(pair.ours.frame, pair.truth.frame)
 
 
@@ -117,7 +117,7 @@ def test_names_are_paired_and_the_rest_is_noted() -> None:
     nose, lip, eye = (box(range(50), "face", part) for part in ("nose", "lip", "eye"))
     notes: list[str] = []
     found = pairs(table(nose, lip), table(eye, nose, name="gt.csv"), note=notes.append)
-    assert [(pair.name, pair.kind) for pair in found] == [("face/nose", "points")]
+    assert [(pair.ours.name, pair.is_box) for pair in found] == [("face/nose", False)]
     assert len(notes) == 2
     assert "face/eye is not in the trajectory" in notes[0]
     assert "says nothing of face/lip" in notes[1]

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.evaluation.boxes import centre_errors, measure_boxes
-from facetrack_cli.evaluation.raster import vot_overlaps
+from facetrack_cli.evaluation.boxes import centre_errors, measure_boxes, vot_overlaps
 from tests.peers import cases
 
 CLOSE = 1e-9

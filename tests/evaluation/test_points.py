@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.evaluation.points import auc, lost_for_good, measure_points, measure_recovery, occlusions
-from facetrack_cli.evaluation.rows import Pair, rows_of
-from facetrack_cli.evaluation.units import check_normalise, unit_of
+from facetrack_cli.evaluation.rows import Pair, check_normalise, rows_of, unit_of
 from facetrack_cli.trajectory.trajectory import one_part
 
 UNIT = 12.0  # a sixth of it, within which a point is near, is 2; a quarter, beyond which it is lost for good, is 3
@@ -152,28 +151,28 @@ FRAMES = np.array([0, 1])
     ],
 )
 def test_lengths(how, lengths):
-    unit = unit_of(check_normalise(how), "face", TRUTH, box=False, frames=FRAMES)
+    unit = unit_of(check_normalise(how), TRUTH, box=False, frames=FRAMES)
     np.testing.assert_allclose(unit.at(FRAMES), lengths)
     assert math.isnan(unit.at(np.array([5]))[0]) and " px" in unit.text
 
 
 def test_lengths_of_eyes_and_boxes():
     eyes = [points("point_37", [(0, 0)], [3]), points("point_46", [(3, 4)], [3])]
-    assert unit_of("eyes", "face", eyes, box=False, frames=np.array([3])).at(np.array([3]))[0] == 5
+    assert unit_of("eyes", eyes, box=False, frames=np.array([3])).at(np.array([3]))[0] == 5
     box = points("box", [(0, 0), (1, 1), (2, 2)], (0, 1, 2), w=[4, 9, 0], h=[9, 16, 2])
-    found = unit_of("size", "face", [box], box=True, frames=np.array([0, 1, 2])).at(np.array([1, 0, 2]))
+    found = unit_of("size", [box], box=True, frames=np.array([0, 1, 2])).at(np.array([1, 0, 2]))
     np.testing.assert_allclose(found, [12, 6, math.nan])
 
 
 def test_lengths_that_are_not_there():
     shut = [points("a", [(1, 1)], [0]), points("b", [(1, 1)], [0])]
     for how in ("a:b", "size"):
-        assert math.isnan(unit_of(how, "face", shut, box=False, frames=np.array([0])).length[0]), "0 divides nothing"
-    assert math.isnan(unit_of("size", "face", TRUTH[:1], box=False, frames=FRAMES).length[0])
-    assert "no frame" in unit_of("size", "face", TRUTH, box=False, frames=np.array([0])).text
+        assert math.isnan(unit_of(how, shut, box=False, frames=np.array([0])).length[0]), "0 divides nothing"
+    assert math.isnan(unit_of("size", TRUTH[:1], box=False, frames=FRAMES).length[0])
+    assert "no frame" in unit_of("size", TRUTH, box=False, frames=np.array([0])).text
     for how in ("eyes", "mouth_left:chin"):
         with pytest.raises(UsageError, match=r"the truth has no .*; it has nose, mouth_left, mouth_right"):
-            unit_of(how, "face", TRUTH, box=False, frames=FRAMES)
+            unit_of(how, TRUTH, box=False, frames=FRAMES)
 
 
 @pytest.mark.parametrize("how", ["", "width", "a:", ":b", "a:b:c", "a:a", "0", "-3", "nan", "inf", "3px"])

@@ -261,7 +261,7 @@ def test_a_golden_holds_who_it_is_and_finds_its_gallery(clips: Path, tmp_path: P
 
     monkeypatch.chdir(tmp_path)  # from another folder, and without an option
     assert main(["regress", "clips", "-q"]) == 0
-    assert f"; hopper in {golden.tested} of {golden.tested}; " in capfd.readouterr().out
+    assert f"; hopper in {golden.seeds.tested} of {golden.seeds.tested}; " in capfd.readouterr().out
     before = path.read_bytes()
     assert main(["regress", "clips", "--update", "--seeds", "20", "-q"]) == 0
     assert " to test; hopper in 20 of 20)" in capfd.readouterr().out

@@ -83,8 +83,8 @@ class Eval:
     def run(self) -> None:
         from facetrack_cli.core.files import check_new, write_new
         from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
+        from facetrack_cli.evaluation.rows import check_normalise
         from facetrack_cli.evaluation.summary import Options, evaluate
-        from facetrack_cli.evaluation.units import check_normalise
         from facetrack_cli.report.figures.style import need_matplotlib
         from facetrack_cli.trajectory.formats.read import read_results
         from facetrack_cli.trajectory.header import clip_of, picture_of

@@ -123,8 +123,8 @@ class Regress:
 
         failed = False
         for one in update(self.folder, self.config, self.seeds or 40, self.stop, **runs):
-            what = f"wrote {one.path} ({one.message})" if one.path else f"skipped: {one.message}"
-            if not (one.path or one.skipped):
+            what = f"wrote {one.golden} ({one.message})" if one.status == "ok" else f"skipped: {one.message}"
+            if one.status == "fails":
                 failed = True
                 what = f"not recorded: {one.message}"
             _print(f"{one.clip} {one.recipe}: {what}")

@@ -1,23 +1,21 @@
 """Whether runs of a tracker still belong with those recorded before: statistics of a run, and their bands.
 
-    statistics = choose(tables)                          # what to measure in a run of this clip
-    recorded = measure(tables, statistics)               # (S, F), one row a seed
-    verdict = judge(statistics, recorded, measure(new, statistics))
-    verdict.passed, verdict.deviations
+    statistics = choose(tables)
+    verdict = judge(statistics, measure(tables, statistics), measure(new, statistics))
 
-A single position says little: seeds differ, and on another processor rounding makes a run part from its twin like
-another seed. A statistic averages over a span of frames of one part: mean x and y over about 25 frames; over a quarter
-of the clip mean log std_x, std_y, ess and step length |x_t - x_{t-1}|, mean confidence, share of frames lost; and of
-a tracker that gives them, mean log w, h and number of particles, mean angle and probability of who it is (`names.py`).
+A single position says little: seeds differ, and rounding on another processor changes a run as another seed does. A
+statistic averages over a span of frames of one part: mean x and y over about 25 frames; over a quarter of the clip mean
+log std_x, std_y, ess and step length |x_t - x_{t-1}|, mean confidence, share of frames lost; and of a tracker that
+gives them, mean log w, h and number of particles, mean angle and probability of the target's identity.
 
-*The test* is a permutation test (`exchange.py`) of three families of statistics, each with a false alarm probability
-of ALPHA at most, so together below 1 in 1000:
+*The test* is a permutation test (`permutation_test.py`) of three families of statistics, each with a false alarm
+probability of ALPHA at most, so together below 1 in 1000:
 
 - *local*: the largest |z| over all statistics;
 - *overall*: the largest |z| over their means for each quantity, of all parts and of each part, which sees a small
   change that is everywhere, as of a sigma;
-- *joint*: the Mahalanobis distance of the means of all parts, which sees a change that hides in how runs differ:
-  where runs with a wide spread are those with low confidence, a wide spread with a high confidence is new.
+- *joint*: the Mahalanobis distance of the means of all parts, which sees a combination that is new, as a wide spread
+  with a high confidence where runs with a wide spread have a low one.
 
 The band of a statistic is what this criterion amounts to for it, in its own unit.
 """
@@ -26,17 +24,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.evaluation.goldens import permutation_test as exchange
-from facetrack_cli.evaluation.goldens.identities import names, probability
-from facetrack_cli.evaluation.goldens.permutation_test import FAR
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.evaluation.goldens.permutation_test import FAR, bend, joint, largest, picks_of, place, unbend
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 Name: TypeAlias = Literal[
@@ -49,9 +45,9 @@ REPEATABLE: Final = 10  # bands of trackers without chance, in units of `least`
 
 
 class Quantity(NamedTuple):
-    """How a quantity is averaged and told. `unit`: resolution of what is recorded; `least`: spread taken at least.
+    """How a quantity is averaged and shown. `unit`: resolution of what is recorded; `least`: the least spread assumed.
 
-    With an `offset` the mean is that of log(value + offset), and is told as exp(mean) - offset.
+    With an `offset` the mean is that of log(value + offset), and is shown as exp(mean) - offset.
     """
 
     frames: int
@@ -61,7 +57,7 @@ class Quantity(NamedTuple):
     suffix: str = ""
     offset: float | None = None
 
-    def told(self, value: float) -> float:
+    def shown(self, value: float) -> float:
         return value if self.offset is None else math.exp(min(value, 50.0)) - self.offset
 
 
@@ -110,26 +106,33 @@ class Deviation:
     together: tuple[Deviation, ...] = ()
 
     @property
+    def family(self) -> str:
+        return "joint" if self.together else "overall" if self.relative else "local"
+
+    @property
     def change(self) -> str:
-        """`mean std_x +12 %`, of an overall statistic."""
-        q = QUANTITIES[self.statistic.quantity]
-        if q.offset is not None:
-            return f"{q.words} {100 * (self.value - 1):+.0f} %"
-        return f"{q.words} {self.value:+.{_digits(self.high - self.low)}f}{q.suffix}"
+        """The statistic and its value, as `mean std_x +12 %`."""
+        return f"{QUANTITIES[self.statistic.quantity].words} {self._number(self.value)}{self._suffix}"
 
     def __str__(self) -> str:
         if self.together:
             return f"{', '.join(one.change for one in self.together)} against the recorded, which do not go together"
+        band = f"band {self._number(self.low)}..{self._number(self.high)}"
+        return (
+            f"{self.change} against the recorded, {band}{self._suffix}" if self.relative else f"{self.change}, {band}"
+        )
+
+    @property
+    def _suffix(self) -> str:
         q = QUANTITIES[self.statistic.quantity]
-        digits = _digits(self.high - self.low)
-        if not self.relative:
-            low, high = (f"{v:.{digits}f}" for v in (self.low, self.high))
-            return f"{q.words} {self.value:.{digits}f}{q.suffix}, band {low}..{high}"
-        if q.offset is not None:
-            low, high = (f"{100 * (v - 1):+.0f}" for v in (self.low, self.high))
-            return f"{self.change} against the recorded, band {low}..{high} %"
-        low, high = (f"{v:+.{digits}f}" for v in (self.low, self.high))
-        return f"{self.change} against the recorded, band {low}..{high}{q.suffix}"
+        return " %" if self.relative and q.offset is not None else q.suffix
+
+    def _number(self, value: float) -> str:
+        """With the decimals that show a band of this width; a ratio as a change in percent."""
+        if self._suffix == " %":
+            return f"{100 * (value - 1):+.0f}"
+        digits = min(max(1 - math.floor(math.log10(max(self.high - self.low, 1e-6))), 0), 4)
+        return f"{value:{'+' if self.relative else ''}.{digits}f}"
 
 
 @dataclass(frozen=True)
@@ -148,20 +151,38 @@ class Verdict:
         return not self.deviations
 
 
+# --- who a target is -----------------------------------------------------------------------------------------------
+
+
+def last_names(tables: Sequence[Trajectory]) -> dict[str, Counter[str]]:
+    """For each target that is named in any run: how many runs end with which name."""
+    found: dict[str, Counter[str]] = {}
+    for table in tables:
+        for target in table.targets:
+            if named := [name for name in table.of_target(target)[0].identity.tolist() if name]:
+                found.setdefault(target, Counter())[named[-1]] += 1
+    return found
+
+
+def names(tables: Sequence[Trajectory]) -> dict[str, str]:
+    """The name of each target, the one with which most runs end; of as many, the first by the alphabet."""
+    return {
+        target: min(counts, key=lambda name: (-counts[name], name)) for target, counts in last_names(tables).items()
+    }
+
+
 # --- measuring -----------------------------------------------------------------------------------------------------
 
 
 def choose(tables: Sequence[Trajectory]) -> tuple[Statistic, ...]:
     """The statistics that runs of this clip have: none that the tracker never gives, and nothing that is fixed."""
-    found = []
-    named = names(tables)
+    found, named = [], names(tables)
     for name, q in QUANTITIES.items():
         for i, one in enumerate(tables[0].parts):
             values = np.stack([_values(name, table.parts[i], named) for table in tables])
-            told = np.isfinite(values)
-            if not told.any() or (name in _MAY_BE_FIXED and np.ptp(values[told]) < 1e-9):
-                continue
-            found += [Statistic(name, one.name, *span) for span in _spans(one.frame[1:].tolist(), q)]
+            known = values[np.isfinite(values)]
+            if known.size and not (name in _MAY_BE_FIXED and np.ptp(known) < 1e-9):
+                found += [Statistic(name, one.name, *span) for span in _spans(one.frame[1:].tolist(), q)]
     return tuple(found)
 
 
@@ -170,22 +191,18 @@ def measure(
 ) -> Array:
     """(S, F), in whole units of each quantity, nan where a run has no value in a span.
 
-    `named` is whose probability is meant of each target that is named; by default who most of these runs say it is.
-
-    Every table must have the series, and the frames, that the statistics were chosen from.
+    `named`: the name whose probability is measured, by target; by default the one that most of these runs give. Every
+    table must have the series, and the frames, that the statistics were chosen from.
     """
-    rows = []
-    named = names(tables) if named is None else named
+    rows, named = [], names(tables) if named is None else named
     for table in tables:
-        known: dict[tuple[str, str], Array] = {}
         by_name = {one.name: one for one in table.parts}
+        pairs = dict.fromkeys((s.quantity, s.series) for s in statistics)
+        known = {(name, series): _values(name, by_name[series], named) for name, series in pairs}
         row = []
         for s in statistics:
-            one = by_name[s.series]
-            if (s.quantity, s.series) not in known:
-                known[s.quantity, s.series] = _values(s.quantity, one, named)
-            inside: Mask = (one.frame >= s.first) & (one.frame <= s.last)
-            values = known[s.quantity, s.series][inside]
+            frame = by_name[s.series].frame
+            values = known[s.quantity, s.series][(frame >= s.first) & (frame <= s.last)]
             values = values[np.isfinite(values)]
             row.append(float(values.mean()) / QUANTITIES[s.quantity].unit if values.size else math.nan)
         rows.append(row)
@@ -195,8 +212,8 @@ def measure(
 def runs_to_test(statistics: Sequence[Statistic], recorded: Array) -> int:
     """How many runs to test: 4, or up to 12 where seeds differ so much that four could not see small changes.
 
-    A change of the spread is judged by the part whose runs differ least. One where all runs are the same; four where
-    there is no spread, and so no sigma that could change.
+    A change of the spread is judged by the part whose runs differ least. One where all runs are the same; 4 without any
+    spread, and so without a sigma that could change.
     """
     if len(recorded) < 2 or alike(recorded):
         return 1
@@ -220,41 +237,27 @@ def _noise(statistics: Sequence[Statistic], recorded: Array, quantities: tuple[N
 
 
 def alike(recorded: Array) -> bool:
-    """Whether every run has the same statistics: a tracker without chance."""
+    """Whether every run has the same statistics: a deterministic tracker."""
     return bool((np.nan_to_num(recorded) == np.nan_to_num(recorded[0])).all())
 
 
-def _steps(one: Trajectory) -> Array:
-    return np.hypot(np.diff(one.x, prepend=math.nan), np.diff(one.y, prepend=math.nan))
-
-
-def _log(values: Array, offset: float | None) -> Array:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.log(values + (offset or 0.0)))
+_MAY_BE_FIXED: Final = ("w", "h", "angle", "particles")
 
 
 def _values(quantity: Name, one: Trajectory, named: Mapping[str, str]) -> Array:
-    """(T,) of a series; of who it is, the probability of who its target is said to be."""
+    """(T,) of a series. Identity: the probability of the name in `named`, 0 in frames where another is more likely."""
     if quantity == "identity":
-        return probability(one, named.get(one.target, ""))
-    return _VALUES[quantity](one)
-
-
-_MAY_BE_FIXED: Final = ("w", "h", "angle", "particles")
-_VALUES: Final[dict[Name, Callable[[Trajectory], Array]]] = {
-    "x": lambda one: one.x,
-    "y": lambda one: one.y,
-    "w": lambda one: _log(one.w, 0.0),
-    "h": lambda one: _log(one.h, 0.0),
-    "angle": lambda one: one.angle,
-    "std_x": lambda one: _log(one.std_x, QUANTITIES["std_x"].offset),
-    "std_y": lambda one: _log(one.std_y, QUANTITIES["std_y"].offset),
-    "ess": lambda one: _log(one.ess, 0.0),
-    "step": lambda one: _log(_steps(one), QUANTITIES["step"].offset),
-    "particles": lambda one: _log(one.particles, 0.0),
-    "confidence": lambda one: one.confidence,
-    "lost": lambda one: np.asarray(one.status == "lost", dtype=float),
-}
+        same = one.identity == named.get(one.target, "")
+        return np.where(one.identity == "", np.nan, np.where(same, one.identity_prob, 0.0))
+    if quantity == "lost":
+        return np.asarray(one.status == "lost", dtype=float)
+    if quantity == "step":
+        values = np.hypot(np.diff(one.x, prepend=math.nan), np.diff(one.y, prepend=math.nan))
+    else:
+        values = getattr(one, quantity)
+    offset = QUANTITIES[quantity].offset
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return values if offset is None else np.asarray(np.log(values + offset))
 
 
 def _spans(frames: list[int], q: Quantity) -> list[tuple[int, int]]:
@@ -275,52 +278,49 @@ def judge(statistics: Sequence[Statistic], recorded: Array, tested: Array) -> Ve
     least = np.array([QUANTITIES[s.quantity].least for s in statistics])
     if alike(recorded):
         return _judge_repeatable(statistics, recorded[0] * units, tested.mean(axis=0) * units, least)
-    placed = exchange.place(np.vstack([tested, recorded]) * units, least)
-    counted = exchange.bend(placed.z)
-    picks = exchange.picks(len(tested), len(recorded))
-    local = exchange.largest(counted, picks)
+    placed = place(np.vstack([tested, recorded]) * units, least)
+    counted = bend(placed.z)
+    picks = picks_of(len(tested), len(recorded))
+    local = largest(counted, picks)
     groups, members = _groups(statistics)
     means = np.stack([counted[:, columns].mean(axis=1) for columns in members], axis=1)
-    overall_placed = exchange.place(means, np.full(len(members), 0.05))
+    overall_placed = place(means, np.full(len(members), 0.05))
     clipped = np.clip(overall_placed.z, -FAR, FAR)
-    overall = exchange.largest(clipped, picks)
+    overall = largest(clipped, picks)
     # a mean of deviations, each in units of its own scale, is a weighted mean of them with the weights 1 / scale
     natural = overall_placed.scale / np.array([np.mean(1 / placed.scale[columns]) for columns in members])
     whole = [i for i, group in enumerate(groups) if (group.series, group.last) == (groups[0].series, groups[0].last)]
-    together = exchange.joint(clipped[:, whole], picks)
+    together = joint(clipped[:, whole], picks)
+
+    def at(i: int) -> Deviation:
+        edges = (local.mean[i], local.centre[i] - local.half[i], local.centre[i] + local.half[i])
+        shown = QUANTITIES[statistics[i].quantity].shown
+        value, low, high = (shown(placed.median[i] + placed.scale[i] * unbend(float(v))) for v in edges)
+        return Deviation(statistics[i], float(local.far[i]), value, low, high)
 
     def changed(i: int) -> Deviation:
-        value, low, high = (
-            v * natural[i] for v in (overall.mean[i] - overall.centre[i], -overall.half[i], overall.half[i])
-        )
-        if QUANTITIES[groups[i].quantity].offset is not None:
-            value, low, high = math.exp(value), math.exp(low), math.exp(high)
+        edges = (overall.mean[i] - overall.centre[i], -overall.half[i], overall.half[i])
+        logarithm = QUANTITIES[groups[i].quantity].offset is not None
+        value, low, high = (math.exp(v * natural[i]) if logarithm else v * natural[i] for v in edges)
         return Deviation(groups[i], float(overall.far[i]), value, low, high, relative=True)
 
-    deviations = []
-    for i in _outside(local.far):
-        edges = (local.mean[i], local.centre[i] - local.half[i], local.centre[i] + local.half[i])
-        told = QUANTITIES[statistics[i].quantity].told
-        value, low, high = (told(placed.median[i] + placed.scale[i] * exchange.unbend(float(v))) for v in edges)
-        deviations.append(Deviation(statistics[i], float(local.far[i]), value, low, high))
-    deviations += [changed(i) for i in _outside(overall.far)]
+    deviations = [*map(at, _outside(local.far)), *map(changed, _outside(overall.far))]
     if together.far > 1:
         most = [whole[i] for i in np.argsort(-together.shares, kind="stable")[:3].tolist() if together.shares[i] > 0.1]
-        first = groups[most[0]]
-        deviations.append(Deviation(first, together.far, together=tuple(changed(i) for i in most)))
+        deviations.append(Deviation(groups[most[0]], together.far, together=tuple(changed(i) for i in most)))
     closest = max(float(local.far.max()), float(overall.far.max()), together.far)
     return Verdict(min(1.0, 3 * min(local.p, overall.p, together.p)), closest, tuple(deviations))
 
 
 def _judge_repeatable(statistics: Sequence[Statistic], recorded: Array, tested: Array, least: Array) -> Verdict:
-    """A tracker without chance has no spread: its band is what rounding on another processor may amount to."""
+    """A deterministic tracker has no spread: its band is what rounding on another processor may amount to."""
     half = REPEATABLE * least
     missing = np.isnan(recorded) != np.isnan(tested)
     far = np.where(missing, FAR, np.nan_to_num(np.abs(tested - recorded)) / half)
     deviations = []
     for i in _outside(far):
-        q = QUANTITIES[statistics[i].quantity]
-        value, low, high = (q.told(float(v)) for v in (tested[i], recorded[i] - half[i], recorded[i] + half[i]))
+        shown = QUANTITIES[statistics[i].quantity].shown
+        value, low, high = (shown(float(v)) for v in (tested[i], recorded[i] - half[i], recorded[i] + half[i]))
         deviations.append(Deviation(statistics[i], float(far[i]), value, low, high))
     return Verdict(0.0 if deviations else 1.0, float(far.max()), tuple(deviations))
 
@@ -330,27 +330,20 @@ def _outside(far: Array) -> list[int]:
     return [i for i in np.argsort(-far, kind="stable").tolist() if far[i] > 1]
 
 
-def _groups(statistics: Sequence[Statistic]) -> tuple[list[Statistic], list[NDArray[np.int64]]]:
+def _groups(statistics: Sequence[Statistic]) -> tuple[list[Statistic], list[Whole]]:
     """The overall statistics (of series "" for all parts), and which statistics each is the mean of.
 
     x and y are also averaged over the first frames alone: once some runs are lost, a shift of the others is hidden.
     """
-    names = tuple(dict.fromkeys(s.series for s in statistics))
+    series = tuple(dict.fromkeys(s.series for s in statistics))
     groups, members = [], []
     for quantity in dict.fromkeys(s.quantity for s in statistics):
-        ends = sorted({s.last for s in statistics if s.quantity == quantity})
+        own = [i for i, s in enumerate(statistics) if s.quantity == quantity]
+        ends = sorted({statistics[i].last for i in own})
         early = ends[max(len(ends) // 4, 2) - 1 :][:1] if quantity in ("x", "y") else []
-        for name, last in itertools.product(("", *names) if len(names) > 1 else names, [ends[-1], *early]):
-            columns = [
-                i for i, s in enumerate(statistics)
-                if s.quantity == quantity and name in ("", s.series) and s.last <= last
-            ]  # fmt: skip
+        for name, last in itertools.product(("", *series) if len(series) > 1 else series, [ends[-1], *early]):
+            columns = [i for i in own if name in ("", statistics[i].series) and statistics[i].last <= last]
             if columns:
                 groups.append(Statistic(quantity, name, statistics[columns[0]].first, last))
                 members.append(np.array(columns, dtype=np.int64))
     return groups, members
-
-
-def _digits(width: float) -> int:
-    """Decimals that tell a band of this width."""
-    return min(max(1 - math.floor(math.log10(max(width, 1e-6))), 0), 4)

@@ -2,39 +2,41 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
-from facetrack_cli.evaluation.goldens.bands import Deviation, Verdict, judge, measure
+from facetrack_cli.evaluation.goldens.bands import Deviation, Verdict, judge, last_names, measure, names
 from facetrack_cli.evaluation.goldens.goldens import (
     FIRST_SEED,
-    Gallery,
     Golden,
+    Leave,
     beside,
     checksum,
     differences,
     find_goldens,
+    first_leave,
     golden_path,
     read_golden,
     record,
     versions,
     write_golden,
 )
-from facetrack_cli.evaluation.goldens.identities import names, sentence
-from facetrack_cli.evaluation.goldens.paths import Leave, first_leave
 from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.gallery_option import put
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, Recipe, completed, to_dict
-from facetrack_cli.runs.plan import Begin
 from facetrack_cli.runs.seeds import Plan, Report, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.opencv import find as find_opencv
 from facetrack_cli.tracking.start import find_init
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 Status: TypeAlias = Literal["ok", "fails", "skipped"]
 NO_CLIPS = (".csv", ".json", ".md", ".py", ".txt", ".yaml", ".yml")
@@ -43,7 +45,10 @@ UPDATE = "record anew with --update if that is meant"
 
 @dataclass(frozen=True)
 class Checked:
-    """What came of one golden: `message` is one line, `details` more of them. `seconds` of the trackers alone."""
+    """What came of checking or recording one golden: `message` is one line, `details` more of them.
+
+    "skipped": it cannot be run here, and nothing is wrong. `seconds` are those of the trackers alone.
+    """
 
     golden: Path
     clip: str
@@ -57,15 +62,79 @@ class Checked:
     leave: Leave | None = None
 
 
-@dataclass(frozen=True)
-class Updated:
-    """What came of recording one golden: a file, or why not. `skipped`: it cannot be made here; nothing is wrong."""
+class _SkippedError(FacetrackError):
+    """Why a golden cannot be run or recorded here, although nothing is wrong."""
 
+
+class _Job(NamedTuple):
+    golden: Path
     clip: str
     recipe: str
-    path: Path | None
-    message: str
-    skipped: bool = False
+    prepare: Callable[[], Plan]
+    finish: Callable[[Plan, Sequence[SeedRun]], Checked]
+
+
+def _run(jobs: Sequence[_Job], workers: int, stopped: Stop | None, report: Report) -> Iterator[Checked]:
+    """The results of jobs, in their order; fewer once `stopped` says so."""
+    stopped = stopped or Stop()
+    prepared: list[Plan | FacetrackError] = []
+    for job in jobs:
+        try:
+            prepared.append(job.prepare())
+        except FacetrackError as e:
+            prepared.append(e)
+        if stopped():
+            return
+    with closing(run_plans([one for one in prepared if isinstance(one, Plan)], workers, stopped, report)) as runs:
+        for job, one in zip(jobs, prepared, strict=True):
+            ended = next(runs, None) if isinstance(one, Plan) else None
+            if stopped():
+                return
+            error = ended.error if ended is not None else one
+            if isinstance(error, FacetrackError):
+                status: Status = "skipped" if isinstance(error, _SkippedError) else "fails"
+                yield Checked(job.golden, job.clip, job.recipe, status, str(error))
+            elif ended is not None:
+                yield job.finish(ended.plan, ended.runs)
+
+
+def _check_runs_here(recipe: Recipe) -> None:
+    if isinstance(recipe, OpenCvRecipe) and find_opencv(recipe.tracker) is None:
+        raise _SkippedError(
+            f"the installed OpenCV has no {recipe.tracker.upper()} tracker; opencv-contrib-python-headless has"
+        )
+
+
+def _gallery(recipe: Recipe) -> Path | None:
+    """The gallery of a recipe, if it names one; RecipeError if there is no such file."""
+    if not isinstance(recipe, ParticleRecipe) or recipe.recognition is None or recipe.recognition.gallery is None:
+        return None
+    return resolve_file(recipe, recipe.recognition.gallery)
+
+
+def _recognising(recipe: Recipe, folder: Path, golden: Golden | None, gallery: Path | None) -> Recipe:
+    """A recipe that recognises with `gallery`, else with its own gallery, else with that of the golden."""
+    if gallery is None and golden is not None and golden.gallery is not None and _gallery(recipe) is None:
+        gallery = folder / golden.gallery.file
+    if gallery is None or not isinstance(recipe, ParticleRecipe) or recipe.recognition is None:
+        return recipe
+    if not gallery.is_file():
+        raise InputError(f"the gallery {gallery} is not there; put it back, or name another with --gallery")
+    return put(recipe, str(gallery))
+
+
+def _identities(recorded: Mapping[str, str], tables: Sequence[Trajectory]) -> str:
+    """With which names runs end, as `grace in 4 of 4`, and of which target if there are several; "" for nobody."""
+    counted = last_names(tables)
+    targets, found = dict.fromkeys([*recorded, *counted]), []
+    for target in targets:
+        counts = counted.get(target, Counter())
+        each = [f"{name} in {counts[name]} of {len(tables)}" for name in sorted(counts, key=lambda n: (-counts[n], n))]
+        found.append((f"{target}: " if len(targets) > 1 else "") + (", ".join(each) or "nobody"))
+    return "; ".join(found)
+
+
+# --- checking ------------------------------------------------------------------------------------------------------
 
 
 def select(folder: Path, recipes: Sequence[Recipe]) -> list[tuple[Path, Golden]]:
@@ -73,27 +142,19 @@ def select(folder: Path, recipes: Sequence[Recipe]) -> list[tuple[Path, Golden]]
 
     Raises InputError where there are none, or where one cannot be read.
     """
-    found = find_goldens(folder)
-    if not found:
+    goldens = [(path, read_golden(path)) for path in find_goldens(folder)]
+    if not goldens:
         raise InputError(
             f"{folder}: has no goldens; record some with facetrack regress {folder} --config RECIPE --update"
         )
-    goldens = [(path, read_golden(path)) for path in found]
-    names = {_name(golden) for _, golden in goldens}
-    for recipe in recipes:
-        if recipe.name not in names:
+    known = {golden.recipe_name for _, golden in goldens}
+    wanted = {recipe.name: recipe for recipe in recipes} or known
+    for name in wanted:
+        if name not in known:
             raise InputError(
-                f"{folder}: has no golden of {recipe.name}, only of {', '.join(sorted(names))}; record it with --update"
+                f"{folder}: has no golden of {name}, only of {', '.join(sorted(known))}; record it with --update"
             )
-    wanted = {recipe.name for recipe in recipes} or names
-    return [(path, golden) for path, golden in goldens if _name(golden) in wanted]
-
-
-def _name(golden: Golden) -> str:
-    return Path(golden.recipe).name.removesuffix(".yaml")
-
-
-# --- checking ------------------------------------------------------------------------------------------------------
+    return [(path, golden) for path, golden in goldens if golden.recipe_name in wanted]
 
 
 def check(
@@ -108,86 +169,30 @@ def check(
     stopped: Stop | None = None,
     report: Report = lambda done, total: None,
 ) -> Iterator[Checked]:
-    """Run every golden's clip and judge what comes out, in their order; fewer results once `stopped` says so.
+    """Run the clip of every golden and judge the runs, in their order; fewer results once `stopped` says so.
 
     `recipes` are taken in place of the goldens' own of the same name, `overrides` are set in these, and `gallery` is
     taken in place of theirs. Seeds count from `first_seed`.
     """
-    stopped = stopped or Stop()
     given = {recipe.name: recipe for recipe in recipes}
-    prepared = [_prepare(folder, path, golden, given, overrides, gallery, first_seed) for path, golden in goldens]
-    plans = [one for one in prepared if isinstance(one, Plan)]
-    runs = run_plans(plans, workers, stopped, report)
-    for (path, golden), one in zip(goldens, prepared, strict=True):
-        if stopped():
-            break
-        if isinstance(one, Checked):
-            yield one
-            continue
-        ended = next(runs, None)
-        if ended is not None and ended.error is not None:
-            yield _checked(path, golden, "fails", str(ended.error))
-        elif ended is not None:
-            yield _compare(path, golden, one, ended.runs)
-    runs.close()
 
+    def prepare(path: Path, golden: Golden) -> Plan:
+        clip = folder / golden.clip.file
+        if not clip.exists():
+            raise InputError(f"the clip {clip} is not there; put it back, or remove {path}")
+        if checksum(clip) != golden.clip.sha256:
+            raise InputError(f"the clip {clip} is not the one recorded; restore it, or {UPDATE}")
+        recipe = given.get(golden.recipe_name) or load_recipe(golden.recipe_from(folder), overrides)
+        recipe = _recognising(recipe, folder, golden, gallery)
+        _check_runs_here(recipe)
+        seeds = tuple(range(first_seed, first_seed + golden.seeds.tested))
+        return Plan(path.stem, clip, recipe, golden.start.start_from(str(path)), seeds, golden.stop)
 
-def _prepare(
-    folder: Path,
-    path: Path,
-    golden: Golden,
-    given: Mapping[str, Recipe],
-    overrides: Sequence[str],
-    gallery: Path | None,
-    first_seed: int,
-) -> Plan | Checked:
-    clip = folder / golden.clip
-    if not clip.exists():
-        return _checked(path, golden, "fails", f"the clip {clip} is not there; put it back, or remove {path}")
-    try:
-        if checksum(clip) != golden.sha256:
-            return _checked(path, golden, "fails", f"the clip {clip} is not the one recorded; restore it, or {UPDATE}")
-        recipe = given.get(_name(golden)) or _load(folder, golden, overrides)
-        if golden.gallery is not None and (gallery or _gallery(recipe) is None):
-            recipe = _recognising(recipe, gallery or folder / golden.gallery.file)
-    except FacetrackError as e:
-        return _checked(path, golden, "fails", str(e))
-    if reason := _cannot_run(recipe):
-        return _checked(path, golden, "skipped", reason)
-    seeds = tuple(range(first_seed, first_seed + golden.tested))
-    return Plan(path.stem, clip, recipe, golden.start, seeds, golden.stop)
-
-
-def _load(folder: Path, golden: Golden, overrides: Sequence[str] = ()) -> Recipe:
-    beside = folder / golden.recipe
-    return load_recipe(str(beside) if golden.recipe.endswith(".yaml") else golden.recipe, overrides)
-
-
-def _recognising(recipe: Recipe, gallery: Path) -> Recipe:
-    """The same recipe with this gallery, if it recognises anybody."""
-    if not isinstance(recipe, ParticleRecipe) or recipe.recognition is None:
-        return recipe
-    if not gallery.is_file():
-        raise InputError(f"the gallery {gallery} is not there; put it back, or name another with --gallery")
-    return put(recipe, str(gallery))
-
-
-def _gallery(recipe: Recipe) -> Path | None:
-    """The gallery of a recipe, if it names one; RecipeError if that is nowhere."""
-    if not isinstance(recipe, ParticleRecipe) or recipe.recognition is None or recipe.recognition.gallery is None:
-        return None
-    return resolve_file(recipe, recipe.recognition.gallery)
-
-
-def _cannot_run(recipe: Recipe) -> str:
-    """Why this installation cannot run a recipe, if so."""
-    if isinstance(recipe, OpenCvRecipe) and find_opencv(recipe.tracker) is None:
-        return f"the installed OpenCV has no {recipe.tracker.upper()} tracker; opencv-contrib-python-headless has"
-    return ""
-
-
-def _checked(path: Path, golden: Golden, status: Status, message: str) -> Checked:
-    return Checked(path, golden.clip, _name(golden), status, message)
+    jobs = []
+    for path, golden in goldens:
+        make, finish = partial(prepare, path, golden), partial(_compare, path, golden)
+        jobs.append(_Job(path, golden.clip.file, golden.recipe_name, make, finish))
+    return _run(jobs, workers, stopped, report)
 
 
 def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) -> Checked:
@@ -198,53 +203,49 @@ def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) ->
     gallery = _gallery(plan.recipe)
     if golden.gallery is not None and gallery is not None and checksum(gallery) != golden.gallery.sha256:
         notes.append(f"the gallery {gallery} is not the one recorded, {golden.gallery.file}; {UPDATE}")
-    name, seeds = _name(golden), len(runs)
-    if shape := _other_shape(golden, tables[0].frames.tolist(), [one.name for one in tables[0].parts]):
-        return Checked(path, golden.clip, name, "fails", shape, tuple(notes), seconds, seeds)
+    result = partial(Checked, path, golden.clip.file, golden.recipe_name, seconds=seconds, seeds=len(runs))
+    if shape := _other_shape(golden, tables[0]):
+        return result("fails", shape, tuple(notes))
     verdict = judge(golden.statistics, golden.recorded, measure(tables, golden.statistics, golden.names))
-    who = sentence(golden.names, tables)
+    who = _identities(golden.names, tables)
     if verdict.passed:
         message = f"the farthest statistic is at {100 * verdict.closest:.0f} % of its band{who and '; ' + who}"
-        return Checked(path, golden.clip, name, "ok", message, tuple(notes), seconds, seeds, verdict)
+        return result("ok", message, tuple(notes), verdict=verdict)
     leave = first_leave(golden.paths, tables)
-    lines = [f"{_where(golden, d.statistic.series, d.statistic.first, d.statistic.last)}: {d}" for d in _told(verdict)]
+    quantities = {one.statistic.quantity for one in verdict.deviations}
+    lines = []
+    for one in _shown(verdict):
+        _, series, first, last = one.statistic
+        lines.append(f"frames {first}-{last}, {golden.short(series) if series else 'all parts'}: {one}")
     if leave is not None:
         lines.insert(1, f"{golden.short(leave.series)} {leave}")
-    elif not any(d.statistic.quantity in ("x", "y") for d in verdict.deviations):
+    elif not quantities & {"x", "y"}:
         lines.insert(1, "no part leaves its path; positions are as recorded")
-    if names(tables) != golden.names or any(d.statistic.quantity == "identity" for d in verdict.deviations):
-        lines.append(f"recorded was {_named(golden.names)}; now it is {who or 'nobody'}")
+    if names(tables) != golden.names or "identity" in quantities:
+        named = golden.names
+        recorded = ", ".join(named.values() if len(named) == 1 else map(": ".join, named.items()))
+        lines.append(f"recorded was {recorded or 'nobody'}; now it is {who or 'nobody'}")
     now = versions()
     other = [f"{key} {was} -> {now.get(key, 'none')}" for key, was in golden.versions.items() if now.get(key) != was]
     if other:
         notes.append(f"other versions than recorded with: {', '.join(other)}")
-    message = f"{lines[0]} (from {len(golden.recorded)} seeds)"
-    return Checked(
-        path, golden.clip, name, "fails", message, (*lines[1:], *notes), seconds, seeds, verdict, leave
-    )  # fmt: skip
+    message = f"{lines[0]} (from {golden.seeds.recorded} seeds)"
+    return result("fails", message, (*lines[1:], *notes), verdict=verdict, leave=leave)
 
 
-def _named(recorded: Mapping[str, str]) -> str:
-    return ", ".join(recorded.values() if len(recorded) == 1 else map(": ".join, recorded.items())) or "nobody"
+def _shown(verdict: Verdict) -> list[Deviation]:
+    """The deviations to show: the farthest of a span, the farthest overall, and the joint one if it stands alone."""
+    families = {one.family: one for one in reversed(verdict.deviations)}
+    return [families[name] for name in ("local", "overall") if name in families] or list(verdict.deviations[:1])
 
 
-def _told(verdict: Verdict) -> list[Deviation]:
-    """The deviations to tell: the farthest of a span, the farthest overall, and the joint one if it stands alone."""
-    local = [d for d in verdict.deviations if not (d.relative or d.together)]
-    overall = [d for d in verdict.deviations if d.relative]
-    return [*local[:1], *overall[:1]] or list(verdict.deviations[:1])
-
-
-def _where(golden: Golden, series: str, first: int, last: int) -> str:
-    return f"frames {first}-{last}, {golden.short(series) if series else 'all parts'}"
-
-
-def _other_shape(golden: Golden, frames: list[int], series: list[str]) -> str:
+def _other_shape(golden: Golden, table: Trajectory) -> str:
     first, last = golden.frames
+    frames, series = table.frames.tolist(), [one.name for one in table.parts]
     if frames != list(range(first, last + 1)):
         return f"tracked frames {frames[0]}-{frames[-1]}, recorded were {first}-{last}; {UPDATE}"
-    if series != list(golden.series):
-        return f"tracks {', '.join(series)}, recorded were {', '.join(golden.series)}; {UPDATE}"
+    if series != list(golden.paths):
+        return f"tracks {', '.join(series)}, recorded were {', '.join(golden.paths)}; {UPDATE}"
     return ""
 
 
@@ -261,115 +262,80 @@ def update(
     workers: int = 1,
     stopped: Stop | None = None,
     report: Report = lambda done, total: None,
-) -> Iterator[Updated]:
+) -> Iterator[Checked]:
     """Record goldens: of every clip with an init file and these recipes, or of those that are there if none is given.
 
-    Recipes that recognise take `gallery`; where it is None, their own, or that of the golden which is recorded anew.
-    Each file is written when its runs have ended, and replaces the one before. Raises InputError where there is nothing
-    to record.
+    Recipes that recognise take `gallery`; where it is None, their own, or that of the golden that is replaced. Each
+    file is written when its runs have ended, and replaces the one before. Raises InputError where there is nothing to
+    record.
     """
-    stopped = stopped or Stop()
-    prepared: list[tuple[str, Updated | Plan]] = []  # with the recipe's name or path, as the golden keeps it
     for config in configs:
         load_recipe(config)  # a wrong one is refused before anything runs
-    for clip, config, last, known in _asked(folder, configs, stop):
-        try:
-            recipe = load_recipe(config)
-            file = gallery or (folder / known.file if known is not None and _gallery(recipe) is None else None)
-            if file is not None:
-                recipe = _recognising(recipe, file)
-        except FacetrackError as e:
-            prepared.append((config, Updated(clip.name, Path(config).name, None, str(e))))
-            continue
-        one = _plan(clip, recipe, seeds, last, stopped)
-        if stopped():
-            return
-        prepared.append((_reference(folder, recipe), one))
-    runs = run_plans([one for _, one in prepared if isinstance(one, Plan)], workers, stopped, report)
-    for reference, one in prepared:
-        if isinstance(one, Updated):
-            yield one
-            continue
-        name = one.recipe.name
-        ended = next(runs, None)
-        if ended is not None and ended.error is not None:
-            yield Updated(one.clip.name, name, None, str(ended.error))
-        elif ended is not None:
-            tables = [run.trajectory for run in ended.runs]
-            golden = record(
-                tables,
-                clip=one.clip,
-                recipe=reference,
-                settings=to_dict(one.recipe),
-                start=one.start,
-                stop=one.stop,
-                gallery=_gallery(one.recipe),
-            )
-            path = golden_path(folder, one.clip.name, name)
-            write_golden(path, golden)
-            who = sentence(golden.names, tables)
-            message = f"{len(tables)} seeds, {golden.tested} to test{who and '; ' + who}"
-            yield Updated(one.clip.name, name, path, message)
+
+    def prepare(clip: Path, config: str, known: Golden | None) -> Plan:
+        recipe = _recognising(load_recipe(config), folder, known, gallery)
+        _check_runs_here(recipe)
+        last = known.stop if known is not None and not configs and stop is None else stop
+        start = Begin(clip, stop=last).find(recipe, stopped=stopped or Stop())
+        boxed = all(target.box for target in start.targets.values())
+        missing = [part for part in recipe.points if any(part not in one.points for one in start.targets.values())]
+        why = ""
+        if missing:
+            why = f"has no point for {', '.join(missing)}, which the recipe follows"
+            why += "; a recipe of regions, as contour_histogram, follows its boxes" if boxed else ""
+        elif not recipe.points and not boxed:
+            why = "has no box, which the recipe follows; one of points, as factorized, may do"
+        if why:
+            raise _SkippedError(f"{start.origin}: {why}")
+        numbers = tuple(range(FIRST_SEED, FIRST_SEED + seeds))
+        return Plan(f"{clip.stem}.{recipe.name}", clip, recipe, start, numbers, last)
+
+    jobs = []
+    for clip, config, known in _asked(folder, configs):
+        name = Path(config).name.removesuffix(".yaml")
+        make, finish = partial(prepare, clip, config, known), partial(_record, folder)
+        jobs.append(_Job(golden_path(folder, clip.name, name), clip.name, name, make, finish))
+    return _run(jobs, workers, stopped, report)
 
 
-def _asked(
-    folder: Path, configs: Sequence[str], stop: int | None
-) -> list[tuple[Path, str, int | None, Gallery | None]]:
-    """Clip, recipe, last frame and gallery so far of each golden to record."""
-    present = [read_golden(path) for path in find_goldens(folder)] if not configs else []
-    if configs:
-        clips = [
-            path for path in sorted(folder.iterdir()) if path.suffix.lower() not in NO_CLIPS and find_init(path)
-        ] if folder.is_dir() else []  # fmt: skip
-        if not folder.is_dir():
-            find_goldens(folder)
-        if not clips:
-            raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
-        twice = [name for name, count in Counter(clip.stem for clip in clips).items() if count > 1]
-        if twice:
-            raise UsageError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
-        return [(clip, config, stop, _known(folder, clip, config)) for clip in clips for config in configs]
-    if not present:
-        raise InputError(f"{folder}: has no goldens to record anew; name recipes with --config")
-    beside = [str(folder / g.recipe) if g.recipe.endswith(".yaml") else g.recipe for g in present]
-    return [
-        (folder / golden.clip, recipe, golden.stop if stop is None else stop, golden.gallery)
-        for golden, recipe in zip(present, beside, strict=True)
-    ]
+def _record(folder: Path, plan: Plan, runs: Sequence[SeedRun]) -> Checked:
+    recipe, tables = plan.recipe, [run.trajectory for run in runs]
+    shipped = recipe.path.resolve().parent == shipped_folder().resolve()
+    golden = record(
+        tables,
+        clip=plan.clip,
+        recipe=recipe.name if shipped else beside(folder, recipe.path),
+        settings=to_dict(recipe),
+        start=plan.start,
+        stop=plan.stop,
+        gallery=_gallery(recipe),
+    )
+    path = golden_path(folder, plan.clip.name, recipe.name)
+    write_golden(path, golden)
+    who = _identities(golden.names, tables)
+    message = f"{len(tables)} seeds, {golden.seeds.tested} to test{who and '; ' + who}"
+    return Checked(path, plan.clip.name, recipe.name, "ok", message)
 
 
-def _known(folder: Path, clip: Path, config: str) -> Gallery | None:
-    """The gallery of the golden that is to be replaced, if there is one that can be read."""
-    try:
-        return read_golden(golden_path(folder, clip.name, Path(config).name.removesuffix(".yaml"))).gallery
-    except InputError:
-        return None
-
-
-def _plan(clip: Path, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> Plan | Updated:
-    if reason := _cannot_run(recipe):
-        return Updated(clip.name, recipe.name, None, reason, skipped=True)
-    try:
-        start = Begin(clip, stop=stop).find(recipe, stopped=stopped)
-    except InputError as e:
-        return Updated(clip.name, recipe.name, None, str(e))
-    targets = start.targets.values()
-    missing = [part for part in recipe.points if any(part not in target.points for target in targets)]
-    if missing:
-        message = f"{start.origin}: has no point for {', '.join(missing)}, which the recipe follows"
-        if all(target.box for target in targets):
-            message += "; a recipe of regions, as contour_histogram, follows its boxes"
-        return Updated(clip.name, recipe.name, None, message, skipped=True)
-    if not recipe.points and not all(target.box for target in targets):
-        message = f"{start.origin}: has no box, which the recipe follows; one of points, as factorized, may do"
-        return Updated(clip.name, recipe.name, None, message, skipped=True)
-    return Plan(
-        f"{clip.stem}.{recipe.name}", clip, recipe, start, tuple(range(FIRST_SEED, FIRST_SEED + seeds)), stop
-    )  # fmt: skip
-
-
-def _reference(folder: Path, recipe: Recipe) -> str:
-    """A shipped recipe's name, or the path of any other from the folder of clips."""
-    if recipe.path.resolve().parent == shipped_folder().resolve():
-        return recipe.name
-    return beside(folder, recipe.path)
+def _asked(folder: Path, configs: Sequence[str]) -> list[tuple[Path, str, Golden | None]]:
+    """Clip, recipe, and the golden so far of each golden to record."""
+    present = find_goldens(folder)
+    if not configs:
+        if not present:
+            raise InputError(f"{folder}: has no goldens to record anew; name recipes with --config")
+        goldens = [read_golden(path) for path in present]
+        return [(folder / golden.clip.file, golden.recipe_from(folder), golden) for golden in goldens]
+    clips = [path for path in sorted(folder.iterdir()) if path.suffix.lower() not in NO_CLIPS and find_init(path)]
+    if not clips:
+        raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
+    twice = [name for name, count in Counter(clip.stem for clip in clips).items() if count > 1]
+    if twice:
+        raise UsageError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
+    found: list[tuple[Path, str, Golden | None]] = []
+    for clip, config in itertools.product(clips, configs):
+        path = golden_path(folder, clip.name, Path(config).name.removesuffix(".yaml"))
+        known = None
+        with suppress(InputError):  # it may be that there is none yet, or none that can be read
+            known = read_golden(path)
+        found.append((clip, config, known))
+    return found

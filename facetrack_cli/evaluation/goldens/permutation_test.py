@@ -34,19 +34,15 @@ class Placed(NamedTuple):
 
 
 class Largest(NamedTuple):
-    """The test of the largest |z|. Of the tested runs: z (F,), their mean as placed; of the others: the bands."""
+    """The test of the largest |z|. `far` (F,): |z| in units of the critical one, above 1 outside the band; `mean` of
+    the tested runs as placed, `centre` and `half` width of the bands (F,) of the others.
+    """
 
-    z: Array
-    critical: float
+    far: Array
     p: float
     mean: Array
     centre: Array
     half: Array
-
-    @property
-    def far(self) -> Array:
-        """|z| in units of the critical one, above 1 outside the band."""
-        return np.asarray(np.abs(self.z) / self.critical)
 
 
 class Joint(NamedTuple):
@@ -57,7 +53,7 @@ class Joint(NamedTuple):
     shares: Array
 
 
-def picks(k: int, s: int) -> Picks:
+def picks_of(k: int, s: int) -> Picks:
     """(SPLITS, K + S): which runs are picked, 1 or 0. The tested runs come first, and the first row picks them."""
     rng = np.random.default_rng(0)
     out = np.zeros((SPLITS, k + s), np.float32)
@@ -70,8 +66,8 @@ def picks(k: int, s: int) -> Picks:
 def place(values: Array, least: Array) -> Placed:
     """values (N, F) by median and MAD, the scale at least `least` (F,); a run without a value (nan) stands far out."""
     with np.errstate(all="ignore"):
-        centre = np.nan_to_num(_median(values))
-        scale = np.maximum(np.nan_to_num(1.4826 * _median(np.abs(values - centre))), least)
+        centre = np.nan_to_num(median_of_runs(values))
+        scale = np.maximum(np.nan_to_num(1.4826 * median_of_runs(np.abs(values - centre))), least)
     return Placed(np.nan_to_num((values - centre) / scale, nan=FAR), centre, scale)
 
 
@@ -98,8 +94,8 @@ def largest(values: Array, which: Picks) -> Largest:
     error = np.sqrt(np.maximum(variance * n / (n - 1), 1.0) * (1 / k + 1 / n))
     z = (mean - centre) / error
     critical, p = _rank(np.abs(z).max(axis=1))
-    tested = [np.asarray(row[0], dtype=float) for row in (z, mean, centre, error)]
-    return Largest(tested[0], critical, p, tested[1], tested[2], critical * tested[3])
+    tested, mean, centre, error = (np.asarray(row[0], dtype=float) for row in (z, mean, centre, error))
+    return Largest(np.abs(tested) / critical, p, mean, centre, critical * error)
 
 
 def joint(values: Array, which: Picks) -> Joint:
@@ -125,8 +121,8 @@ def _rank(found: NDArray[np.floating]) -> tuple[float, float]:
     return max(critical, 1e-9), float(np.mean(found >= found[0]))
 
 
-def _median(values: Array) -> Array:
-    """Over the runs that have a value; nan where none has."""
+def median_of_runs(values: Array) -> Array:
+    """(F,) over the runs (N, F) that have a value; nan where none has."""
     known = np.isfinite(values).any(axis=0)
     out = np.full(values.shape[1], np.nan)
     out[known] = np.nanmedian(values[:, known], axis=0)
