@@ -6,7 +6,6 @@ whole numbers and both end in the same sums in the same order, so both give the 
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ LANES = 16  # the number of bins is padded to a multiple of this, so that loops 
 
 
 @exact
-def edges(x: Any, size_w: float, size_h: float, cols: int, rows: int, factor: int, width: int, height: int) -> Any:
+def edges(x, size_w, size_h, cols, rows, factor, width, height):
     """Where boxes (N, 3) = (cx, cy, s) and their sub-regions lie in a picture of width x height, reduced by `factor`.
 
     Returns ex (N, cols + 1) and ey (N, rows + 1) int64, cut off at the picture: column c of sub-regions holds the
@@ -44,7 +43,7 @@ def edges(x: Any, size_w: float, size_h: float, cols: int, rows: int, factor: in
 
 
 @exact
-def crop(ex: Any, ey: Any) -> Any:
+def crop(ex, ey):
     """What boxes cover of the picture; makes ex and ey, in place, count from its corner and stay within it.
 
     Returns (left, top, right, bottom) around all of them, half open, and the pixels of all boxes together: all 0 if no
@@ -69,7 +68,7 @@ def crop(ex: Any, ey: Any) -> Any:
 
 
 @exact
-def code(hsv: Any, coloured: Any, colourless: Any, least_saturation: int, least_value: int) -> Any:
+def code(hsv, coloured, colourless, least_saturation, least_value):
     """The bin of each pixel of hsv (H, W, 3) uint8 -> (H, W) uint16.
 
     `coloured[h, s]`, or `colourless[v]` where s < least_saturation or v < least_value.
@@ -87,13 +86,13 @@ def code(hsv: Any, coloured: Any, colourless: Any, least_saturation: int, least_
 
 
 @inline
-def _add_match(counts: Any, root: Any, sums: Any) -> None:
+def _add_match(counts, root, sums):
     for b in range(len(sums)):
         sums[b] += math.sqrt(np.float32(counts[b])) * root[b]
 
 
 @inline
-def _coefficient(sums: Any, area: float) -> float:
+def _coefficient(sums, area):
     total = 0.0
     for b in range(len(sums)):
         total += sums[b]
@@ -101,7 +100,7 @@ def _coefficient(sums: Any, area: float) -> float:
 
 
 @exact
-def count(codes: Any, ex: Any, ey: Any, bins: int) -> Any:
+def count(codes, ex, ey, bins):
     """The histograms of one box, ex (cols + 1), ey (rows + 1) -> (rows * cols, bins) int64."""
     cols, rows = len(ex) - 1, len(ey) - 1
     out = np.zeros((rows * cols, bins), np.int64)
@@ -114,7 +113,7 @@ def count(codes: Any, ex: Any, ey: Any, bins: int) -> Any:
 
 
 @exact
-def match_direct(codes: Any, ex: Any, ey: Any, area: Any, root: Any) -> Any:
+def match_direct(codes, ex, ey, area, root):
     """sum_j sqrt(b_j b_ref_j) of each box, (N,), counted pixel by pixel.
 
     codes (H, W) with values below U; ex (N, cols + 1), ey (N, rows + 1) in its pixels; area (N,); root (rows * cols, U)
@@ -137,7 +136,7 @@ def match_direct(codes: Any, ex: Any, ey: Any, area: Any, root: Any) -> Any:
 
 
 @exact
-def match_integral(codes: Any, ex: Any, ey: Any, area: Any, root: Any) -> Any:
+def match_integral(codes, ex, ey, area, root):
     """What `match_direct` returns, from the integral histogram of `codes`: integral[y, x, b] counts above and left."""
     n, cols, rows = ex.shape[0], ex.shape[1] - 1, ey.shape[1] - 1
     height, width = codes.shape

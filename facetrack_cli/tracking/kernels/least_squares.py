@@ -4,14 +4,11 @@ Not by LAPACK: on busy cores its threads take a hundred times as long for matric
 digits depend on how many there are.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import fast, inline
+from facetrack_cli.tracking.kernels.compiled import fast
 
 _ZERO = np.float32(0.0)
 _EPSILON = 2.3e-16
@@ -20,7 +17,7 @@ _SWEEPS = 60  # for one value at most; it takes two
 
 
 @fast
-def differences(y: Any, chosen: Any, patch: Any) -> Any:
+def differences(y, chosen, patch):
     """y[chosen] less `patch` (J, d), and the products of these rows with each other (J, J) float64.
 
     y (N, d), `chosen` (J,) int64, `patch` (d,). J may be 0.
@@ -49,7 +46,7 @@ def differences(y: Any, chosen: Any, patch: Any) -> Any:
 
 
 @fast
-def mapped(gain: Any, rows: Any, patch: Any, wanted: Any) -> Any:
+def mapped(gain, rows, patch, wanted):
     """gain (6, J) times rows (J, d) times (patch - wanted) (d,) -> (6,)."""
     off, out = np.empty_like(patch), np.zeros(len(gain))
     for k in range(len(off)):
@@ -63,8 +60,8 @@ def mapped(gain: Any, rows: Any, patch: Any, wanted: Any) -> Any:
     return out
 
 
-@inline
-def _reflect(w: Any, v: Any, beta: float) -> None:
+@fast
+def _reflect(w, v, beta):
     """w (n, 8) less beta v v^T w; v (k,) goes with its first k rows."""
     along = np.zeros(_WIDE)
     for i in range(len(v)):
@@ -76,8 +73,8 @@ def _reflect(w: Any, v: Any, beta: float) -> None:
             w[i, j] -= by * along[j]
 
 
-@inline
-def _tridiagonal(a: Any, diagonal: Any, beside: Any, betas: Any) -> None:
+@fast
+def _tridiagonal(a, diagonal, beside, betas):
     """Householder's reduction of the symmetric a (n, n) in place, by its lower triangle: row k keeps its reflector."""
     n = len(a)
     p = np.empty(n)
@@ -109,8 +106,8 @@ def _tridiagonal(a: Any, diagonal: Any, beside: Any, betas: Any) -> None:
     diagonal[0] = a[0, 0]
 
 
-@inline
-def _diagonal(d: Any, e: Any, w: Any, turns: Any, at: Any) -> int:
+@fast
+def _diagonal(d, e, w, turns, at):
     """The implicit QL method on the tridiagonal matrix of d (n,) and, beside it, e (n,); w (n, 8) is turned with it.
 
     The turns (cosine, sine) are kept, with the row that each is `at`. How many there were, or -1 if it did not settle.
@@ -156,7 +153,7 @@ def _diagonal(d: Any, e: Any, w: Any, turns: Any, at: Any) -> int:
 
 
 @fast
-def gain(x: Any, products: Any, components: int, rank: float) -> Any:
+def gain(x, products, components, rank):
     """X V_q S_q^-2 V_q^T (6, J), of motions x (J, 6) and Y^T Y = V S^2 V^T, `products` (J, J).
 
     q is `components`, less those whose singular value is below `rank` times the largest. V is never formed: what turns
@@ -177,14 +174,15 @@ def gain(x: Any, products: Any, components: int, rank: float) -> Any:
     # about 1.7 sweeps a value, of half the length in the mean
     turns, at = np.empty((4 * n * n + 64, 2)), np.empty(4 * n * n + 64, np.int32)
     count = _diagonal(d, e, w, turns, at)
-    order = np.argsort(d)
-    least = max(rank * rank * d[order[n - 1]], 1e-12)
     # not a number fails this too
-    if count < 0 or not d[order[n - 1]] < np.inf:
+    if count < 0 or not d.max() < np.inf:
         return out
-    for k in range(n):
-        i = order[k]
-        by = 1.0 / d[i] if k >= n - components and d[i] > least else 0.0
+    least = max(rank * rank * d.max(), 1e-12)
+    for i in range(n):
+        larger = 0
+        for j in range(n):
+            larger += d[j] > d[i]
+        by = 1.0 / d[i] if larger < components and d[i] > least else 0.0
         for j in range(_WIDE):
             w[i, j] *= by
     for t in range(count - 1, -1, -1):

@@ -4,21 +4,19 @@ A template of (th, tw) points lies over the picture with its first point at (u, 
 What is beyond the picture is 0. The picture is bilinear between the centres of its pixels.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
 from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
-from facetrack_cli.tracking.kernels.integral import corner
+from facetrack_cli.tracking.kernels.reading import box_sum
+from facetrack_cli.tracking.kernels.reading import bilinear as read
 
 LARGEST = 1e6  # the largest scale, pixels from point to point
 
 
 @exact
-def place(x: Any, factor: int, offset: Any, th: int, tw: int, width: int, height: int) -> Any:
+def place(x, factor, offset, th, tw, width, height):
     """Where the template lies for boxes x (N, 1, D) = (cx, cy, s, ...) in a picture of width x height, reduced.
 
     cx and cy are pixels of the whole picture; offset (dx, dy) from the box's centre to the template's, in reduced
@@ -59,7 +57,7 @@ def place(x: Any, factor: int, offset: Any, th: int, tw: int, width: int, height
 
 
 @inline
-def _axis(start: float, step: float, length: int, near: Any, far: Any, share_near: Any, share_far: Any) -> Any:
+def _axis(start, step, length, near, far, share_near, share_far):
     """The two pixels that each point of one axis is read from, and their shares; returns the range [first, last) read.
 
     A pixel beyond the picture of `length` pixels has the share 0, and the nearest one stands in for it.
@@ -79,7 +77,7 @@ def _axis(start: float, step: float, length: int, near: Any, far: Any, share_nea
 
 
 @fast
-def cross_direct(picture: Any, template: Any, boxes: Any) -> Any:
+def cross_direct(picture, template, boxes):
     """Sum of template times picture for each of the boxes (N, 3) = (u, v, s), finite, s > 0 -> (N,) float64.
 
     picture (H, W) uint8; template (th, tw) float32.
@@ -112,7 +110,7 @@ def cross_direct(picture: Any, template: Any, boxes: Any) -> Any:
 
 
 @exact
-def read_patch(picture: Any, u: float, v: float, s: float, th: int, tw: int) -> Any:
+def read_patch(picture, u, v, s, th, tw):
     """The picture (H, W) uint8 at the points of a template of (th, tw) at (u, v, s) -> (th, tw) float32."""
     height, width = picture.shape
     left, right, a, b = np.zeros(tw, np.int64), np.zeros(tw, np.int64), np.zeros(tw), np.zeros(tw)
@@ -129,30 +127,23 @@ def read_patch(picture: Any, u: float, v: float, s: float, th: int, tw: int) -> 
 
 
 @exact
-def bilinear(values: Any, places: Any, left: int, top: int) -> Any:
+def bilinear(values, places, left, top):
     """values (H, W), which begin at (left, top), read bilinearly at places (N, 2+) = (u, v, ...) -> (N,) float64.
 
-    At scale 1 and from the sums at whole places, this is what `cross_direct` gives: the sum is linear in the picture.
+    At scale 1 and from the sums at whole places, this is what `cross_direct` gives: the sum is linear in the image.
     """
-    height, width = values.shape
     out = np.empty(places.shape[0])
     for p in range(places.shape[0]):
-        u, v = min(max(places[p, 0] - left, 0.0), width - 1.0), min(max(places[p, 1] - top, 0.0), height - 1.0)
-        x0, y0 = int(u), int(v)
-        x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
-        fx, fy = u - x0, v - y0
-        out[p] = (1.0 - fy) * ((1.0 - fx) * values[y0, x0] + fx * values[y0, x1]) + fy * (
-            (1.0 - fx) * values[y1, x0] + fx * values[y1, x1]
-        )
+        out[p] = read(values, places[p, 0] - left, places[p, 1] - top)
     return out
 
 
 @exact
-def means(integral: Any, squares: Any, boxes: Any, th: int, tw: int) -> Any:
-    """Area means of the picture and of its square over boxes (N, 3) = (u, v, s) -> (N, 2) float64.
+def means(integral, squares, boxes, th, tw):
+    """Area means of the image and of its square over boxes (N, 3) = (u, v, s) -> (N, 2) float64.
 
     integral and squares (H + 1, W + 1) float64, as cv2.integral2 gives them. A point stands for s x s pixels around
-    it. At scale 1 these are the means of the points, bilinear in the picture and in its square.
+    it. At scale 1 these are the means of the points, bilinear in the image and in its square.
     """
     out = np.empty((boxes.shape[0], 2))
     for p in range(boxes.shape[0]):
@@ -160,8 +151,5 @@ def means(integral: Any, squares: Any, boxes: Any, th: int, tw: int) -> Any:
         x0, y0 = boxes[p, 0] - 0.5 * s + 0.5, boxes[p, 1] - 0.5 * s + 0.5
         x1, y1 = x0 + s * tw, y0 + s * th
         area = s * tw * s * th
-        out[p, 0] = corner(integral, x1, y1) + corner(integral, x0, y0)
-        out[p, 0] = (out[p, 0] - corner(integral, x1, y0) - corner(integral, x0, y1)) / area
-        out[p, 1] = corner(squares, x1, y1) + corner(squares, x0, y0)
-        out[p, 1] = (out[p, 1] - corner(squares, x1, y0) - corner(squares, x0, y1)) / area
+        out[p, 0], out[p, 1] = box_sum(integral, x0, y0, x1, y1) / area, box_sum(squares, x0, y0, x1, y1) / area
     return out

@@ -3,10 +3,6 @@
 Odobez, Ba & Gatica-Perez 2003, eq. 6 (the patch) and eq. 12 and 13 (its distance from the parent's).
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
 from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
@@ -18,7 +14,7 @@ NOTHING = np.float32(1e9)
 
 
 @inline
-def _axis(centre: float, step: float, low: int, whole: int, count: int, factor: int, at: Any, part: Any) -> Any:
+def _axis(centre, step, low, whole, count, factor, at, part):
     """Where the points of one axis of a grid are read; returns the range [first, last) of those within the picture.
 
     The points lie `step` apart around `centre`, in pixels of the whole picture, which is `whole` pixels long; the
@@ -41,10 +37,7 @@ def _axis(centre: float, step: float, low: int, whole: int, count: int, factor: 
 
 
 @inline
-def _read(
-    picture: Any, view: Any, factor: int, box: Any, size: Any,
-    columns: Any, across: Any, lines: Any, down: Any, line: Any, patch: Any,
-) -> Any:  # fmt: skip
+def _read(picture, view, factor, box, size, columns, across, lines, down, line, patch):
     """The patch of the `box` (cx, cy, s) into `patch`, read bilinearly; the rest of the arrays are scratch.
 
     Returns (first row, last row, first column, last column), half-open: the points within the picture; the others
@@ -75,7 +68,7 @@ def _read(
 
 
 @inline
-def _nearest(a: Any, b: Any, stride: int, n: int) -> Any:
+def _nearest(a, b, stride, n):
     """Sum over the points of patch `a` of the least difference from the 3x3 points of patch `b` around each."""
     first = stride + 1
     row = a[first : first + n]
@@ -93,7 +86,7 @@ def _nearest(a: Any, b: Any, stride: int, n: int) -> Any:
 
 
 @inline
-def _cut(patch: Any, r0: int, r1: int, c0: int, c1: int, stride: int, out: Any) -> None:
+def _cut(patch, r0, r1, c0, c1, stride, out):
     """`patch` with NOTHING outside rows r0..r1 and columns c0..c1, into `out`."""
     for j in range(len(out)):
         out[j] = NOTHING
@@ -104,21 +97,8 @@ def _cut(patch: Any, r0: int, r1: int, c0: int, c1: int, stride: int, out: Any) 
 
 @fast
 def patch_distances(
-    now: Any,
-    now_view: Any,
-    before: Any,
-    before_view: Any,
-    factor: int,
-    x: Any,
-    parents: Any,
-    size: Any,
-    cols: int,
-    rows: int,
-    distance: int,
-    saturation: float,
-    outside: float,
-    out: Any,
-) -> None:
+    now, now_view, before, before_view, factor, x, parents, size, cols, rows, distance, saturation, outside, out
+):
     """Distances `out` (N,) of the patches of x (N, 3) in `now` from those of parents (N, 3) in `before` (eq. 13).
 
     x and parents are (cx, cy, s), boxes of `size` (w, h) times s; pixels of the whole picture, centres at whole
@@ -169,7 +149,7 @@ def patch_distances(
 
 
 @exact
-def boxes_extent(x: Any, size: Any, width: int, height: int) -> Any:
+def boxes_extent(x, size, width, height):
     """(x from, y from, x to, y to) of the boxes (cx, cy, s) of `size` * s at x (N, 3), within the picture."""
     x_low, y_low, x_high, y_high = width - 1.0, height - 1.0, 0.0, 0.0
     for n in range(x.shape[0]):

@@ -1,17 +1,12 @@
 """Pixels of polygons, row by row, compiled: `raster.py` says whose rule it is. Twin: `tests/twins/boxes.py`."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-_exact: Any = njit(cache=True, nogil=True, error_model="numpy")
+from facetrack_cli.tracking.kernels.compiled import exact
 
 
-@_exact
-def count_pixels(a: Any, a_poly: Any, b: Any, b_poly: Any, within: Any, out: Any) -> None:
+@exact
+def count_pixels(a, a_poly, b, b_poly, within, out):
     """Shared pixels and pixels in all, into `out` (T, 2), of regions a and b (T, 4, 2) on whole pixels.
 
     `a_poly`, `b_poly` (T,) tell polygons from rectangles, whose corners are their outermost pixels; `within` (T, 4) is
@@ -35,8 +30,8 @@ def count_pixels(a: Any, a_poly: Any, b: Any, b_poly: Any, within: Any, out: Any
         out[t, 0], out[t, 1] = shared, total - shared
 
 
-@_exact
-def _spans(region: Any, is_polygon: bool, left: float, top: float, width: float, row: int, nodes: Any, out: Any) -> int:
+@exact
+def _spans(region, is_polygon, left, top, width, row, nodes, out):
     """First and last columns of the runs of pixels that the region has in a row, into `out`; how many runs, 0 to 2.
 
     Columns and rows are counted from (left, top), which matters: where an edge meets a row is cut towards zero.

@@ -1,16 +1,12 @@
 """Drawing indices by weights."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
 from facetrack_cli.tracking.kernels.compiled import exact
 
 
 @exact
-def invert_cdf(weights: Any, points: Any) -> Any:
+def invert_cdf(weights, points):
     """For each column, the indices at which the cumulated weights first exceed each ascending point of [0, 1).
 
     `weights` (N, K), not all zero in a column, need not sum to one; `points` (M, K) -> (M, K) int64. Never an index of

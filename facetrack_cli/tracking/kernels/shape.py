@@ -13,7 +13,6 @@ No fastmath: the inner loops run over j without a reduction, so they vectorise a
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -34,7 +33,7 @@ _C6, _C7 = np.float32(1.3981999507e-3), np.float32(1.9875691500e-4)
 
 
 @exact
-def _exp_below(v: Any, top: float, bits: Any, scale: Any) -> None:
+def _exp_below(v, top, bits, scale):
     """v[j] <- exp(max(v[j] - top, -80)) for v <= top, to 2e-7 relative; `bits` and `scale` are one scratch array.
 
     libm's exp, called one by one, would take most of the prior's time. The polynomial is that of Cephes' expf.
@@ -59,9 +58,7 @@ def _exp_below(v: Any, top: float, bits: Any, scale: Any) -> None:
 
 
 @exact
-def _weigh(
-    x: Any, parts: Any, first: Any, stable: int, width: float, h: Any, bias: Any, w: Any, bits: Any, scale: Any
-) -> float:
+def _weigh(x, parts, first, stable, width, h, bias, w, bits, scale):
     """w[j] <- exp(-|q - h_j|^2 / 2) / exp(top); returns top, the largest exponent."""
     if stable >= 0:
         rx = x[stable, 0] - first[stable, 0]
@@ -103,7 +100,7 @@ def _weigh(
 
 
 @exact
-def _total(w: Any, scale: Any) -> float:
+def _total(w, scale):
     for c in range(LANES):
         scale[c] = w[c]
     for b in range(LANES, w.shape[0], LANES):
@@ -116,7 +113,7 @@ def _total(w: Any, scale: Any) -> float:
 
 
 @exact
-def log_parzen(x: Any, parts: Any, first: Any, stable: int, width: float, h: Any, bias: Any) -> Any:
+def log_parzen(x, parts, first, stable, width, h, bias):
     """log sum_j exp(-|q_n - h_j|^2 / 2), (N,).
 
     x (N, K, 2) and first (K, 2) in pixels; parts (P,) int64; stable: a part, or -1 for the mean of `parts`; width: the
@@ -135,7 +132,7 @@ def log_parzen(x: Any, parts: Any, first: Any, stable: int, width: float, h: Any
 
 
 @exact
-def pick_shape(x: Any, parts: Any, first: Any, stable: int, width: float, h: Any, bias: Any, u: Any) -> Any:
+def pick_shape(x, parts, first, stable, width, h, bias, u):
     """The index j of a shape for each hypothesis, (N,) int64, drawn by the uniform u[n] in [0, 1).
 
     Its probability is proportional to exp(-|q_n - h_j|^2 / 2). The other arguments are those of `log_parzen`.

@@ -1,7 +1,5 @@
 """Windows read from a picture, and their colours compared (Patras & Pantic 2004, eq. 8 and 9)."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -15,7 +13,7 @@ ROBUST = {"l1": L1, "huber": HUBER, "tukey": TUKEY, "geman_mcclure": GEMAN_MCCLU
 
 
 @inline
-def _read_window(image: Any, x: float, y: float, w: int, h: int, pixels: Any, out: Any) -> Any:
+def _read_window(image, x, y, w, h, pixels, out):
     """Bilinear window of w x h pixels centred at (x, y) into `out`; returns the sum of its values.
 
     `image` (H, W * 3); outside it the nearest border pixel is read. Rows of `out` are (w + 1) * 3 long, the last pixel
@@ -55,7 +53,7 @@ def _read_window(image: Any, x: float, y: float, w: int, h: int, pixels: Any, ou
 
 
 @exact
-def read_window(image: Any, x: float, y: float, w: int, h: int) -> Any:
+def read_window(image, x, y, w, h):
     """The window of w x h pixels centred at (x, y), read bilinearly: (h, w + 1, 3) float32, its last column zero.
 
     `image` is (H, W * 3), uint8 or float32.
@@ -66,7 +64,7 @@ def read_window(image: Any, x: float, y: float, w: int, h: int) -> Any:
 
 
 @inline
-def _mean_rho(template: Any, window: Any, gain: Any, robust: int, scale: float, n: int) -> Any:
+def _mean_rho(template, window, gain, robust, scale, n):
     """Mean of a robust function of template - gain * window, two flat rows that hold n values and zeros."""
     one, two = np.float32(1.0), np.float32(2.0)
     inverse = np.float32(1.0 / scale)
@@ -95,20 +93,8 @@ def _mean_rho(template: Any, window: Any, gain: Any, robust: int, scale: float, 
 
 @fast
 def colour_ratio_distances(
-    image: Any,
-    ratios: Any,
-    offsets: Any,
-    sides: Any,
-    parts: Any,
-    x: Any,
-    origin_x: float,
-    origin_y: float,
-    factor: int,
-    least_mean: float,
-    robust: int,
-    scale: float,
-    out: Any,
-) -> None:
+    image, ratios, offsets, sides, parts, x, origin_x, origin_y, factor, least_mean, robust, scale, out
+):
     """Mean robust difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
 
     Template g of part `parts[g]` is `ratios[offsets[g] : offsets[g + 1]]`, divided by its own mean and laid out as
@@ -137,7 +123,7 @@ def colour_ratio_distances(
 
 
 @exact
-def extent(x: Any, reach: float) -> Any:
+def extent(x, reach):
     """(x from, y from, x to, y to) of everything within `reach` of the places x (N, K, 2)."""
     x_low = x_high = x[0, 0, 0]
     y_low = y_high = x[0, 0, 1]

@@ -1,0 +1,66 @@
+"""Bilinear reading of images and integral images, inlined into the other kernels."""
+
+import numpy as np
+
+from facetrack_cli.tracking.kernels.compiled import exact, inline
+
+
+@inline
+def join(image, out, bits):
+    """Each pixel of `image` (H, W) with those to the right, below, and both, from the lowest `bits` of `out` (H, W) up.
+
+    The last row and column are their own neighbours.
+    """
+    height, width = image.shape
+    kind, two = out.dtype.type, bits + bits
+    for y in range(height):
+        upper, lower, row = image[y], image[min(y + 1, height - 1)], out[y]
+        for x in range(width - 1):
+            above = kind(upper[x]) | kind(upper[x + 1]) << bits
+            row[x] = above | kind(lower[x]) << two | kind(lower[x + 1]) << (two + bits)
+        above, below = kind(upper[width - 1]), kind(lower[width - 1])
+        row[width - 1] = above | above << bits | below << two | below << (two + bits)
+
+
+@inline
+def look_up(joined, bits, mask, at, part, four, out):
+    """Bilinear values `out` (L,) within the joined pixels `at` (L,), by the fractions `part` (2, L) of a pixel.
+
+    `mask` is a pixel's bits. Loads from anywhere do not vectorise and all else does, so they have a loop of their own.
+    """
+    fx, fy = part[0], part[1]
+    for k in range(len(at)):
+        four[k] = joined[np.uint64(at[k])]
+    for k in range(len(at)):
+        out[k] = between(four[k], bits, mask, fx[k], fy[k])
+
+
+@inline
+def between(four, bits, mask, fx, fy):
+    """The bilinear value within four joined pixels."""
+    two = bits + bits
+    above, right = np.float32(np.int32(four & mask)), np.float32(np.int32(four >> bits & mask))
+    below, both = np.float32(np.int32(four >> two & mask)), np.float32(np.int32(four >> (two + bits)))
+    above += fx * (right - above)
+    below += fx * (both - below)
+    return above + fy * (below - above)
+
+
+@inline
+def bilinear(values, x, y):
+    """`values` (H, W) at (x, y), or at the nearest place within."""
+    height, width = values.shape
+    x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
+    x0, y0 = int(x), int(y)
+    x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
+    fx, fy = x - x0, y - y0
+    return (1.0 - fy) * ((1.0 - fx) * values[y0, x0] + fx * values[y0, x1]) + fy * (
+        (1.0 - fx) * values[y1, x0] + fx * values[y1, x1]
+    )
+
+
+@exact
+def box_sum(integral, x0, y0, x1, y1):
+    """The sum over a box by an integral image (H + 1, W + 1): pixel edges are whole numbers, parts count by area."""
+    same = bilinear(integral, x1, y1) + bilinear(integral, x0, y0)
+    return same - bilinear(integral, x1, y0) - bilinear(integral, x0, y1)
