@@ -13,32 +13,27 @@ _BITS, _MASK = np.uint32(8), np.uint32(0xFF)
 
 
 @exact
-def parallelograms_extent(x, w, h, width, height):
-    """(x from, y from, x to, y to) of boxes (w, h), centred, deformed as x (N, 6) says, within the image."""
-    x_low, y_low, x_high, y_high = width - 1.0, height - 1.0, 0.0, 0.0
+def boxes_extent(x, w, h, width, height):
+    """(x from, y from, x to, y to) of boxes (w, h), centred, at x, within the image.
+
+    x (N, 3) = (cx, cy, s), or (N, 6) = (cx, cy, a1, a2, a3, a4), deformed by [[a1, a2], [a3, a4]].
+    """
+    x0, y0, x1, y1 = width - 1.0, height - 1.0, 0.0, 0.0
     for n in range(x.shape[0]):
-        half_x = 0.5 * (w * abs(x[n, 2]) + h * abs(x[n, 3]))
-        half_y = 0.5 * (w * abs(x[n, 4]) + h * abs(x[n, 5]))
+        b1, b2, b3, b4 = x[n, 2], 0.0, 0.0, x[n, 2]
+        if x.shape[1] == 6:
+            b2, b3, b4 = x[n, 3], x[n, 4], x[n, 5]
+        u, v = 0.5 * (w * abs(b1) + h * abs(b2)), 0.5 * (w * abs(b3) + h * abs(b4))
+        left, top, right, bottom = x[n, 0] - u, x[n, 1] - v, x[n, 0] + u, x[n, 1] + v
         # comparisons leave out what is not a number
-        if x[n, 0] - half_x < x_low:
-            x_low = x[n, 0] - half_x
-        if x[n, 1] - half_y < y_low:
-            y_low = x[n, 1] - half_y
-        if x[n, 0] + half_x > x_high:
-            x_high = x[n, 0] + half_x
-        if x[n, 1] + half_y > y_high:
-            y_high = x[n, 1] + half_y
-    return (
-        min(max(x_low, 0.0), width - 1.0),
-        min(max(y_low, 0.0), height - 1.0),
-        max(min(x_high, width - 1.0), 0.0),
-        max(min(y_high, height - 1.0), 0.0),
-    )
+        x0, y0 = left if left < x0 else x0, top if top < y0 else y0
+        x1, y1 = right if right > x1 else x1, bottom if bottom > y1 else y1
+    return max(x0, 0.0), max(y0, 0.0), min(x1, width - 1.0), min(y1, height - 1.0)
 
 
 @inline
 def _read_inside(joined, width, place, grid, at, part, four, row):
-    """Grey levels of all points into `row`; `place` (u, v, b1, b2, b3, b4) in pixels of `joined`, all of them within."""
+    """Grey levels of all points into `row`; `place` (u, v, b1, b2, b3, b4) in pixels of `joined`, all within."""
     gx, gy, fx, fy = grid[0], grid[1], part[0], part[1]
     u0, v0 = np.float32(place[0]), np.float32(place[1])
     b1, b2, b3, b4 = np.float32(place[2]), np.float32(place[3]), np.float32(place[4]), np.float32(place[5])
@@ -76,25 +71,14 @@ def _normalise(row, seen, count, out):
     for k in range(len(row)):
         total += row[k]
     mean = total / np.float32(max(count, 1))
-    if count == len(row):
-        for k in range(len(row)):
-            off = row[k] - mean
-            squares += off * off
-    else:
-        for k in range(len(row)):
-            off = (row[k] - mean) * seen[k]
-            squares += off * off
+    for k in range(len(row)):
+        row[k] = (row[k] - mean) * seen[k]
+        squares += row[k] * row[k]
     variance = squares / np.float32(max(count, 1))
-    if 2 * count < len(row) or not variance >= LEAST_VARIANCE:
-        for k in range(len(out)):
-            out[k] = _ZERO
-    else:
-        scale = _ONE / np.float32(math.sqrt(variance))
-        for k in range(len(out)):
-            out[k] = (row[k] - mean) * scale
-        if count < len(row):
-            for k in range(len(out)):
-                out[k] *= seen[k]
+    shown = 2 * count >= len(row) and variance >= LEAST_VARIANCE
+    scale = _ONE / np.float32(math.sqrt(variance))
+    for k in range(len(out)):
+        out[k] = row[k] * scale if shown else _ZERO
 
 
 @fast
@@ -112,9 +96,7 @@ def read_patches(grey, left, top, factor, width, height, extent, x, w, h, rows, 
     y0 = min(max(int((extent[1] - top) * shrink) - 1, 0), grey.shape[0] - 1)
     n_x = min(max(int((extent[2] - left) * shrink) + 2, x0 + 1), grey.shape[1]) - x0
     n_y = min(max(int((extent[3] - top) * shrink) + 2, y0 + 1), grey.shape[0]) - y0
-    joined = np.empty((n_y, n_x), np.uint32)
-    join(grey[y0 : y0 + n_y, x0 : x0 + n_x], joined, _BITS)
-    joined = joined.reshape(n_y * n_x)
+    joined = join(grey[y0 : y0 + n_y, x0 : x0 + n_x], np.uint32, _BITS)
     # from the whole image's pixels to those of `joined`
     off_x, off_y = left + x0 * factor + 0.5 * (factor - 1), top + y0 * factor + 0.5 * (factor - 1)
     whole = ((-0.5 - off_x) * shrink, (-0.5 - off_y) * shrink,
@@ -126,17 +108,19 @@ def read_patches(grey, left, top, factor, width, height, extent, x, w, h, rows, 
             grid[1, i * cols + j] = h * ((i + 0.5) / rows - 0.5)
     most_x, most_y = 0.5 * abs(w), 0.5 * abs(h)
     at, part, four = np.empty(d, np.int32), np.empty((2, d), np.float32), np.empty(d, np.uint32)
-    row, seen, out = np.empty(d, np.float32), np.empty(d, np.float32), np.empty((x.shape[0], d), np.float32)
+    row, some, every = np.empty(d, np.float32), np.empty(d, np.float32), np.ones(d, np.float32)
+    out = np.empty((x.shape[0], d), np.float32)
     for n in range(x.shape[0]):
         u, v = (x[n, 0] - off_x) * shrink, (x[n, 1] - off_y) * shrink
         place = (u, v, x[n, 2] * shrink, x[n, 3] * shrink, x[n, 4] * shrink, x[n, 5] * shrink)
         half_u = abs(place[2]) * most_x + abs(place[3]) * most_y
-        half_v, count = abs(place[4]) * most_x + abs(place[5]) * most_y, d
+        half_v = abs(place[4]) * most_x + abs(place[5]) * most_y
         if u - half_u >= 0.0 and v - half_v >= 0.0 and u + half_u <= n_x - 1.0 and v + half_v <= n_y - 1.0:
             _read_inside(joined, n_x, place, grid, at, part, four, row)
+            _normalise(row, every, d, out[n])
         else:
-            count = _read_anywhere(joined, n_x, n_y, place, whole, grid, seen, row)
-        _normalise(row, seen, count, out[n])
+            count = _read_anywhere(joined, n_x, n_y, place, whole, grid, some, row)
+            _normalise(row, some, count, out[n])
     return out
 
 

@@ -51,12 +51,14 @@ def _edges(place, least, nearest, o, i, outer, inner):
     Values from the outline on are o[0] to o[3] outwards, i[0] to i[3] inwards; of the contrasts `outer` and `inner`,
     before, at and after `place`, the last follow from them.
     """
+    (o0, o1, o2, o3), (i0, i1, i2, i3) = o, i
+    (outer_before, outer_here, outer_after), (inner_before, inner_here, inner_after) = outer, inner
     none = np.int32(0)
     for k in range(len(nearest)):
-        outer[2][k] = _contrast(o[0][k], o[1][k], o[2][k], o[3][k])
-        inner[2][k] = _contrast(i[0][k], i[1][k], i[2][k], i[3][k])
-        a0, a1, a2 = outer[0][k], outer[1][k], outer[2][k]
-        b0, b1, b2 = inner[0][k], inner[1][k], inner[2][k]
+        outer_after[k] = _contrast(o0[k], o1[k], o2[k], o3[k])
+        inner_after[k] = _contrast(i0[k], i1[k], i2[k], i3[k])
+        a0, a1, a2 = outer_before[k], outer_here[k], outer_after[k]
+        b0, b1, b2 = inner_before[k], inner_here[k], inner_after[k]
         # what is nan fails all of these
         a = place + _top(a0, a1, a2) if (a1 > least) & (a1 > a0) & (a1 >= a2) else _INF
         b = place + _top(b0, b1, b2) if (b1 > least) & (b1 >= b0) & (b1 > b2) else _INF
@@ -82,10 +84,7 @@ def nearest_edges(image, x, origin_x, origin_y, factor, points, normals, reach, 
     out = np.full((len(x), count), np.inf)
     if height < 2 or width < 2 or reach <= 0.0:
         return out
-    joined = np.empty((height, width), np.uint64)
-    join(image, joined, _BITS)
-    joined = joined.reshape(height * width)
-    n, least = math.ceil(reach / factor), np.float32(threshold)
+    joined, n, least = join(image, np.uint64, _BITS), math.ceil(reach / factor), np.float32(threshold)
     together = max(_LANES // count, 1)
     room = together * count
     places, parts = np.empty((4, room), np.float32), np.empty((2, room), np.float32)

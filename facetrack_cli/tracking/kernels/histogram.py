@@ -6,8 +6,10 @@ whole numbers and both end in the same sums in the same order, so both give the 
 """
 
 import math
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.tracking.kernels.compiled import exact, inline
 
@@ -78,10 +80,7 @@ def code(hsv, coloured, colourless, least_saturation, least_value):
     for y in range(height):
         for x in range(width):
             s, v = hsv[y, x, 1], hsv[y, x, 2]
-            if s < least_saturation or v < least_value:
-                out[y, x] = colourless[v]
-            else:
-                out[y, x] = coloured[hsv[y, x, 0], s]
+            out[y, x] = colourless[v] if s < least_saturation or v < least_value else coloured[hsv[y, x, 0], s]
     return out
 
 
@@ -99,17 +98,10 @@ def _coefficient(sums, area):
     return total / math.sqrt(area) if area > 0.0 else 0.0
 
 
-@exact
-def count(codes, ex, ey, bins):
+def count(codes: NDArray[np.uint16], ex: NDArray[np.int64], ey: NDArray[np.int64], bins: int) -> NDArray[np.int64]:
     """The histograms of one box, ex (cols + 1), ey (rows + 1) -> (rows * cols, bins) int64."""
-    cols, rows = len(ex) - 1, len(ey) - 1
-    out = np.zeros((rows * cols, bins), np.int64)
-    for r in range(rows):
-        for c in range(cols):
-            for y in range(ey[r], ey[r + 1]):
-                for x in range(ex[c], ex[c + 1]):
-                    out[r * cols + c, codes[y, x]] += 1
-    return out
+    cells = [codes[y0:y1, x0:x1] for y0, y1 in pairwise(ey) for x0, x1 in pairwise(ex)]
+    return np.stack([np.bincount(cell.ravel(), minlength=bins) for cell in cells])
 
 
 @exact

@@ -48,9 +48,7 @@ def differences(y, chosen, patch):
 @fast
 def mapped(gain, rows, patch, wanted):
     """gain (6, J) times rows (J, d) times (patch - wanted) (d,) -> (6,)."""
-    off, out = np.empty_like(patch), np.zeros(len(gain))
-    for k in range(len(off)):
-        off[k] = patch[k] - wanted[k]
+    off, out = patch - wanted, np.zeros(len(gain))
     for n in range(len(rows)):
         row, total = rows[n], _ZERO
         for k in range(len(off)):
@@ -165,24 +163,21 @@ def gain(x, products, components, rank):
         return out
     a, w = products.copy(), np.zeros((n, _WIDE))
     d, e, betas = np.zeros(n), np.zeros(n), np.zeros(n)
-    for i in range(n):
-        for j in range(6):
-            w[i, j] = x[i, j]
+    w[:, :6] = x
     _tridiagonal(a, d, e, betas)
     for k in range(n - 1, 0, -1):
         _reflect(w, a[k, :k], betas[k])
     # about 1.7 sweeps a value, of half the length in the mean
     turns, at = np.empty((4 * n * n + 64, 2)), np.empty(4 * n * n + 64, np.int32)
     count = _diagonal(d, e, w, turns, at)
+    order = np.argsort(d)
+    least = max(rank * rank * d[order[n - 1]], 1e-12)
     # not a number fails this too
-    if count < 0 or not d.max() < np.inf:
+    if count < 0 or not d[order[n - 1]] < np.inf:
         return out
-    least = max(rank * rank * d.max(), 1e-12)
-    for i in range(n):
-        larger = 0
-        for j in range(n):
-            larger += d[j] > d[i]
-        by = 1.0 / d[i] if larger < components and d[i] > least else 0.0
+    for k in range(n):
+        i = order[k]
+        by = 1.0 / d[i] if k >= n - components and d[i] > least else 0.0
         for j in range(_WIDE):
             w[i, j] *= by
     for t in range(count - 1, -1, -1):
@@ -192,7 +187,5 @@ def gain(x, products, components, rank):
             w[i, j], w[i + 1, j] = c * lower + s * upper, c * upper - s * lower
     for k in range(1, n):
         _reflect(w, a[k, :k], betas[k])
-    for i in range(n):
-        for j in range(6):
-            out[j, i] = w[i, j]
+    out[:] = w[:, :6].T
     return out

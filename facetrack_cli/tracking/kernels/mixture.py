@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
+from facetrack_cli.tracking.kernels.compiled import fast, inline
 
 # pixels whose sums are multiplied before one logarithm: 32 lanes in float64, of 15 factors up to 4 each
 _LANES, _TOGETHER = 32, 15 * 32
@@ -110,11 +110,7 @@ def log_densities(y, mu, rate, log, outlier, laplace):
 def errors(y, m, mu, sigma):
     """phi (N,) of patches y (N, d): the mean over the pixels of sum_i m_i ((y - mu_i) / sigma_i)^2."""
     count, d = y.shape
-    out = np.empty(count)
-    rate = np.empty_like(m)
-    for i in range(3):
-        for k in range(d):
-            rate[i, k] = m[i, k] / (sigma[i, k] * sigma[i, k])
+    out, rate = np.empty(count), m / (sigma * sigma)
     for n in range(count):
         total = _ZERO
         for k in range(d):

@@ -9,8 +9,8 @@ import math
 import numpy as np
 
 from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
-from facetrack_cli.tracking.kernels.reading import box_sum
 from facetrack_cli.tracking.kernels.reading import bilinear as read
+from facetrack_cli.tracking.kernels.reading import box_sum
 
 LARGEST = 1e6  # the largest scale, pixels from point to point
 
@@ -27,9 +27,8 @@ def place(x, factor, offset, th, tw, width, height):
     """
     n = x.shape[0]
     boxes, seen = np.empty((n, 3)), np.zeros(n, np.bool_)
-    low, high = np.zeros(2), np.zeros(2)
-    area = np.array([0, 0, 1, 1])
-    same, any_ = True, False
+    u0, v0, u1, v1, same = np.inf, np.inf, -np.inf, -np.inf, True
+    x0, y0, x1, y1 = width, height, 0, 0
     for p in range(n):
         s = x[p, 0, 2]
         u = (x[p, 0, 0] - 0.5 * (factor - 1)) / factor + s * (offset[0] - 0.5 * (tw - 1))
@@ -43,17 +42,12 @@ def place(x, factor, offset, th, tw, width, height):
             boxes[p, 0], boxes[p, 1], boxes[p, 2] = 0.0, 0.0, 1.0
             continue
         boxes[p, 0], boxes[p, 1], boxes[p, 2], seen[p] = u, v, s, True
-        x0, y0 = int(max(math.floor(u - 0.5 * s), 0)), int(max(math.floor(v - 0.5 * s), 0))
-        x1, y1 = int(min(math.ceil(right) + 1, width)), int(min(math.ceil(bottom) + 1, height))
-        if any_:
-            low[0], low[1], high[0], high[1] = min(low[0], u), min(low[1], v), max(high[0], u), max(high[1], v)
-            x0, y0 = min(x0, area[0]), min(y0, area[1])
-            x1, y1 = max(x1, area[2]), max(y1, area[3])
-        else:
-            low[0], low[1], high[0], high[1], any_ = u, v, u, v, True
-        area[0], area[1], area[2], area[3] = x0, y0, x1, y1
-        same = same and s == 1.0
-    return boxes, seen, low, high, area, same
+        u0, v0, u1, v1, same = min(u0, u), min(v0, v), max(u1, u), max(v1, v), same and s == 1.0
+        x0, x1 = min(x0, max(math.floor(u - 0.5 * s), 0)), max(x1, min(math.ceil(right) + 1, width))
+        y0, y1 = min(y0, max(math.floor(v - 0.5 * s), 0)), max(y1, min(math.ceil(bottom) + 1, height))
+    if x1 == 0:
+        u0, v0, u1, v1, x0, y0, x1, y1 = 0.0, 0.0, 0.0, 0.0, 0, 0, 1, 1
+    return boxes, seen, np.array([u0, v0]), np.array([u1, v1]), np.array([x0, y0, x1, y1]), same
 
 
 @inline
@@ -151,5 +145,6 @@ def means(integral, squares, boxes, th, tw):
         x0, y0 = boxes[p, 0] - 0.5 * s + 0.5, boxes[p, 1] - 0.5 * s + 0.5
         x1, y1 = x0 + s * tw, y0 + s * th
         area = s * tw * s * th
-        out[p, 0], out[p, 1] = box_sum(integral, x0, y0, x1, y1) / area, box_sum(squares, x0, y0, x1, y1) / area
+        out[p, 0] = box_sum(integral, x0, y0, x1, y1) / area
+        out[p, 1] = box_sum(squares, x0, y0, x1, y1) / area
     return out

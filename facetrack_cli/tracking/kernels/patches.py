@@ -5,7 +5,7 @@ Odobez, Ba & Gatica-Perez 2003, eq. 6 (the patch) and eq. 12 and 13 (its distanc
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
+from facetrack_cli.tracking.kernels.compiled import fast, inline
 
 L2, SATURATED_L1, HAUSDORFF = 0, 1, 2
 DISTANCES = {"l2": L2, "saturated_l1": SATURATED_L1, "hausdorff": HAUSDORFF}
@@ -88,11 +88,9 @@ def _nearest(a, b, stride, n):
 @inline
 def _cut(patch, r0, r1, c0, c1, stride, out):
     """`patch` with NOTHING outside rows r0..r1 and columns c0..c1, into `out`."""
-    for j in range(len(out)):
-        out[j] = NOTHING
-    for i in range(r0 + 1, r1 + 1):
-        for j in range(i * stride + 1 + c0, i * stride + 1 + c1):
-            out[j] = patch[j]
+    out[:] = NOTHING
+    for first in range((r0 + 1) * stride + 1, (r1 + 1) * stride + 1, stride):
+        out[first + c0 : first + c1] = patch[first + c0 : first + c1]
 
 
 @fast
@@ -118,12 +116,8 @@ def patch_distances(
     there = (0, 0, 0, 0)
     for p in range(x.shape[0]):
         # the children of one parent follow each other, as it was resampled: it is read once
-        if (
-            p == 0
-            or parents[p, 0] != parents[p - 1, 0]
-            or parents[p, 1] != parents[p - 1, 1]
-            or parents[p, 2] != parents[p - 1, 2]
-        ):
+        same = p > 0 and parents[p, 0] == parents[p - 1, 0] and parents[p, 1] == parents[p - 1, 1]
+        if not (same and parents[p, 2] == parents[p - 1, 2]):
             there = _read(before, before_view, factor, parents[p], size, columns, across, lines, down, line, b)
         here = _read(now, now_view, factor, x[p], size, columns, across, lines, down, line, a)
         r0, r1 = max(here[0], there[0]), min(here[1], there[1])
@@ -146,26 +140,3 @@ def patch_distances(
             for j in range(length):
                 total += min(abs(u[j] - v[j]), most)
         out[p] = total + (cols * rows - inside) * outside
-
-
-@exact
-def boxes_extent(x, size, width, height):
-    """(x from, y from, x to, y to) of the boxes (cx, cy, s) of `size` * s at x (N, 3), within the picture."""
-    x_low, y_low, x_high, y_high = width - 1.0, height - 1.0, 0.0, 0.0
-    for n in range(x.shape[0]):
-        half_w, half_h = 0.5 * size[0] * abs(x[n, 2]), 0.5 * size[1] * abs(x[n, 2])
-        # comparisons leave out what is not a number
-        if x[n, 0] - half_w < x_low:
-            x_low = x[n, 0] - half_w
-        if x[n, 1] - half_h < y_low:
-            y_low = x[n, 1] - half_h
-        if x[n, 0] + half_w > x_high:
-            x_high = x[n, 0] + half_w
-        if x[n, 1] + half_h > y_high:
-            y_high = x[n, 1] + half_h
-    return (
-        min(max(x_low, 0.0), width - 1.0),
-        min(max(y_low, 0.0), height - 1.0),
-        max(min(x_high, width - 1.0), 0.0),
-        max(min(y_high, height - 1.0), 0.0),
-    )

@@ -12,8 +12,7 @@ def count_pixels(a, a_poly, b, b_poly, within, out):
     `a_poly`, `b_poly` (T,) tell polygons from rectangles, whose corners are their outermost pixels; `within` (T, 4) is
     the first column and row and the last column and row that count.
     """
-    ours, true = np.empty((2, 2)), np.empty((2, 2))
-    nodes = np.empty(4)
+    ours, true, nodes = np.empty((2, 2)), np.empty((2, 2)), np.empty(4)
     for t in range(len(a)):
         left, top = within[t, 0], within[t, 1]
         width = within[t, 2] - left + 1
@@ -36,14 +35,10 @@ def _spans(region, is_polygon, left, top, width, row, nodes, out):
 
     Columns and rows are counted from (left, top), which matters: where an edge meets a row is cut towards zero.
     """
-    n = 0
+    n, count = 0, 0
     if not is_polygon:
-        first, last = max(region[0, 0] - left, 0.0), min(region[2, 0] - left, width - 1)
-        if region[0, 1] - top <= row <= region[2, 1] - top and first <= last:
-            out[0, 0], out[0, 1] = first, last
-            n = 1
-        return n
-    count = 0
+        out[0, 0], out[0, 1] = max(region[0, 0] - left, 0.0), min(region[2, 0] - left, width - 1)
+        return int(region[0, 1] - top <= row <= region[2, 1] - top and out[0, 0] <= out[0, 1])
     for i in range(4):
         x, y = region[i, 0] - left, region[i, 1] - top
         x_before, y_before = region[i - 1, 0] - left, region[i - 1, 1] - top

@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import exact, inline
+from facetrack_cli.tracking.kernels.compiled import inline
 
 
 @inline
-def join(image, out, bits):
-    """Each pixel of `image` (H, W) with those to the right, below, and both, from the lowest `bits` of `out` (H, W) up.
+def join(image, kind, bits):
+    """Each pixel of `image` (H, W) with those right, below and both, as `kind` (H * W,), from the lowest `bits` up.
 
     The last row and column are their own neighbours.
     """
     height, width = image.shape
-    kind, two = out.dtype.type, bits + bits
+    out, two = np.empty((height, width), kind), bits + bits
     for y in range(height):
         upper, lower, row = image[y], image[min(y + 1, height - 1)], out[y]
         for x in range(width - 1):
@@ -20,6 +20,7 @@ def join(image, out, bits):
             row[x] = above | kind(lower[x]) << two | kind(lower[x + 1]) << (two + bits)
         above, below = kind(upper[width - 1]), kind(lower[width - 1])
         row[width - 1] = above | above << bits | below << two | below << (two + bits)
+    return out.reshape(height * width)
 
 
 @inline
@@ -49,18 +50,16 @@ def between(four, bits, mask, fx, fy):
 @inline
 def bilinear(values, x, y):
     """`values` (H, W) at (x, y), or at the nearest place within."""
-    height, width = values.shape
-    x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
-    x0, y0 = int(x), int(y)
-    x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
+    height, width = values.shape[0] - 1, values.shape[1] - 1
+    x, y = min(max(x, 0.0), 1.0 * width), min(max(y, 0.0), 1.0 * height)
+    x0, y0 = min(int(x), width - 1), min(int(y), height - 1)  # of a single row or column -1, which is that one too
     fx, fy = x - x0, y - y0
-    return (1.0 - fy) * ((1.0 - fx) * values[y0, x0] + fx * values[y0, x1]) + fy * (
-        (1.0 - fx) * values[y1, x0] + fx * values[y1, x1]
+    return (1.0 - fy) * ((1.0 - fx) * values[y0, x0] + fx * values[y0, x0 + 1]) + fy * (
+        (1.0 - fx) * values[y0 + 1, x0] + fx * values[y0 + 1, x0 + 1]
     )
 
 
-@exact
-def box_sum(integral, x0, y0, x1, y1):
+@inline
+def box_sum(sums, x0, y0, x1, y1):
     """The sum over a box by an integral image (H + 1, W + 1): pixel edges are whole numbers, parts count by area."""
-    same = bilinear(integral, x1, y1) + bilinear(integral, x0, y0)
-    return same - bilinear(integral, x1, y0) - bilinear(integral, x0, y1)
+    return bilinear(sums, x1, y1) + bilinear(sums, x0, y0) - bilinear(sums, x1, y0) - bilinear(sums, x0, y1)

@@ -23,9 +23,7 @@ PADDING = np.float32(-1e38)  # the bias of a shape that is none
 
 _FARTHEST = 1e30  # float32 holds 3e38
 _LEAST = np.float32(-80.0)  # exp of it is nothing beside the largest weight, 1
-_LOG2E = np.float32(1.4426950408889634)
-_LN2_HI = np.float32(0.693359375)
-_LN2_LO = np.float32(-2.12194440e-4)
+_LOG2E, _LN2_HI, _LN2_LO = np.float32(1.4426950408889634), np.float32(0.693359375), np.float32(-2.12194440e-4)
 _ROUND = np.float32(12582912.0)  # 1.5 * 2**23: adding it leaves the nearest whole number in the low bits
 _ONE, _HALF = np.float32(1.0), np.float32(0.5)
 _C3, _C4, _C5 = np.float32(1.6666665459e-1), np.float32(4.1665795894e-2), np.float32(8.3334519073e-3)
@@ -39,8 +37,7 @@ def _exp_below(v, top, bits, scale):
     libm's exp, called one by one, would take most of the prior's time. The polynomial is that of Cephes' expf.
     """
     for j in range(v.shape[0]):
-        a = v[j] - top
-        a = a if a > _LEAST else _LEAST
+        a = v[j] - top if v[j] - top > _LEAST else _LEAST
         t = a * _LOG2E + _ROUND
         n = t - _ROUND
         r = (a - n * _LN2_HI) - n * _LN2_LO
@@ -61,32 +58,24 @@ def _exp_below(v, top, bits, scale):
 def _weigh(x, parts, first, stable, width, h, bias, w, bits, scale):
     """w[j] <- exp(-|q - h_j|^2 / 2) / exp(top); returns top, the largest exponent."""
     if stable >= 0:
-        rx = x[stable, 0] - first[stable, 0]
-        ry = x[stable, 1] - first[stable, 1]
+        rx, ry = x[stable, 0] - first[stable, 0], x[stable, 1] - first[stable, 1]
     else:
-        rx = 0.0
-        ry = 0.0
-        for i in range(parts.shape[0]):
-            rx += x[parts[i], 0] - first[parts[i], 0]
-            ry += x[parts[i], 1] - first[parts[i], 1]
-        rx /= parts.shape[0]
-        ry /= parts.shape[0]
-
+        rx, ry = 0.0, 0.0
+        for k in parts:
+            rx += x[k, 0] - first[k, 0]
+            ry += x[k, 1] - first[k, 1]
+        rx, ry = rx / parts.shape[0], ry / parts.shape[0]
     for j in range(w.shape[0]):
         w[j] = bias[j]
     norm = 0.0
     for i in range(parts.shape[0]):
-        k = parts[i]
-        qx = ((x[k, 0] - first[k, 0]) - rx) / width
-        qy = ((x[k, 1] - first[k, 1]) - ry) / width
+        k, hx, hy = parts[i], h[2 * i], h[2 * i + 1]
+        qx, qy = ((x[k, 0] - first[k, 0]) - rx) / width, ((x[k, 1] - first[k, 1]) - ry) / width
         norm += qx * qx + qy * qy
         fx = np.float32(min(max(qx, -_FARTHEST), _FARTHEST))
         fy = np.float32(min(max(qy, -_FARTHEST), _FARTHEST))
-        hx = h[2 * i]
-        hy = h[2 * i + 1]
         for j in range(w.shape[0]):
             w[j] += fx * hx[j] + fy * hy[j]
-
     for c in range(LANES):
         scale[c] = w[c]
     for b in range(LANES, w.shape[0], LANES):
@@ -121,9 +110,7 @@ def log_parzen(x, parts, first, stable, width, h, bias):
     PADDING behind the last; M a multiple of LANES.
     """
     n, m = x.shape[0], bias.shape[0]
-    out = np.empty(n)
-    w = np.empty(m, np.float32)
-    bits = np.empty(m, np.int32)
+    out, w, bits = np.empty(n), np.empty(m, np.float32), np.empty(m, np.int32)
     scale = bits.view(np.float32)
     for s in range(n):
         top = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
@@ -138,15 +125,11 @@ def pick_shape(x, parts, first, stable, width, h, bias, u):
     Its probability is proportional to exp(-|q_n - h_j|^2 / 2). The other arguments are those of `log_parzen`.
     """
     n, m = x.shape[0], bias.shape[0]
-    out = np.empty(n, np.int64)
-    w = np.empty(m, np.float32)
-    bits = np.empty(m, np.int32)
+    out, w, bits = np.empty(n, np.int64), np.empty(m, np.float32), np.empty(m, np.int32)
     scale = bits.view(np.float32)
     for s in range(n):
         _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
-        goal = u[s] * _total(w, scale)
-        j = 0
-        reached = float(w[0])
+        goal, j, reached = u[s] * _total(w, scale), 0, float(w[0])
         while j < m - 1 and reached <= goal:
             j += 1
             reached += w[j]

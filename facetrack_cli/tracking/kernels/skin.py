@@ -69,9 +69,8 @@ def nested(x, width, height, factor, left, top):
     (N, 4) as edges x0, y0, x1, y1 in pixels of the picture reduced by `factor` that begins at (left, top) of the whole,
     and the area (N,) of the inner one; boxes that are none, or thinner than a pixel, have area 0 and lie at 0.
     """
-    n = x.shape[0]
+    n, longer = x.shape[0], math.sqrt(2.0)
     inner, outer, area = np.zeros((n, 4)), np.zeros((n, 4)), np.zeros(n)
-    longer = math.sqrt(2.0)
     for p in range(n):
         s = x[p, 0, 2] / factor
         w, h = 0.5 * s * width, 0.5 * s * height
@@ -94,8 +93,7 @@ def differences(integral, inner, outer):
     """
     out = np.empty((inner.shape[0], 2))
     for n in range(inner.shape[0]):
-        out[n, 0] = _box_sum(integral, inner[n])
-        out[n, 1] = _box_sum(integral, outer[n])
+        out[n, 0], out[n, 1] = _box_sum(integral, inner[n]), _box_sum(integral, outer[n])
     return out
 
 

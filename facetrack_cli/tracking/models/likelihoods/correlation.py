@@ -39,6 +39,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.tracking.kernels import patches
+from facetrack_cli.tracking.kernels.affine import boxes_extent
 
 # clearly worse than a region that is followed well (6 to 20, RMS), about as bad as missing its motion by a tenth of its
 # size; much more would push regions that do leave the picture back into it
@@ -99,7 +100,7 @@ class Correlation:
     def _picture(self, frame: Frame, factor: int, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:
         """The grey picture around the boxes (N, 3), reduced, and its view: (left, top, whole width, whole height)."""
         width, height = frame.size
-        left, top, right, bottom = patches.boxes_extent(boxes, self.size, width, height)
+        left, top, right, bottom = boxes_extent(boxes, *self.size, width, height)
         # between its border and the centre of its first block, a box is read from the block before too
         grey, left, top = frame.grey(factor, (left - factor, top - factor, right + factor, bottom + factor))
         return grey, (left, top, width, height)
