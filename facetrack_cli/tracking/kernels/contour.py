@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import fast, inline
-from facetrack_cli.tracking.kernels.reading import join, look_up
+from facetrack_cli.tracking.kernels.compiled import fast, inline, join, look_up
 
 # all loops run over this many normals side by side: enough to vectorise, few enough to stay in the fastest cache
 _LANES = 512
@@ -15,10 +14,7 @@ _BITS, _MASK = np.uint64(16), np.uint64(0xFFFF)
 
 @inline
 def _read(joined, width, height, place, t, at, part, four, row):
-    """Bilinear values `t` steps along the normals into `row`; nan beyond the centres of the border pixels.
-
-    `place`: rows of x, y and of the steps along either; the rest is scratch.
-    """
+    """Bilinear values `t` steps along the normals into `row`, nan outside; `place`: x, y and the steps along either."""
     px, py, dx, dy, fx, fy = place[0], place[1], place[2], place[3], part[0], part[1]
     stride, last_x, last_y = np.uint32(width), np.int32(width - 2), np.int32(height - 2)
     most_x, most_y = np.float32(width - 1), np.float32(height - 1)
@@ -48,8 +44,7 @@ def _top(before, here, after):
 def _edges(place, least, nearest, o, i, outer, inner):
     """`nearest`, where it has none yet, becomes an edge around `place`, outwards or inwards; how many still have none.
 
-    Values from the outline on are o[0] to o[3] outwards, i[0] to i[3] inwards; of the contrasts `outer` and `inner`,
-    before, at and after `place`, the last follow from them.
+    Values are `o` outwards and `i` inwards; contrasts `outer` and `inner` before, at and, which is set here, after it.
     """
     (o0, o1, o2, o3), (i0, i1, i2, i3) = o, i
     (outer_before, outer_here, outer_after), (inner_before, inner_here, inner_after) = outer, inner

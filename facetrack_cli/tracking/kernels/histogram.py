@@ -71,14 +71,10 @@ def crop(ex, ey):
 
 @exact
 def code(hsv, coloured, colourless, least_saturation, least_value):
-    """The bin of each pixel of hsv (H, W, 3) uint8 -> (H, W) uint16.
-
-    `coloured[h, s]`, or `colourless[v]` where s < least_saturation or v < least_value.
-    """
-    height, width = hsv.shape[0], hsv.shape[1]
-    out = np.empty((height, width), np.uint16)
-    for y in range(height):
-        for x in range(width):
+    """The bins of hsv (H, W, 3) uint8 -> (H, W) uint16: coloured[h, s], or colourless[v] of low saturation or value."""
+    out = np.empty(hsv.shape[:2], np.uint16)
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
             s, v = hsv[y, x, 1], hsv[y, x, 2]
             out[y, x] = colourless[v] if s < least_saturation or v < least_value else coloured[hsv[y, x, 0], s]
     return out
@@ -112,8 +108,7 @@ def match_direct(codes, ex, ey, area, root):
     float32: the square roots of the reference.
     """
     n, cols, rows = ex.shape[0], ex.shape[1] - 1, ey.shape[1] - 1
-    u = root.shape[1]
-    counts, sums, out = np.empty(u, np.int32), np.empty(u, np.float32), np.empty(n)
+    counts, sums, out = np.empty(root.shape[1], np.int32), np.empty(root.shape[1], np.float32), np.empty(n)
     for p in range(n):
         sums[:] = np.float32(0.0)
         for r in range(rows):
@@ -130,9 +125,8 @@ def match_direct(codes, ex, ey, area, root):
 @exact
 def match_integral(codes, ex, ey, area, root):
     """What `match_direct` returns, from the integral histogram of `codes`: integral[y, x, b] counts above and left."""
-    n, cols, rows = ex.shape[0], ex.shape[1] - 1, ey.shape[1] - 1
+    n, cols, rows, u = ex.shape[0], ex.shape[1] - 1, ey.shape[1] - 1, root.shape[1]
     height, width = codes.shape
-    u = root.shape[1]
     below = np.zeros((width, u), np.int32)  # of each column of pixels down to this row
     integral = np.empty((height + 1, width + 1, u), np.int32)
     integral[0] = 0
@@ -146,7 +140,6 @@ def match_integral(codes, ex, ey, area, root):
             now, before, column = row[x + 1], row[x], below[x]
             for b in range(u):
                 now[b] = before[b] + column[b]
-
     counts, sums, out = np.empty(u, np.int32), np.empty(u, np.float32), np.empty(n)
     for p in range(n):
         sums[:] = np.float32(0.0)

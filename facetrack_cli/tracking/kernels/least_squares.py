@@ -18,10 +18,7 @@ _SWEEPS = 60  # for one value at most; it takes two
 
 @fast
 def differences(y, chosen, patch):
-    """y[chosen] less `patch` (J, d), and the products of these rows with each other (J, J) float64.
-
-    y (N, d), `chosen` (J,) int64, `patch` (d,). J may be 0.
-    """
+    """y[chosen] - patch (J, d), and the products of its rows (J, J) float64; y (N, d), chosen (J,), patch (d,)."""
     count, d = len(chosen), len(patch)
     even = count + count % 2  # by pairs, of which the last may be filled with nothing
     rows, products = np.zeros((even, d), np.float32), np.empty((even, even))
@@ -74,8 +71,7 @@ def _reflect(w, v, beta):
 @fast
 def _tridiagonal(a, diagonal, beside, betas):
     """Householder's reduction of the symmetric a (n, n) in place, by its lower triangle: row k keeps its reflector."""
-    n = len(a)
-    p = np.empty(n)
+    n, p = len(a), np.empty(len(a))
     for k in range(n - 1, 0, -1):
         v, squares = a[k, :k], 0.0
         for i in range(k - 1):
@@ -108,7 +104,7 @@ def _tridiagonal(a, diagonal, beside, betas):
 def _diagonal(d, e, w, turns, at):
     """The implicit QL method on the tridiagonal matrix of d (n,) and, beside it, e (n,); w (n, 8) is turned with it.
 
-    The turns (cosine, sine) are kept, with the row that each is `at`. How many there were, or -1 if it did not settle.
+    Keeps the turns (cosine, sine) and the rows they are `at`. Returns their number, -1 without convergence.
     """
     n, count = len(d), 0
     for low in range(n):
@@ -157,12 +153,10 @@ def gain(x, products, components, rank):
     q is `components`, less those whose singular value is below `rank` times the largest. V is never formed: what turns
     Y^T Y into S^2 is done to X, and undone. All 0 for values that are no numbers.
     """
-    n = len(products)
-    out = np.zeros((6, n))
+    n, out = len(products), np.zeros((6, len(products)))
     if n == 0:
         return out
-    a, w = products.copy(), np.zeros((n, _WIDE))
-    d, e, betas = np.zeros(n), np.zeros(n), np.zeros(n)
+    a, w, d, e, betas = products.copy(), np.zeros((n, _WIDE)), np.zeros(n), np.zeros(n), np.zeros(n)
     w[:, :6] = x
     _tridiagonal(a, d, e, betas)
     for k in range(n - 1, 0, -1):

@@ -49,37 +49,6 @@ def _exponent(y, component, k, laplace):
     return log[k] - rate[k] * (abs(off) if laplace else off * off)
 
 
-@inline
-def _sum(a, b, c):
-    """(top, share): 2^a + 2^b + 2^c is share 2^top, and top the largest of the three."""
-    # `max` would look for what is not a number, at twice the time
-    high, low = a if a > b else b, b if a > b else a
-    top, middle = high if high > c else c, c if high > c else high
-    return top, _ONE + _exp2(middle - top) + _exp2(low - top)
-
-
-@inline
-def _sum_with(a, b, c, more):
-    """As `_sum`, of four."""
-    top, share = _sum(a, b, c)
-    both = top if top > more else more
-    return both, share * _exp2(top - both) + _exp2(more - both)
-
-
-@inline
-def _log2_product(values, lanes):
-    """log2 of the product of `values`, float32 within 1..4, _TOGETHER of them at most."""
-    lanes[:] = _ONE
-    for start in range(0, len(values), _LANES):
-        some = values[start : start + _LANES]
-        for k in range(len(some)):
-            lanes[k] *= some[k]
-    product = 1.0
-    for k in range(_LANES):
-        product *= float(lanes[k])
-    return math.log2(product)
-
-
 @fast
 def log_densities(y, mu, rate, log, outlier, laplace):
     """log p (N,) of patches y (N, d): eq. 6, the sum over the pixels of the log of each one's mixture.
@@ -95,14 +64,27 @@ def log_densities(y, mu, rate, log, outlier, laplace):
         end = min(start + _TOGETHER, d)
         w, s, f = _components(mu, rate, log, start, end)
         for n in range(count):
-            row, share, total = y[n, start:end], shares[: end - start], _ZERO
+            row, share, total, product = y[n, start:end], shares[: end - start], _ZERO, 1.0
             for k in range(len(row)):
-                a, b, c = (
-                    _exponent(row[k], w, k, laplace), _exponent(row[k], s, k, laplace), _exponent(row[k], f, k, laplace)
-                )  # fmt: skip
-                top, share[k] = _sum_with(a, b, c, uniform) if outlier > 0.0 else _sum(a, b, c)
+                a, b = _exponent(row[k], w, k, laplace), _exponent(row[k], s, k, laplace)
+                c = _exponent(row[k], f, k, laplace)
+                # in order, without `max`, which would look for what is not a number, at twice the time
+                high, low = a if a > b else b, b if a > b else a
+                top, middle = high if high > c else c, c if high > c else high
+                part = _ONE + _exp2(middle - top) + _exp2(low - top)
+                if outlier > 0.0:
+                    most = top if top > uniform else uniform
+                    top, part = most, part * _exp2(top - most) + _exp2(uniform - most)
+                share[k] = part
                 total += top
-            out[n] += (float(total) + _log2_product(share, lanes)) * math.log(2.0)
+            lanes[:] = _ONE
+            for first in range(0, len(share), _LANES):
+                some = share[first : first + _LANES]
+                for k in range(len(some)):
+                    lanes[k] *= some[k]
+            for k in range(_LANES):
+                product *= float(lanes[k])
+            out[n] += (float(total) + math.log2(product)) * math.log(2.0)
     return out
 
 
@@ -120,33 +102,26 @@ def errors(y, m, mu, sigma):
     return out
 
 
-@inline
-def _owners(y, mu, rate, log, outlier, laplace, own):
-    """o_i of the patch y (d,) into `own` (3, d), eq. 7."""
-    w, s, f = _components(mu, rate, log, 0, len(y))
-    own_w, own_s, own_f = own[0], own[1], own[2]
-    uniform = np.float32(math.log2(outlier)) if outlier > 0.0 else _NEVER
-    for k in range(len(y)):
-        a, b, c = _exponent(y[k], w, k, laplace), _exponent(y[k], s, k, laplace), _exponent(y[k], f, k, laplace)
-        top = a if a > b else b
-        top = top if top > c else c
-        top = top if top > uniform else uniform
-        a, b, c = _exp2(a - top), _exp2(b - top), _exp2(c - top)
-        share = _ONE / (a + b + c + _exp2(uniform - top))
-        own_w[k], own_s[k], own_f[k] = a * share, b * share, c * share
-
-
 @fast
 def update(y, m, mu, sigma, moments, rate, log, outlier, laplace, alpha, least_sigma, least_mixing):
     """m, mu, sigma (3, d) float32 and the moments (2, d) float64 after the patch y (d,): eq. 7-11.
 
     A pixel with y = 0 was not seen and keeps what it had. A component of weight 0 keeps that.
     """
-    d = len(y)
-    own, keep = np.empty((3, d), np.float32), 1.0 - alpha
-    _owners(y, mu, rate, log, outlier, laplace, own)
+    d, keep = len(y), 1.0 - alpha
+    own_w, own_s, own_f = np.empty(d, np.float32), np.empty(d, np.float32), np.empty(d, np.float32)
+    w_part, s_part, f_part = _components(mu, rate, log, 0, d)
+    uniform = np.float32(math.log2(outlier)) if outlier > 0.0 else _NEVER
+    for k in range(d):  # o_i of eq. 7
+        a, b = _exponent(y[k], w_part, k, laplace), _exponent(y[k], s_part, k, laplace)
+        c = _exponent(y[k], f_part, k, laplace)
+        top = a if a > b else b
+        top = top if top > c else c
+        top = top if top > uniform else uniform
+        a, b, c = _exp2(a - top), _exp2(b - top), _exp2(c - top)
+        share = _ONE / (a + b + c + _exp2(uniform - top))
+        own_w[k], own_s[k], own_f[k] = a * share, b * share, c * share
     new_m, new_mu, new_sigma, new_moments = np.empty_like(m), mu.copy(), sigma.copy(), np.empty_like(moments)
-    own_w, own_s, own_f = own[0], own[1], own[2]
     old_w, old_s, old_f = m[0], m[1], m[2]
     new_w, new_s, new_f = new_m[0], new_m[1], new_m[2]
     w_centre, centre, spread = new_mu[0], new_mu[1], new_sigma[1]

@@ -8,9 +8,7 @@ import math
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
-from facetrack_cli.tracking.kernels.reading import bilinear as read
-from facetrack_cli.tracking.kernels.reading import box_sum
+from facetrack_cli.tracking.kernels.compiled import box_sum, exact, fast, inline, read_at
 
 LARGEST = 1e6  # the largest scale, pixels from point to point
 
@@ -20,14 +18,12 @@ def place(x, factor, offset, th, tw, width, height):
     """Where the template lies for boxes x (N, 1, D) = (cx, cy, s, ...) in a picture of width x height, reduced.
 
     cx and cy are pixels of the whole picture; offset (dx, dy) from the box's centre to the template's, in reduced
-    pixels at scale 1. Returns (N, 3) = (u, v, s); whether each shows anything of the picture, (N,) bool: if not (also
-    if a number of it is none, or the template thinner than a pixel), its row is (0, 0, 1); low and high, the ranges of
-    u and of v, (2,); area (4,): x0, y0, x1, y1, half-open, the pixels that all cover together, at least one; and
-    whether s is 1 throughout.
+    pixels at scale 1. Returns (N, 3) = (u, v, s), (0, 0, 1) of what is not seen; whether each is seen, (N,) bool: not
+    beyond the picture, thinner than a pixel or no number; low and high, the ranges of u and v, (2,); area (4,): x0, y0,
+    x1, y1, half-open, the pixels that all cover together, at least one; and whether s is 1 throughout.
     """
-    n = x.shape[0]
+    n, u0, v0, u1, v1, same = x.shape[0], np.inf, np.inf, -np.inf, -np.inf, True
     boxes, seen = np.empty((n, 3)), np.zeros(n, np.bool_)
-    u0, v0, u1, v1, same = np.inf, np.inf, -np.inf, -np.inf, True
     x0, y0, x1, y1 = width, height, 0, 0
     for p in range(n):
         s = x[p, 0, 2]
@@ -72,18 +68,13 @@ def _axis(start, step, length, near, far, share_near, share_far):
 
 @fast
 def cross_direct(picture, template, boxes):
-    """Sum of template times picture for each of the boxes (N, 3) = (u, v, s), finite, s > 0 -> (N,) float64.
-
-    picture (H, W) uint8; template (th, tw) float32.
-    """
-    height, width = picture.shape
-    th, tw = template.shape
+    """Sum of template (th, tw) times picture (H, W) for boxes (N, 3) = (u, v, s), finite, s > 0 -> (N,) float64."""
+    (height, width), (th, tw) = picture.shape, template.shape
     left, right = np.zeros(tw, np.int64), np.zeros(tw, np.int64)
     upper, lower = np.zeros(th, np.int64), np.zeros(th, np.int64)
     a, b = np.zeros(tw, np.float32), np.zeros(tw, np.float32)
     c, d = np.zeros(th, np.float32), np.zeros(th, np.float32)
-    line = np.zeros(width, np.float32)
-    out = np.zeros(boxes.shape[0])
+    line, out = np.zeros(width, np.float32), np.zeros(boxes.shape[0])
     for p in range(boxes.shape[0]):
         x0, x1 = _axis(boxes[p, 0], boxes[p, 2], width, left, right, a, b)
         y0, y1 = _axis(boxes[p, 1], boxes[p, 2], height, upper, lower, c, d)
@@ -128,7 +119,7 @@ def bilinear(values, places, left, top):
     """
     out = np.empty(places.shape[0])
     for p in range(places.shape[0]):
-        out[p] = read(values, places[p, 0] - left, places[p, 1] - top)
+        out[p] = read_at(values, places[p, 0] - left, places[p, 1] - top)
     return out
 
 

@@ -9,17 +9,15 @@ from facetrack_cli.tracking.kernels.compiled import fast, inline
 
 L2, SATURATED_L1, HAUSDORFF = 0, 1, 2
 DISTANCES = {"l2": L2, "saturated_l1": SATURATED_L1, "hausdorff": HAUSDORFF}
-# grey level of what is not there: so far from all others that it is nobody's nearest
-NOTHING = np.float32(1e9)
+NOTHING = np.float32(1e9)  # grey level of what is not there: so far from all others that it is nobody's nearest
 
 
 @inline
 def _axis(centre, step, low, whole, count, factor, at, part):
-    """Where the points of one axis of a grid are read; returns the range [first, last) of those within the picture.
+    """Where the points of one axis, `step` apart around `centre`, are read; the range [first, last) of those within.
 
-    The points lie `step` apart around `centre`, in pixels of the whole picture, which is `whole` pixels long; the
-    reduced one shows it from `low` on and is `count` pixels long. Point i is read between pixels at[i] and at[i] + 1,
-    by the share part[i] of the latter.
+    The whole picture is `whole` pixels long; the reduced one shows it from `low` on, by `count` pixels. Point i is read
+    between pixels at[i] and at[i] + 1, by the share part[i] of the latter.
     """
     n, shrink = len(at), 1.0 / factor
     least, most = (-0.5 * factor - low) * shrink, (whole - low - 0.5 * factor) * shrink
@@ -38,10 +36,9 @@ def _axis(centre, step, low, whole, count, factor, at, part):
 
 @inline
 def _read(picture, view, factor, box, size, columns, across, lines, down, line, patch):
-    """The patch of the `box` (cx, cy, s) into `patch`, read bilinearly; the rest of the arrays are scratch.
+    """The `patch` of the `box` (cx, cy, s), read bilinearly; `view` as in `patch_distances`, the others are scratch.
 
-    Returns (first row, last row, first column, last column), half-open: the points within the picture; the others
-    keep their values. `view` is (left, top, width, height) as in `patch_distances`.
+    Returns (first row, last row, first column, last column), half-open: the points within the picture, which are set.
     """
     height, width = picture.shape
     one, stride = np.float32(1.0), len(columns) + 1
@@ -112,8 +109,7 @@ def patch_distances(
     columns, across = np.zeros(cols, np.uint64), np.zeros(cols, np.float32)
     lines, down = np.zeros(rows, np.uint64), np.zeros(rows, np.float32)
     line = np.zeros(max(now.shape[1], before.shape[1]), np.float32)
-    most = np.float32(saturation)
-    there = (0, 0, 0, 0)
+    most, there = np.float32(saturation), (0, 0, 0, 0)
     for p in range(x.shape[0]):
         # the children of one parent follow each other, as it was resampled: it is read once
         same = p > 0 and parents[p, 0] == parents[p - 1, 0] and parents[p, 1] == parents[p - 1, 1]
@@ -122,14 +118,12 @@ def patch_distances(
         here = _read(now, now_view, factor, x[p], size, columns, across, lines, down, line, a)
         r0, r1 = max(here[0], there[0]), min(here[1], there[1])
         c0, c1 = max(here[2], there[2]), min(here[3], there[3])
-        inside = max(r1 - r0, 0) * max(c1 - c0, 0)
-        u, v = a, b
+        inside, u, v, total = max(r1 - r0, 0) * max(c1 - c0, 0), a, b, np.float32(0.0)
         if inside < cols * rows:
             # the same on both sides, so that what cannot be compared adds nothing
             _cut(a, r0, r1, c0, c1, stride, cut_a)
             _cut(b, r0, r1, c0, c1, stride, cut_b)
             u, v = cut_a, cut_b
-        total = np.float32(0.0)
         if distance == HAUSDORFF:
             total = max(_nearest(u, v, stride, n), _nearest(v, u, stride, n))
         elif distance == L2:

@@ -8,7 +8,6 @@ over the P parts that are listed in `parts`:
 With h_j the training shapes in the same units, every answer needs the exponents -|q - h_j|^2 / 2 of all j. They are
 taken as q.h_j - |h_j|^2 / 2, in float32, and -|q|^2 / 2, in float64: what differs between shapes is small, so their
 weights are right to about 1e-6 of the exponent however far q is, in half the time and half the cache of float64.
-
 No fastmath: the inner loops run over j without a reduction, so they vectorise as they stand and round alike everywhere.
 """
 

@@ -5,8 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.tracking.kernels.compiled import exact, inline
-from facetrack_cli.tracking.kernels.reading import box_sum
+from facetrack_cli.tracking.kernels.compiled import box_sum, exact, inline
 
 # OpenCV's fixed-point BT.601 of 8 bits, full range: 14 bits after the point, and a half to round by
 SHIFT, HALF, MIDDLE = np.int32(14), np.int32(1 << 13), np.int32((128 << 14) + (1 << 13))
@@ -63,11 +62,10 @@ def _box_sum(integral, box):
 
 @exact
 def nested(x, width, height, factor, left, top):
-    """The inner and outer boxes of equal areas (inside, and around) at x (N, 1, D) = (cx, cy, s, ...), and their area.
+    """Inner boxes, outer ones around them of twice the area, and inner areas (N,), at x (N, 1, D) = (cx, cy, s, ...).
 
-    Inner boxes are width * s by height * s pixels of the whole picture, outer ones sqrt(2) times as long. Returns both
-    (N, 4) as edges x0, y0, x1, y1 in pixels of the picture reduced by `factor` that begins at (left, top) of the whole,
-    and the area (N,) of the inner one; boxes that are none, or thinner than a pixel, have area 0 and lie at 0.
+    Inner boxes are width * s by height * s pixels of the whole picture. Boxes (N, 4) are edges x0, y0, x1, y1 in pixels
+    of the picture reduced by `factor` that begins at (left, top) of the whole; what is thinner than a pixel is all 0.
     """
     n, longer = x.shape[0], math.sqrt(2.0)
     inner, outer, area = np.zeros((n, 4)), np.zeros((n, 4)), np.zeros(n)

@@ -51,10 +51,7 @@ def _read_window(image, x, y, w, h, pixels, out):
 
 @exact
 def read_window(image, x, y, w, h):
-    """The window of w x h pixels centred at (x, y), read bilinearly: (h, w + 1, 3) float32, its last column zero.
-
-    `image` is (H, W * 3), uint8 or float32.
-    """
+    """The window of w x h pixels of image (H, W * 3) at (x, y): (h, w + 1, 3) float32, its last column zero."""
     out = np.empty(h * (w + 1) * 3, np.float32)
     _read_window(image, x, y, w, h, np.zeros((h + 1) * (w + 1) * 3 + 3, np.float32), out)
     return out.reshape(h, w + 1, 3)

@@ -51,10 +51,7 @@ def size_of_box(start: Start, name: str) -> float:
 
 
 def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origin: str) -> None:
-    """Refuse windows and boxes larger than the frame (width, height), which would take memory without bound.
-
-    `origin` says who gave the boxes.
-    """
+    """Refuse windows and boxes, given by `origin`, larger than the frame (width, height): memory without bound."""
     for target in tracker:
         for part, (w, h) in target.windows.items():
             if max(w / size[0], h / size[1]) > 1 and max(w, h) > LEAST_WINDOW:
@@ -72,8 +69,8 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
     """
     origin, larger = start.origin, f"is larger than the frame of {size[0]}x{size[1]} pixels; make it smaller"
     if frames is not None and start.frame >= frames:
-        last = f"the clip ends with frame {frames - 1}"
-        raise InputError(f"{origin}: starts at frame {start.frame}, but {last}; choose one that it has")
+        more = f"the clip ends with frame {frames - 1}; choose one that it has"
+        raise InputError(f"{origin}: starts at frame {start.frame}, but {more}")
     for name, target in start.targets.items():
         missing = ", ".join(part for part in parts if part not in target.points)
         if missing:

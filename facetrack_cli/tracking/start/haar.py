@@ -46,8 +46,7 @@ def haar_start(
 
     At most `bound` frames are searched, and faces too dark to track are passed over; if all are, the one of most
     contrast is taken. `complete` adds what else the frame must show; where it raises NotHereError the next is tried.
-    Raises InputError, naming the `clip`, if none of the frames shows a face whose parts are all in the frame, or that
-    of `complete`; UsageError for a part that is none of the five.
+    Raises InputError, naming the `clip`, if none of the frames shows all that; UsageError for an unknown part.
     """
     check_parts(parts)
     first = last = lacking = best = None
@@ -84,7 +83,7 @@ def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str
     """The start in a frame where the face's box (left, top, width, height; pixels) is known.
 
     The parts are placed in the face that a cascade sees in the box, else in the box itself. Raises InputError if the
-    box has no area or is not in the frame, or a part would be outside; UsageError as `haar_start`.
+    box has no area or is not in the frame, or a part would be outside; UsageError for an unknown part.
     """
     check_parts(parts)
     size = f"the frame of {frame.size[0]}x{frame.size[1]} pixels"

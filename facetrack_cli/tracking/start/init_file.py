@@ -33,7 +33,7 @@ from pydantic import BaseModel, ValidationError
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import write_new
 from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
-from facetrack_cli.core.yaml_tree import Node, Problem, Source, YamlProblems, parse, read_source
+from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.messages import locate, problems, suggest
 from facetrack_cli.trajectory.reader import MAX_FRAME
 from facetrack_cli.trajectory.start import CorrectedTarget, TargetRecord, corrected, whole
@@ -173,9 +173,9 @@ def _key(name: str) -> str:
 def read_init(path: Path) -> Start:
     """The start and the corrections that an init file describes, the corrections by their frames.
 
-    Raises InputError, one line with file, line and column, for whatever is not valid: what YAML or `trajectory.start`
-    refuses, an unknown key, a missing frame, a target without box and points, a correction of a frame that is not after
-    the first, of a target or part that the start does not have, or of the same part twice.
+    Raises InputError, with file, line and column, for what is not valid: refused by YAML or `trajectory.start`, an
+    unknown key, a missing frame, a target without box and points, a correction of a frame that is not after the first,
+    of a target or part that the start does not have, or of the same part twice.
     """
     name = str(path)
     try:
@@ -185,7 +185,10 @@ def read_init(path: Path) -> Start:
         root = parse(source)
         if root is None:
             raise InputError(f"{name}:1: the init file is empty; make one with facetrack init")
-        return _start(root, source)
+        keys = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
+        frame, corrections = _frame(keys, root), keys.pop("corrections", None)
+        targets = _targets(keys, root)
+        return Start(frame, targets, name, _corrections(corrections, frame, targets) if corrections else ())
     except FileNotFoundError:
         raise InputError(f"{name}: no such init file; correct the name, or make one with facetrack init") from None
     except IsADirectoryError:
@@ -195,13 +198,6 @@ def read_init(path: Path) -> Start:
     except YamlProblems as refused:
         more = f" (and {len(refused.problems) - 1} more)" if len(refused.problems) > 1 else ""
         raise InputError(f"{refused.problems[0]}{more}") from None
-
-
-def _start(root: Node, source: Source) -> Start:
-    keys = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
-    frame, corrections = _frame(keys, root), keys.pop("corrections", None)
-    targets = _targets(keys, root)
-    return Start(frame, targets, source.name, _corrections(corrections, frame, targets) if corrections else ())
 
 
 def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
@@ -216,16 +212,17 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
             form = f"keys are {', '.join(KEYS)}" if alone else "a target holds box: and points:, below its name"
             meant = f'did you mean "{near[0]}"?' if near else form
             _refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
-    return {name: _target(name, node) for name, node in ({TARGET: Node(root.span, keys)} if alone else keys).items()}
-
-
-def _target(name: str, node: Node) -> TargetStart:
-    target = _read(TargetRecord, node, name)
-    if target.box is None and not target.points:
-        _refuse(node, f"neither a box nor points of {name} are given; add box: [left, top, width, height] or points:")
-    for part in target.windows:
-        _check_part(locate(node, ("windows", part))[0], "windows", part, tuple(target.points))
-    return target.target()
+    targets = {}
+    for name, node in ({TARGET: Node(root.span, keys)} if alone else keys).items():
+        target = _read(TargetRecord, node, name)
+        if target.box is None and not target.points:
+            _refuse(
+                node, f"neither a box nor points of {name} are given; add box: [left, top, width, height] or points:"
+            )
+        for part in target.windows:
+            _check_part(locate(node, ("windows", part))[0], "windows", part, tuple(target.points))
+        targets[name] = target.target()
+    return targets
 
 
 def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> tuple[Correction, ...]:

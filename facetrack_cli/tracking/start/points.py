@@ -1,10 +1,9 @@
 """The five points of a face, placed from its box by mean proportions and corrected by what the image shows.
 
-The evidence for nose and mouth are two dark lines in the lower face: between the lips, from corner to corner, and the
-shade under the nose. Nearly every face has them, in colour and in grey, and they hardly depend on the light. Their
-lengths are in the *eye frame*: the origin is midway between the eyes, x runs from the left eye (as seen in the image)
-to the right one, y down the face, and the distance between the eyes is 1. Where a step finds no evidence, or evidence
-too far from the mean, the mean proportions stand. Nothing here is random.
+The evidence for nose and mouth is two dark lines in the lower face: between the lips, from corner to corner, and the
+shade under the nose. Nearly every face has them, and they hardly depend on the light. Lengths are in the *eye frame*:
+the origin is midway between the eyes, x runs from the left eye (as seen in the image) to the right one, y down the
+face, and the distance between the eyes is 1. Without evidence near the mean, the mean proportions stand.
 """
 
 from __future__ import annotations

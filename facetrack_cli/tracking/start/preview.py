@@ -41,10 +41,7 @@ def draw_start(frame: Frame, start: Start) -> Image:
 
 
 class _View:
-    """The part of the frame that is shown: all targets and 0.7 of their size around them, but no more than the frame.
-
-    `zoom` is its enlargement, `unit` the size of letters and lines, 1 in an image of LONGER_SIDE.
-    """
+    """What is shown of the frame, all targets and 0.7 of their size around; `unit` is the size of letters and lines."""
 
     def __init__(self, frame: Frame, start: Start) -> None:
         places: list[Point] = []

@@ -1,8 +1,7 @@
 """From a start to the targets that a recipe names: a head, and hands. Nothing here is random.
 
-The first target of the recipe is the head, and its box is needed: a face that was found, `--box`, an init file. Other
-targets that are not given begin as the largest regions of the head's skin colour beside the face, named from left to
-right.
+The first target of the recipe is the head, and its box is needed: a face that was found, `--box`, an init file. Others
+that are not given begin as the largest regions of the head's skin colour beside the face, named from left to right.
 """
 
 from __future__ import annotations
@@ -39,10 +38,9 @@ def name_targets(
 ) -> Start:
     """The start with all targets `names`, in their order; without names, as it is.
 
-    A single target, or one called `face`, takes the first name if the recipe does not know its own; so do its
+    A single target, or one called `face`, takes the first name if the recipe does not know its own, with its
     corrections. Targets in `left_out` are dropped. `frame` is the start's, and may be None if no target is missing.
-    Raises InputError if there are targets that the recipe does not know, the first one is missing, or the frame is
-    grey; NotHereError if there are not as many regions of skin as hands.
+    Raises InputError for unknown targets, no first one, or a grey frame; NotHereError for too few regions of skin.
     """
     if not names:
         return start
@@ -90,10 +88,9 @@ def hand_regions(
 ) -> list[Box]:
     """The `count` largest connected regions of skin colour beside the face and its neck, from left to right.
 
-    Boxes are (left, top, width, height) in pixels of the frame, within it, each side at most about the face's; in a
-    larger region, such as a bare arm, the box is where most skin is. There are fewer than `count` if not as many of a
-    hand's size are within an arm's reach. Those that overlap a box of `taken`, or have a side of less than `least`
-    pixels, are passed over.
+    Boxes are (left, top, width, height) in pixels, within the frame, each side at most about the face's; in a larger
+    region, such as a bare arm, the box is where most skin is. Regions out of an arm's reach, of another size than a
+    hand's, over a box of `taken`, or with a side of less than `least` pixels do not count: there may be fewer.
     """
     factor = factor_for(max(frame.size), LONGEST)
     image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
@@ -101,7 +98,8 @@ def hand_regions(
     w, h = face[2] / factor, face[3] / factor
     left, top = (face[0] + 0.5) / factor - 0.5, (face[1] + 0.5) / factor - 0.5
     p = skin_map(image, model.table) / 255.0
-    p = np.asarray(cv2.blur(p, (_odd(w / 10), _odd(h / 10)), borderType=cv2.BORDER_REPLICATE), np.float64)
+    across, down = (2 * math.floor(max(side / 10, 1.0) / 2) + 1 for side in (w, h))  # odd
+    p = np.asarray(cv2.blur(p, (across, down), borderType=cv2.BORDER_REPLICATE), np.float64)
     its_skin = float(_cut(p, left, top, left + w, top + h).sum())
     for x0, y0, x1, y1 in (FACE, NECK):
         _cut(p, left + x0 * w, top + y0 * h, left + x1 * w, top + y1 * h)[...] = 0
@@ -117,18 +115,14 @@ def hand_regions(
             middle = x + dx + across / 2, y + dy + down / 2
             if math.dist(middle, (left + w / 2, top + h / 2)) <= ARM * max(w, h):
                 found.append((-skin, (x + dx, y + dy, across, down)))
+    free: list[Box] = []
     # by the skin in the box, or a large ceiling of nearly skin colour would come before the hands
-    boxes: list[Box] = [
-        (float(x * factor), float(y * factor), float(across * factor), float(down * factor))
-        for _, (x, y, across, down) in sorted(found)
-    ]
-    free = [box for box in boxes if min(box[2:]) >= least and all(_shared(box, other) < NEAR for other in taken)]
+    for _, (x, y, w, h) in sorted(found):
+        box = float(x * factor), float(y * factor), float(w * factor), float(h * factor)
+        shared = (common_area(box, one) / min(box[2] * box[3], one[2] * one[3]) for one in taken)
+        if min(box[2:]) >= least and all(share < NEAR for share in shared):
+            free.append(box)
     return sorted(free[:count])
-
-
-def _shared(a: Box, b: Box) -> float:
-    """Common area of two boxes over that of the smaller one."""
-    return common_area(a, b) / min(a[2] * a[3], b[2] * b[3])
 
 
 def _most_skin(region: Array, most: tuple[int, int]) -> tuple[float, tuple[int, int, int, int]]:
@@ -145,7 +139,3 @@ def _cut(p: Array, x0: float, y0: float, x1: float, y1: float) -> Array:
     left, right = (math.ceil(min(max(edge - 0.5, 0.0), float(p.shape[1]))) for edge in (x0, x1))
     top, bottom = (math.ceil(min(max(edge - 0.5, 0.0), float(p.shape[0]))) for edge in (y0, y1))
     return p[top:bottom, left:right]
-
-
-def _odd(side: float) -> int:
-    return 2 * math.floor(max(side, 1.0) / 2) + 1
