@@ -134,10 +134,8 @@ def diffuse(x, u, spread, shift, noise, least, most):
             for j in range(6):
                 total += spread[i, j] * u[n, j]
             out[n, i] = x[n, i] + shift[i] + noise * total
-        squares = 0.0
-        for i in range(2, 6):
-            squares += out[n, i] * out[n, i]
-        scale = math.sqrt(0.5 * squares)
+        a1, a2, a3, a4 = out[n, 2], out[n, 3], out[n, 4], out[n, 5]
+        scale = math.sqrt(0.5 * (a1 * a1 + a2 * a2 + a3 * a3 + a4 * a4))
         if scale < least or scale > most:
             if scale < 1e-12:
                 out[n, 2], out[n, 3], out[n, 4], out[n, 5], scale = least, 0.0, 0.0, least, least

@@ -49,6 +49,37 @@ def _exponent(y, component, k, laplace):
     return log[k] - rate[k] * (abs(off) if laplace else off * off)
 
 
+@inline
+def _sum(a, b, c):
+    """(top, share): 2^a + 2^b + 2^c is share 2^top, and top the largest of the three."""
+    # `max` would look for what is not a number, at twice the time
+    high, low = a if a > b else b, b if a > b else a
+    top, middle = high if high > c else c, c if high > c else high
+    return top, _ONE + _exp2(middle - top) + _exp2(low - top)
+
+
+@inline
+def _sum_with(a, b, c, more):
+    """As `_sum`, of four."""
+    top, share = _sum(a, b, c)
+    both = top if top > more else more
+    return both, share * _exp2(top - both) + _exp2(more - both)
+
+
+@inline
+def _log2_product(values, lanes):
+    """log2 of the product of `values`, float32 within 1..4, _TOGETHER of them at most."""
+    lanes[:] = _ONE
+    for start in range(0, len(values), _LANES):
+        some = values[start : start + _LANES]
+        for k in range(len(some)):
+            lanes[k] *= some[k]
+    product = 1.0
+    for k in range(_LANES):
+        product *= float(lanes[k])
+    return math.log2(product)
+
+
 @fast
 def log_densities(y, mu, rate, log, outlier, laplace):
     """log p (N,) of patches y (N, d): eq. 6, the sum over the pixels of the log of each one's mixture.
@@ -64,27 +95,14 @@ def log_densities(y, mu, rate, log, outlier, laplace):
         end = min(start + _TOGETHER, d)
         w, s, f = _components(mu, rate, log, start, end)
         for n in range(count):
-            row, share, total, product = y[n, start:end], shares[: end - start], _ZERO, 1.0
+            row, share, total = y[n, start:end], shares[: end - start], _ZERO
             for k in range(len(row)):
-                a, b = _exponent(row[k], w, k, laplace), _exponent(row[k], s, k, laplace)
-                c = _exponent(row[k], f, k, laplace)
-                # in order, without `max`, which would look for what is not a number, at twice the time
-                high, low = a if a > b else b, b if a > b else a
-                top, middle = high if high > c else c, c if high > c else high
-                part = _ONE + _exp2(middle - top) + _exp2(low - top)
-                if outlier > 0.0:
-                    most = top if top > uniform else uniform
-                    top, part = most, part * _exp2(top - most) + _exp2(uniform - most)
-                share[k] = part
+                a, b, c = (
+                    _exponent(row[k], w, k, laplace), _exponent(row[k], s, k, laplace), _exponent(row[k], f, k, laplace)
+                )  # fmt: skip
+                top, share[k] = _sum_with(a, b, c, uniform) if outlier > 0.0 else _sum(a, b, c)
                 total += top
-            lanes[:] = _ONE
-            for first in range(0, len(share), _LANES):
-                some = share[first : first + _LANES]
-                for k in range(len(some)):
-                    lanes[k] *= some[k]
-            for k in range(_LANES):
-                product *= float(lanes[k])
-            out[n] += (float(total) + math.log2(product)) * math.log(2.0)
+            out[n] += (float(total) + _log2_product(share, lanes)) * math.log(2.0)
     return out
 
 

@@ -40,11 +40,7 @@ def _exp_below(v, top, bits, scale):
         t = a * _LOG2E + _ROUND
         n = t - _ROUND
         r = (a - n * _LN2_HI) - n * _LN2_LO
-        p = _C7 * r + _C6
-        p = p * r + _C5
-        p = p * r + _C4
-        p = p * r + _C3
-        p = p * r + _HALF
+        p = ((((_C7 * r + _C6) * r + _C5) * r + _C4) * r + _C3) * r + _HALF
         v[j] = (p * r) * r + r + _ONE
         scale[j] = t
     for j in range(v.shape[0]):
@@ -55,7 +51,7 @@ def _exp_below(v, top, bits, scale):
 
 @exact
 def _weigh(x, parts, first, stable, width, h, bias, w, bits, scale):
-    """w[j] <- exp(-|q - h_j|^2 / 2) / exp(top); returns top, the largest exponent."""
+    """w[j] <- exp(-|q - h_j|^2 / 2) / exp(top); returns top, the largest exponent, and the sum of w."""
     if stable >= 0:
         rx, ry = x[stable, 0] - first[stable, 0], x[stable, 1] - first[stable, 1]
     else:
@@ -84,11 +80,6 @@ def _weigh(x, parts, first, stable, width, h, bias, w, bits, scale):
     for c in range(1, LANES):
         top = max(top, scale[c])
     _exp_below(w, top, bits, scale)
-    return float(top) - 0.5 * norm
-
-
-@exact
-def _total(w, scale):
     for c in range(LANES):
         scale[c] = w[c]
     for b in range(LANES, w.shape[0], LANES):
@@ -97,7 +88,7 @@ def _total(w, scale):
     total = 0.0
     for c in range(LANES):
         total += scale[c]
-    return total
+    return float(top) - 0.5 * norm, total
 
 
 @exact
@@ -112,8 +103,8 @@ def log_parzen(x, parts, first, stable, width, h, bias):
     out, w, bits = np.empty(n), np.empty(m, np.float32), np.empty(m, np.int32)
     scale = bits.view(np.float32)
     for s in range(n):
-        top = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
-        out[s] = top + math.log(_total(w, scale))
+        top, total = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
+        out[s] = top + math.log(total)
     return out
 
 
@@ -127,8 +118,8 @@ def pick_shape(x, parts, first, stable, width, h, bias, u):
     out, w, bits = np.empty(n, np.int64), np.empty(m, np.float32), np.empty(m, np.int32)
     scale = bits.view(np.float32)
     for s in range(n):
-        _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
-        goal, j, reached = u[s] * _total(w, scale), 0, float(w[0])
+        _, total = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
+        goal, j, reached = u[s] * total, 0, float(w[0])
         while j < m - 1 and reached <= goal:
             j += 1
             reached += w[j]
