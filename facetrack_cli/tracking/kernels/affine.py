@@ -101,8 +101,9 @@ def read_patches(grey, left, top, factor, width, height, extent, x, w, h, rows, 
     whole = ((-0.5 - off_x) * shrink, (-0.5 - off_y) * shrink,
              (width - 0.5 - off_x) * shrink, (height - 0.5 - off_y) * shrink)  # fmt: skip
     grid = np.empty((2, d), np.float32)
-    for k in range(d):
-        grid[0, k], grid[1, k] = w * ((k % cols + 0.5) / cols - 0.5), h * ((k // cols + 0.5) / rows - 0.5)
+    for i in range(rows):
+        for j in range(cols):
+            grid[0, i * cols + j], grid[1, i * cols + j] = w * ((j + 0.5) / cols - 0.5), h * ((i + 0.5) / rows - 0.5)
     most_x, most_y = 0.5 * abs(w), 0.5 * abs(h)
     at, part, four = np.empty(d, np.int32), np.empty((2, d), np.float32), np.empty(d, np.uint32)
     row, some, every = np.empty(d, np.float32), np.empty(d, np.float32), np.ones(d, np.float32)
