@@ -17,7 +17,7 @@ from facetrack_cli.editor.run_folder import UNSAVED, Run, stamp, write_rows
 from facetrack_cli.report.make import NAME as PAGE
 from facetrack_cli.runs.clip import past_end
 from facetrack_cli.tracking.start import write_init
-from facetrack_cli.tracking.start.init_writer import as_yaml
+from facetrack_cli.tracking.start.init_file import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED
 
 

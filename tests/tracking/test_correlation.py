@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, Particles
 from facetrack_cli.tracking.kernels import patches
+from facetrack_cli.tracking.kernels.affine import boxes_extent
 from facetrack_cli.tracking.models.likelihoods.correlation import OUTSIDE
 from tests.support.parts import correlation
 from tests.twins import patches as naive_patches
@@ -102,7 +103,7 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size,
 @settings(deadline=None)
 @given(boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=5))
 def test_extent_is_that_of_its_twin(boxes):
-    found = patches.boxes_extent(np.array(boxes), SIZE, WIDTH, HEIGHT)
+    found = boxes_extent(np.array(boxes), *SIZE, WIDTH, HEIGHT)
     np.testing.assert_allclose(found, naive_patches.extent(boxes, SIZE, WIDTH, HEIGHT), atol=1e-9)
 
 

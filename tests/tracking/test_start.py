@@ -18,8 +18,7 @@ from facetrack_cli.core.errors import InputError, OutputError, UsageError
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.tracking.start import PARTS, box_start, check_start, find_init, haar_start, read_init, write_init
 from facetrack_cli.tracking.start.haar import find_faces
-from facetrack_cli.tracking.start.lowerface import HALF_WIDTH, MOUTH_Y, TIP_ABOVE_SHADE, read_points
-from facetrack_cli.tracking.start.points import mean_eyes, place
+from facetrack_cli.tracking.start.points import HALF_WIDTH, MOUTH_Y, TIP_ABOVE_SHADE, mean_eyes, place, read_points
 from facetrack_cli.tracking.start.preview import draw_start
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"

@@ -14,8 +14,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.recipe.skin import SkinCloud
 from facetrack_cli.tracking.start import PARTS, check_size, check_start, name_targets
-from facetrack_cli.tracking.start.init_file import KEYS, OF_CORRECTIONS, TARGET
-from facetrack_cli.tracking.start.init_writer import WHAT_PARTS_ARE
+from facetrack_cli.tracking.start.init_file import KEYS, OF_CORRECTIONS, TARGET, WHAT_PARTS_ARE
 
 ORIGIN: Final = "the page"
 DEFAULT: Final = "factorized"  # the recipe of `facetrack run` without --config

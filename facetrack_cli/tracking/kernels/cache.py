@@ -1,7 +1,6 @@
-"""Where numba keeps the compiled kernels, if neither the package's folder nor the user's cache can be written.
+"""Where numba keeps compiled kernels if neither the package's folder nor the user's cache is writable: it fails then.
 
-numba refuses to start then. It is told where by NUMBA_CACHE_DIR, which it reads when it is imported: so this comes
-first, with the package itself.
+numba reads NUMBA_CACHE_DIR when it is imported, so the package sets it first.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from os import path
 
 
 def provide_cache() -> None:
-    """Set NUMBA_CACHE_DIR to a folder of this user's alone under the system's temporary one, where there is need."""
+    """Set NUMBA_CACHE_DIR, if needed, to a folder of this user's alone under the system's temporary one."""
     package = path.dirname(path.abspath(__file__))  # noqa: PTH100, PTH120 -- pathlib takes longer to load than --help
     if "NUMBA_CACHE_DIR" in os.environ or _writable(path.join(package, "__pycache__")):  # noqa: PTH118
         return

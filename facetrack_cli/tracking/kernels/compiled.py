@@ -1,9 +1,10 @@
-"""How kernels are compiled: one decorator for each kind of arithmetic."""
+"""How kernels are compiled, a decorator for each kind of arithmetic, and the bilinear reading that they share."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numba import njit
 
 exact: Any = njit(cache=True, nogil=True, error_model="numpy")
@@ -11,3 +12,61 @@ exact: Any = njit(cache=True, nogil=True, error_model="numpy")
 fast: Any = njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
 # as functions of their own these do not vectorise, and take five times as long
 inline: Any = njit(inline="always", error_model="numpy")
+
+
+@inline
+def join(image, kind, bits):
+    """Each pixel of `image` (H, W) with those right, below and both, as `kind` (H * W,), from the lowest `bits` up.
+
+    The last row and column are their own neighbours.
+    """
+    height, width = image.shape
+    out, two = np.empty((height, width), kind), bits + bits
+    for y in range(height):
+        upper, lower, row = image[y], image[min(y + 1, height - 1)], out[y]
+        for x in range(width - 1):
+            above = kind(upper[x]) | kind(upper[x + 1]) << bits
+            row[x] = above | kind(lower[x]) << two | kind(lower[x + 1]) << (two + bits)
+        above, below = kind(upper[width - 1]), kind(lower[width - 1])
+        row[width - 1] = above | above << bits | below << two | below << (two + bits)
+    return out.reshape(height * width)
+
+
+@inline
+def look_up(joined, bits, mask, at, part, four, out):
+    """Bilinear values `out` (L,) within the joined pixels `at` (L,), by the fractions `part` (2, L) of a pixel."""
+    fx, fy = part[0], part[1]
+    # a loop of its own: loads from anywhere do not vectorise, all else does
+    for k in range(len(at)):
+        four[k] = joined[np.uint64(at[k])]
+    for k in range(len(at)):
+        out[k] = between(four[k], bits, mask, fx[k], fy[k])
+
+
+@inline
+def between(four, bits, mask, fx, fy):
+    """The bilinear value within four joined pixels."""
+    two = bits + bits
+    above, right = np.float32(np.int32(four & mask)), np.float32(np.int32(four >> bits & mask))
+    below, both = np.float32(np.int32(four >> two & mask)), np.float32(np.int32(four >> (two + bits)))
+    above += fx * (right - above)
+    below += fx * (both - below)
+    return above + fy * (below - above)
+
+
+@inline
+def read_at(values, x, y):
+    """`values` (H, W) at (x, y), or at the nearest place within."""
+    height, width = values.shape[0] - 1, values.shape[1] - 1
+    x, y = min(max(x, 0.0), 1.0 * width), min(max(y, 0.0), 1.0 * height)
+    x0, y0 = min(int(x), width - 1), min(int(y), height - 1)  # of a single row or column -1, which is that one too
+    fx, fy = x - x0, y - y0
+    return (1.0 - fy) * ((1.0 - fx) * values[y0, x0] + fx * values[y0, x0 + 1]) + fy * (
+        (1.0 - fx) * values[y0 + 1, x0] + fx * values[y0 + 1, x0 + 1]
+    )
+
+
+@inline
+def box_sum(sums, x0, y0, x1, y1):
+    """The sum over a box by an integral image (H + 1, W + 1): pixel edges are whole numbers, parts count by area."""
+    return read_at(sums, x1, y1) + read_at(sums, x0, y0) - read_at(sums, x1, y0) - read_at(sums, x0, y1)

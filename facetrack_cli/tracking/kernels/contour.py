@@ -1,43 +1,22 @@
 """Edges along the normals of an outline, and the nearest of each (Odobez, Ba & Gatica-Perez 2003, eq. 11)."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import fast, inline
+from facetrack_cli.tracking.kernels.compiled import fast, inline, join, look_up
 
 # all loops run over this many normals side by side: enough to vectorise, few enough to stay in the fastest cache
 _LANES = 512
 _HALF, _ZERO, _NAN, _INF = np.float32(0.5), np.float32(0.0), np.float32(np.nan), np.float32(np.inf)
-_SIXTEEN, _MASK = np.uint64(16), np.uint64(0xFFFF)
+_BITS, _MASK = np.uint64(16), np.uint64(0xFFFF)
 
 
 @inline
-def _fours(image: Any) -> Any:
-    """Each pixel with those to the right, below, and below to the right, from the lowest 16 bits up, row after row."""
-    height, width = image.shape
-    out = np.empty((height - 1, width - 1), np.uint64)
-    for y in range(height - 1):
-        upper, lower, row = image[y], image[y + 1], out[y]
-        for x in range(len(row)):
-            above = np.uint64(upper[x]) | np.uint64(upper[x + 1]) << _SIXTEEN
-            below = np.uint64(lower[x]) | np.uint64(lower[x + 1]) << _SIXTEEN
-            row[x] = above | below << np.uint64(32)
-    return out.reshape((height - 1) * (width - 1))
-
-
-@inline
-def _read(fours: Any, width: int, height: int, place: Any, t: Any, at: Any, part: Any, four: Any, row: Any) -> None:
-    """Bilinear values `t` steps along the normals into `row`; nan beyond the centres of the border pixels.
-
-    `place`: rows of x, y and of the steps along either; the rest is scratch. Three loops, since loads from anywhere do
-    not vectorise and all else does.
-    """
+def _read(joined, width, height, place, t, at, part, four, row):
+    """Bilinear values `t` steps along the normals into `row`, nan outside; `place`: x, y and the steps along either."""
     px, py, dx, dy, fx, fy = place[0], place[1], place[2], place[3], part[0], part[1]
-    stride, last_x, last_y = np.uint32(width - 1), np.int32(width - 2), np.int32(height - 2)
+    stride, last_x, last_y = np.uint32(width), np.int32(width - 2), np.int32(height - 2)
     most_x, most_y = np.float32(width - 1), np.float32(height - 1)
     for k in range(len(at)):
         x, y = px[k] + t * dx[k], py[k] + t * dy[k]
@@ -46,45 +25,35 @@ def _read(fours: Any, width: int, height: int, place: Any, t: Any, at: Any, part
         x0, y0 = min(np.int32(x), last_x), min(np.int32(y), last_y)
         fx[k], fy[k] = x - np.float32(x0) if inside else _NAN, y - np.float32(y0)
         at[k] = np.uint32(y0) * stride + np.uint32(x0)
-    for k in range(len(at)):
-        four[k] = fours[np.uint64(at[k])]
-    for k in range(len(at)):
-        v = four[k]
-        above, right = np.float32(np.int32(v & _MASK)), np.float32(np.int32(v >> _SIXTEEN & _MASK))
-        below, both = np.float32(np.int32(v >> np.uint64(32) & _MASK)), np.float32(np.int32(v >> np.uint64(48)))
-        above += fx[k] * (right - above)
-        below += fx[k] * (both - below)
-        row[k] = above + fy[k] * (below - above)
+    look_up(joined, _BITS, _MASK, at, part, four, row)
 
 
 @inline
-def _contrast(g0: Any, g1: Any, g2: Any, g3: Any) -> Any:
+def _contrast(g0, g1, g2, g3):
     """Of the middle two of four values."""
     return _HALF * abs(g3 + g2 - g1 - g0)
 
 
 @inline
-def _top(before: Any, here: Any, after: Any) -> Any:
+def _top(before, here, after):
     """Where the parabola through three contrasts, of which the middle one is a maximum, is highest: -0.5 to 0.5."""
     return _HALF * (before - after) / (before - here + (after - here))
 
 
 @inline
-def _edges(
-    place: Any, least: Any, nearest: Any,
-    o0: Any, o1: Any, o2: Any, o3: Any, i0: Any, i1: Any, i2: Any, i3: Any,
-    outer_before: Any, outer: Any, outer_after: Any, inner_before: Any, inner: Any, inner_after: Any,
-) -> Any:  # fmt: skip
+def _edges(place, least, nearest, o, i, outer, inner):
     """`nearest`, where it has none yet, becomes an edge around `place`, outwards or inwards; how many still have none.
 
-    Values from the outline on: o0 to o3 outwards, i0 to i3 inwards. The contrasts beyond are the others' and result.
+    Values are `o` outwards and `i` inwards; contrasts `outer` and `inner` before, at and, which is set here, after it.
     """
+    (o0, o1, o2, o3), (i0, i1, i2, i3) = o, i
+    (outer_before, outer_here, outer_after), (inner_before, inner_here, inner_after) = outer, inner
     none = np.int32(0)
     for k in range(len(nearest)):
         outer_after[k] = _contrast(o0[k], o1[k], o2[k], o3[k])
         inner_after[k] = _contrast(i0[k], i1[k], i2[k], i3[k])
-        a0, a1, a2 = outer_before[k], outer[k], outer_after[k]
-        b0, b1, b2 = inner_before[k], inner[k], inner_after[k]
+        a0, a1, a2 = outer_before[k], outer_here[k], outer_after[k]
+        b0, b1, b2 = inner_before[k], inner_here[k], inner_after[k]
         # what is nan fails all of these
         a = place + _top(a0, a1, a2) if (a1 > least) & (a1 > a0) & (a1 >= a2) else _INF
         b = place + _top(b0, b1, b2) if (b1 > least) & (b1 >= b0) & (b1 > b2) else _INF
@@ -94,22 +63,12 @@ def _edges(
 
 
 @fast
-def nearest_edges(
-    image: Any,
-    x: Any,
-    origin_x: float,
-    origin_y: float,
-    factor: int,
-    points: Any,
-    normals: Any,
-    reach: float,
-    threshold: float,
-) -> Any:
+def nearest_edges(image, x, origin_x, origin_y, factor, points, normals, reach, threshold):
     """How far the nearest edge lies from each point of an outline, along its normal: (N, L), inf where there is none.
 
-    `x` (N, 3) are centres in the whole picture and scales of the outline; `image` (H, W) uint16 shows it from
+    `x` (N, 3) are centres in the whole image and scales of the outline; `image` (H, W) uint16 shows it from
     (origin_x, origin_y) on, reduced by `factor`. `points` (L, 2) are relative to the centre, at scale 1; `normals`
-    (L, 2) have length 1. `reach` and the answer are in pixels of the whole picture, `threshold` in units of `image`.
+    (L, 2) have length 1. `reach` and the answer are in pixels of the whole image, `threshold` in units of `image`.
 
     Values are read in steps of `factor` pixels. The contrast between the middle two of four of them, g_0 to g_3, is
     |g_3 + g_2 - g_1 - g_0| / 2. Its maxima above `threshold`, of two equal neighbours the one farther inwards, are the
@@ -120,8 +79,7 @@ def nearest_edges(
     out = np.full((len(x), count), np.inf)
     if height < 2 or width < 2 or reach <= 0.0:
         return out
-    fours = _fours(image)
-    n, least = math.ceil(reach / factor), np.float32(threshold)
+    joined, n, least = join(image, np.uint64, _BITS), math.ceil(reach / factor), np.float32(threshold)
     together = max(_LANES // count, 1)
     room = together * count
     places, parts = np.empty((4, room), np.float32), np.empty((2, room), np.float32)
@@ -144,22 +102,19 @@ def nearest_edges(
         nearest[:] = _INF
         # rows of g: 0 to 3 the last values outwards, 4 to 7 inwards; of c: 0 to 2 the last contrasts, 3 to 5 inwards
         for t in range(3):
-            _read(fours, width, height, place, np.float32(t), at, part, four, g[t])
-            _read(fours, width, height, place, np.float32(-t), at, part, four, g[4 + t])
+            _read(joined, width, height, place, np.float32(t), at, part, four, g[t])
+            _read(joined, width, height, place, np.float32(-t), at, part, four, g[4 + t])
         for k in range(lanes):
             c[1, k] = c[3, k] = _contrast(g[5, k], g[0, k], g[1, k], g[2, k])  # half a step outwards
             c[0, k] = c[4, k] = _contrast(g[6, k], g[5, k], g[0, k], g[1, k])  # half a step inwards
         for step in range(n):  # outwards and inwards at once, until all have an edge
             a, b, e, f = step % 4, (step + 1) % 4, (step + 2) % 4, (step + 3) % 4
             u, v, w = step % 3, (step + 1) % 3, (step + 2) % 3
-            _read(fours, width, height, place, np.float32(step + 3), at, part, four, g[f])
-            _read(fours, width, height, place, np.float32(-step - 3), at, part, four, g[4 + f])
-            none = _edges(
-                np.float32(step) + _HALF, least, nearest,
-                g[a], g[b], g[e], g[f], g[4 + a], g[4 + b], g[4 + e], g[4 + f],
-                c[u], c[v], c[w], c[3 + u], c[3 + v], c[3 + w],
-            )  # fmt: skip
-            if none == 0:
+            _read(joined, width, height, place, np.float32(step + 3), at, part, four, g[f])
+            _read(joined, width, height, place, np.float32(-step - 3), at, part, four, g[4 + f])
+            o, i = (g[a], g[b], g[e], g[f]), (g[4 + a], g[4 + b], g[4 + e], g[4 + f])
+            outer, inner = (c[u], c[v], c[w]), (c[3 + u], c[3 + v], c[3 + w])
+            if _edges(np.float32(step) + _HALF, least, nearest, o, i, outer, inner) == 0:
                 break
         for k in range(lanes):
             distance = nearest[k] * factor

@@ -6,9 +6,10 @@ whole numbers and both end in the same sums in the same order, so both give the 
 """
 
 import math
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.tracking.kernels.compiled import exact, inline
 
@@ -16,7 +17,7 @@ LANES = 16  # the number of bins is padded to a multiple of this, so that loops 
 
 
 @exact
-def edges(x: Any, size_w: float, size_h: float, cols: int, rows: int, factor: int, width: int, height: int) -> Any:
+def edges(x, size_w, size_h, cols, rows, factor, width, height):
     """Where boxes (N, 3) = (cx, cy, s) and their sub-regions lie in a picture of width x height, reduced by `factor`.
 
     Returns ex (N, cols + 1) and ey (N, rows + 1) int64, cut off at the picture: column c of sub-regions holds the
@@ -44,7 +45,7 @@ def edges(x: Any, size_w: float, size_h: float, cols: int, rows: int, factor: in
 
 
 @exact
-def crop(ex: Any, ey: Any) -> Any:
+def crop(ex, ey):
     """What boxes cover of the picture; makes ex and ey, in place, count from its corner and stay within it.
 
     Returns (left, top, right, bottom) around all of them, half open, and the pixels of all boxes together: all 0 if no
@@ -69,60 +70,45 @@ def crop(ex: Any, ey: Any) -> Any:
 
 
 @exact
-def code(hsv: Any, coloured: Any, colourless: Any, least_saturation: int, least_value: int) -> Any:
-    """The bin of each pixel of hsv (H, W, 3) uint8 -> (H, W) uint16.
-
-    `coloured[h, s]`, or `colourless[v]` where s < least_saturation or v < least_value.
-    """
-    height, width = hsv.shape[0], hsv.shape[1]
-    out = np.empty((height, width), np.uint16)
-    for y in range(height):
-        for x in range(width):
+def code(hsv, coloured, colourless, least_saturation, least_value):
+    """The bins of hsv (H, W, 3) uint8 -> (H, W) uint16: coloured[h, s], or colourless[v] of low saturation or value."""
+    out = np.empty(hsv.shape[:2], np.uint16)
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
             s, v = hsv[y, x, 1], hsv[y, x, 2]
-            if s < least_saturation or v < least_value:
-                out[y, x] = colourless[v]
-            else:
-                out[y, x] = coloured[hsv[y, x, 0], s]
+            out[y, x] = colourless[v] if s < least_saturation or v < least_value else coloured[hsv[y, x, 0], s]
     return out
 
 
 @inline
-def _add_match(counts: Any, root: Any, sums: Any) -> None:
+def _add_match(counts, root, sums):
     for b in range(len(sums)):
         sums[b] += math.sqrt(np.float32(counts[b])) * root[b]
 
 
 @inline
-def _coefficient(sums: Any, area: float) -> float:
+def _coefficient(sums, area):
     total = 0.0
     for b in range(len(sums)):
         total += sums[b]
     return total / math.sqrt(area) if area > 0.0 else 0.0
 
 
-@exact
-def count(codes: Any, ex: Any, ey: Any, bins: int) -> Any:
+def count(codes: NDArray[np.uint16], ex: NDArray[np.int64], ey: NDArray[np.int64], bins: int) -> NDArray[np.int64]:
     """The histograms of one box, ex (cols + 1), ey (rows + 1) -> (rows * cols, bins) int64."""
-    cols, rows = len(ex) - 1, len(ey) - 1
-    out = np.zeros((rows * cols, bins), np.int64)
-    for r in range(rows):
-        for c in range(cols):
-            for y in range(ey[r], ey[r + 1]):
-                for x in range(ex[c], ex[c + 1]):
-                    out[r * cols + c, codes[y, x]] += 1
-    return out
+    cells = [codes[y0:y1, x0:x1] for y0, y1 in pairwise(ey) for x0, x1 in pairwise(ex)]
+    return np.stack([np.bincount(cell.ravel(), minlength=bins) for cell in cells])
 
 
 @exact
-def match_direct(codes: Any, ex: Any, ey: Any, area: Any, root: Any) -> Any:
+def match_direct(codes, ex, ey, area, root):
     """sum_j sqrt(b_j b_ref_j) of each box, (N,), counted pixel by pixel.
 
     codes (H, W) with values below U; ex (N, cols + 1), ey (N, rows + 1) in its pixels; area (N,); root (rows * cols, U)
     float32: the square roots of the reference.
     """
     n, cols, rows = ex.shape[0], ex.shape[1] - 1, ey.shape[1] - 1
-    u = root.shape[1]
-    counts, sums, out = np.empty(u, np.int32), np.empty(u, np.float32), np.empty(n)
+    counts, sums, out = np.empty(root.shape[1], np.int32), np.empty(root.shape[1], np.float32), np.empty(n)
     for p in range(n):
         sums[:] = np.float32(0.0)
         for r in range(rows):
@@ -137,11 +123,10 @@ def match_direct(codes: Any, ex: Any, ey: Any, area: Any, root: Any) -> Any:
 
 
 @exact
-def match_integral(codes: Any, ex: Any, ey: Any, area: Any, root: Any) -> Any:
+def match_integral(codes, ex, ey, area, root):
     """What `match_direct` returns, from the integral histogram of `codes`: integral[y, x, b] counts above and left."""
-    n, cols, rows = ex.shape[0], ex.shape[1] - 1, ey.shape[1] - 1
+    n, cols, rows, u = ex.shape[0], ex.shape[1] - 1, ey.shape[1] - 1, root.shape[1]
     height, width = codes.shape
-    u = root.shape[1]
     below = np.zeros((width, u), np.int32)  # of each column of pixels down to this row
     integral = np.empty((height + 1, width + 1, u), np.int32)
     integral[0] = 0
@@ -155,7 +140,6 @@ def match_integral(codes: Any, ex: Any, ey: Any, area: Any, root: Any) -> Any:
             now, before, column = row[x + 1], row[x], below[x]
             for b in range(u):
                 now[b] = before[b] + column[b]
-
     counts, sums, out = np.empty(u, np.int32), np.empty(u, np.float32), np.empty(n)
     for p in range(n):
         sums[:] = np.float32(0.0)

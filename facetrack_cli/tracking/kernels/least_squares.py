@@ -4,14 +4,11 @@ Not by LAPACK: on busy cores its threads take a hundred times as long for matric
 digits depend on how many there are.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import fast, inline
+from facetrack_cli.tracking.kernels.compiled import fast
 
 _ZERO = np.float32(0.0)
 _EPSILON = 2.3e-16
@@ -20,11 +17,8 @@ _SWEEPS = 60  # for one value at most; it takes two
 
 
 @fast
-def differences(y: Any, chosen: Any, patch: Any) -> Any:
-    """y[chosen] less `patch` (J, d), and the products of these rows with each other (J, J) float64.
-
-    y (N, d), `chosen` (J,) int64, `patch` (d,). J may be 0.
-    """
+def differences(y, chosen, patch):
+    """y[chosen] - patch (J, d), and the products of its rows (J, J) float64; y (N, d), chosen (J,), patch (d,)."""
     count, d = len(chosen), len(patch)
     even = count + count % 2  # by pairs, of which the last may be filled with nothing
     rows, products = np.zeros((even, d), np.float32), np.empty((even, even))
@@ -49,11 +43,9 @@ def differences(y: Any, chosen: Any, patch: Any) -> Any:
 
 
 @fast
-def mapped(gain: Any, rows: Any, patch: Any, wanted: Any) -> Any:
+def mapped(gain, rows, patch, wanted):
     """gain (6, J) times rows (J, d) times (patch - wanted) (d,) -> (6,)."""
-    off, out = np.empty_like(patch), np.zeros(len(gain))
-    for k in range(len(off)):
-        off[k] = patch[k] - wanted[k]
+    off, out = patch - wanted, np.zeros(len(gain))
     for n in range(len(rows)):
         row, total = rows[n], _ZERO
         for k in range(len(off)):
@@ -63,8 +55,8 @@ def mapped(gain: Any, rows: Any, patch: Any, wanted: Any) -> Any:
     return out
 
 
-@inline
-def _reflect(w: Any, v: Any, beta: float) -> None:
+@fast
+def _reflect(w, v, beta):
     """w (n, 8) less beta v v^T w; v (k,) goes with its first k rows."""
     along = np.zeros(_WIDE)
     for i in range(len(v)):
@@ -76,11 +68,10 @@ def _reflect(w: Any, v: Any, beta: float) -> None:
             w[i, j] -= by * along[j]
 
 
-@inline
-def _tridiagonal(a: Any, diagonal: Any, beside: Any, betas: Any) -> None:
+@fast
+def _tridiagonal(a, diagonal, beside, betas):
     """Householder's reduction of the symmetric a (n, n) in place, by its lower triangle: row k keeps its reflector."""
-    n = len(a)
-    p = np.empty(n)
+    n, p = len(a), np.empty(len(a))
     for k in range(n - 1, 0, -1):
         v, squares = a[k, :k], 0.0
         for i in range(k - 1):
@@ -109,11 +100,11 @@ def _tridiagonal(a: Any, diagonal: Any, beside: Any, betas: Any) -> None:
     diagonal[0] = a[0, 0]
 
 
-@inline
-def _diagonal(d: Any, e: Any, w: Any, turns: Any, at: Any) -> int:
+@fast
+def _diagonal(d, e, w, turns, at):
     """The implicit QL method on the tridiagonal matrix of d (n,) and, beside it, e (n,); w (n, 8) is turned with it.
 
-    The turns (cosine, sine) are kept, with the row that each is `at`. How many there were, or -1 if it did not settle.
+    Keeps the turns (cosine, sine) and the rows they are `at`. Returns their number, -1 without convergence.
     """
     n, count = len(d), 0
     for low in range(n):
@@ -156,21 +147,17 @@ def _diagonal(d: Any, e: Any, w: Any, turns: Any, at: Any) -> int:
 
 
 @fast
-def gain(x: Any, products: Any, components: int, rank: float) -> Any:
+def gain(x, products, components, rank):
     """X V_q S_q^-2 V_q^T (6, J), of motions x (J, 6) and Y^T Y = V S^2 V^T, `products` (J, J).
 
     q is `components`, less those whose singular value is below `rank` times the largest. V is never formed: what turns
     Y^T Y into S^2 is done to X, and undone. All 0 for values that are no numbers.
     """
-    n = len(products)
-    out = np.zeros((6, n))
+    n, out = len(products), np.zeros((6, len(products)))
     if n == 0:
         return out
-    a, w = products.copy(), np.zeros((n, _WIDE))
-    d, e, betas = np.zeros(n), np.zeros(n), np.zeros(n)
-    for i in range(n):
-        for j in range(6):
-            w[i, j] = x[i, j]
+    a, w, d, e, betas = products.copy(), np.zeros((n, _WIDE)), np.zeros(n), np.zeros(n), np.zeros(n)
+    w[:, :6] = x
     _tridiagonal(a, d, e, betas)
     for k in range(n - 1, 0, -1):
         _reflect(w, a[k, :k], betas[k])
@@ -194,7 +181,5 @@ def gain(x: Any, products: Any, components: int, rank: float) -> Any:
             w[i, j], w[i + 1, j] = c * lower + s * upper, c * upper - s * lower
     for k in range(1, n):
         _reflect(w, a[k, :k], betas[k])
-    for i in range(n):
-        for j in range(6):
-            out[j, i] = w[i, j]
+    out[:] = w[:, :6].T
     return out

@@ -3,21 +3,17 @@
 A pixel has three components, in the order w, s, f: weights m, centres mu, standard deviations sigma, all (3, d).
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
+from facetrack_cli.tracking.kernels.compiled import fast, inline
 
-# pixels whose sums are multiplied before one logarithm: lanes of 15 factors up to 4 each, and 32 lanes in float64
+# pixels whose sums are multiplied before one logarithm: 32 lanes in float64, of 15 factors up to 4 each
 _LANES, _TOGETHER = 32, 15 * 32
 _LEAST = np.float32(-126.0)
 _ONE, _ZERO, _NEVER = np.float32(1.0), np.float32(0.0), np.float32(-1e30)
-# a weight below it is none
-_LEAST_WEIGHT = 1e-30
+_LEAST_WEIGHT = 1e-30  # below it a weight counts as 0
 _HALF, _BIAS, _BITS = np.float32(0.5), np.int32(127), np.int32(23)
 # of 2^f on [-0.5, 0.5], by least relative error: 1e-7
 _C1, _C2, _C3 = np.float32(0.693147004), np.float32(0.240222424), np.float32(0.0555073395)
@@ -25,7 +21,7 @@ _C4, _C5 = np.float32(0.00967151392), np.float32(0.00132647157)
 
 
 @inline
-def _exp2(x: Any) -> Any:
+def _exp2(x):
     """2^x of x up to 0, float32, to a relative error of 4e-7; at least 2^-126."""
     x = x if x > _LEAST else _LEAST
     # towards 0 after half is taken off: the nearest whole number
@@ -36,22 +32,25 @@ def _exp2(x: Any) -> Any:
 
 
 @inline
-def _exponent(y: Any, mu: Any, rate: Any, log: Any, laplace: bool) -> Any:
-    off = y - mu
-    return log - rate * (abs(off) if laplace else off * off)
-
-
-@exact
-def powers(x: Any) -> Any:
-    """2^x of x (n,) float32, as the kernels here take it: for the tests."""
-    out = np.empty_like(x)
-    for k in range(len(x)):
-        out[k] = _exp2(x[k])
-    return out
+def _components(mu, rate, log, start, end):
+    """(mu, rate, log) of w, s and f for the pixels from `start` to `end`."""
+    return (
+        (mu[0, start:end], rate[0, start:end], log[0, start:end]),
+        (mu[1, start:end], rate[1, start:end], log[1, start:end]),
+        (mu[2, start:end], rate[2, start:end], log[2, start:end]),
+    )
 
 
 @inline
-def _sum(a: Any, b: Any, c: Any) -> Any:
+def _exponent(y, component, k, laplace):
+    """log2 of a component's density of the value y in pixel k."""
+    mu, rate, log = component
+    off = y - mu[k]
+    return log[k] - rate[k] * (abs(off) if laplace else off * off)
+
+
+@inline
+def _sum(a, b, c):
     """(top, share): 2^a + 2^b + 2^c is share 2^top, and top the largest of the three."""
     # `max` would look for what is not a number, at twice the time
     high, low = a if a > b else b, b if a > b else a
@@ -60,7 +59,7 @@ def _sum(a: Any, b: Any, c: Any) -> Any:
 
 
 @inline
-def _sum_with(a: Any, b: Any, c: Any, more: Any) -> Any:
+def _sum_with(a, b, c, more):
     """As `_sum`, of four."""
     top, share = _sum(a, b, c)
     both = top if top > more else more
@@ -68,7 +67,7 @@ def _sum_with(a: Any, b: Any, c: Any, more: Any) -> Any:
 
 
 @inline
-def _log2_product(values: Any, lanes: Any) -> float:
+def _log2_product(values, lanes):
     """log2 of the product of `values`, float32 within 1..4, _TOGETHER of them at most."""
     lanes[:] = _ONE
     for start in range(0, len(values), _LANES):
@@ -82,7 +81,7 @@ def _log2_product(values: Any, lanes: Any) -> float:
 
 
 @fast
-def log_densities(y: Any, mu: Any, rate: Any, log: Any, outlier: float, laplace: bool) -> Any:
+def log_densities(y, mu, rate, log, outlier, laplace):
     """log p (N,) of patches y (N, d): eq. 6, the sum over the pixels of the log of each one's mixture.
 
     A component's density is 2^(log - rate |y - mu|^2), with the first power if `laplace`; mu, rate, log are (3, d)
@@ -94,15 +93,13 @@ def log_densities(y: Any, mu: Any, rate: Any, log: Any, outlier: float, laplace:
     uniform = np.float32(math.log2(outlier)) if outlier > 0.0 else _ZERO
     for start in range(0, d, _TOGETHER):
         end = min(start + _TOGETHER, d)
-        mu_w, mu_s, mu_f = mu[0, start:end], mu[1, start:end], mu[2, start:end]
-        rate_w, rate_s, rate_f = rate[0, start:end], rate[1, start:end], rate[2, start:end]
-        log_w, log_s, log_f = log[0, start:end], log[1, start:end], log[2, start:end]
+        w, s, f = _components(mu, rate, log, start, end)
         for n in range(count):
             row, share, total = y[n, start:end], shares[: end - start], _ZERO
             for k in range(len(row)):
-                a = _exponent(row[k], mu_w[k], rate_w[k], log_w[k], laplace)
-                b = _exponent(row[k], mu_s[k], rate_s[k], log_s[k], laplace)
-                c = _exponent(row[k], mu_f[k], rate_f[k], log_f[k], laplace)
+                a, b, c = (
+                    _exponent(row[k], w, k, laplace), _exponent(row[k], s, k, laplace), _exponent(row[k], f, k, laplace)
+                )  # fmt: skip
                 top, share[k] = _sum_with(a, b, c, uniform) if outlier > 0.0 else _sum(a, b, c)
                 total += top
             out[n] += (float(total) + _log2_product(share, lanes)) * math.log(2.0)
@@ -110,14 +107,10 @@ def log_densities(y: Any, mu: Any, rate: Any, log: Any, outlier: float, laplace:
 
 
 @fast
-def errors(y: Any, m: Any, mu: Any, sigma: Any) -> Any:
+def errors(y, m, mu, sigma):
     """phi (N,) of patches y (N, d): the mean over the pixels of sum_i m_i ((y - mu_i) / sigma_i)^2."""
     count, d = y.shape
-    out = np.empty(count)
-    rate = np.empty_like(m)
-    for i in range(3):
-        for k in range(d):
-            rate[i, k] = m[i, k] / (sigma[i, k] * sigma[i, k])
+    out, rate = np.empty(count), m / (sigma * sigma)
     for n in range(count):
         total = _ZERO
         for k in range(d):
@@ -127,50 +120,26 @@ def errors(y: Any, m: Any, mu: Any, sigma: Any) -> Any:
     return out
 
 
-@inline
-def _owners(y: Any, mu: Any, rate: Any, log: Any, outlier: float, laplace: bool, own: Any) -> None:
-    """o_i of the patch y (d,) into `own` (3, d), eq. 7."""
-    mu_w, mu_s, mu_f = mu[0], mu[1], mu[2]
-    rate_w, rate_s, rate_f = rate[0], rate[1], rate[2]
-    log_w, log_s, log_f = log[0], log[1], log[2]
-    own_w, own_s, own_f = own[0], own[1], own[2]
+@fast
+def update(y, m, mu, sigma, moments, rate, log, outlier, laplace, alpha, least_sigma, least_mixing):
+    """m, mu, sigma (3, d) float32 and the moments (2, d) float64 after the patch y (d,): eq. 7-11.
+
+    A pixel with y = 0 was not seen and keeps what it had. A component of weight 0 keeps that.
+    """
+    d, keep = len(y), 1.0 - alpha
+    own_w, own_s, own_f = np.empty(d, np.float32), np.empty(d, np.float32), np.empty(d, np.float32)
+    w_part, s_part, f_part = _components(mu, rate, log, 0, d)
     uniform = np.float32(math.log2(outlier)) if outlier > 0.0 else _NEVER
-    for k in range(len(y)):
-        a = _exponent(y[k], mu_w[k], rate_w[k], log_w[k], laplace)
-        b = _exponent(y[k], mu_s[k], rate_s[k], log_s[k], laplace)
-        c = _exponent(y[k], mu_f[k], rate_f[k], log_f[k], laplace)
+    for k in range(d):  # o_i of eq. 7
+        a, b = _exponent(y[k], w_part, k, laplace), _exponent(y[k], s_part, k, laplace)
+        c = _exponent(y[k], f_part, k, laplace)
         top = a if a > b else b
         top = top if top > c else c
         top = top if top > uniform else uniform
         a, b, c = _exp2(a - top), _exp2(b - top), _exp2(c - top)
         share = _ONE / (a + b + c + _exp2(uniform - top))
         own_w[k], own_s[k], own_f[k] = a * share, b * share, c * share
-
-
-@fast
-def update(
-    y: Any,
-    m: Any,
-    mu: Any,
-    sigma: Any,
-    moments: Any,
-    rate: Any,
-    log: Any,
-    outlier: float,
-    laplace: bool,
-    alpha: float,
-    least_sigma: float,
-    least_mixing: float,
-) -> Any:
-    """m, mu, sigma (3, d) float32 and the moments (2, d) float64 after the patch y (d,): eq. 7-11.
-
-    A pixel with y = 0 was not seen and keeps what it had. A component of weight 0 keeps that.
-    """
-    d = len(y)
-    own, keep = np.empty((3, d), np.float32), 1.0 - alpha
-    _owners(y, mu, rate, log, outlier, laplace, own)
     new_m, new_mu, new_sigma, new_moments = np.empty_like(m), mu.copy(), sigma.copy(), np.empty_like(moments)
-    own_w, own_s, own_f = own[0], own[1], own[2]
     old_w, old_s, old_f = m[0], m[1], m[2]
     new_w, new_s, new_f = new_m[0], new_m[1], new_m[2]
     w_centre, centre, spread = new_mu[0], new_mu[1], new_sigma[1]
@@ -207,7 +176,7 @@ def update(
 
 
 @fast
-def best_matches(y: Any, templates: Any) -> Any:
+def best_matches(y, templates):
     """The largest NCC of patches y (N, d) of mean 0 with any of the templates (n, d) -> (N,); 0 of a flat one."""
     count, d = y.shape
     out, means, squares = np.full(count, -1.0), np.zeros(len(templates)), np.zeros(len(templates))
@@ -233,11 +202,9 @@ def best_matches(y: Any, templates: Any) -> Any:
 
 
 @fast
-def greys(values: Any) -> Any:
+def greys(values):
     """Values (d,) float32 as grey levels uint8: 0 is 128, one is 51 levels, and beyond 0..255 it ends."""
     out = np.empty(len(values), np.uint8)
     for k in range(len(values)):
-        level = values[k] * np.float32(51.0) + np.float32(128.0)
-        level = level if level > _ZERO else _ZERO
-        out[k] = np.uint8(np.int32(level if level < np.float32(255.0) else np.float32(255.0)))
+        out[k] = np.uint8(min(max(values[k] * np.float32(51.0) + np.float32(128.0), 0.0), 255.0))
     return out

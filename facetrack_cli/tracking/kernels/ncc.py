@@ -4,34 +4,27 @@ A template of (th, tw) points lies over the picture with its first point at (u, 
 What is beyond the picture is 0. The picture is bilinear between the centres of its pixels.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
-from facetrack_cli.tracking.kernels.integral import corner
+from facetrack_cli.tracking.kernels.compiled import box_sum, exact, fast, inline, read_at
 
 LARGEST = 1e6  # the largest scale, pixels from point to point
 
 
 @exact
-def place(x: Any, factor: int, offset: Any, th: int, tw: int, width: int, height: int) -> Any:
+def place(x, factor, offset, th, tw, width, height):
     """Where the template lies for boxes x (N, 1, D) = (cx, cy, s, ...) in a picture of width x height, reduced.
 
     cx and cy are pixels of the whole picture; offset (dx, dy) from the box's centre to the template's, in reduced
-    pixels at scale 1. Returns (N, 3) = (u, v, s); whether each shows anything of the picture, (N,) bool: if not (also
-    if a number of it is none, or the template thinner than a pixel), its row is (0, 0, 1); low and high, the ranges of
-    u and of v, (2,); area (4,): x0, y0, x1, y1, half-open, the pixels that all cover together, at least one; and
-    whether s is 1 throughout.
+    pixels at scale 1. Returns (N, 3) = (u, v, s), (0, 0, 1) of what is not seen; whether each is seen, (N,) bool: not
+    beyond the picture, thinner than a pixel or no number; low and high, the ranges of u and v, (2,); area (4,): x0, y0,
+    x1, y1, half-open, the pixels that all cover together, at least one; and whether s is 1 throughout.
     """
-    n = x.shape[0]
+    n, u0, v0, u1, v1, same = x.shape[0], np.inf, np.inf, -np.inf, -np.inf, True
     boxes, seen = np.empty((n, 3)), np.zeros(n, np.bool_)
-    low, high = np.zeros(2), np.zeros(2)
-    area = np.array([0, 0, 1, 1])
-    same, any_ = True, False
+    x0, y0, x1, y1 = width, height, 0, 0
     for p in range(n):
         s = x[p, 0, 2]
         u = (x[p, 0, 0] - 0.5 * (factor - 1)) / factor + s * (offset[0] - 0.5 * (tw - 1))
@@ -45,21 +38,16 @@ def place(x: Any, factor: int, offset: Any, th: int, tw: int, width: int, height
             boxes[p, 0], boxes[p, 1], boxes[p, 2] = 0.0, 0.0, 1.0
             continue
         boxes[p, 0], boxes[p, 1], boxes[p, 2], seen[p] = u, v, s, True
-        x0, y0 = int(max(math.floor(u - 0.5 * s), 0)), int(max(math.floor(v - 0.5 * s), 0))
-        x1, y1 = int(min(math.ceil(right) + 1, width)), int(min(math.ceil(bottom) + 1, height))
-        if any_:
-            low[0], low[1], high[0], high[1] = min(low[0], u), min(low[1], v), max(high[0], u), max(high[1], v)
-            x0, y0 = min(x0, area[0]), min(y0, area[1])
-            x1, y1 = max(x1, area[2]), max(y1, area[3])
-        else:
-            low[0], low[1], high[0], high[1], any_ = u, v, u, v, True
-        area[0], area[1], area[2], area[3] = x0, y0, x1, y1
-        same = same and s == 1.0
-    return boxes, seen, low, high, area, same
+        u0, v0, u1, v1, same = min(u0, u), min(v0, v), max(u1, u), max(v1, v), same and s == 1.0
+        x0, x1 = min(x0, max(math.floor(u - 0.5 * s), 0)), max(x1, min(math.ceil(right) + 1, width))
+        y0, y1 = min(y0, max(math.floor(v - 0.5 * s), 0)), max(y1, min(math.ceil(bottom) + 1, height))
+    if x1 == 0:
+        u0, v0, u1, v1, x0, y0, x1, y1 = 0.0, 0.0, 0.0, 0.0, 0, 0, 1, 1
+    return boxes, seen, np.array([u0, v0]), np.array([u1, v1]), np.array([x0, y0, x1, y1]), same
 
 
 @inline
-def _axis(start: float, step: float, length: int, near: Any, far: Any, share_near: Any, share_far: Any) -> Any:
+def _axis(start, step, length, near, far, share_near, share_far):
     """The two pixels that each point of one axis is read from, and their shares; returns the range [first, last) read.
 
     A pixel beyond the picture of `length` pixels has the share 0, and the nearest one stands in for it.
@@ -79,19 +67,14 @@ def _axis(start: float, step: float, length: int, near: Any, far: Any, share_nea
 
 
 @fast
-def cross_direct(picture: Any, template: Any, boxes: Any) -> Any:
-    """Sum of template times picture for each of the boxes (N, 3) = (u, v, s), finite, s > 0 -> (N,) float64.
-
-    picture (H, W) uint8; template (th, tw) float32.
-    """
-    height, width = picture.shape
-    th, tw = template.shape
+def cross_direct(picture, template, boxes):
+    """Sum of template (th, tw) times picture (H, W) for boxes (N, 3) = (u, v, s), finite, s > 0 -> (N,) float64."""
+    (height, width), (th, tw) = picture.shape, template.shape
     left, right = np.zeros(tw, np.int64), np.zeros(tw, np.int64)
     upper, lower = np.zeros(th, np.int64), np.zeros(th, np.int64)
     a, b = np.zeros(tw, np.float32), np.zeros(tw, np.float32)
     c, d = np.zeros(th, np.float32), np.zeros(th, np.float32)
-    line = np.zeros(width, np.float32)
-    out = np.zeros(boxes.shape[0])
+    line, out = np.zeros(width, np.float32), np.zeros(boxes.shape[0])
     for p in range(boxes.shape[0]):
         x0, x1 = _axis(boxes[p, 0], boxes[p, 2], width, left, right, a, b)
         y0, y1 = _axis(boxes[p, 1], boxes[p, 2], height, upper, lower, c, d)
@@ -112,7 +95,7 @@ def cross_direct(picture: Any, template: Any, boxes: Any) -> Any:
 
 
 @exact
-def read_patch(picture: Any, u: float, v: float, s: float, th: int, tw: int) -> Any:
+def read_patch(picture, u, v, s, th, tw):
     """The picture (H, W) uint8 at the points of a template of (th, tw) at (u, v, s) -> (th, tw) float32."""
     height, width = picture.shape
     left, right, a, b = np.zeros(tw, np.int64), np.zeros(tw, np.int64), np.zeros(tw), np.zeros(tw)
@@ -129,30 +112,23 @@ def read_patch(picture: Any, u: float, v: float, s: float, th: int, tw: int) -> 
 
 
 @exact
-def bilinear(values: Any, places: Any, left: int, top: int) -> Any:
+def bilinear(values, places, left, top):
     """values (H, W), which begin at (left, top), read bilinearly at places (N, 2+) = (u, v, ...) -> (N,) float64.
 
-    At scale 1 and from the sums at whole places, this is what `cross_direct` gives: the sum is linear in the picture.
+    At scale 1 and from the sums at whole places, this is what `cross_direct` gives: the sum is linear in the image.
     """
-    height, width = values.shape
     out = np.empty(places.shape[0])
     for p in range(places.shape[0]):
-        u, v = min(max(places[p, 0] - left, 0.0), width - 1.0), min(max(places[p, 1] - top, 0.0), height - 1.0)
-        x0, y0 = int(u), int(v)
-        x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
-        fx, fy = u - x0, v - y0
-        out[p] = (1.0 - fy) * ((1.0 - fx) * values[y0, x0] + fx * values[y0, x1]) + fy * (
-            (1.0 - fx) * values[y1, x0] + fx * values[y1, x1]
-        )
+        out[p] = read_at(values, places[p, 0] - left, places[p, 1] - top)
     return out
 
 
 @exact
-def means(integral: Any, squares: Any, boxes: Any, th: int, tw: int) -> Any:
-    """Area means of the picture and of its square over boxes (N, 3) = (u, v, s) -> (N, 2) float64.
+def means(integral, squares, boxes, th, tw):
+    """Area means of the image and of its square over boxes (N, 3) = (u, v, s) -> (N, 2) float64.
 
     integral and squares (H + 1, W + 1) float64, as cv2.integral2 gives them. A point stands for s x s pixels around
-    it. At scale 1 these are the means of the points, bilinear in the picture and in its square.
+    it. At scale 1 these are the means of the points, bilinear in the image and in its square.
     """
     out = np.empty((boxes.shape[0], 2))
     for p in range(boxes.shape[0]):
@@ -160,8 +136,6 @@ def means(integral: Any, squares: Any, boxes: Any, th: int, tw: int) -> Any:
         x0, y0 = boxes[p, 0] - 0.5 * s + 0.5, boxes[p, 1] - 0.5 * s + 0.5
         x1, y1 = x0 + s * tw, y0 + s * th
         area = s * tw * s * th
-        out[p, 0] = corner(integral, x1, y1) + corner(integral, x0, y0)
-        out[p, 0] = (out[p, 0] - corner(integral, x1, y0) - corner(integral, x0, y1)) / area
-        out[p, 1] = corner(squares, x1, y1) + corner(squares, x0, y0)
-        out[p, 1] = (out[p, 1] - corner(squares, x1, y0) - corner(squares, x0, y1)) / area
+        out[p, 0] = box_sum(integral, x0, y0, x1, y1) / area
+        out[p, 1] = box_sum(squares, x0, y0, x1, y1) / area
     return out

@@ -3,27 +3,21 @@
 Odobez, Ba & Gatica-Perez 2003, eq. 6 (the patch) and eq. 12 and 13 (its distance from the parent's).
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
+from facetrack_cli.tracking.kernels.compiled import fast, inline
 
 L2, SATURATED_L1, HAUSDORFF = 0, 1, 2
 DISTANCES = {"l2": L2, "saturated_l1": SATURATED_L1, "hausdorff": HAUSDORFF}
-# grey level of what is not there: so far from all others that it is nobody's nearest
-NOTHING = np.float32(1e9)
+NOTHING = np.float32(1e9)  # grey level of what is not there: so far from all others that it is nobody's nearest
 
 
 @inline
-def _axis(centre: float, step: float, low: int, whole: int, count: int, factor: int, at: Any, part: Any) -> Any:
-    """Where the points of one axis of a grid are read; returns the range [first, last) of those within the picture.
+def _axis(centre, step, low, whole, count, factor, at, part):
+    """Where the points of one axis, `step` apart around `centre`, are read; the range [first, last) of those within.
 
-    The points lie `step` apart around `centre`, in pixels of the whole picture, which is `whole` pixels long; the
-    reduced one shows it from `low` on and is `count` pixels long. Point i is read between pixels at[i] and at[i] + 1,
-    by the share part[i] of the latter.
+    The whole picture is `whole` pixels long; the reduced one shows it from `low` on, by `count` pixels. Point i is read
+    between pixels at[i] and at[i] + 1, by the share part[i] of the latter.
     """
     n, shrink = len(at), 1.0 / factor
     least, most = (-0.5 * factor - low) * shrink, (whole - low - 0.5 * factor) * shrink
@@ -41,14 +35,10 @@ def _axis(centre: float, step: float, low: int, whole: int, count: int, factor: 
 
 
 @inline
-def _read(
-    picture: Any, view: Any, factor: int, box: Any, size: Any,
-    columns: Any, across: Any, lines: Any, down: Any, line: Any, patch: Any,
-) -> Any:  # fmt: skip
-    """The patch of the `box` (cx, cy, s) into `patch`, read bilinearly; the rest of the arrays are scratch.
+def _read(picture, view, factor, box, size, columns, across, lines, down, line, patch):
+    """The `patch` of the `box` (cx, cy, s), read bilinearly; `view` as in `patch_distances`, the others are scratch.
 
-    Returns (first row, last row, first column, last column), half-open: the points within the picture; the others
-    keep their values. `view` is (left, top, width, height) as in `patch_distances`.
+    Returns (first row, last row, first column, last column), half-open: the points within the picture, which are set.
     """
     height, width = picture.shape
     one, stride = np.float32(1.0), len(columns) + 1
@@ -75,7 +65,7 @@ def _read(
 
 
 @inline
-def _nearest(a: Any, b: Any, stride: int, n: int) -> Any:
+def _nearest(a, b, stride, n):
     """Sum over the points of patch `a` of the least difference from the 3x3 points of patch `b` around each."""
     first = stride + 1
     row = a[first : first + n]
@@ -93,32 +83,17 @@ def _nearest(a: Any, b: Any, stride: int, n: int) -> Any:
 
 
 @inline
-def _cut(patch: Any, r0: int, r1: int, c0: int, c1: int, stride: int, out: Any) -> None:
+def _cut(patch, r0, r1, c0, c1, stride, out):
     """`patch` with NOTHING outside rows r0..r1 and columns c0..c1, into `out`."""
-    for j in range(len(out)):
-        out[j] = NOTHING
-    for i in range(r0 + 1, r1 + 1):
-        for j in range(i * stride + 1 + c0, i * stride + 1 + c1):
-            out[j] = patch[j]
+    out[:] = NOTHING
+    for first in range((r0 + 1) * stride + 1, (r1 + 1) * stride + 1, stride):
+        out[first + c0 : first + c1] = patch[first + c0 : first + c1]
 
 
 @fast
 def patch_distances(
-    now: Any,
-    now_view: Any,
-    before: Any,
-    before_view: Any,
-    factor: int,
-    x: Any,
-    parents: Any,
-    size: Any,
-    cols: int,
-    rows: int,
-    distance: int,
-    saturation: float,
-    outside: float,
-    out: Any,
-) -> None:
+    now, now_view, before, before_view, factor, x, parents, size, cols, rows, distance, saturation, outside, out
+):
     """Distances `out` (N,) of the patches of x (N, 3) in `now` from those of parents (N, 3) in `before` (eq. 13).
 
     x and parents are (cx, cy, s), boxes of `size` (w, h) times s; pixels of the whole picture, centres at whole
@@ -134,28 +109,21 @@ def patch_distances(
     columns, across = np.zeros(cols, np.uint64), np.zeros(cols, np.float32)
     lines, down = np.zeros(rows, np.uint64), np.zeros(rows, np.float32)
     line = np.zeros(max(now.shape[1], before.shape[1]), np.float32)
-    most = np.float32(saturation)
-    there = (0, 0, 0, 0)
+    most, there = np.float32(saturation), (0, 0, 0, 0)
     for p in range(x.shape[0]):
         # the children of one parent follow each other, as it was resampled: it is read once
-        if (
-            p == 0
-            or parents[p, 0] != parents[p - 1, 0]
-            or parents[p, 1] != parents[p - 1, 1]
-            or parents[p, 2] != parents[p - 1, 2]
-        ):
+        same = p > 0 and parents[p, 0] == parents[p - 1, 0] and parents[p, 1] == parents[p - 1, 1]
+        if not (same and parents[p, 2] == parents[p - 1, 2]):
             there = _read(before, before_view, factor, parents[p], size, columns, across, lines, down, line, b)
         here = _read(now, now_view, factor, x[p], size, columns, across, lines, down, line, a)
         r0, r1 = max(here[0], there[0]), min(here[1], there[1])
         c0, c1 = max(here[2], there[2]), min(here[3], there[3])
-        inside = max(r1 - r0, 0) * max(c1 - c0, 0)
-        u, v = a, b
+        inside, u, v, total = max(r1 - r0, 0) * max(c1 - c0, 0), a, b, np.float32(0.0)
         if inside < cols * rows:
             # the same on both sides, so that what cannot be compared adds nothing
             _cut(a, r0, r1, c0, c1, stride, cut_a)
             _cut(b, r0, r1, c0, c1, stride, cut_b)
             u, v = cut_a, cut_b
-        total = np.float32(0.0)
         if distance == HAUSDORFF:
             total = max(_nearest(u, v, stride, n), _nearest(v, u, stride, n))
         elif distance == L2:
@@ -166,26 +134,3 @@ def patch_distances(
             for j in range(length):
                 total += min(abs(u[j] - v[j]), most)
         out[p] = total + (cols * rows - inside) * outside
-
-
-@exact
-def boxes_extent(x: Any, size: Any, width: int, height: int) -> Any:
-    """(x from, y from, x to, y to) of the boxes (cx, cy, s) of `size` * s at x (N, 3), within the picture."""
-    x_low, y_low, x_high, y_high = width - 1.0, height - 1.0, 0.0, 0.0
-    for n in range(x.shape[0]):
-        half_w, half_h = 0.5 * size[0] * abs(x[n, 2]), 0.5 * size[1] * abs(x[n, 2])
-        # comparisons leave out what is not a number
-        if x[n, 0] - half_w < x_low:
-            x_low = x[n, 0] - half_w
-        if x[n, 1] - half_h < y_low:
-            y_low = x[n, 1] - half_h
-        if x[n, 0] + half_w > x_high:
-            x_high = x[n, 0] + half_w
-        if x[n, 1] + half_h > y_high:
-            y_high = x[n, 1] + half_h
-    return (
-        min(max(x_low, 0.0), width - 1.0),
-        min(max(y_low, 0.0), height - 1.0),
-        max(min(x_high, width - 1.0), 0.0),
-        max(min(y_high, height - 1.0), 0.0),
-    )

@@ -1,24 +1,18 @@
 """Pixels of polygons, row by row, compiled: `raster.py` says whose rule it is. Twin: `tests/twins/boxes.py`."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-_exact: Any = njit(cache=True, nogil=True, error_model="numpy")
+from facetrack_cli.tracking.kernels.compiled import exact
 
 
-@_exact
-def count_pixels(a: Any, a_poly: Any, b: Any, b_poly: Any, within: Any, out: Any) -> None:
+@exact
+def count_pixels(a, a_poly, b, b_poly, within, out):
     """Shared pixels and pixels in all, into `out` (T, 2), of regions a and b (T, 4, 2) on whole pixels.
 
     `a_poly`, `b_poly` (T,) tell polygons from rectangles, whose corners are their outermost pixels; `within` (T, 4) is
     the first column and row and the last column and row that count.
     """
-    ours, true = np.empty((2, 2)), np.empty((2, 2))
-    nodes = np.empty(4)
+    ours, true, nodes = np.empty((2, 2)), np.empty((2, 2)), np.empty(4)
     for t in range(len(a)):
         left, top = within[t, 0], within[t, 1]
         width = within[t, 2] - left + 1
@@ -35,20 +29,16 @@ def count_pixels(a: Any, a_poly: Any, b: Any, b_poly: Any, within: Any, out: Any
         out[t, 0], out[t, 1] = shared, total - shared
 
 
-@_exact
-def _spans(region: Any, is_polygon: bool, left: float, top: float, width: float, row: int, nodes: Any, out: Any) -> int:
+@exact
+def _spans(region, is_polygon, left, top, width, row, nodes, out):
     """First and last columns of the runs of pixels that the region has in a row, into `out`; how many runs, 0 to 2.
 
     Columns and rows are counted from (left, top), which matters: where an edge meets a row is cut towards zero.
     """
-    n = 0
+    n, count = 0, 0
     if not is_polygon:
-        first, last = max(region[0, 0] - left, 0.0), min(region[2, 0] - left, width - 1)
-        if region[0, 1] - top <= row <= region[2, 1] - top and first <= last:
-            out[0, 0], out[0, 1] = first, last
-            n = 1
-        return n
-    count = 0
+        out[0, 0], out[0, 1] = max(region[0, 0] - left, 0.0), min(region[2, 0] - left, width - 1)
+        return int(region[0, 1] - top <= row <= region[2, 1] - top and out[0, 0] <= out[0, 1])
     for i in range(4):
         x, y = region[i, 0] - left, region[i, 1] - top
         x_before, y_before = region[i - 1, 0] - left, region[i - 1, 1] - top

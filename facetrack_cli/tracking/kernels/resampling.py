@@ -1,33 +1,26 @@
 """Drawing indices by weights."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 
 from facetrack_cli.tracking.kernels.compiled import exact
 
 
 @exact
-def invert_cdf(weights: Any, points: Any) -> Any:
+def invert_cdf(weights, points):
     """For each column, the indices at which the cumulated weights first exceed each ascending point of [0, 1).
 
     `weights` (N, K), not all zero in a column, need not sum to one; `points` (M, K) -> (M, K) int64. Never an index of
     weight zero, and never N, however the sums are rounded.
     """
-    n, columns = weights.shape
-    m = points.shape[0]
+    (n, columns), m = weights.shape, points.shape[0]
     out = np.empty((m, columns), np.int64)
     for k in range(columns):
-        total = 0.0
-        last = 0
+        total, last = 0.0, 0
         for i in range(n):
             total += weights[i, k]
             if weights[i, k] > 0.0:
                 last = i
-        i = 0
-        cumulated = weights[0, k]
+        i, cumulated = 0, weights[0, k]
         for j in range(m):
             while i < last and cumulated <= points[j, k] * total:
                 i += 1

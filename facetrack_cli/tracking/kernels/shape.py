@@ -8,12 +8,10 @@ over the P parts that are listed in `parts`:
 With h_j the training shapes in the same units, every answer needs the exponents -|q - h_j|^2 / 2 of all j. They are
 taken as q.h_j - |h_j|^2 / 2, in float32, and -|q|^2 / 2, in float64: what differs between shapes is small, so their
 weights are right to about 1e-6 of the exponent however far q is, in half the time and half the cache of float64.
-
 No fastmath: the inner loops run over j without a reduction, so they vectorise as they stand and round alike everywhere.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -24,9 +22,7 @@ PADDING = np.float32(-1e38)  # the bias of a shape that is none
 
 _FARTHEST = 1e30  # float32 holds 3e38
 _LEAST = np.float32(-80.0)  # exp of it is nothing beside the largest weight, 1
-_LOG2E = np.float32(1.4426950408889634)
-_LN2_HI = np.float32(0.693359375)
-_LN2_LO = np.float32(-2.12194440e-4)
+_LOG2E, _LN2_HI, _LN2_LO = np.float32(1.4426950408889634), np.float32(0.693359375), np.float32(-2.12194440e-4)
 _ROUND = np.float32(12582912.0)  # 1.5 * 2**23: adding it leaves the nearest whole number in the low bits
 _ONE, _HALF = np.float32(1.0), np.float32(0.5)
 _C3, _C4, _C5 = np.float32(1.6666665459e-1), np.float32(4.1665795894e-2), np.float32(8.3334519073e-3)
@@ -34,22 +30,17 @@ _C6, _C7 = np.float32(1.3981999507e-3), np.float32(1.9875691500e-4)
 
 
 @exact
-def _exp_below(v: Any, top: float, bits: Any, scale: Any) -> None:
+def _exp_below(v, top, bits, scale):
     """v[j] <- exp(max(v[j] - top, -80)) for v <= top, to 2e-7 relative; `bits` and `scale` are one scratch array.
 
     libm's exp, called one by one, would take most of the prior's time. The polynomial is that of Cephes' expf.
     """
     for j in range(v.shape[0]):
-        a = v[j] - top
-        a = a if a > _LEAST else _LEAST
+        a = v[j] - top if v[j] - top > _LEAST else _LEAST
         t = a * _LOG2E + _ROUND
         n = t - _ROUND
         r = (a - n * _LN2_HI) - n * _LN2_LO
-        p = _C7 * r + _C6
-        p = p * r + _C5
-        p = p * r + _C4
-        p = p * r + _C3
-        p = p * r + _HALF
+        p = ((((_C7 * r + _C6) * r + _C5) * r + _C4) * r + _C3) * r + _HALF
         v[j] = (p * r) * r + r + _ONE
         scale[j] = t
     for j in range(v.shape[0]):
@@ -59,37 +50,27 @@ def _exp_below(v: Any, top: float, bits: Any, scale: Any) -> None:
 
 
 @exact
-def _weigh(
-    x: Any, parts: Any, first: Any, stable: int, width: float, h: Any, bias: Any, w: Any, bits: Any, scale: Any
-) -> float:
-    """w[j] <- exp(-|q - h_j|^2 / 2) / exp(top); returns top, the largest exponent."""
+def _weigh(x, parts, first, stable, width, h, bias, w, bits, scale):
+    """w[j] <- exp(-|q - h_j|^2 / 2) / exp(top); returns top, the largest exponent, and the sum of w."""
     if stable >= 0:
-        rx = x[stable, 0] - first[stable, 0]
-        ry = x[stable, 1] - first[stable, 1]
+        rx, ry = x[stable, 0] - first[stable, 0], x[stable, 1] - first[stable, 1]
     else:
-        rx = 0.0
-        ry = 0.0
-        for i in range(parts.shape[0]):
-            rx += x[parts[i], 0] - first[parts[i], 0]
-            ry += x[parts[i], 1] - first[parts[i], 1]
-        rx /= parts.shape[0]
-        ry /= parts.shape[0]
-
+        rx, ry = 0.0, 0.0
+        for k in parts:
+            rx += x[k, 0] - first[k, 0]
+            ry += x[k, 1] - first[k, 1]
+        rx, ry = rx / parts.shape[0], ry / parts.shape[0]
     for j in range(w.shape[0]):
         w[j] = bias[j]
     norm = 0.0
     for i in range(parts.shape[0]):
-        k = parts[i]
-        qx = ((x[k, 0] - first[k, 0]) - rx) / width
-        qy = ((x[k, 1] - first[k, 1]) - ry) / width
+        k, hx, hy = parts[i], h[2 * i], h[2 * i + 1]
+        qx, qy = ((x[k, 0] - first[k, 0]) - rx) / width, ((x[k, 1] - first[k, 1]) - ry) / width
         norm += qx * qx + qy * qy
         fx = np.float32(min(max(qx, -_FARTHEST), _FARTHEST))
         fy = np.float32(min(max(qy, -_FARTHEST), _FARTHEST))
-        hx = h[2 * i]
-        hy = h[2 * i + 1]
         for j in range(w.shape[0]):
             w[j] += fx * hx[j] + fy * hy[j]
-
     for c in range(LANES):
         scale[c] = w[c]
     for b in range(LANES, w.shape[0], LANES):
@@ -99,11 +80,6 @@ def _weigh(
     for c in range(1, LANES):
         top = max(top, scale[c])
     _exp_below(w, top, bits, scale)
-    return float(top) - 0.5 * norm
-
-
-@exact
-def _total(w: Any, scale: Any) -> float:
     for c in range(LANES):
         scale[c] = w[c]
     for b in range(LANES, w.shape[0], LANES):
@@ -112,11 +88,11 @@ def _total(w: Any, scale: Any) -> float:
     total = 0.0
     for c in range(LANES):
         total += scale[c]
-    return total
+    return float(top) - 0.5 * norm, total
 
 
 @exact
-def log_parzen(x: Any, parts: Any, first: Any, stable: int, width: float, h: Any, bias: Any) -> Any:
+def log_parzen(x, parts, first, stable, width, h, bias):
     """log sum_j exp(-|q_n - h_j|^2 / 2), (N,).
 
     x (N, K, 2) and first (K, 2) in pixels; parts (P,) int64; stable: a part, or -1 for the mean of `parts`; width: the
@@ -124,32 +100,26 @@ def log_parzen(x: Any, parts: Any, first: Any, stable: int, width: float, h: Any
     PADDING behind the last; M a multiple of LANES.
     """
     n, m = x.shape[0], bias.shape[0]
-    out = np.empty(n)
-    w = np.empty(m, np.float32)
-    bits = np.empty(m, np.int32)
+    out, w, bits = np.empty(n), np.empty(m, np.float32), np.empty(m, np.int32)
     scale = bits.view(np.float32)
     for s in range(n):
-        top = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
-        out[s] = top + math.log(_total(w, scale))
+        top, total = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
+        out[s] = top + math.log(total)
     return out
 
 
 @exact
-def pick_shape(x: Any, parts: Any, first: Any, stable: int, width: float, h: Any, bias: Any, u: Any) -> Any:
+def pick_shape(x, parts, first, stable, width, h, bias, u):
     """The index j of a shape for each hypothesis, (N,) int64, drawn by the uniform u[n] in [0, 1).
 
     Its probability is proportional to exp(-|q_n - h_j|^2 / 2). The other arguments are those of `log_parzen`.
     """
     n, m = x.shape[0], bias.shape[0]
-    out = np.empty(n, np.int64)
-    w = np.empty(m, np.float32)
-    bits = np.empty(m, np.int32)
+    out, w, bits = np.empty(n, np.int64), np.empty(m, np.float32), np.empty(m, np.int32)
     scale = bits.view(np.float32)
     for s in range(n):
-        _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
-        goal = u[s] * _total(w, scale)
-        j = 0
-        reached = float(w[0])
+        _, total = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
+        goal, j, reached = u[s] * total, 0, float(w[0])
         while j < m - 1 and reached <= goal:
             j += 1
             reached += w[j]

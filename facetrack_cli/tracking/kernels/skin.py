@@ -1,15 +1,11 @@
 """Maps of skin probability, and their sums over boxes by integral images (Gonzalez & Collet, eq. 5-9)."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.tracking.kernels.compiled import exact, inline
-from facetrack_cli.tracking.kernels.integral import corner
+from facetrack_cli.tracking.kernels.compiled import box_sum, exact, inline
 
 # OpenCV's fixed-point BT.601 of 8 bits, full range: 14 bits after the point, and a half to round by
 SHIFT, HALF, MIDDLE = np.int32(14), np.int32(1 << 13), np.int32((128 << 14) + (1 << 13))
@@ -20,7 +16,7 @@ LARGEST = 1e6  # half a side of a box, pixels
 
 
 @inline
-def _code(b: Any, g: Any, r: Any) -> Any:
+def _code(b, g, r):
     """256 Cb + Cr of one pixel. No colour has either below 0; pure blue and pure red would have 256."""
     b, g, r = np.int32(b), np.int32(g), np.int32(r)
     y = (r * R_TO_Y + g * G_TO_Y + b * B_TO_Y + HALF) >> SHIFT
@@ -30,7 +26,7 @@ def _code(b: Any, g: Any, r: Any) -> Any:
 
 
 @exact
-def _map(rows: Any, table: Any) -> Any:
+def _map(rows, table):
     height, width = rows.shape[0], rows.shape[1] // 3
     out, codes = np.empty((height, width), np.uint8), np.empty(width, np.int32)
     for i in range(height):
@@ -50,31 +46,29 @@ def skin_map(bgr: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np.uin
 
 
 @inline
-def _within(edge: float, count: int) -> Any:
+def _within(edge, count):
     """An edge in pixels as a coordinate of the integral image, 0..count; nan is 0."""
     u = edge + 0.5
     return min(u, float(count)) if u > 0.0 else 0.0
 
 
 @inline
-def _box_sum(integral: Any, box: Any) -> Any:
+def _box_sum(integral, box):
     height, width = integral.shape[0] - 1, integral.shape[1] - 1
     x0, y0 = _within(box[0], width), _within(box[1], height)
     x1, y1 = max(_within(box[2], width), x0), max(_within(box[3], height), y0)
-    return corner(integral, x1, y1) + corner(integral, x0, y0) - corner(integral, x1, y0) - corner(integral, x0, y1)
+    return box_sum(integral, x0, y0, x1, y1)
 
 
 @exact
-def nested(x: Any, width: float, height: float, factor: int, left: float, top: float) -> Any:
-    """The inner and outer boxes of equal areas (inside, and around) at x (N, 1, D) = (cx, cy, s, ...), and their area.
+def nested(x, width, height, factor, left, top):
+    """Inner boxes, outer ones around them of twice the area, and inner areas (N,), at x (N, 1, D) = (cx, cy, s, ...).
 
-    Inner boxes are width * s by height * s pixels of the whole picture, outer ones sqrt(2) times as long. Returns both
-    (N, 4) as edges x0, y0, x1, y1 in pixels of the picture reduced by `factor` that begins at (left, top) of the whole,
-    and the area (N,) of the inner one; boxes that are none, or thinner than a pixel, have area 0 and lie at 0.
+    Inner boxes are width * s by height * s pixels of the whole picture. Boxes (N, 4) are edges x0, y0, x1, y1 in pixels
+    of the picture reduced by `factor` that begins at (left, top) of the whole; what is thinner than a pixel is all 0.
     """
-    n = x.shape[0]
+    n, longer = x.shape[0], math.sqrt(2.0)
     inner, outer, area = np.zeros((n, 4)), np.zeros((n, 4)), np.zeros(n)
-    longer = math.sqrt(2.0)
     for p in range(n):
         s = x[p, 0, 2] / factor
         w, h = 0.5 * s * width, 0.5 * s * height
@@ -89,7 +83,7 @@ def nested(x: Any, width: float, height: float, factor: int, left: float, top: f
 
 
 @exact
-def differences(integral: Any, inner: Any, outer: Any) -> Any:
+def differences(integral, inner, outer):
     """Sums of a map over `inner` and over `outer` boxes, both (N, 4) = x0, y0, x1, y1 -> (N, 2) float64 (eq. 8).
 
     Edges are in pixels, pixel i covers [i - 0.5, i + 0.5], and parts of pixels count by their area. `integral`
@@ -97,13 +91,12 @@ def differences(integral: Any, inner: Any, outer: Any) -> Any:
     """
     out = np.empty((inner.shape[0], 2))
     for n in range(inner.shape[0]):
-        out[n, 0] = _box_sum(integral, inner[n])
-        out[n, 1] = _box_sum(integral, outer[n])
+        out[n, 0], out[n, 1] = _box_sum(integral, inner[n]), _box_sum(integral, outer[n])
     return out
 
 
 @exact
-def at_points(bgr: Any, table: Any, xy: Any) -> Any:
+def at_points(bgr, table, xy):
     """table[Cb, Cr] / 255 of the pixel nearest to each point xy (N, 2) -> (N,) float64; 0 beyond the picture."""
     height, width = bgr.shape[0], bgr.shape[1]
     out = np.zeros(xy.shape[0])

@@ -1,7 +1,5 @@
 """Windows read from a picture, and their colours compared (Patras & Pantic 2004, eq. 8 and 9)."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -15,7 +13,7 @@ ROBUST = {"l1": L1, "huber": HUBER, "tukey": TUKEY, "geman_mcclure": GEMAN_MCCLU
 
 
 @inline
-def _read_window(image: Any, x: float, y: float, w: int, h: int, pixels: Any, out: Any) -> Any:
+def _read_window(image, x, y, w, h, pixels, out):
     """Bilinear window of w x h pixels centred at (x, y) into `out`; returns the sum of its values.
 
     `image` (H, W * 3); outside it the nearest border pixel is read. Rows of `out` are (w + 1) * 3 long, the last pixel
@@ -25,15 +23,12 @@ def _read_window(image: Any, x: float, y: float, w: int, h: int, pixels: Any, ou
     left, top = x - (w - 1) / 2, y - (h - 1) / 2
     x0, y0 = math.floor(left), math.floor(top)
     fx, fy = np.float32(left - x0), np.float32(top - y0)
-    one = np.float32(1.0)
-    w00, w01 = (one - fy) * (one - fx), (one - fy) * fx
-    w10, w11 = fy * (one - fx), fy * fx
-    stride = 3 * (w + 1)
+    one, stride = np.float32(1.0), 3 * (w + 1)
+    w00, w01, w10, w11 = (one - fy) * (one - fx), (one - fy) * fx, fy * (one - fx), fy * fx
     # whole rows are copied side by side, so that all arithmetic runs over one long flat row and vectorises
     if x0 >= 0 and y0 >= 0 and x0 + w + 1 <= width and y0 + h + 1 <= height:
         for i in range(h + 1):
-            source = image[y0 + i, 3 * x0 : 3 * x0 + stride]
-            row = pixels[i * stride : (i + 1) * stride]
+            source, row = image[y0 + i, 3 * x0 : 3 * x0 + stride], pixels[i * stride : (i + 1) * stride]
             for j in range(stride):
                 row[j] = np.float32(source[j])
     else:
@@ -55,22 +50,17 @@ def _read_window(image: Any, x: float, y: float, w: int, h: int, pixels: Any, ou
 
 
 @exact
-def read_window(image: Any, x: float, y: float, w: int, h: int) -> Any:
-    """The window of w x h pixels centred at (x, y), read bilinearly: (h, w + 1, 3) float32, its last column zero.
-
-    `image` is (H, W * 3), uint8 or float32.
-    """
+def read_window(image, x, y, w, h):
+    """The window of w x h pixels of image (H, W * 3) at (x, y): (h, w + 1, 3) float32, its last column zero."""
     out = np.empty(h * (w + 1) * 3, np.float32)
     _read_window(image, x, y, w, h, np.zeros((h + 1) * (w + 1) * 3 + 3, np.float32), out)
     return out.reshape(h, w + 1, 3)
 
 
 @inline
-def _mean_rho(template: Any, window: Any, gain: Any, robust: int, scale: float, n: int) -> Any:
+def _mean_rho(template, window, gain, robust, scale, n):
     """Mean of a robust function of template - gain * window, two flat rows that hold n values and zeros."""
-    one, two = np.float32(1.0), np.float32(2.0)
-    inverse = np.float32(1.0 / scale)
-    d = np.float32(0.0)
+    one, two, d, inverse = np.float32(1.0), np.float32(2.0), np.float32(0.0), np.float32(1.0 / scale)
     if robust == L1:
         for j in range(len(template)):
             d += abs(template[j] - gain * window[j])
@@ -95,20 +85,8 @@ def _mean_rho(template: Any, window: Any, gain: Any, robust: int, scale: float, 
 
 @fast
 def colour_ratio_distances(
-    image: Any,
-    ratios: Any,
-    offsets: Any,
-    sides: Any,
-    parts: Any,
-    x: Any,
-    origin_x: float,
-    origin_y: float,
-    factor: int,
-    least_mean: float,
-    robust: int,
-    scale: float,
-    out: Any,
-) -> None:
+    image, ratios, offsets, sides, parts, x, origin_x, origin_y, factor, least_mean, robust, scale, out
+):
     """Mean robust difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
 
     Template g of part `parts[g]` is `ratios[offsets[g] : offsets[g + 1]]`, divided by its own mean and laid out as
@@ -125,8 +103,7 @@ def colour_ratio_distances(
     for g in range(len(parts)):
         k, w, h = parts[g], sides[g, 0], sides[g, 1]
         template = ratios[offsets[g] : offsets[g + 1]]
-        window = buffer[: len(template)]
-        n = w * h * 3
+        window, n = buffer[: len(template)], w * h * 3
         for p in range(x.shape[0]):
             cx = (x[p, k, 0] - origin_x - 0.5 * (factor - 1)) / factor
             cy = (x[p, k, 1] - origin_y - 0.5 * (factor - 1)) / factor
@@ -137,15 +114,14 @@ def colour_ratio_distances(
 
 
 @exact
-def extent(x: Any, reach: float) -> Any:
+def extent(x, reach):
     """(x from, y from, x to, y to) of everything within `reach` of the places x (N, K, 2)."""
-    x_low = x_high = x[0, 0, 0]
-    y_low = y_high = x[0, 0, 1]
+    x0, y0 = x1, y1 = x[0, 0, 0], x[0, 0, 1]
     for n in range(x.shape[0]):
         for k in range(x.shape[1]):
-            x_low, x_high = min(x_low, x[n, k, 0]), max(x_high, x[n, k, 0])
-            y_low, y_high = min(y_low, x[n, k, 1]), max(y_high, x[n, k, 1])
-    return x_low - reach, y_low - reach, x_high + reach, y_high + reach
+            u, v = x[n, k, 0], x[n, k, 1]
+            x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
+    return x0 - reach, y0 - reach, x1 + reach, y1 + reach
 
 
 def flat(image: NDArray[Any]) -> NDArray[Any]:

@@ -61,7 +61,7 @@ class Patches:
             return known
         states = np.ascontiguousarray(x.reshape(-1, 6))
         (w, h), (width, height) = self.size, frame.size
-        extent = affine.parallelograms_extent(states, w, h, width, height)
+        extent = affine.boxes_extent(states, w, h, width, height)
         # between its border and the centre of its first block, a box is read from the block before too; after a single
         # state mostly come particles around it
         more = float(factor) if len(states) > 1 else factor + 0.15 * max(extent[2] - extent[0], extent[3] - extent[1])

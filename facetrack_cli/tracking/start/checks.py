@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
     from facetrack_cli.tracking.loop import Tracker
 
-
 LEAST_WINDOW: Final = 3.0  # pixels; windows are not made smaller
 LEAST_BOX: Final = 6  # pixels of a side; in less there is nothing to see
 
@@ -25,16 +24,21 @@ def box_of(start: Start, name: str) -> Box:
     box = start.targets[name].box
     if box is None:
         points = ", or follow its points, by a recipe such as factorized" if start.targets[name].points else ""
-        raise InputError(
-            f"{start.origin}: {name} has no box, which the recipe follows; add one, as in box: [x, y, w, h]{points}"
-        )
+        need = f"{name} has no box, which the recipe follows; add one, as in box: [x, y, w, h]"
+        raise InputError(f"{start.origin}: {need}{points}")
     return box
 
 
 def visible_box(start: Start, name: str) -> Box:
-    """The target's box; InputError if it is too small to see anything in it."""
-    box = box_of(start, name)
-    check_size(start.origin, name, box)
+    """The target's box; InputError if there is none, or it is too small to see anything in it."""
+    return check_size(start.origin, name, box_of(start, name))
+
+
+def check_size(origin: str, name: str, box: Box) -> Box:
+    """A target's box, which `origin` gave; InputError if it is too small to see anything in it."""
+    if min(box[2:]) < LEAST_BOX:
+        least = f"{LEAST_BOX}x{LEAST_BOX} pixels"
+        raise InputError(f"{origin}: the box of {name} is smaller than {least}; give a larger one")
     return box
 
 
@@ -47,25 +51,14 @@ def size_of_box(start: Start, name: str) -> float:
 
 
 def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origin: str) -> None:
-    """Refuse windows and boxes larger than the frame (width, height), which would take memory without bound.
-
-    `origin` says who gave the boxes.
-    """
+    """Refuse windows and boxes, given by `origin`, larger than the frame (width, height): memory without bound."""
     for target in tracker:
         for part, (w, h) in target.windows.items():
-            if max(w / size[0], h / size[1]) <= 1 or max(w, h) <= LEAST_WINDOW:
-                continue
-            larger = f"larger than the frame of {size[0]}x{size[1]}; make it smaller"
-            if not recipe.points:
-                raise InputError(f"{origin}: the box of {target.name}, {w:g}x{h:g} pixels, is {larger}")
-            raise recipe.error("target.windows", f"the window of {part} would be {w:.0f}x{h:.0f} pixels, {larger}")
-
-
-def check_size(origin: str, name: str, box: Box) -> None:
-    """InputError if a target's box, which `origin` gave, is too small to see anything in it."""
-    if min(box[2:]) < LEAST_BOX:
-        least = f"{LEAST_BOX}x{LEAST_BOX} pixels"
-        raise InputError(f"{origin}: the box of {name} is smaller than {least}; give a larger one")
+            if max(w / size[0], h / size[1]) > 1 and max(w, h) > LEAST_WINDOW:
+                larger = f"larger than the frame of {size[0]}x{size[1]}; make it smaller"
+                if not recipe.points:
+                    raise InputError(f"{origin}: the box of {target.name}, {w:g}x{h:g} pixels, is {larger}")
+                raise recipe.error("target.windows", f"the window of {part} would be {w:.0f}x{h:.0f} pixels, {larger}")
 
 
 def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frames: int | None = None) -> None:
@@ -76,14 +69,14 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
     """
     origin, larger = start.origin, f"is larger than the frame of {size[0]}x{size[1]} pixels; make it smaller"
     if frames is not None and start.frame >= frames:
-        last = f"the clip ends with frame {frames - 1}"
-        raise InputError(f"{origin}: starts at frame {start.frame}, but {last}; choose one that it has")
+        more = f"the clip ends with frame {frames - 1}; choose one that it has"
+        raise InputError(f"{origin}: starts at frame {start.frame}, but {more}")
     for name, target in start.targets.items():
-        missing = [part for part in parts if part not in target.points]
+        missing = ", ".join(part for part in parts if part not in target.points)
         if missing:
             boxes = ", or follow its box by a recipe of regions, as contour_histogram" if target.box is not None else ""
             raise InputError(
-                f"{origin}: no point for {', '.join(missing)} of {name}, which the recipe follows; "
+                f"{origin}: no point for {missing} of {name}, which the recipe follows; "
                 f"add it, or have all points placed with --box X,Y,W,H{boxes}"
             )
         _check_places(origin, name, target, size)

@@ -23,9 +23,7 @@ from facetrack_cli.tracking.start.points import cascade, place
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 """What can be placed; left and right as seen in the image."""
 
-BOUND: Final = 250
-"""Most frames that are searched: ten seconds of most clips."""
-
+BOUND: Final = 250  # frames that are searched, at most: ten seconds of most clips
 LONGEST, SHORTEST = 640, 320  # bounds in pixels of the longer side of the image that is searched
 SMALLEST: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
 CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usual clips, 12 if hardly visible
@@ -48,35 +46,30 @@ def haar_start(
 
     At most `bound` frames are searched, and faces too dark to track are passed over; if all are, the one of most
     contrast is taken. `complete` adds what else the frame must show; where it raises NotHereError the next is tried.
-    Raises InputError, naming the `clip`, if none of the frames shows a face whose parts are all in the frame, or that
-    of `complete`; UsageError for a part that is none of the five.
+    Raises InputError, naming the `clip`, if none of the frames shows all that; UsageError for an unknown part.
     """
     check_parts(parts)
-    looked: list[int] = []
-    lacking: NotHereError | None = None
-    best: tuple[float, Start] | None = None
+    first = last = lacking = best = None
+    most = -1.0
     for frame in islice(frames, bound):
-        looked.append(frame.index)
+        first, last = frame.index if first is None else first, frame.index
         for box in find_faces(frame.bgr):
             x, y, w, h = map(int, box)
             contrast = float(cv2.cvtColor(frame.bgr[y : y + h, x : x + w], cv2.COLOR_BGR2GRAY).std())
-            if best is not None and contrast <= best[0]:
-                continue
-            points = place(frame.bgr, box)
-            if not all(inside(points[part], frame.size) for part in parts):
+            points = place(frame.bgr, box) if contrast > most else {}
+            if not points or not all(inside(points[part], frame.size) for part in parts):
                 continue
             try:
-                best = contrast, complete(frame, _start(frame, box, points, parts, "haar"))
+                best, most = complete(frame, _start(frame, box, points, parts, "haar")), contrast
             except NotHereError as e:
                 lacking = lacking or e
                 continue
             if contrast >= CONTRAST:
-                return best[1]
+                return best
     if best is not None:
-        return best[1]
-    if not looked:
+        return best
+    if first is None:
         raise InputError(f"{clip}: no frame to look for a face in; ask for frames that the clip has")
-    first, last = looked[0], looked[-1]
     if lacking is not None:
         raise InputError(f"{lacking}{'' if last == first else f'; no frame to {last} shows more'}")
     searched = f"frame {first}" if first == last else f"frames {first} to {last}"
@@ -90,7 +83,7 @@ def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str
     """The start in a frame where the face's box (left, top, width, height; pixels) is known.
 
     The parts are placed in the face that a cascade sees in the box, else in the box itself. Raises InputError if the
-    box has no area or is not in the frame, or a part would be outside; UsageError as `haar_start`.
+    box has no area or is not in the frame, or a part would be outside; UsageError for an unknown part.
     """
     check_parts(parts)
     size = f"the frame of {frame.size[0]}x{frame.size[1]} pixels"
@@ -113,10 +106,10 @@ def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str
 
 def check_parts(parts: Sequence[str]) -> None:
     """UsageError for a part that is none of the five."""
-    unknown = [part for part in parts if part not in PARTS]
+    unknown = ", ".join(part for part in parts if part not in PARTS)
     if unknown:
         raise UsageError(
-            f"no cascade can place {', '.join(unknown)}, only {', '.join(PARTS)}; "
+            f"no cascade can place {unknown}, only {', '.join(PARTS)}; "
             "say where the parts are in an init file, with --init FILE"
         )
 
@@ -136,9 +129,8 @@ def find_faces(image: Image) -> list[Box]:
         confirmed = sum(_confirmed(name, seen, box) for name in ("frontalface_default", "frontalface_alt"))
         if confirmed:
             # one that all three see is taken before a slightly larger one that two see
-            faces.append((box[2] * (2 + confirmed), box))
-    faces.sort(key=lambda face: (-face[0], face[1]))
-    return [(round(x / zoom), round(y / zoom), round(w / zoom), round(h / zoom)) for _, (x, y, w, h) in faces]
+            faces.append((-box[2] * (2 + confirmed), box))
+    return [(round(x / zoom), round(y / zoom), round(w / zoom), round(h / zoom)) for _, (x, y, w, h) in sorted(faces)]
 
 
 def _detect(name: str, grey: Image, neighbours: int, smallest: int, largest: int) -> list[tuple[int, int, int, int]]:
@@ -148,8 +140,7 @@ def _detect(name: str, grey: Image, neighbours: int, smallest: int, largest: int
 
 def _confirmed(name: str, grey: Image, box: tuple[int, int, int, int]) -> bool:
     """Whether the cascade of that name sees a face in the same place."""
-    x, y, w, h = box
-    margin = round(0.35 * w)
+    (x, y, w, h), margin = box, round(0.35 * box[2])
     left, top = max(x - margin, 0), max(y - margin, 0)
     patch = np.ascontiguousarray(grey[top : y + h + margin, left : x + w + margin])
     near = _detect(name, patch, 2, max(20, round(0.7 * w)), round(1.4 * w))

@@ -19,24 +19,25 @@ called `face`, and beside the `frame` of a correction.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
+from itertools import groupby
 from pathlib import Path
-from typing import Final, NoReturn, TextIO, TypeAlias, TypeVar
+from typing import Any, Final, NoReturn, TextIO, TypeAlias, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import write_new
-from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
-from facetrack_cli.core.yaml_tree import Node, Problem, Source, YamlProblems, parse, read_source
+from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
+from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
-from facetrack_cli.tracking.start.init_writer import as_json, as_yaml
 from facetrack_cli.trajectory.reader import MAX_FRAME
-from facetrack_cli.trajectory.start import CorrectedTarget, TargetRecord
+from facetrack_cli.trajectory.start import CorrectedTarget, TargetRecord, corrected, whole
 
 SUFFIXES: Final = (".yaml", ".yml", ".json")
 TARGET: Final = "face"
@@ -52,6 +53,15 @@ _FORMS: Final = {
     "absent": "[nose], or absent: true",
     "learn": "true or learn: false",
 }
+_HOW: Final = {"haar": "found by Haar cascades", "--box": "placed in the box given", "the page": "picked on the page"}
+WHAT_PARTS_ARE: Final = {
+    "nose": "the tip of the nose",
+    "mouth_left": "the corner of the mouth on the picture's left",
+    "mouth_right": "the corner on the picture's right",
+    "lip_upper": "the middle of the upper lip, at its upper edge",
+    "lip_lower": "the middle of the lower lip, at its lower edge",
+}
+_WIDE: Final = 88  # characters of a line; longer ones are split, a point on each
 _KEYS: TypeAlias = "dict[str, Node]"
 _Record = TypeVar("_Record", bound=BaseModel)
 
@@ -63,10 +73,10 @@ def find_init(clip: Path) -> Path | None:
 
 def default_path(clip: Path, suffix: str = ".yaml") -> Path:
     """Where `find_init` looks first: `clip.init.yaml` beside the clip."""
-    if clip.is_dir():
-        clip = clip if clip.name not in ("", "..") else clip.resolve()
-        return clip.parent / f"{clip.name}.init{suffix}"
-    return clip.parent / f"{clip.stem}.init{suffix}"
+    folder = clip.is_dir()
+    if folder and clip.name in ("", ".."):
+        clip = clip.resolve()
+    return clip.parent / f"{clip.name if folder else clip.stem}.init{suffix}"
 
 
 def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bool = False) -> None:
@@ -76,17 +86,97 @@ def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bo
     """
     if not isinstance(to, Path):
         to.write(as_yaml(start, clip))
-        return
-    text = as_json(start) if to.suffix.lower() == ".json" else as_yaml(start, clip)
-    write_new(to, text.encode(), overwrite=overwrite)
+    else:
+        text = as_json(start) if to.suffix.lower() == ".json" else as_yaml(start, clip)
+        write_new(to, text.encode(), overwrite=overwrite)
+
+
+def as_json(start: Start) -> str:
+    """As JSON: a line a part of the start, and a line a target of a correction."""
+    members = [f'"frame": {start.frame}']
+    for name, target in start.targets.items():
+        keys = [] if target.box is None else [f'"box": {_flow(target.box)}']
+        for key, pairs in (("points", target.points), ("windows", target.windows)):
+            if pairs:
+                rows = ",\n".join(f'      "{part}": {_flow(pair)}' for part, pair in pairs.items())
+                keys.append(f'"{key}": {{\n{rows}\n    }}')
+        members.append(f'"{name}": {{\n    ' + ",\n    ".join(keys) + "\n  }")
+    if start.corrections:
+        entries = []
+        for frame, group in groupby(start.corrections, key=lambda one: one.frame):
+            targets = "".join(f',\n     "{one.target}": {json.dumps(corrected(one))}' for one in group)
+            entries.append(f'    {{"frame": {frame}{targets}}}')
+        members.append('"corrections": [\n' + ",\n".join(entries) + "\n  ]")
+    return "{\n  " + ",\n  ".join(members) + "\n}\n"
+
+
+def as_yaml(start: Start, clip: str = "") -> str:
+    """As YAML with comments; `clip` is named at the top."""
+    how = f", {_HOW[start.origin]}" if start.origin in _HOW else ""
+    of = f" of {''.join(char if char.isprintable() else '?' for char in clip)}" if clip else ""
+    lines = [
+        f"# Where the track{of} begins{how}.",
+        "# Edit the numbers: pixels of this frame, x to the right, y down; the centre of the first pixel is 0, 0.",
+        f"frame: {start.frame}  # counted from 0",
+    ]
+    for name, target in start.targets.items():
+        lines += [f"{_key(name)}:", *_target_lines(target)]
+    if start.corrections:
+        lines += [
+            "# What was put right by hand; from each of these frames on the target begins anew.",
+            "# points, box: by hand; kept: where its other points were; absent: not to be seen from there on;",
+            "# learn: whether what it looks like is learned anew there; if it is not said, what is given is.",
+            "corrections:",
+        ]
+    for frame, group in groupby(start.corrections, key=lambda one: one.frame):
+        lines.append(f"- frame: {frame}")
+        for one in group:
+            lines.append(f"  {_key(one.target)}:")
+            for key, value in corrected(one).items():
+                line = f"    {key}: {_flow(value)}"
+                split = isinstance(value, dict) and len(line) > _WIDE
+                lines += [f"    {key}:", *_below(value, 6)] if split else [line]
+    return "\n".join(lines) + "\n"
+
+
+def _target_lines(target: TargetStart) -> list[str]:
+    lines = [] if target.box is None else [f"  box: {_flow(target.box)}  # left, top, width, height"]
+    if target.points:
+        rows = list(zip(_below(target.points, 4), map(WHAT_PARTS_ARE.get, target.points), strict=True))
+        wide = max(len(row) for row, _ in rows)
+        lines.append("  points:  # x, y of each part; left and right as seen in the picture")
+        lines += [f"{row:<{wide}}  # {what}" if what else row for row, what in rows]
+    if target.windows:
+        lines += ["  windows:  # width, height of the window that is compared", *_below(target.windows, 4)]
+    elif target.points:
+        lines += [
+            "  # To compare a larger or smaller window than the recipe's, give its width and height:",
+            f"  # windows: {_flow({next(iter(target.points)): (25, 25)})}",
+        ]
+    return lines
+
+
+def _below(pairs: Mapping[str, Point], indent: int) -> list[str]:
+    return [f"{' ' * indent}{_key(name)}: {_flow(pair)}" for name, pair in pairs.items()]
+
+
+def _flow(value: Any) -> str:
+    """Numbers, names, lists and mappings on one line."""
+    if isinstance(value, list | tuple):
+        value = [one if isinstance(one, str) else whole(one) for one in value]
+    return re.sub('"(.+?)"', lambda name: _key(name[1]), json.dumps(value))
+
+
+def _key(name: str) -> str:
+    return f'"{name}"' if name.lower() in ("null", "true", "false", "yes", "no", "on", "off", "y", "n") else name
 
 
 def read_init(path: Path) -> Start:
     """The start and the corrections that an init file describes, the corrections by their frames.
 
-    Raises InputError, one line with file, line and column, for whatever is not valid: what YAML or `trajectory.start`
-    refuses, an unknown key, a missing frame, a target without box and points, a correction of a frame that is not after
-    the first, of a target or part that the start does not have, or of the same part twice.
+    Raises InputError, with file, line and column, for what is not valid: refused by YAML or `trajectory.start`, an
+    unknown key, a missing frame, a target without box and points, a correction of a frame that is not after the first,
+    of a target or part that the start does not have, or of the same part twice.
     """
     name = str(path)
     try:
@@ -96,7 +186,10 @@ def read_init(path: Path) -> Start:
         root = parse(source)
         if root is None:
             raise InputError(f"{name}:1: the init file is empty; make one with facetrack init")
-        return _start(root, source)
+        keys = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
+        frame, corrections = _frame(keys, root), keys.pop("corrections", None)
+        targets = _targets(keys, root)
+        return Start(frame, targets, name, _corrections(corrections, frame, targets) if corrections else ())
     except FileNotFoundError:
         raise InputError(f"{name}: no such init file; correct the name, or make one with facetrack init") from None
     except IsADirectoryError:
@@ -108,13 +201,6 @@ def read_init(path: Path) -> Start:
         raise InputError(f"{refused.problems[0]}{more}") from None
 
 
-def _start(root: Node, source: Source) -> Start:
-    keys = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
-    frame, corrections = _frame(keys, root), keys.pop("corrections", None)
-    targets = _targets(keys, root)
-    return Start(frame, targets, source.name, _corrections(corrections, frame, targets) if corrections else ())
-
-
 def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
     if not keys:
         _refuse(root, "neither a box nor points are given; add box: [left, top, width, height] or points:")
@@ -123,21 +209,21 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
         if key in OF_CORRECTIONS:
             _refuse(node, f'"{key}" is a key of corrections; move it below corrections:', at_key=True)
         near = get_close_matches(key, ("frame", "corrections", *KEYS), n=1, cutoff=0.7)
-        odd = key not in KEYS if alone else near or not isinstance(node.value, dict) or not NAME.fullmatch(key)
-        if odd:
+        if key not in KEYS if alone else near or not isinstance(node.value, dict) or not NAME.fullmatch(key):
             form = f"keys are {', '.join(KEYS)}" if alone else "a target holds box: and points:, below its name"
             meant = f'did you mean "{near[0]}"?' if near else form
             _refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
-    return {name: _target(name, node) for name, node in ({TARGET: Node(root.span, keys)} if alone else keys).items()}
-
-
-def _target(name: str, node: Node) -> TargetStart:
-    target = _read(TargetRecord, node, name)
-    if target.box is None and not target.points:
-        _refuse(node, f"neither a box nor points of {name} are given; add box: [left, top, width, height] or points:")
-    for part in target.windows:
-        _check_part(locate(node, ("windows", part))[0], "windows", part, tuple(target.points))
-    return target.target()
+    targets = {}
+    for name, node in ({TARGET: Node(root.span, keys)} if alone else keys).items():
+        target = _read(TargetRecord, node, name)
+        if target.box is None and not target.points:
+            _refuse(
+                node, f"neither a box nor points of {name} are given; add box: [left, top, width, height] or points:"
+            )
+        for part in target.windows:
+            _check_part(locate(node, ("windows", part))[0], "windows", part, tuple(target.points))
+        targets[name] = target.target()
+    return targets
 
 
 def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> tuple[Correction, ...]:
@@ -150,10 +236,10 @@ def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> 
         if frame <= first:
             _refuse(at, f"corrects frame {frame}, but the track begins in frame {first}; corrections come after it")
         for name, below in _corrected(keys, entry, targets).items():
-            line = (below.key or below.span).line + 1
             if (frame, name) in found:
                 known = f"{name} has a correction of frame {frame} in line {found[frame, name][1]} already"
                 _refuse(below, f"{known}; join them", at_key=True)
+            line = (below.key or below.span).line + 1
             found[frame, name] = _correction(frame, name, below, targets[name]), line
     return tuple(one for one, _ in sorted(found.values(), key=lambda pair: pair[0].frame))
 
@@ -215,8 +301,7 @@ def _read(model: type[_Record], node: Node, whose: str) -> _Record:
     except ValidationError as error:
         found = []
         for one in problems(error, model, node):
-            key = next((key for key in _FORMS if re.match(rf"{key}\b", one.message)), None)
-            form = f"; write {key}: {_FORMS[key]}" if key is not None else ""
+            form = next((f"; write {key}: {_FORMS[key]}" for key in _FORMS if re.match(rf"{key}\b", one.message)), "")
             found.append(Problem(one.span, f"{whose}: {one.message}{form}"))
         raise YamlProblems(found) from None
 

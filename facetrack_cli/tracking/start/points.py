@@ -1,22 +1,25 @@
 """The five points of a face, placed from its box by mean proportions and corrected by what the image shows.
 
-Lengths are in the eye frame of `lowerface.py`. Where a step finds no evidence, or evidence too far from the mean, the
-mean proportions stand. Nothing here is random.
+The evidence for nose and mouth is two dark lines in the lower face: between the lips, from corner to corner, and the
+shade under the nose. Nearly every face has them, and they hardly depend on the light. Lengths are in the *eye frame*:
+the origin is midway between the eyes, x runs from the left eye (as seen in the image) to the right one, y down the
+face, and the distance between the eyes is 1. Without evidence near the mean, the mean proportions stand.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from threading import get_ident
-from typing import Final
+from typing import Final, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Box, Image, Point
-from facetrack_cli.tracking.start.lowerface import HEIGHT, LEFT, TOP, UNIT, WIDTH, read_points
+from facetrack_cli.core.types import Array, Box, Image, Point
+
+Index: TypeAlias = NDArray[np.int64]
 
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
 EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))
@@ -29,6 +32,26 @@ _EYE_CASCADES: Final = (
     ("righteye_2splits", 0.004, -0.034),
 )
 
+UNIT: Final = 64  # pixels of the rectified image of the lower face for a length of 1
+LEFT, RIGHT, TOP, BOTTOM = -0.75, 0.75, 0.25, 1.75  # what it shows
+WIDTH, HEIGHT = round((RIGHT - LEFT) * UNIT), round((BOTTOM - TOP) * UNIT)
+xs: Final[Array] = LEFT + (np.arange(WIDTH) + 0.5) / UNIT  # of its columns
+ys: Final[Array] = TOP + (np.arange(HEIGHT) + 0.5) / UNIT  # of its rows
+
+# Mean and spread: from 1,502 frontal faces with 68 landmarks (corners at y 1.03 there) and 26 images from clips and
+# portraits (1.14; in many of the clips pixels are wider than high, so that faces look long). The means lie between.
+MOUTH_Y: Final = (1.12, 0.10)
+SHADE_Y: Final = (0.72, 0.06)  # the dark line under the nose
+SHADE_TO_MOUTH: Final = (0.43, 0.08)
+HALF_WIDTH: Final = (0.415, 0.065)  # from the middle of the mouth to a corner
+UPPER: Final = (0.14, 0.05)  # from the dark line, in the middle, up to the upper lip's edge
+LOWER: Final = (0.23, 0.09)  # from half-way between that line and the corners down to the lower lip's edge
+TIP_ABOVE_SHADE: Final = 0.15
+CLEAR: Final = 0.1  # a valley this deep (in log grey) is a line beyond doubt
+BEND: Final = 0.05  # price of a row up or down from one column to the next
+CORNER: Final = 0.55  # beyond a corner the line has less than this share of its depth in the middle
+EDGE: Final = 15.0  # weight of a lip's edge, per log grey and pixel of the rectified image
+
 
 def cascade(name: str) -> cv2.CascadeClassifier:
     """OpenCV's own cascade of that name, loaded once for each thread, since it holds the image that it searches."""
@@ -40,24 +63,62 @@ def _load(name: str, thread: int) -> cv2.CascadeClassifier:
     return cv2.CascadeClassifier(str(Path(cv2.__file__).parent / "data" / f"haarcascade_{name}.xml"))
 
 
-def _blur(image: Image, spread: float) -> Image:
-    """Gaussian blur, against aliasing before an image is reduced."""
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), spread), np.uint8)
+def place(image: Image, box: Box) -> dict[str, Point]:
+    """All five points of the face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR)."""
+    # the part of the image around the box, so that the time does not depend on the size of the frame
+    x0, y0 = max(int(box[0] - 0.5 * box[2]), 0), max(int(box[1] - 0.5 * box[3]), 0)
+    image = image[y0 : int(box[1] + 1.6 * box[3]) + 1, x0 : int(box[0] + 1.5 * box[2]) + 1]
+    eyes = _EyeFrame(*_find_eyes(image, (box[0] - x0, box[1] - y0, box[2], box[3])))
+    points = {name: eyes.to_image(*at) for name, at in read_points(eyes.rectify(image)).items()}
+    return {name: (x + x0, y + y0) for name, (x, y) in points.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class EyeFrame:
+def mean_eyes(box: Box) -> tuple[Point, Point]:
+    """Where the eyes are in a face's box on average, in pixels."""
+    x, y, w, h = box
+    left, right = ((x + across * w - 0.5, y + down * h - 0.5) for across, down in EYES_IN_BOX)
+    return left, right
+
+
+def _find_eyes(image: Image, box: Box) -> tuple[Point, Point]:
+    """The eyes of the face in `box`, in pixels: each the median of what four cascades say, else its mean place."""
+    x, y, w, h = box
+    zoom, top, means = EYE_WIDTH / w, y + 0.1 * h, mean_eyes(box)
+    matrix = np.array([[zoom, 0, -(x - 0.5) * zoom - 0.5], [0, zoom, -(top - 0.5) * zoom - 0.5]])
+    size = (EYE_WIDTH, round(0.55 * h * zoom))
+    patch = cv2.warpAffine(_smooth(image, 1 / zoom), matrix, size, borderMode=cv2.BORDER_REPLICATE)
+    grey = cv2.equalizeHist(cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY))
+    found: tuple[list[Point], list[Point]] = ([], [])
+    smallest, largest = (round(0.15 * EYE_WIDTH),) * 2, (round(0.45 * EYE_WIDTH),) * 2
+    for name, dx, dy in _EYE_CASCADES:
+        for ex, ey, ew, eh in cascade(name).detectMultiScale(grey, 1.05, 2, 0, smallest, largest):
+            at = (x - 0.5 + (ex + ew / 2) / zoom - dx * w, top - 0.5 + (ey + eh / 2) / zoom - dy * w)
+            for seen, mean in zip(found, means, strict=True):
+                if abs(at[0] - mean[0]) < 0.08 * w and abs(at[1] - mean[1]) < 0.09 * h:
+                    seen.append(at)
+    # of few detections the mean place is one more, so that a single wrong one cannot pull an eye all the way
+    (left, right) = (
+        np.median([mean, *seen] if len(seen) < 3 else seen, axis=0).tolist()
+        for mean, seen in zip(means, found, strict=True)
+    )
+    return left, right
+
+
+def _smooth(image: Image, shrink: float) -> Image:
+    """The image, blurred against aliasing if it is to be reduced by `shrink`."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5 * shrink), np.uint8) if shrink > 1 else image
+
+
+class _EyeFrame:
     """The eye frame in the image: its origin in pixels, the unit vector along x, the length of 1 in pixels."""
 
-    origin: Point
-    along: Point
-    scale: float
-
-    @classmethod
-    def from_eyes(cls, left: Point, right: Point) -> EyeFrame:
+    def __init__(self, left: Point, right: Point) -> None:
         dx, dy = right[0] - left[0], right[1] - left[1]
-        scale = float(np.hypot(dx, dy))
-        return cls(((left[0] + right[0]) / 2, (left[1] + right[1]) / 2), (dx / scale, dy / scale), scale)
+        self.scale = float(np.hypot(dx, dy))
+        self.origin, self.along = (
+            ((left[0] + right[0]) / 2, (left[1] + right[1]) / 2),
+            (dx / self.scale, dy / self.scale),
+        )
 
     def to_image(self, x: float, y: float) -> Point:
         (ox, oy), (ux, uy) = self.origin, self.along
@@ -65,57 +126,128 @@ class EyeFrame:
 
     def rectify(self, image: Image) -> Image:
         """The lower face, upright and at UNIT pixels to a length of 1: rows TOP..BOTTOM, columns LEFT..RIGHT."""
-        shrink = self.scale / UNIT
-        (ux, uy), step = self.along, 1 / UNIT
-        corner = self.to_image(LEFT + step / 2, TOP + step / 2)
+        (ux, uy), shrink = self.along, self.scale / UNIT
+        corner = self.to_image(LEFT + 0.5 / UNIT, TOP + 0.5 / UNIT)
         matrix = np.array([[ux * shrink, -uy * shrink, corner[0]], [uy * shrink, ux * shrink, corner[1]]])
-        if shrink > 1:
-            image = _blur(image, 0.5 * shrink)
         how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        lower = cv2.warpAffine(image, matrix, (WIDTH, HEIGHT), flags=how, borderMode=cv2.BORDER_REPLICATE)
+        size = (WIDTH, HEIGHT)
+        lower = cv2.warpAffine(_smooth(image, shrink), matrix, size, flags=how, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(lower, np.uint8)
 
 
-def place(image: Image, box: Box) -> dict[str, Point]:
-    """All five points of the face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR)."""
-    # the part of the image around the box, so that the time does not depend on the size of the frame
-    x0, y0 = max(int(box[0] - 0.5 * box[2]), 0), max(int(box[1] - 0.5 * box[3]), 0)
-    image = image[y0 : int(box[1] + 1.6 * box[3]) + 1, x0 : int(box[0] + 1.5 * box[2]) + 1]
-    eyes = find_eyes(image, (box[0] - x0, box[1] - y0, box[2], box[3]))
-    points = {name: eyes.to_image(*at) for name, at in read_points(eyes.rectify(image)).items()}
-    return {name: (x + x0, y + y0) for name, (x, y) in points.items()}
+def read_points(image: Image) -> dict[str, Point]:
+    """The five points of a rectified lower face (HEIGHT, WIDTH, 3), in the eye frame."""
+    # logarithms: a factor on the light is a constant, which differences drop
+    grey = np.log(image.astype(np.float64) @ (0.114, 0.587, 0.299) + 8)
+    # red over green: lips stand out, shades do not; zero everywhere in a grey image
+    soft = cv2.GaussianBlur(image, (0, 0), 1.5).astype(np.float64)
+    red = np.log((soft[..., 2] + 8) / (soft[..., 1] + 8))
+    valley = _valleys(grey)
+    line = np.minimum(valley / CLEAR, 1)
+    shade_y, mouth_y = _dark_lines(line)
+    path = _follow(line, mouth_y)
+    left, right = _corners(valley, path)
+    upper, lower = _lips(grey, red, left, right, path)
+    nose = _nose_x(grey, valley, shade_y), shade_y - TIP_ABOVE_SHADE
+    return {"nose": nose, "mouth_left": left, "mouth_right": right, "lip_upper": upper, "lip_lower": lower}
 
 
-def mean_eyes(box: Box) -> tuple[Point, Point]:
-    """Where the eyes are in a face's box on average, in pixels."""
-    (lx, ly), (rx, ry) = EYES_IN_BOX
-    x, y, w, h = box
-    return (x + lx * w - 0.5, y + ly * h - 0.5), (x + rx * w - 0.5, y + ry * h - 0.5)
+def _valleys(grey: Array) -> Array:
+    """How much darker each pixel is than what is above and below it, at the best of three widths."""
+    deepest = np.zeros_like(grey)
+    for width in (1.5, 2.5, 3.5):
+        soft = cv2.GaussianBlur(grey, (0, 0), sigmaX=1.5 * width, sigmaY=width, borderType=cv2.BORDER_REPLICATE)
+        bent = (soft[4:] + soft[:-4] - 2 * soft[2:-2]) * (width**2 / 4)
+        np.maximum(deepest[2:-2], bent, out=deepest[2:-2])
+    return deepest
 
 
-def find_eyes(image: Image, box: Box) -> EyeFrame:
-    """The eye frame of the face in `box`: each eye the median of what four cascades say, else its mean place."""
-    x, y, w, h = box
-    zoom = EYE_WIDTH / w
-    top = y + 0.1 * h
-    matrix = np.array([[zoom, 0, -(x - 0.5) * zoom - 0.5], [0, zoom, -(top - 0.5) * zoom - 0.5]])
-    if zoom < 1:
-        image = _blur(image, 0.5 / zoom)
-    size = (EYE_WIDTH, round(0.55 * h * zoom))
-    patch = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    grey = cv2.equalizeHist(cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY))
-    found: tuple[list[Point], list[Point]] = ([], [])
-    means = mean_eyes(box)
-    smallest, largest = (round(0.15 * EYE_WIDTH),) * 2, (round(0.45 * EYE_WIDTH),) * 2
-    for name, dx, dy in _EYE_CASCADES:
-        for ex, ey, ew, eh in cascade(name).detectMultiScale(grey, 1.05, 2, 0, smallest, largest):
-            at = (x - 0.5 + (ex + ew / 2) / zoom - dx * w, top - 0.5 + (ey + eh / 2) / zoom - dy * w)
-            for side, mean in enumerate(means):
-                if abs(at[0] - mean[0]) < 0.08 * w and abs(at[1] - mean[1]) < 0.09 * h:
-                    found[side].append(at)
-    # of few detections the mean place is one more, so that a single wrong one cannot pull an eye all the way
-    (left, right) = (
-        np.median([mean, *seen] if len(seen) < 3 else seen, axis=0).tolist()
-        for mean, seen in zip(means, found, strict=True)
-    )
-    return EyeFrame.from_eyes(left, right)
+def _off(value: Array, norm: tuple[float, float]) -> Array:
+    """Half the squared distance from a mean, in its spreads; bounded, so that no mean overrules a clear image."""
+    return np.asarray(np.minimum(0.5 * ((value - norm[0]) / norm[1]) ** 2, 8.0))
+
+
+def _dark_lines(line: Array) -> tuple[float, float]:
+    """Heights of the shade under the nose and of the line between the lips: the pair that fits image and means."""
+    near = np.flatnonzero(np.abs(xs) <= 0.3)
+    middle = WIDTH // 2
+    strength = (_outwards(line, near[near >= middle]) + _outwards(line, near[near < middle][::-1])) / near.size
+    shade, mouth = ys[:, None], ys[None, :]
+    value = 4 * strength[:, None] - _off(shade, SHADE_Y) + 8 * strength[None, :] - _off(mouth, MOUTH_Y)
+    value = value - _off(mouth - shade, SHADE_TO_MOUTH)
+    best_shade, best_mouth = np.unravel_index(int(np.argmax(value)), value.shape)
+    return float(ys[best_shade]), float(ys[best_mouth])
+
+
+def _outwards(line: Array, columns: Index) -> Array:
+    """For each row the best sum along a path from the first of the columns to the last, one row up or down a column."""
+    total = np.zeros(HEIGHT)
+    for column in columns[::-1]:
+        up, down = np.append(total[1:], -1.0), np.insert(total[:-1], 0, -1.0)
+        total = np.maximum(total, np.maximum(up, down) - BEND) + line[:, column]
+    return total
+
+
+def _follow(line: Array, mouth_y: float) -> Index:
+    """The row of the line between the lips in every column (WIDTH,), by dynamic programming around `mouth_y`."""
+    away = np.abs(ys[:, None] - mouth_y)
+    # without a line to follow, straight on
+    gain = np.where(away <= 0.08 + 0.2 * np.abs(xs), line - 0.01 * away, -1.0)
+    total, steps = gain[:, 0], np.zeros((WIDTH, HEIGHT), np.int64)
+    for column in range(1, WIDTH):
+        padded = np.pad(total, 1, constant_values=-np.inf)
+        options = np.stack([padded[:-2] - BEND, padded[1:-1], padded[2:] - BEND])
+        steps[column] = np.argmax(options, axis=0) - 1
+        total = options.max(axis=0) + gain[:, column]
+    rows = np.full(WIDTH, np.argmax(total))
+    for column in range(WIDTH - 1, 0, -1):
+        rows[column - 1] = rows[column] + steps[column, rows[column]]
+    return rows
+
+
+def _corners(valley: Array, path: Index) -> tuple[Point, Point]:
+    """Where the line between the lips ends on either side: its depth inside against its depth beyond."""
+    depth = valley[path, np.arange(WIDTH)]
+    inside = float(np.median(depth[np.abs(xs) < 0.25]))
+    # a line that can hardly be seen says little about where it ends
+    share = (np.minimum(depth / max(inside, 1e-6), 1.0) - CORNER) * min(2 * inside / CLEAR, 1.0)
+    ends = []
+    for sign in (-1, 1):
+        order = np.flatnonzero(sign * xs > 0)[::sign]
+        value = np.cumsum(share[order]) - _off(np.abs(xs[order]), HALF_WIDTH)
+        column = order[int(np.argmax(value))]
+        ends.append((float(xs[column]), float(ys[path[column]])))
+    return ends[0], ends[1]
+
+
+def _lips(grey: Array, red: Array, left: Point, right: Point, path: Index) -> tuple[Point, Point]:
+    """The lips' outer edges below and above the middle between the corners."""
+    x, y = (left[0] + right[0]) / 2, (left[1] + right[1]) / 2
+    band = np.abs(xs - x) <= 0.08
+    darker, redder = -_slope(grey[:, band].mean(axis=1)), _slope(red[:, band].mean(axis=1))
+    upper = EDGE * (darker + 4 * redder)
+    lower = -2 * EDGE * redder  # in grey a lower lip shades into the chin: the mean knows better
+    middle = float(ys[path[band]].mean())
+    up, down = middle - ys, ys - (middle + y) / 2
+    best_up = np.argmax(np.where(up > 0.02, np.minimum(upper, 3.0) - _off(up, UPPER), -np.inf))
+    best_down = np.argmax(np.where(down > 0.04, np.minimum(lower, 3.0) - _off(down, LOWER), -np.inf))
+    return (x, float(ys[best_up])), (x, float(ys[best_down]))
+
+
+def _slope(profile: Array) -> Array:
+    """Change for a pixel down, smoothed."""
+    return np.asarray(np.gradient(cv2.GaussianBlur(profile[:, None], (0, 0), 1.5).ravel()))
+
+
+def _nose_x(grey: Array, valley: Array, shade_y: float) -> float:
+    """Where the nose is across: the middle of the shade under it, drawn to the bright ridge above (weights: a fit)."""
+    shade = np.where(np.abs(xs) <= 0.35, valley[np.abs(ys - shade_y) <= 0.06].mean(axis=0), 0.0) ** 0.5
+    total = float(shade.sum())
+    middle = float(shade @ xs) / total if total > 0 else 0.0
+    above = (ys > shade_y - 0.3) & (ys < shade_y - 0.08)
+    profile = cv2.GaussianBlur(grey[above].mean(axis=0)[None], (0, 0), 3.0).ravel()
+    half, bright = round(0.17 * UNIT), np.full(WIDTH, -np.inf)
+    bright[half:-half] = 2 * profile[half:-half] - profile[2 * half :] - profile[: -2 * half]
+    bright[np.abs(xs - middle) > 0.2] = -np.inf
+    ridge = float(xs[int(np.argmax(bright - 0.075 * ((xs - middle) / 0.15) ** 2))])
+    return 0.6 * middle + 0.3 * ridge

@@ -17,8 +17,7 @@ BOX, PART, RULER = (255, 200, 0), (0, 255, 255), (255, 255, 255)
 
 def write_preview(path: Path, frame: Frame, start: Start, *, overwrite: bool = False) -> None:
     """`draw_start` as a PNG file. OutputError if it exists and `overwrite` is not set, or cannot be written."""
-    _, data = cv2.imencode(".png", draw_start(frame, start))
-    write_new(path, data.tobytes(), overwrite=overwrite)
+    write_new(path, cv2.imencode(".png", draw_start(frame, start))[1].tobytes(), overwrite=overwrite)
 
 
 def draw_start(frame: Frame, start: Start) -> Image:
@@ -34,19 +33,15 @@ def draw_start(frame: Frame, start: Start) -> Image:
             view.label(f"{name}, frame {start.frame}", (corner[0], corner[1] - round(4 * unit)), BOX)
         centre = np.mean(list(target.points.values()), axis=0) if target.points else np.zeros(2)
         for part, point in target.points.items():
-            at = view.at(point)
-            cv2.drawMarker(image, at, (0, 0, 0), cv2.MARKER_CROSS, round(15 * unit), round(3 * unit), cv2.LINE_AA)
-            cv2.drawMarker(image, at, PART, cv2.MARKER_CROSS, round(13 * unit), round(unit), cv2.LINE_AA)
-            text = f"{part} {point[0]:g}, {point[1]:g}"
+            at, text = view.at(point), f"{part} {point[0]:g}, {point[1]:g}"
+            for ink, size, line in (((0, 0, 0), 15, 3), (PART, 13, 1)):
+                cv2.drawMarker(image, at, ink, cv2.MARKER_CROSS, round(size * unit), round(line * unit), cv2.LINE_AA)
             view.label(text, view.beside(at, np.asarray(point) - centre, text), PART)
     return image
 
 
 class _View:
-    """The part of the frame that is shown: all targets and 0.7 of their size around them, but no more than the frame.
-
-    `zoom` is its enlargement, `unit` the size of letters and lines, 1 in an image of LONGER_SIDE.
-    """
+    """What is shown of the frame, all targets and 0.7 of their size around; `unit` is the size of letters and lines."""
 
     def __init__(self, frame: Frame, start: Start) -> None:
         places: list[Point] = []
@@ -80,9 +75,8 @@ class _View:
 
     def draw_rulers(self) -> None:
         """Ticks with numbers along the top and the left edge."""
-        unit = self.unit
+        unit, line, tick = self.unit, round(self.unit), round(8 * self.unit)
         step = next(step for step in (5, 10, 20, 50, 100, 200, 500, 1000, 10**9) if step * self.zoom >= 70 * unit)
-        tick, line = round(8 * unit), round(unit)
         for x in range(-(-self.x0 // step) * step, self.x1, step):
             column, _ = self.at((x, self.y0))
             cv2.line(self.image, (column, 0), (column, tick), RULER, line)
@@ -97,11 +91,8 @@ class _View:
 
     def label(self, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
         """Text with a dark rim, moved inside the image where it would be cut off."""
-        height, width = self.image.shape[:2]
-        place = (
-            min(max(at[0], 2), max(width - self.width(text) - 2, 2)),
-            min(max(at[1], round(14 * self.unit)), height - 3),
-        )
-        for ink, line in (((0, 0, 0), 3), (colour, 1)):
-            stroke = round(line * self.unit)
-            cv2.putText(self.image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45 * self.unit, ink, stroke, cv2.LINE_AA)
+        (height, width), size = self.image.shape[:2], 0.45 * self.unit
+        x = min(max(at[0], 2), max(width - self.width(text) - 2, 2))
+        y = min(max(at[1], round(14 * self.unit)), height - 3)
+        for ink, line in (((0, 0, 0), round(3 * self.unit)), (colour, round(self.unit))):
+            cv2.putText(self.image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, ink, line, cv2.LINE_AA)

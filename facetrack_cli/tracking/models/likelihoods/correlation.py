@@ -37,6 +37,7 @@ from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.recipe import regions
 from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import patches
+from facetrack_cli.tracking.kernels.affine import boxes_extent
 
 # worse than a region that is followed well (6 to 20, RMS), as bad as missing its motion by a tenth of its size; much
 # more would push regions that leave the frame back into it
@@ -99,7 +100,7 @@ class Correlation:
     def _image(self, frame: Frame, factor: int, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:
         """The grey image around the boxes (N, 3), reduced, and its view: (left, top, whole width, whole height)."""
         width, height = frame.size
-        left, top, right, bottom = patches.boxes_extent(boxes, self.size, width, height)
+        left, top, right, bottom = boxes_extent(boxes, *self.size, width, height)
         # between its border and the centre of its first block, a box is read from the block before too
         grey, left, top = frame.grey(factor, (left - factor, top - factor, right + factor, bottom + factor))
         return grey, (left, top, width, height)

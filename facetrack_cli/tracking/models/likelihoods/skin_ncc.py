@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Array, Frame, Particles, factor_for
 from facetrack_cli.recipe import skin as sections
 from facetrack_cli.tracking.build.context import Context
-from facetrack_cli.tracking.kernels import patches
 from facetrack_cli.tracking.kernels import skin as kernel
+from facetrack_cli.tracking.kernels.affine import boxes_extent
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
 from facetrack_cli.tracking.models.skin_colour import learn_skin, note
 
@@ -120,7 +120,7 @@ class SkinNcc:
         factor = factor_for(max(self.size), skin.max_size)
         w, h = (skin.inner * side for side in self.size)
         reach = math.sqrt(2.0) * w, math.sqrt(2.0) * h
-        extent = patches.boxes_extent(np.ascontiguousarray(x[:, 0, :3]), reach, *frame.size)
+        extent = boxes_extent(np.ascontiguousarray(x[:, 0, :3]), *reach, *frame.size)
         image, left, top = frame.reduced(factor, extent)
         # of the whole frame, or of what another asked for, no more than the boxes cover
         height, width = image.shape[:2]
