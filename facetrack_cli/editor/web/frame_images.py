@@ -12,8 +12,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Image
-from facetrack_cli.video.recent import Recent
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.seek import Cache, Frames
 
 CACHE_BYTES: Final = 64 << 20
 _QUALITY: Final = 90
@@ -28,7 +27,7 @@ class OnceCache(Generic[_Key, _Value]):
     """
 
     def __init__(self, most: int, size: Callable[[_Value], int]) -> None:
-        self._kept: Recent[_Key, _Value] = Recent(most)
+        self._kept: Cache[_Key, _Value] = Cache(most)
         self._size = size
         self._locks: WeakValueDictionary[_Key, threading.Lock] = WeakValueDictionary()  # of keys in use
         self._lock = threading.Lock()
