@@ -13,8 +13,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.corrections import merged
-from facetrack_cli.editor.history import Fixer, corrections_of
+from facetrack_cli.editor.history import Fixer, corrections_of, merged
 from facetrack_cli.editor.history import rows_of as of_target
 from facetrack_cli.editor.retrack import StoppedError
 from facetrack_cli.editor.run_folder import UNSAVED, _recipe, check_size, open_run

@@ -23,8 +23,7 @@ from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.editor.web import server as server_module
 from facetrack_cli.editor.web import session as session_module
 from facetrack_cli.editor.web.draft import Draft, DraftTarget
-from facetrack_cli.editor.web.pick_session import PickSession
-from facetrack_cli.editor.web.requirements import MissingError, requirements, start_of
+from facetrack_cli.editor.web.pick_session import MissingError, PickSession, requirements, start_of
 from facetrack_cli.editor.web.server import serving
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.start import PARTS, name_targets, read_init, write_init
@@ -115,7 +114,7 @@ def test_a_single_point_requires_a_box_as_unit_of_length(tmp_path):
 def test_the_faces_of_a_frame_are_proposed_once(clips, monkeypatch):
     looked = []
     monkeypatch.setattr(
-        "facetrack_cli.editor.web.proposals.find_faces", lambda image: looked.append(1) or find_faces(image)
+        "facetrack_cli.editor.web.draft.find_faces", lambda image: looked.append(1) or find_faces(image)
     )  # fmt: skip
     with picking(clips / "face") as (client, _):
         assert client.get("api/proposals/0").json == {
@@ -168,7 +167,7 @@ def test_requests_at_the_same_time_look_for_faces_once(clips, monkeypatch):
         assert go.wait(60)
         return []
 
-    monkeypatch.setattr("facetrack_cli.editor.web.proposals.find_faces", slow)
+    monkeypatch.setattr("facetrack_cli.editor.web.draft.find_faces", slow)
     with picking(clips / "face") as (_, session):
         got = []
         threads = [Thread(target=lambda: got.append(session.proposals(1))) for _ in range(4)]
@@ -551,7 +550,7 @@ def test_an_internal_error_is_reported_at_the_end(clips, tmp_path, monkeypatch, 
     def broken(image):
         raise ZeroDivisionError("odd")
 
-    monkeypatch.setattr("facetrack_cli.editor.web.proposals.find_faces", broken)
+    monkeypatch.setattr("facetrack_cli.editor.web.draft.find_faces", broken)
     drive(monkeypatch, act)
     code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
     assert code == 0 and "while the page was open: internal error; please report it: ZeroDivisionError: odd" in err

@@ -46,7 +46,7 @@ def table_of(folder: Path) -> Trajectory:
 
 def jpeg_of(folder: Path) -> bytes:
     table = table_of(folder)
-    return key_images(table, read_header(table), [10]).found[10].jpeg
+    return key_images(table, read_header(table), [10]).found[10].data
 
 
 def test_who_it_is_since_when(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_who_stays_in_doubt_or_is_not_named(tmp_path: Path) -> None:
 
 
 def test_the_page_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    dot = Image(b"", "image/png", (1, 1))
+    dot = Image(b"", (1, 1), "image/png")
     monkeypatch.setattr(report, "_plot", lambda *_: {"wide": dot, "narrow": dot})
     run = write_run(tmp_path / "run", write_video(tmp_path / "clip.mp4", frames=25))
     assert b"is named" not in report.make_report(run).html

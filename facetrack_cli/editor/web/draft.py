@@ -1,24 +1,32 @@
-"""The draft: what is being chosen in one frame on the page. It is well formed; it need not be complete."""
+"""The draft, which is what is being chosen in one frame on the page, and proposals for it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 from pydantic_core import to_jsonable_python
 
-from facetrack_cli.core.types import Box, TargetStart
-from facetrack_cli.tracking.start.init_file import NAME
-from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import inside
+from facetrack_cli.core.types import Box, Frame, Start, TargetStart
+from facetrack_cli.editor.web.frame_images import OnceCache
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.tracking.start import PARTS, box_start, name_targets
+from facetrack_cli.tracking.start.haar import NotHereError, find_faces
+from facetrack_cli.tracking.start.init_file import NAME, TARGET
+from facetrack_cli.tracking.start.points import place
+from facetrack_cli.trajectory.start import FrameNumber, Pixels, Side
+from facetrack_cli.video.seek import Frames
 
 MOST_TARGETS: Final = 20
 MOST_POINTS: Final = 500
+MOST_KEPT: Final = 256  # frames whose proposals are kept
+MOST_FACES: Final = 12
 Json: TypeAlias = "dict[str, Any]"
-Pixels: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_PIXELS, le=MAX_PIXELS, allow_inf_nan=False)]
-Side: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=MAX_PIXELS, allow_inf_nan=False)]
-FrameNumber: TypeAlias = Annotated[int, Field(strict=True, ge=0, le=MAX_FRAME)]
 Name: TypeAlias = Annotated[str, Field(pattern=f"^(?:{NAME.pattern})$")]
 
 
@@ -37,16 +45,13 @@ class DraftTarget:
 
     def rounded(self) -> TargetStart:
         """Its box and points to 0.01 px, as init files have them."""
-        box: Box | None = None
-        if self.box is not None:
-            left, top, width, height = self.box
-            box = round(left, 2), round(top, 2), round(width, 2), round(height, 2)
+        box: Any = self.box and tuple(round(value, 2) for value in self.box)
         return TargetStart(box, {part: (round(x, 2), round(y, 2)) for part, (x, y) in self.points.items()})
 
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """What is chosen in one frame, by target."""
+    """What is chosen in one frame, by target: well formed, and not necessarily complete."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
     frame: FrameNumber
@@ -66,5 +71,62 @@ class Draft:
 
 
 def draft_of(frame: int, targets: Mapping[str, TargetStart]) -> Draft:
-    """The draft that a start, or a proposal, amounts to."""
+    """The draft of a start or a proposal."""
     return Draft(frame, {name: DraftTarget(one.box, dict(one.points)) for name, one in targets.items()})
+
+
+class Proposer:
+    """Proposes the faces of any frame, each computed once. All run in one thread, which keeps the cascades.
+
+    `points` are those that the recipe requires of the first target.
+    """
+
+    def __init__(self, frames: Frames, recipe: Recipe | None, points: Sequence[str]) -> None:
+        self._frames, self._recipe = frames, recipe
+        self._points = [part for part in points if part in PARTS]
+        self._by_hand = [part for part in points if part not in PARTS]
+        self._worker = ThreadPoolExecutor(1, "proposals")
+        self._found: OnceCache[int, Json] = OnceCache(MOST_KEPT, lambda _: 1)
+
+    def __call__(self, index: int) -> Json:
+        """{"frame", "proposals": [{"label", "targets"}], "note"}. Raises InputError if there is no such frame."""
+        return self._found.get(index, lambda: self._worker.submit(self._find, index).result())
+
+    def close(self) -> None:
+        self._worker.shutdown(wait=True, cancel_futures=True)
+
+    def in_box(self, frame: Frame, box: Box, clip: str) -> Draft:
+        """The draft of the face in a given box. Raises InputError as `box_start` does."""
+        start = box_start(frame, box, self._points, clip=clip)
+        return draft_of(frame.index, self._complete(frame, start)[0].targets)
+
+    def _find(self, index: int) -> Json:
+        frame = self._frames.read(index)
+        notes, proposals = [], []
+        for number, box in enumerate(find_faces(frame.bgr)[:MOST_FACES], start=1):
+            placed = place(frame.bgr, box) if self._points else {}
+            points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
+            visible = {part: at for part, at in points.items() if inside(at, frame.size)}
+            start, note = self._complete(frame, Start(index, {TARGET: TargetStart(box, visible)}, "the face found"))
+            targets = {name: {"box": one.box, "points": one.points} for name, one in start.targets.items()}
+            proposals.append({"label": f"face {number}", "targets": targets})
+            notes.append(note)
+        if not proposals:
+            notes.append("no face is found in this frame; draw a box, or look at another frame")
+        elif self._by_hand:
+            notes.append(f"{', '.join(self._by_hand)}: only by hand")
+        return {"frame": index, "proposals": proposals, "note": "; ".join(dict.fromkeys(filter(None, notes))) or None}
+
+    def _complete(self, frame: Frame, start: Start) -> tuple[Start, str]:
+        """With the other targets that the recipe names, if they are found; else the first one alone, and why."""
+        if self._recipe is None or not self._recipe.followed:
+            return start, ""
+        first, *others = self._recipe.followed
+        [face] = start.targets.values()
+        alone = Start(start.frame, {first: face}, start.origin)
+        try:
+            return name_targets(alone, self._recipe.followed, frame, left_out=self._recipe.left_out), ""
+        except NotHereError:
+            return alone, f"{', '.join(others)}: not found by the colour of the skin; draw the boxes"
+        except InputError as e:
+            return alone, " ".join(str(e).splitlines())

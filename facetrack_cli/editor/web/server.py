@@ -35,7 +35,6 @@ MOST_BODY: Final = 256 * 1024  # bytes: the largest draft has fewer
 MOST_READ: Final = 4 * 1024 * 1024  # of a body that is refused, so that its sender receives the answer
 IDLE_S: Final = 60.0  # until a connection without requests is closed
 POLL_S: Final = 0.1
-
 KINDS: Final = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
@@ -74,9 +73,10 @@ class Server(ThreadingHTTPServer):
     def __init__(self, session: Session, port: int = 0) -> None:
         self.session = session
         self.token = secrets.token_urlsafe(32)
-        self.routes: list[tuple[str, re.Pattern[str], Callable[..., Any]]] = [
-            (route.method, _pattern(route.path), validate_call(route.handler)) for route in session.routes()
-        ]
+        self.routes: list[tuple[str, re.Pattern[str], Callable[..., Any]]] = []
+        for method, path, handler in session.routes():
+            pattern = re.sub(r"\\{(\w+)\\}", r"(?P<\1>[0-9]{1,9})", re.escape(path))
+            self.routes.append((method, re.compile(pattern), validate_call(handler)))
         try:
             super().__init__((ADDRESS, port), _Handler)
         except OSError as e:
@@ -100,7 +100,7 @@ class Server(ThreadingHTTPServer):
 
 @contextlib.contextmanager
 def serving(session: Session, port: int = 0) -> Iterator[Server]:
-    """The server of a session, running in threads of its own for the length of a `with`."""
+    """The server of a session, running in its own threads within the `with`."""
     with Server(session, port) as server:
         thread = threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True)
         thread.start()
@@ -115,10 +115,7 @@ def serving(session: Session, port: int = 0) -> Iterator[Server]:
 def run_page(
     session: Session, stop: Callable[[], bool], say: Callable[[str], None], *, port: int = 0, browse: bool = False
 ) -> None:
-    """Say where the page is, and return when it has ended or `stop` says so; a running job is waited for.
-
-    Port 0 is any free port. Raises UsageError if the port is taken.
-    """
+    """Serve the page until it has ended or `stop` says so, and its job is done; `port` as of Server."""
     with serving(session, port) as server:
         at = server.server_port
         say(f"open this page: {server.url}")
@@ -164,7 +161,9 @@ class _Handler(BaseHTTPRequestHandler):
         except RefusedError as e:
             answer = Answer({"error": str(e), **e.more}, e.code)
         except ValidationError as e:
-            answer = Answer({"error": _reason(e)}, 400)
+            first = e.errors(include_url=False)[0]
+            reason = ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]]))
+            answer = Answer({"error": " ".join(reason.splitlines())}, 400)
         except FacetrackError as e:
             missing = self.command == "GET" and isinstance(e, InputError)  # as a frame that cannot be decoded
             answer = Answer({"error": " ".join(str(e).splitlines())}, 404 if missing else 422)
@@ -179,9 +178,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _route(self, method: str) -> Answer:
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or not _HOST.fullmatch(hosts[0].strip()):
-            raise RefusedError(
-                403, "this page is for localhost and 127.0.0.1 alone; open the address that facetrack printed"
-            )
+            only = "this page is for localhost and 127.0.0.1 alone"
+            raise RefusedError(403, f"{only}; open the address that facetrack printed")
         if not self._same_origin(hosts[0].strip().lower()):
             raise RefusedError(403, "requested by a page of another origin")
         path, _, query = self.path.partition("?")
@@ -241,18 +239,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(answer.body)
 
 
-def _pattern(path: str) -> re.Pattern[str]:
-    return re.compile(re.sub(r"\\{(\w+)\\}", r"(?P<\1>[0-9]{1,9})", re.escape(path)))
-
-
 def _encoded(answer: Answer) -> Answer:
     """With its JSON as bytes."""
     if isinstance(answer.body, bytes):
         return answer
     return answer._replace(body=json.dumps(answer.body, separators=(",", ":"), allow_nan=False).encode())
-
-
-def _reason(error: ValidationError) -> str:
-    """The first thing that is not valid, in one line."""
-    first = error.errors(include_url=False)[0]
-    return " ".join(": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]])).splitlines())

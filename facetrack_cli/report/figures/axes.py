@@ -1,4 +1,4 @@
-"""Axes: limits that hold the data, labels of ticks, and the axis of time with frames below and seconds above."""
+"""Axes: limits, labels of ticks, and the axis of time with frames below and seconds above."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SECONDS = (
 
 
 def limit(axes: Axes, values: Iterable[Array], floor: float | None = None, ticks: int = 4) -> None:
-    """Limits of the vertical axis that hold the values, but for a few far outside, and few ticks."""
+    """The `limits` of the vertical axis, with few ticks."""
     from matplotlib.ticker import MaxNLocator
 
     found = limits(values, floor)
@@ -33,10 +33,10 @@ def limit(axes: Axes, values: Iterable[Array], floor: float | None = None, ticks
 
 
 def limits(values: Iterable[Array], floor: float | None = None) -> tuple[float, float] | None:
-    """Limits of an axis that holds `values`, a little wider; at least 1 apart. None where nothing is known.
+    """Limits a little wider than `values`, at least 1 apart, None where nothing is known.
 
-    A few rows far outside, as of a part that drifted away for a moment, do not compress all others: where the whole
-    range is more than eight times that of the middle 98 % of the rows, the limits follow the middle.
+    Where the whole range is more than eight times that of the middle 98 % of the rows, they follow the middle: a few
+    rows far outside do not compress all others.
     """
     every = np.concatenate([v[np.isfinite(v)] for v in values] or [np.empty(0)])
     if not every.size:
@@ -56,7 +56,7 @@ def limits(values: Iterable[Array], floor: float | None = None) -> tuple[float, 
 
 
 def numbers(ticks: Sequence[float]) -> list[str]:
-    """Labels of ticks, all with as many decimals as one of them needs."""
+    """Labels of ticks, with as many decimals as one of them needs."""
     if any(abs(tick) >= 1e7 for tick in ticks):
         return [f"{tick:.3g}" for tick in ticks]
     decimals = next((d for d in range(4) if all(abs(t - round(t, d)) < 1e-9 for t in ticks)), 4)
@@ -64,7 +64,7 @@ def numbers(ticks: Sequence[float]) -> list[str]:
 
 
 def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
-    """Limits and at most `most` ticks of an axis of frames, which increase."""
+    """An axis of frames, which increase, with at most `most` ticks."""
     from matplotlib.ticker import MaxNLocator
 
     first, last = float(frame[0]), float(frame[-1])
@@ -77,7 +77,7 @@ def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
 
 
 def second_axis(axes: Axes, table: Trajectory, most: int) -> bool:
-    """An axis of seconds above one of frames; False where seconds are not known or do not increase."""
+    """An axis of seconds above that of frames; False where seconds are not known or do not increase."""
     time_s = table.times
     known = np.isfinite(time_s)
     if known.sum() < 2 or (np.diff(time_s[known]) <= 0).any():
@@ -90,7 +90,7 @@ def second_axis(axes: Axes, table: Trajectory, most: int) -> bool:
 
 
 def ticks(frame: Whole, time_s: Array, most: int = 11) -> tuple[list[float], list[str]]:
-    """Frames at which round times fall, about `most`, and their labels: 1.5 s, 2:30 (minutes), 1:02:30 (hours)."""
+    """About `most` frames at round times, and their labels: 1.5 s, 2:30 (minutes), 1:02:30 (hours)."""
     first, last = float(time_s[0]), float(time_s[-1])
     length = last - first
     step = next((s for s in _SECONDS if length / s <= most), 36000.0 * np.ceil(length / 36000 / most))

@@ -1,4 +1,4 @@
-"""The page of `facetrack plot`: what happened in one trajectory, panel under panel over one axis of time."""
+"""The page of `facetrack plot`: what happened in one trajectory, a panel each over one axis of time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array
 from facetrack_cli.report.figures.axes import frame_axis, limit, numbers, second_axis
-from facetrack_cli.report.figures.diagnostics import adaptation, panels
+from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
 from facetrack_cli.report.figures.lines import MANY, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
 from facetrack_cli.report.figures.style import CORRECTED, FAINT, STATUS, TRUTH, WIDTH, clean, heading, new_figure, style
 from facetrack_cli.trajectory.header import said
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 BINS = 1000  # about the pixels across a panel
 UNSEEN = ("hidden", "absent")
-
+_UNIT = (-0.03, 1.06)  # the axis of what is from 0 to 1
 Of = Callable[[Trajectory], Array]
 _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angle", "confidence", "particles", "ess"))
 
@@ -37,12 +37,11 @@ _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angl
 def page_figure(
     table: Trajectory, pairs: Sequence[Pair] | None = None, *, title: str | None = None, width: float = WIDTH
 ) -> Figure:
-    """Position, size, confidence, status, particles, spread and error over time: a panel each, of what is known.
+    """Position, size, confidence, status, particles, spread, diagnostics and error over time, as far as known.
 
-    `pairs` (evaluation/match.py) bring the ground truth; the title names clip and recipe unless given; `width` is in
-    inches, the height follows. Up to `MANY` parts have a line each; of more, all panels but position and size show the
-    median, the middle 80 % and the whole range over parts. Long tracks are drawn by their envelope, and what
-    a tracker reports beside its rows has panels too (diagnostics.py). Raises InputError where nothing is known.
+    `pairs` (evaluation/match.py) bring the ground truth; the title is by default clip and recipe; `width` in inches.
+    Of more than `MANY` parts, all panels but position and size show the median, the middle 80 % and the range. Raises
+    InputError where nothing is known.
     """
     with style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
@@ -73,7 +72,7 @@ def _title(table: Trajectory) -> str:
     clip, name = said(table, "source", "path"), said(table, "recipe", "name")
     if isinstance(clip, str):
         return PurePath(clip).name + (f", {name}" if isinstance(name, str) else "")
-    # trajectory.csv lies in a folder that is named after clip and recipe
+    # a run's folder is named after clip and recipe
     folder = table.path.resolve().parent.name
     return folder if table.path.stem == "trajectory" and folder else table.path.name
 
@@ -85,7 +84,7 @@ class _Page:
         self.paired = [(line, line.pair) for line in self.lines if line.pair is not None]
         self.errors = [error(pair) for _, pair in self.paired]
         self.many = len(self.lines) > MANY
-        # so many strokes take long and say no more
+        # more strokes take long and show no more
         bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS
         self.pen = Pen(bins, float(self.frames[-1] - self.frames[0] + 1) / BINS)
         self.judged = bool((table.status != "").any())
@@ -112,17 +111,10 @@ class _Page:
         head.text(0.012, 1 - 0.09 / top, clean(title, int(self.width * 8)), va="top", weight="bold", size=12)
         head.text(0.012, 1 - 0.31 / top, "\n".join(lines), va="top", size=8.5, color=FAINT)
         if legend:
-            head.legend(
-                list(legend.values()),
-                list(legend),
-                loc="upper left",
-                bbox_to_anchor=(0.004, 1 - (above - 0.02) / top),
-                ncols=columns,
-                handlelength=2.4,
-                columnspacing=1.6,
-                labelspacing=0.35,
-                handler_map={tuple: HandlerTuple(ndivide=None, pad=0)},
-            )
+            place = {"loc": "upper left", "bbox_to_anchor": (0.004, 1 - (above - 0.02) / top)}
+            spacing = {"handlelength": 2.4, "columnspacing": 1.6, "labelspacing": 0.35}
+            handlers = {tuple: HandlerTuple(ndivide=None, pad=0)}
+            head.legend([*legend.values()], [*legend], ncols=columns, handler_map=handlers, **place, **spacing)
         self._stack(rest, panels)
         if foot is not None:  # has an axis of its own
             axes = pieces[2].subplots()
@@ -147,14 +139,13 @@ class _Page:
             heading(axes, panel.title, self._fitting(panel), 13 if timed and axes is column[0] else 0)
 
     def _fitting(self, panel: Panel) -> str:
-        """As many of a panel's notes as there is room for."""
+        """The first of a panel's notes, as far as they fit."""
         notes = "; ".join(filter(None, panel.notes)).split("; ")
         while notes and len("; ".join(notes)) > (self.width - 1.0) / 0.062 - 1.3 * len(panel.title):
             notes.pop()
         return "; ".join(notes)
 
     def _legend(self) -> dict[str, Any]:
-        """Labels and their handles, in order."""
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
@@ -163,24 +154,20 @@ class _Page:
             found |= {line.name: Line2D([], [], **line.look) for line in self.lines}
         for target in self.table.targets if self.many else ():
             group = [line for line in self.lines if line.ours.target == target]
-            picked = [group[round(i * (len(group) - 1) / 5)] for i in range(6)]
             of = f"{target}: " if len(self.table.targets) > 1 else ""
             what = f"{of}{len(group)} parts, {group[0].ours.part} to {group[-1].ours.part}"
-            label = clean(what if len(group) > 1 else target or group[0].name, 60)
-            found[label] = tuple(Line2D([], [], color=line.colour, linewidth=2) for line in picked)
+            colours = [group[round(i * (len(group) - 1) / 5)].colour for i in range(6)]
+            handles = tuple(Line2D([], [], color=colour, linewidth=2) for colour in colours)
+            found[clean(what if len(group) > 1 else target or group[0].name, 60)] = handles
         if self.paired and not self.many:
             found["ground truth"] = Line2D([], [], **TRUTH)
-        for status in self.gone:
-            found[status] = Patch(color=STATUS[status], linewidth=0)
+        found |= {status: Patch(color=STATUS[status], linewidth=0) for status in self.gone}
         if len(self.corrected):
             found["corrected by hand"] = Line2D([], [], **CORRECTED)
-        for status in UNSEEN if not self.many else ():
-            if status in self.truth:
-                found[f"{status} in the ground truth"] = Patch(color=STATUS[status], linewidth=0)
-        return found
+        unseen = [status for status in UNSEEN if status in self.truth and not self.many]
+        return found | {f"{one} in the ground truth": Patch(color=STATUS[one], linewidth=0) for one in unseen}
 
     def _summary(self) -> list[str]:
-        """The run in a line or two, under the title."""
         count = len(self.frames)
         found = [f"{count:,} frame{'s' * (count != 1)}"]
         seed = self.table.header.get("seed")
@@ -194,7 +181,7 @@ class _Page:
             found.append(f"lost in {share} of {over}" if any(lost) else "never lost")
         if len(self.corrected):
             found.append(f"corrected by hand in {len(self.corrected):,} of them")
-        # as eval counts: what is hidden is measured apart
+        # hidden rows are left out, as in eval
         wrong = [e[~np.isin(pair.truth.status, UNSEEN)] for (_, pair), e in zip(self.paired, self.errors, strict=True)]
         if wrong and np.isfinite(every := np.concatenate(wrong)).any():
             found.append(f"median error {np.nanmedian(every):.2f} px")
@@ -203,8 +190,6 @@ class _Page:
         if count > 2 * self.pen.bins:
             found.append(f"pale: range over {round(self.pen.least * BINS / self.pen.bins)} frames, line: their mean")
         return found
-
-    # which panels there are
 
     def _panels(self) -> Iterator[Panel]:
         lines, many = self.lines, self.many
@@ -246,10 +231,10 @@ class _Page:
             yield Panel("overlap (IoU)", [bands, "with the true box"], 0.85, self._overlap)
 
     def _known(self, of: Of) -> bool:
-        return bool(np.isfinite(of(self.table)).any())
+        return known(of(self.table))
 
     def _alone(self) -> bool:
-        """Whether there is one part alone, with ground truth, whose spread is known."""
+        """Whether there is only one part, with ground truth and a known spread."""
         return len(self.lines) == 1 and bool(self.paired) and self._known(spread)
 
     def _shaded(self, what: str) -> str:
@@ -257,12 +242,10 @@ class _Page:
             return what and f"shaded: more than half {what}"
         return f"shaded: {what}" + (", darker where all are" if len(self.lines) > 1 else "")
 
-    # what they show
-
     def _values(self, axes: Axes, of: Of, floor: float | None = None, down: bool = False) -> None:
-        """A line for each part, and its ground truth; `down`: upside down."""
+        """A line for each part and its ground truth; `down`: values increase downwards."""
         ours = [of(line.ours) for line in self.lines]
-        true = [] if self.many else [of(pair.truth) for _, pair in self.paired]  # of many, it would hide them
+        true = [] if self.many else [of(pair.truth) for _, pair in self.paired]  # of many, it would hide the lines
         limit(axes, ours + true, floor, 2 if floor is not None else 4)
         for line, value in zip(self.lines, ours, strict=True):
             self.pen.line(axes, line.ours.frame, value, **line.look)
@@ -275,7 +258,7 @@ class _Page:
         for status in self.gone:
             self.pen.shade_parts(axes, [line.ours for line in self.lines], status)
         usual = bool(np.nanmin(self.table.confidence) >= 0 and np.nanmax(self.table.confidence) <= 1)
-        self._positive(axes, _confidence, (-0.03, 1.06) if usual else None)
+        self._positive(axes, _confidence, _UNIT if usual else None)
         if usual:
             axes.set_yticks([0, 0.5, 1])
 
@@ -284,12 +267,11 @@ class _Page:
 
         counts = [_particles(line.ours) for line in self.lines]
         sampled = self._known(_ess)
-        if sampled:  # what matters is whether a few are left, or many
+        if sampled:  # whether a few are left, or many
             every = np.concatenate([self.table.particles, self.table.ess])
             high = 1.4 * max(2.0, float(np.nanmax(every)))
             low = max(0.8, min(0.7 * float(np.nanmin(every)), high / 15))
-            axes.set_yscale("log")
-            axes.set_ylim(low, high)
+            axes.set(yscale="log", ylim=(low, high))
             axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 120 * low else (1,)))
             axes.yaxis.set_major_formatter(lambda value, _: numbers([value])[0])
             axes.yaxis.minorticks_off()
@@ -315,12 +297,10 @@ class _Page:
         self._strokes(axes, [(line, pair.ours, wrong) for (line, pair), wrong in paired])
 
     def _overlap(self, axes: Axes) -> None:
-        axes.set_ylim(-0.03, 1.06)
-        axes.set_yticks([0, 0.5, 1])
+        axes.set(ylim=_UNIT, yticks=[0, 0.5, 1])
         self._strokes(axes, [(line, pair.ours, overlap(pair)) for line, pair in self.paired if pair.is_box])
 
     def _positive(self, axes: Axes, of: Of, ends: tuple[float, float] | None = None) -> None:
-        """Values from 0 up."""
         shown = [(line, line.ours, of(line.ours)) for line in self.lines]
         if ends is None:
             limit(axes, [value for _, _, value in shown], 0.0)
@@ -329,7 +309,7 @@ class _Page:
         self._strokes(axes, shown)
 
     def _strokes(self, axes: Axes, shown: Sequence[tuple[Line, Trajectory, Array]]) -> None:
-        """A line each, or of many parts the median of each target within bands."""
+        """A line each; of many parts the median of each target within bands."""
         if not self.many:
             for line, s, value in shown:
                 self.pen.line(axes, s.frame, value, **line.look)
@@ -345,7 +325,6 @@ class _Page:
 
 
 def _wrap(said: Sequence[str], most: int) -> list[str]:
-    """Joined in lines of at most `most` characters."""
     lines = [said[0]]
     for one in said[1:]:
         longer = f"{lines[-1]}   ·   {one}"
@@ -355,5 +334,5 @@ def _wrap(said: Sequence[str], most: int) -> list[str]:
 
 def _reach(value: Array) -> float:
     """Greatest minus least, of what is known."""
-    known = value[np.isfinite(value)]
-    return float(np.ptp(known)) if known.size else 0.0
+    found = value[np.isfinite(value)]
+    return float(np.ptp(found)) if found.size else 0.0

@@ -1,8 +1,4 @@
-"""The style of all figures: colours, type, and how a figure becomes the bytes of a file.
-
-Figures are made without pyplot, inside `style()`, which restores the user's matplotlib settings. The same numbers give
-the same bytes, whatever those settings are.
-"""
+"""The style of all figures, and how one becomes a file: equal numbers give equal bytes, whatever the user has set."""
 
 from __future__ import annotations
 
@@ -14,6 +10,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from facetrack_cli.core.errors import UsageError
@@ -30,7 +27,6 @@ WIDTH: Final = 10.0  # inches
 COLOURS: Final = ("#30A2DC", "#C49500", "#00795A", "#BE5CA6", "#2B3FC0", "#222222")
 INK: Final = "#222222"
 FAINT: Final = "#6B6B6B"
-GRID: Final = "#E3E3E3"
 # vermilion is never a line's colour
 STATUS: Final = {"tracked": "#D5E4EE", "lost": "#E0480A", "hidden": "#8A8A8A", "absent": "#4A4A4A"}
 # where colours run out: solid, dashed, dotted, dash-dotted
@@ -41,37 +37,7 @@ CORRECTED: Final[Any] = {
     "marker": "^", "color": INK, "linestyle": "none", "markersize": 5, "clip_on": False, "zorder": 5,
 }  # fmt: skip
 
-_SETTINGS: Final[Any] = {
-    "font.family": ["DejaVu Sans"],  # matplotlib brings it along
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.titlepad": 4.0,
-    "axes.labelsize": 9.0,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": "#B0B0B0",
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "text.color": INK,
-    "text.parse_math": False,  # names may hold a dollar
-    **dict.fromkeys(("xtick.color", "ytick.color"), FAINT),
-    **dict.fromkeys(("xtick.labelcolor", "ytick.labelcolor"), INK),
-    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize"), 8.0),
-    **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 3.0),
-    "legend.fontsize": 8.5,
-    "legend.frameon": False,
-    "lines.linewidth": 1.2,
-    "agg.path.chunksize": 20_000,
-    "svg.hashsalt": "facetrack",
-    "svg.fonttype": "path",
-    "pdf.fonttype": 42,
-}
+_STYLE: Final = Path(__file__).with_name("facetrack.mplstyle")
 
 
 @contextmanager
@@ -89,10 +55,9 @@ def needed(what: str, package: str) -> Iterator[None]:
 
 @cache
 def need_matplotlib() -> None:
-    """UsageError in one line where matplotlib is missing or broken.
+    """UsageError where matplotlib is missing or broken.
 
-    What it logs on its first import (the font cache is being built, the home folder cannot be written) does not reach
-    standard error: it changes nothing in a figure.
+    What it logs on its first import, on its font cache or the home folder, is suppressed: it changes no figure.
     """
     log = logging.getLogger("matplotlib")
     before = log.level
@@ -113,52 +78,41 @@ def need_matplotlib() -> None:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """The settings of all figures for the length of a `with`, whatever matplotlibrc the user has.
-
-    Numbers that overflow, and letters that the font lacks, are drawn without a warning.
-    """
+    """The settings of all figures, instead of the user's; without warnings of overflow and of missing glyphs."""
     need_matplotlib()
     import matplotlib
     import numpy as np
 
     with matplotlib.rc_context(), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_SETTINGS)
+        matplotlib.rc_file(_STYLE)
         yield
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """A figure of `width` x `height` inches, without pyplot; call it within `style()`."""
+    """A figure of `width` x `height` inches, made without pyplot, within `style()`."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
 
 
 def render(figure: Figure, form: str = "png", *, dpi: float = DPI) -> bytes:
-    """The figure as a file of the form png, svg or pdf; the same figure gives the same bytes, with no date in them.
-
-    An SVG begins with an XML declaration and a doctype: what embeds it in HTML cuts up to `<svg`.
-    """
-    none: dict[str, dict[str, Any]] = {
-        "png": {"Software": None},
-        "svg": {"Date": None, "Creator": None},
-        "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-    }
+    """The bytes of the figure as png, svg or pdf, without a date."""
+    none = {"png": ["Software"], "svg": ["Date", "Creator"], "pdf": ["CreationDate", "Creator", "Producer"]}
     into = io.BytesIO()
     with style():
-        figure.savefig(into, format=form, dpi=dpi, metadata=none[form])
+        figure.savefig(into, format=form, dpi=dpi, metadata=dict.fromkeys(none[form]))
     return into.getvalue()
 
 
 def line_style(index: int) -> dict[str, Any]:
-    """Colour and dash of the line of that number: all colours solid, then all of them dashed, and so on."""
+    """Colour and dash of line `index`: all colours solid, then all of them dashed, and so on."""
     turn, place = divmod(index, len(COLOURS))
     return {"color": COLOURS[place], "linestyle": DASHES[turn % len(DASHES)]}
 
 
 def heading(axes: Axes, title: str, note: str = "", above: float = 0.0) -> None:
-    """A title at the top left, `above` points higher, and after it in grey a note on how to read the panel."""
+    """A title at the top left, `above` points higher, and after it a note in grey."""
     from matplotlib.offsetbox import AnchoredOffsetbox, HPacker, TextArea
     from matplotlib.transforms import ScaledTranslation
 
@@ -180,7 +134,7 @@ def heading(axes: Axes, title: str, note: str = "", above: float = 0.0) -> None:
 
 
 def clean(text: str, most: int) -> str:
-    """A name on one line of at most `most` characters; a legend would hide one that begins with an underscore."""
+    """A name on one line of at most `most` characters; legends hide names that begin with an underscore."""
     text = "".join(c if c.isprintable() else "?" for c in text)
     text = text if len(text) <= most else text[: most - 1] + "…"
     return f" {text}" if text.startswith("_") else text
