@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import BOX, Box, Correction, Point, Start, TargetStart
+from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.editor.retrack import Read, Report, Stop, Store, Task, Track, Tracking, frames_of, never, silent
 from facetrack_cli.editor.run_folder import Run
 from facetrack_cli.tracking.corrected import all_or, completed, is_complete
@@ -39,18 +39,14 @@ class Fixer:
         self.run = run
         self._store = Store()
         self._tracking = Tracking(run, self._store, read)
-        self._at_first = self._ordered(_completed_by_rows(run))
-        self._known = {name: self._recorded(name) for name in run.targets}
+        # what corrections leave open is where the rows have it; those past the end stay as they are
+        at_first = (completed_by(one, run.rows) if one.frame <= run.last else one for one in run.start.corrections)
+        self._at_first = self._ordered(at_first)
+        plans = {name: self._plan(name, self._at_first) for name in run.rows.targets}
+        tracks = {name: [Track(name, one.begin, one.first, one.stop) for one in plan] for name, plan in plans.items()}
+        self._known: Mapping[str, list[Track]] = tracks
         self._past: list[Step] = []
-        self._take(Step(self._at_first, {name: tuple(tracks) for name, tracks in self._known.items()}))
-
-    @property
-    def corrections(self) -> tuple[Correction, ...]:
-        return self.now[0]
-
-    @property
-    def rows(self) -> Trajectory:
-        return self.now[1]
+        self._take(Step(self._at_first, {name: tuple(those) for name, those in tracks.items()}))
 
     @property
     def start(self) -> Start:
@@ -73,7 +69,7 @@ class Fixer:
         """Add corrections, or replace those of the same frames and targets, and track what follows from them."""
         for one in given:
             self.check(one)
-        done = {(one.frame, one.target): completed(one, rows_of(self.rows, one.frame, one.target)) for one in given}
+        done = {(one.frame, one.target): completed_by(one, self.rows) for one in given}
         others = [one for one in self.corrections if (one.frame, one.target) not in done]
         self._become([*others, *done.values()], report, stop)
 
@@ -102,12 +98,11 @@ class Fixer:
         """InputError if a correction does not fit the run; it may lie `beyond` its end."""
         run = self.run
         if one.target not in run.parts:
-            raise InputError(f"there is no {one.target} in the run; it has {', '.join(run.targets)}")
+            raise InputError(f"there is no {one.target} in the run; it has {', '.join(run.rows.targets)}")
         if not run.first < one.frame <= run.last and not (beyond and one.frame > run.last):
-            why = ", in which it begins; begin it anew with facetrack init" if one.frame == run.first else ""
-            raise InputError(
-                f"frame {one.frame} cannot be corrected{why}; the run can be from {run.first + 1} to {run.last}"
-            )
+            why = ", in which it begins; begin it again with facetrack init" if one.frame == run.first else ""
+            remedy = f"the run can be from {run.first + 1} to {run.last}"
+            raise InputError(f"frame {one.frame} cannot be corrected{why}; {remedy}")
         self._tracking.check(one)
 
     def close(self) -> None:
@@ -115,7 +110,7 @@ class Fixer:
 
     def _become(self, corrections: Sequence[Correction], report: Report, stop: Stop) -> None:
         """Have these corrections, and track what no track is known of."""
-        plans = {name: self._plan(name, self._within(corrections, name)) for name in self._known}
+        plans = {name: self._plan(name, corrections) for name in self._known}
         found: dict[str, list[Track]] = {name: [] for name in plans}
         ends: dict[str, Track] = {}  # which include the frame of the next beginning if that needs it
         done = total = 0
@@ -124,7 +119,7 @@ class Fixer:
             tasks: list[Task] = []
             for name, plan in plans.items():
                 while plan:
-                    task = self._completed(plan[0], ends.get(name))
+                    task = self._begun(plan[0], ends.get(name))
                     if (known := self._find(task, task.stop)) is None:
                         tasks.append(task)
                         break
@@ -160,41 +155,29 @@ class Fixer:
 
     def _take(self, step: Step) -> None:
         self._step = step
-        self.now = step.corrections, self._store.spliced(self.run.rows, step.tracks)
-
-    def _recorded(self, target: str) -> list[Track]:
-        """The tracks that the run itself recorded of a target."""
-        begins = [None, *self._within(self._at_first, target)]
-        firsts = [self.run.first if begin is None else begin.frame for begin in begins]
-        stops = [*firsts[1:], self.run.last + 1]
-        return [Track(target, *one) for one in zip(begins, firsts, stops, strict=True)]
-
-    def _within(self, corrections: Iterable[Correction], target: str) -> list[Correction]:
-        """Those of a target within the run."""
-        return [one for one in corrections if one.target == target and one.frame <= self.run.last]
+        self.corrections, self.rows = self.now = step.corrections, self._store.spliced(self.run.rows, step.tracks)
 
     def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
-        places = {name: place for place, name in enumerate(self.run.targets)}
+        places = {name: place for place, name in enumerate(self.run.rows.targets)}
         return tuple(sorted(corrections, key=lambda one: (one.frame, places[one.target])))
 
-    def _plan(self, target: str, corrections: Sequence[Correction]) -> list[Task]:
+    def _plan(self, target: str, corrections: Iterable[Correction]) -> list[Task]:
         """The tasks of one target: from each beginning to the next, one frame more where that leaves parts open."""
         plan: list[Task] = []
         begin, first = None, self.run.first
-        for one in sorted(corrections, key=lambda one: one.frame):
+        within = (one for one in corrections if one.target == target and one.frame <= self.run.last)
+        for one in sorted(within, key=lambda one: one.frame):
             more = 0 if is_complete(one, self.run.parts[target]) else 1
             plan.append(Task(target, begin, first, one.frame + more))
             begin, first = one, one.frame
         plan.append(Task(target, begin, first, self.run.last + 1))
         return plan
 
-    def _completed(self, task: Task, before: Track | None) -> Task:
+    def _begun(self, task: Task, before: Track | None) -> Task:
         """A task whose beginning is completed by the rows of the track before it in that frame."""
-        if task.begin is None or is_complete(task.begin, self.run.parts[task.target]):
+        if task.begin is None or before is None or is_complete(task.begin, self.run.parts[task.target]):
             return task
-        assert before is not None
-        rows = before.rows(self.run.rows, self._store)
-        return replace(task, begin=completed(task.begin, rows_of(rows, task.first, task.target)))
+        return replace(task, begin=completed_by(task.begin, before.rows(self.run.rows, self._store)))
 
     def _find(self, task: Task, stop: int) -> Track | None:
         """A known track of a task, up to a frame."""
@@ -202,39 +185,24 @@ class Fixer:
         return next((track for track in known if track.begin == task.begin and track.stop >= stop), None)
 
 
-def _completed_by_rows(run: Run) -> list[Correction]:
-    """The corrections that a run was made with; what they leave open is where the rows have it."""
-    return [
-        completed(one, rows_of(run.rows, one.frame, one.target)) if one.frame <= run.last else one
-        for one in run.start.corrections
-    ]
+def completed_by(one: Correction, rows: Trajectory) -> Correction:
+    """A correction; what it leaves open is where the rows have it."""
+    return completed(one, choose(rows.at(one.frame), one.target))
 
 
-def merged(
-    frame: int,
-    target: str,
-    box: Box | None,
-    points: Mapping[str, Point],
-    absent: tuple[str, ...] | Literal[True],
-    before: Correction | None,
-    parts: tuple[str, ...],
-) -> Correction:
+def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -> Correction:
     """What is corrected now, merged with the correction `before` of the same frame and target, if any."""
-    if absent is True or (parts == (BOX,) and absent):
+    frame, target, points = new.frame, new.target, new.given.points
+    if new.absent is True or (parts == (BOX,) and new.absent):
         return Correction(frame, target, absent=True)
-    gone = set(absent)
-    if box is not None and (parts == (BOX,) or not points):
-        return Correction(frame, target, TargetStart(box=box), absent=absent)
+    gone = set(new.absent)
+    if new.given.box is not None and (parts == (BOX,) or not points):
+        return replace(new, given=TargetStart(box=new.given.box))
     old = Correction(frame, target) if before is None else before
     by_hand = {part: at for part, at in {**old.given.points, **points}.items() if part not in gone or part in points}
     kept = {part: at for part, at in old.kept.items() if part not in by_hand and part not in gone}
     hidden = [part for part in parts if part in {*gone, *old.hidden(parts)} and part not in by_hand]
     return Correction(frame, target, TargetStart(points=by_hand), kept, all_or(hidden, parts), old.learn)
-
-
-def rows_of(rows: Trajectory, frame: int, target: str) -> Trajectory:
-    """The rows of a target in one frame."""
-    return choose(rows.at(frame), target)
 
 
 def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:

@@ -1,4 +1,4 @@
-"""Tracking targets again over a part of a run while the others stay as recorded, and the rows that follow from that."""
+"""Tracking targets again over a part of a run, while the others stay as recorded."""
 
 from __future__ import annotations
 
@@ -45,9 +45,6 @@ def silent(done: int, total: int) -> None:
 def never() -> bool:
     """Do not stop."""
     return False
-
-
-# --- what is tracked, and where its rows are kept ------------------------------------------------------------------
 
 
 class Store:
@@ -126,9 +123,6 @@ def frames_of(tasks: Iterable[Task]) -> list[tuple[int, int]]:
     return union((task.first, task.stop) for task in tasks)
 
 
-# --- tracking ------------------------------------------------------------------------------------------------------
-
-
 class Tracking:
     """Tracks any tasks of a run, as often as it is asked, in the frames that `read` gives."""
 
@@ -144,7 +138,7 @@ class Tracking:
     def track(
         self, tasks: Sequence[Task], rows: Trajectory, *, report: Report = silent, stop: Stop = never
     ) -> list[Track]:
-        """The tracks of tasks of different targets; with mutual exclusion, `rows` say where the other targets are.
+        """The tracks of tasks of different targets; with mutual exclusion, `rows` say where the others are.
 
         Raises StoppedError once `stop` says so, InputError if the clip is not the run's.
         """
@@ -176,13 +170,13 @@ class Tracking:
         return frame
 
     def _covers(self, one: _Live, now: Sequence[_Live], rows: Trajectory, index: int) -> list[Cover]:
-        """What the other targets explain: by their state if they are tracked now, else by their recorded rows.
+        """What the other targets explain, by their state or their recorded rows.
 
         As in a run, targets before it are where they are in this frame, those after it where they were.
         """
         found: list[Cover | None] = []
         running = {other.task.target: other for other in now}
-        for place, name in enumerate(self._run.targets):
+        for place, name in enumerate(self._run.rows.targets):
             ahead, other = place > one.place, running.get(name)
             if place == one.place:
                 continue
@@ -206,7 +200,7 @@ class _Live:
     """A target that is being tracked."""
 
     def __init__(self, run: Run, task: Task, first: Frame) -> None:
-        self.task, self.place = task, run.targets.index(task.target)
+        self.task, self.place = task, run.rows.targets.index(task.target)
         corrections = () if task.begin is None else (task.begin,)
         self.target: Target = build_tracker(run.recipe, replace(run.start, corrections=corrections))[self.place]
         if task.begin is not None:

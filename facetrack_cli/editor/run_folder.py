@@ -68,10 +68,6 @@ class Run:
         return {name: tuple(part for target, part in self.rows.names if target == name) for name in self.rows.targets}
 
     @property
-    def targets(self) -> tuple[str, ...]:
-        return self.rows.targets
-
-    @property
     def video(self) -> Path | None:
         """The video that the run wrote, if it did."""
         path = self.folder / VIDEO
@@ -94,14 +90,11 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     if clip is None and not _is_there(path):
         raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
     recipe = _recipe(main, rows.header["recipe"], [Path(), folder, folder.parent, path.parent])
-    start = _start(main, header)
+    start = header.init.start
     fps = None if listing(path) is None else Fraction(header.source.fps).limit_denominator(1001)
     run = Run(folder, rows, header, recipe, start, path, fps, stamped)
     _check_rows(main, run)
     return run
-
-
-# --- the files -----------------------------------------------------------------------------------------------------
 
 
 def read_files(files: Mapping[Format, Path]) -> Trajectory:
@@ -119,11 +112,14 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
     rows = read_trajectory(main)
     if "lost_frames" not in rows.header or "init" not in rows.header:
         raise _not_ours(main)
-    _check_dense(rows)
     _check_main(rows)
     for form, path in files.items():
-        if path != main:
-            _check_other(path, form, rows)
+        try:
+            if path != main:
+                with path.open("rb") as file:
+                    write_rows(form, _Compared(file, path, main.name), rows)
+        except OSError as e:
+            raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable") from e
     return rows
 
 
@@ -134,20 +130,15 @@ def _frames(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
             yield line, int(found[1]), text
 
 
-def _check_dense(rows: Trajectory) -> None:
-    """InputError if a part has no row in some frame, or a status that no run writes."""
-    frames = rows.frames
+def _check_main(rows: Trajectory) -> None:
+    """InputError if a row is missing, or a frame in their file is not, byte by byte, what is written for it."""
     for one in rows.parts:
-        if len(one) < len(frames):
-            missing = int(np.setdiff1d(frames, one.frame)[0])
+        if len(one) < len(rows.frames):
+            missing = int(np.setdiff1d(rows.frames, one.frame)[0])
             raise InputError(f"{_place(rows, missing)}: frame {missing} has no row of {one.name}; {_AGAIN}")
     strange = ~np.isin(rows.status, STATUS)
     if strange.any():
         raise _not_ours(_place(rows, int(rows.frame[strange].min())))
-
-
-def _check_main(rows: Trajectory) -> None:
-    """InputError if the frames in the file of `rows` are not, byte by byte, what is written for them."""
     texts = (text.encode(errors="backslashreplace") for text in json_frames(rows))
     with rows.path.open("rb") as file:
         for line, _, found in _frames(file):
@@ -158,40 +149,28 @@ def _check_main(rows: Trajectory) -> None:
         raise _not_ours(rows.path)
 
 
-class _DiffersError(Exception):
-    """At the line that is its first argument."""
-
-
 class _Compared:
-    """A sink that compares with a file what would be written."""
+    """A sink that compares what would be written with a file beside the file `main`."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file, self._line, self._records = file, 1, 0
+    def __init__(self, file: BinaryIO, path: Path, main: str) -> None:
+        self._file, self._path, self._main, self._line, self._records = file, path, main, 1, 0
 
     def write(self, record: str) -> None:
         data = record.encode(errors="backslashreplace")
         self._records += 1
         if (found := self._file.read(len(data))) != data:
             same = next((i for i, (a, b) in enumerate(zip(found, data, strict=False)) if a != b), len(found))
-            raise _DiffersError(self._line + data.count(b"\n", 0, same))
+            raise self._differs(data.count(b"\n", 0, same))
         self._line += data.count(b"\n")
 
     def finish(self, tail: Callable[[int], str]) -> None:
         self.write(tail(self._records))
         if self._file.read(1):
-            raise _DiffersError(self._line)
+            raise self._differs()
 
-
-def _check_other(path: Path, form: Format, rows: Trajectory) -> None:
-    """InputError if a file is not what is written for the rows."""
-    try:
-        with path.open("rb") as file:
-            write_rows(form, _Compared(file), rows)
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable") from e
-    except _DiffersError as e:
-        remedy = f"remove it, {rows.path.name} says the same, or {_AGAIN}"
-        raise InputError(f"{path}:{e.args[0]}: differs from {rows.path.name}; {remedy}") from None
+    def _differs(self, more: int = 0) -> InputError:
+        remedy = f"remove it, {self._main} says the same, or {_AGAIN}"
+        return InputError(f"{self._path}:{self._line + more}: differs from {self._main}; {remedy}")
 
 
 def _place(rows: Trajectory, frame: int) -> str:
@@ -255,9 +234,6 @@ def stamp(path: Path) -> object:
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
-# --- what it holds -------------------------------------------------------------------------------------------------
-
-
 def _recipe(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) -> Recipe:
     """The run's recipe; the files that it names are looked for in `folders` and among the shipped ones."""
     name = str(settings.get("name", "recipe"))
@@ -291,19 +267,15 @@ def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
     raise InputError(f'{main}: its recipe names the file "{name}", which is in none of {places}; put it into one')
 
 
-def _start(main: Path, header: Header) -> Start:
-    start = header.init.start
+def _check_rows(main: Path, run: Run) -> None:
+    """InputError if the corrections are not as a run has them, or the rows not what this recipe makes of this start."""
+    start = run.start
     places = [(one.frame, one.target) for one in start.corrections]
     frames = [frame for frame, _ in places]
     ours = all(one.target in start.targets and one.frame > start.frame for one in start.corrections)
     empty = any(not (one.absent or one.given.box is not None or one.given.points) for one in start.corrections)
     if not ours or empty or len({*places}) < len(places) or sorted(frames) != frames:
-        raise InputError(f"{main}: init.corrections is not as facetrack run writes it; make the run again")
-    return start
-
-
-def _check_rows(main: Path, run: Run) -> None:
-    """InputError if the rows are not what this recipe makes of this start."""
+        raise InputError(f"{main}: init.corrections is not as facetrack run writes it; {_AGAIN}")
     try:
         check_start(run.start, run.header.source.size, run.recipe.points)
         tracker = build_tracker(run.recipe, run.start)

@@ -28,10 +28,9 @@ from facetrack_cli.video.source import FOLDER_FPS
 
 
 class _Representer(RoundTripRepresenter):
-    pass
+    """Null as a word."""
 
 
-# null as a word
 _Representer.add_representer(type(None), lambda self, _: self.represent_scalar("tag:yaml.org,2002:null", "null"))
 
 

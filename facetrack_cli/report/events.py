@@ -124,7 +124,7 @@ class RunHistory:
         return sorted((s for part in self.parts for s in part.spans), key=lambda s: (s.first, s.name))
 
     def ending(self, status: str) -> list[str]:
-        """The parts with this status in their last frame."""
+        """The parts with this status at the end."""
         return [part.name for part in self.parts if part.last_status == status]
 
     @property
@@ -188,8 +188,7 @@ def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
 
 
 def _least(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.min()) if len(known) else math.nan
+    return float(np.fmin.reduce(values, initial=math.nan))
 
 
 def key_frames(history: RunHistory, first: int, last: int, most: int = MOST_FRAMES) -> list[KeyFrame]:

@@ -61,13 +61,7 @@ class KeyImages:
 
 
 def key_images(
-    table: Trajectory,
-    header: Header,
-    wanted: Sequence[int],
-    *,
-    given: Path | None = None,
-    annotated: Path | None = None,
-    report: Report = lambda done, total: None,
+    table: Trajectory, header: Header, wanted: Sequence[int], given: Path | None, annotated: Path | None, report: Report
 ) -> KeyImages:
     """Images of the `wanted` frames: from the clip `given` or the header's, else from the MP4 `annotated`.
 
@@ -111,7 +105,10 @@ class _Maker:
                 if late and not annotated and not done.notes:
                     times = f"is at {frame.time_s:.3f} s, in the run it was at {then:.3f} s"
                     done.notes.append(f"{path}: frame {index} {times}; is it the same clip?")
-                done.found[index] = self.cut(frame.bgr[:height, :width], index) if annotated else self.draw(frame)
+                view, out = self._layout(index)
+                whole = _scaled(frame.bgr[:height, :width], view, out)
+                drawn = whole if annotated else self.draw(Frame(index, then, whole), view)
+                done.found[index] = Image(_jpeg(drawn), out, view=view)
             missing = [index for index in wanted if index not in done.found]
             if missing:
                 done.notes.append(f"{path}: has no frame {missing[0]}, which the run has; name its clip with --clip")
@@ -119,22 +116,16 @@ class _Maker:
             done.notes.append(str(e))
         return done
 
-    def cut(self, image: Pixels, frame: int) -> Image:
-        """The image of a frame that has its overlay."""
-        view, size = self._layout(frame)
-        return Image(_jpeg(_scaled(image, view, size)), size, view=view)
-
-    def draw(self, frame: Frame) -> Image:
-        """The frame with the overlay of `facetrack run`, drawn at the size of the image."""
-        view, size = self._layout(frame.index)
-        image, now = _scaled(frame.bgr, view, size), self._clock.at(frame.index)
-        overlay = Overlay(size, title=self._title, trail_s=_TRAIL_S)
+    def draw(self, frame: Frame, view: View) -> Pixels:
+        """A scaled frame with the overlay of `facetrack run`."""
+        overlay = Overlay(frame.size, title=self._title, trail_s=_TRAIL_S)
         last = int(np.searchsorted(self._clock.frames, frame.index))
         past = self._clock.frames[max(0, last - math.ceil(self._clip.fps * _TRAIL_S)) : last].tolist()
-        past = [index for index in past if self._clock.at(index) >= now - _TRAIL_S]
+        past = [index for index in past if self._clock.at(index) >= frame.time_s - _TRAIL_S]
         for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))], frame.index]:  # the trail is of drawn frames
-            drawn = overlay.draw(self._result(Frame(index, self._clock.at(index), image), view, size[0] / view[2]))
-        return Image(_jpeg(drawn), size, view=view)
+            now = Frame(index, self._clock.at(index), frame.bgr)
+            drawn = overlay.draw(self._result(now, view, frame.size[0] / view[2]))
+        return drawn
 
     def _result(self, frame: Frame, view: View, zoom: float) -> FrameResult:
         """The rows of one frame, in the pixels of a view enlarged by `zoom`."""

@@ -84,7 +84,7 @@ def make_report(
     keys = key_frames(history, first, last)
     shown = [key.frame for key in keys]
     annotated = run / _VIDEO if (run / _VIDEO).is_file() else None
-    found = key_images(table, header, shown, given=clip, annotated=annotated, report=report)
+    found = key_images(table, header, shown, clip, annotated, report)
     means = [part.mean for part in history.parts if np.isfinite(part.mean)]
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MOST_SPANS]
     again = command(header, last, run)

@@ -141,9 +141,6 @@ def _are(those: Sequence[str], most: int = 8) -> str:
     return f"{names(those, most)} {'is' if len(those) == 1 else 'are'}"
 
 
-# --- the measures against the ground truth -------------------------------------------------------------------------
-
-
 class Measures(NamedTuple):
     caption: str
     head: tuple[str, ...]

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report import figures as plots
-from facetrack_cli.report.figures import axes as plot_axes
 from facetrack_cli.report.figures import lines as plot_lines
 from facetrack_cli.report.figures import style as plot_style
-from facetrack_cli.report.figures.axes import numbers
 from facetrack_cli.report.figures.lines import MANY, columns_for, lines_of, stacked
+from facetrack_cli.report.figures.style import numbers
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
@@ -136,14 +135,14 @@ def test_quantiles_are_those_of_numpy(rows):
 
 
 def test_limits_hold_the_data_but_for_what_is_far_out():
-    low, high = plot_axes.limits([np.linspace(10, 20, 50), np.array([np.nan])])
+    low, high = plot_style.limits([np.linspace(10, 20, 50), np.array([np.nan])])
     assert 9 < low < 10 and 20 < high < 21
     far = np.r_[np.linspace(0, 10, 500), 4000]
-    assert plot_axes.limits([far])[1] < 30
-    assert plot_axes.limits([np.r_[np.zeros(50), np.full(50, 4000)]])[1] > 4000, "half of it is no outlier"
-    assert plot_axes.limits([np.array([5.0])], floor=0.0)[0] == 0
-    assert plot_axes.limits([np.array([np.nan])]) is None
-    low, high = plot_axes.limits([np.full(9, 7.0)])
+    assert plot_style.limits([far])[1] < 30
+    assert plot_style.limits([np.r_[np.zeros(50), np.full(50, 4000)]])[1] > 4000, "half of it is no outlier"
+    assert plot_style.limits([np.array([5.0])], floor=0.0)[0] == 0
+    assert plot_style.limits([np.array([np.nan])]) is None
+    low, high = plot_style.limits([np.full(9, 7.0)])
     assert low < 7 < high
 
 
@@ -157,16 +156,16 @@ def test_share_of_parts_is_of_those_that_have_the_frame():
 def test_ticks_of_time_follow_the_frames_times():
     frame = np.arange(101.0)
     time_s = np.where(frame <= 50, frame / 25, 2 + (frame - 50) / 10)  # the rate changes
-    places, labels = plot_axes.ticks(frame, time_s)
+    places, labels = plot_style.ticks(frame, time_s)
     assert labels[:3] == ["0 s", "1 s", "2 s"] and places[:4] == pytest.approx([0, 25, 50, 60])
-    assert plot_axes.ticks(np.arange(9000.0), np.arange(9000) / 25)[1][:2] == ["0:00", "1:00"]
-    assert plot_axes.ticks(np.arange(100_000.0), np.arange(100_000) / 25)[1][1] == "0:10:00"
-    assert plot_axes.ticks(np.arange(3.0), np.arange(3) / 25)[1][0] == "0.00 s"
+    assert plot_style.ticks(np.arange(9000.0), np.arange(9000) / 25)[1][:2] == ["0:00", "1:00"]
+    assert plot_style.ticks(np.arange(100_000.0), np.arange(100_000) / 25)[1][1] == "0:10:00"
+    assert plot_style.ticks(np.arange(3.0), np.arange(3) / 25)[1][0] == "0.00 s"
     with plot_style.style():
         axes = plot_style.new_figure(4, 3).subplots()
         backwards = track(time_s=-np.arange(60.0))
-        assert not any(plot_axes.second_axis(axes, table, 5) for table in (track(time_s=None), track(1), backwards))
-        assert plot_axes.second_axis(axes, track(), 5)
+        assert not any(plot_style.second_axis(axes, table, 5) for table in (track(time_s=None), track(1), backwards))
+        assert plot_style.second_axis(axes, track(), 5)
 
 
 def test_labels_of_ticks_have_equal_decimals():

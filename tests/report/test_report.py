@@ -147,7 +147,7 @@ def test_large_clips_are_cut_out_around_the_target_and_windows_stay_in_place(tmp
             part.update(x=x, y=500, w=40, h=40)
     (run / "trajectory.json").write_text(json.dumps(data))
     table = read_trajectory(run)
-    found = key_images(table, read_header(table), [6]).found[6]
+    found = key_images(table, read_header(table), [6], None, None, lambda *_: None).found[6]
     left, top, width, height = found.view
     assert (width, height) == (350, 263)
     assert left < 900 < 1000 < left + width

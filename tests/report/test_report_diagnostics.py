@@ -46,7 +46,7 @@ def table_of(folder: Path) -> Trajectory:
 
 def jpeg_of(folder: Path) -> bytes:
     table = table_of(folder)
-    return key_images(table, read_header(table), [10]).found[10].data
+    return key_images(table, read_header(table), [10], None, None, lambda *_: None).found[10].data
 
 
 def test_who_it_is_since_when(tmp_path: Path) -> None:

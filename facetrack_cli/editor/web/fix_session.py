@@ -16,7 +16,7 @@ from facetrack_cli.core.spans import spans
 from facetrack_cli.core.types import BOX, Correction, Mask
 from facetrack_cli.editor.history import Fixer, merged
 from facetrack_cli.editor.save import keep, save
-from facetrack_cli.editor.web.draft import Draft, Json, Proposer
+from facetrack_cli.editor.web.frame import Draft, Json, Proposer
 from facetrack_cli.editor.web.pick_session import requirement
 from facetrack_cli.editor.web.session import Answer, RefusedError, Report, Route, Session
 from facetrack_cli.recipe.model import OpenCvRecipe
@@ -49,7 +49,7 @@ class FixSession(Session):
             "requirements": [_requirement(name, parts) for name, parts in self._parts.items()],
             "free": False,
             "saves_to": str(run.folder),
-            "learns": not isinstance(run.recipe, OpenCvRecipe),  # those trackers always begin again
+            "learns": not isinstance(run.recipe, OpenCvRecipe),  # whose trackers always begin again
         }
         proposer, draft = Proposer(frames, run.recipe, run.recipe.points), Draft(run.first, {})
         super().__init__(frames, proposer, draft, about, first=run.first, last=run.last)
@@ -77,11 +77,8 @@ class FixSession(Session):
                 [face] = one["targets"].values()
                 of = ": {}" if len(self._parts) > 1 else ""
                 proposals += [(one["label"] + of.format(name), {name: face}) for name in self._parts]
-        fitted = [
-            {"label": label, "targets": {name: self._fitted(name, target) for name, target in targets.items()}}
-            for label, targets in proposals
-        ]
-        return {**found, "proposals": fitted}
+        fitted = [(label, {name: self._fitted(name, one) for name, one in those.items()}) for label, those in proposals]
+        return {**found, "proposals": [{"label": label, "targets": targets} for label, targets in fitted]}
 
     def check_draft(self, draft: Draft) -> None:
         for name, one in draft.targets.items():
@@ -139,10 +136,7 @@ class FixSession(Session):
         return self._begin("undoing", lambda **_: self.fixer.undo())
 
     def _begin(self, what: str, work: Callable[..., None]) -> Answer:
-        """Begin a job that changes the corrections: `work`, a method of Fixer with its `report` and `stop` left open.
-
-        Afterwards the corrections are kept in a file, and the pages request the rows again.
-        """
+        """Begin the job `work`, which takes `report` and `stop` and changes the corrections; these are then kept."""
 
         def job(report: Report) -> None:
             work(report=report, stop=self.stopping.is_set)
@@ -159,8 +153,8 @@ class FixSession(Session):
         found = []
         for name, one in draft.targets.items():
             if not one.empty:
-                at, before = one.rounded(), self.fixer.find(draft.frame, name)
-                found.append(merged(draft.frame, name, at.box, at.points, one.absent, before, self._parts[name]))
+                new = Correction(draft.frame, name, one.rounded(), absent=one.absent)
+                found.append(merged(new, self.fixer.find(draft.frame, name), self._parts[name]))
         if not found:
             raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
         return found
@@ -191,12 +185,9 @@ def _requirement(target: str, parts: tuple[str, ...]) -> Json:
     return requirement(target, parts, "optional" if set(parts) <= set(PARTS) else "no")
 
 
-# --- the run as the page has it, ready for JSON ---------------------------------------------------------------------
-
-
 def overview(rows: Trajectory, bins: int, corrections: tuple[Correction, ...] = ()) -> dict[str, Any]:
-    """Of each part and each of `bins` equal spans the least confidence, None if unknown, and the shares of frames in
-    which it is lost and absent; the doubtful frames, worst first; the corrections.
+    """Ready for JSON: of each part and each of `bins` equal spans the least confidence, None if unknown, and the shares
+    of frames in which it is lost and absent; the doubtful frames; the corrections.
     """
     first, last = int(rows.frame[0]), int(rows.frame[-1])
     count = last - first + 1
@@ -207,26 +198,16 @@ def overview(rows: Trajectory, bins: int, corrections: tuple[Correction, ...] = 
     def shares(those: Mask) -> list[float]:
         return [round(share, 4) for share in (np.add.reduceat(those.astype(np.int64), edges) / sizes).tolist()]
 
-    parts = [
-        {
-            "target": one.target,
-            "part": one.part,
-            "least": [None if sure != sure else sure for sure in np.fmin.reduceat(one.confidence, edges).tolist()],
-            "lost": shares(one.status == "lost"),
-            "absent": shares(one.status == "absent"),
-        }
-        for one in rows.parts
-    ]
-    corrected = [
-        {
-            "frame": one.frame,
-            "target": one.target,
-            "parts": ["box"] if one.given.box is not None else list(one.given.points),
-            "absent": True if one.absent is True else list(one.absent),
-        }
-        for one in corrections
-        if one.frame <= last
-    ]
+    parts, corrected = [], []
+    for part in rows.parts:
+        least = [None if sure != sure else sure for sure in np.fmin.reduceat(part.confidence, edges).tolist()]
+        gone = {status: shares(part.status == status) for status in ("lost", "absent")}
+        parts.append({"target": part.target, "part": part.part, "least": least, **gone})
+    for one in corrections:
+        if one.frame <= last:
+            given = ["box"] if one.given.box is not None else list(one.given.points)
+            absent = True if one.absent is True else list(one.absent)
+            corrected.append({"frame": one.frame, "target": one.target, "parts": given, "absent": absent})
     found = {"first": first, "last": last, "bins": bins, "parts": parts}
     return {**found, "doubtful": doubtful(rows), "corrections": corrected}
 
@@ -239,17 +220,12 @@ def doubtful(rows: Trajectory, level: float = DOUBT) -> list[dict[str, Any]]:
         doubt = np.isfinite(sure) & (one.status != "absent") & ((one.status == "lost") | (sure < level))
         worst = [begin + int(np.argmin(sure[begin:end])) for begin, end in spans(doubt)]
         found += sorted((float(sure[at]), at, column) for at in worst)[:MOST_DOUBTFUL]
-    first, parts = int(rows.frame[0]), rows.parts
-    return [
-        {
-            "frame": at + first,
-            "target": parts[column].target,
-            "part": parts[column].part,
-            "confidence": sure,
-            "status": str(parts[column].status[at]),
-        }
+    keys, first = ("frame", "target", "part", "confidence", "status"), int(rows.frame[0])
+    values = [
+        (first + at, *rows.names[column], sure, str(rows.parts[column].status[at]))
         for sure, at, column in sorted(found)[:MOST_DOUBTFUL]
     ]
+    return [dict(zip(keys, one, strict=True)) for one in values]
 
 
 def cells(rows: Trajectory, first: int, stop: int) -> list[list[list[Any]]]:

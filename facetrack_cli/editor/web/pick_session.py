@@ -10,7 +10,7 @@ from typing import ClassVar, Final, Literal
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.web.draft import MOST_POINTS, Draft, Json, Proposer, draft_of
+from facetrack_cli.editor.web.frame import MOST_POINTS, Draft, Json, Proposer, draft_of
 from facetrack_cli.editor.web.session import RefusedError, Session
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
@@ -32,16 +32,11 @@ _ABOUT_BOXES: Final = {
 }
 
 
-class MissingError(Exception):
-    """What is missing or wrong in a draft that shall be a start, in one line."""
-
-
 class PickSession(Session):
-    """A start to be chosen, at first in frame `frame`. `begun` is the start of the file that will be replaced.
+    """A start to be chosen, at first in `frame`, where the `box` of a face may give the first draft.
 
-    Save writes to `out`, and an image of it to `preview`; without `out` the start is left in `saved`, to be printed.
-    `box`, of a face in that frame, gives the first draft, with its points. Raises InputError if there is no such frame,
-    or no face can be in that box.
+    `begun` is the start of the file that will be replaced. Save writes to `out`, and an image to `preview`; without
+    `out` the start is left in `saved`. Raises InputError for a frame or box that cannot be.
     """
 
     mode: ClassVar[Literal["pick"]] = "pick"
@@ -65,19 +60,17 @@ class PickSession(Session):
         self.begun = begun = None if begun is None else fitted(begun, recipe)
         self.saved: Start | None = None
         self._previewed = False
-        self._required = requirements(recipe)
-        proposer = Proposer(frames, recipe, self._required[0]["points"])
+        required = requirements(recipe)
+        proposer = Proposer(frames, recipe, required[0]["points"])
         shown = frame if frame is not None else begun.frame if begun is not None else 0
         first = frames.read(shown)  # raises InputError before anything is served
-        if box is not None:
-            draft = proposer.in_box(first, box, str(clip))
-        else:
-            draft = draft_of(shown, begun.targets if begun is not None else {})
+        given = draft_of(shown, begun.targets if begun is not None else {})
+        draft = given if box is None else proposer.in_box(first, box, str(clip))
         self._unchanged = draft if box is None else None
         about = {
             "clip": clip.name or str(clip),
             "recipe": None if recipe is None else recipe.name,
-            "requirements": self._required,
+            "requirements": required,
             "free": recipe is None or not recipe.followed,
             "saves_to": "standard output" if out is None else str(out),
         }
@@ -87,10 +80,7 @@ class PickSession(Session):
 
     def save(self, draft: Draft) -> None:
         frames = self.frames.count if self.frames.exact else None
-        try:
-            start = start_of(draft, self._required, self.frames.size, frames, self.recipe, self.begun)
-        except MissingError as e:
-            raise RefusedError(422, str(e)) from None
+        start = start_of(draft, self.frames.size, frames, self.recipe, self.begun)
         if frames is None:
             self.frames.read(start.frame)  # how long the clip is may be known only then
         self.begin("writing the init file", lambda _: self._write(start), saves=draft)
@@ -128,7 +118,7 @@ def requirement(target: str, points: Sequence[str], box: Literal["needed", "opti
 
 
 def requirements(recipe: Recipe | None) -> list[Json]:
-    """The `requirement` of each target; a single one stands for every target of a recipe without named targets.
+    """The `requirement` of each target, or a single one for all targets where the recipe names none.
 
     Without a recipe it is a face and the five points that can be placed.
     """
@@ -139,8 +129,8 @@ def requirements(recipe: Recipe | None) -> list[Json]:
     # the first target's face is where the others are looked for, and a cloud learns its colours from a box
     clouds = {name: one.likelihood for name, one in recipe.filters.items() if isinstance(one.likelihood, SkinCloud)}
     boxed = {first, *(one.learn_from or name for name, one in clouds.items())}
-    filters = recipe.filters.items()
-    return [requirement(name, one.points, "needed" if name in boxed else _box_for(one.points)) for name, one in filters]
+    points_of = {name: one.points for name, one in recipe.filters.items()}
+    return [requirement(name, p, "needed" if name in boxed else _box_for(p)) for name, p in points_of.items()]
 
 
 def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
@@ -149,24 +139,20 @@ def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
 
 
 def start_of(
-    draft: Draft,
-    required: Sequence[Json],
-    size: tuple[int, int],
-    frames: int | None,
-    recipe: Recipe | None,
-    begun: Start | None,
+    draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, begun: Start | None
 ) -> Start:
     """The start of a draft, to 0.01 px, which a run accepts; with what of the earlier start `begun` is `carried`.
 
-    `size` is (width, height), `frames` their number where it is certain. Raises MissingError.
+    `size` is (width, height), `frames` their number where it is certain. Raises RefusedError (422), with all that is
+    missing.
     """
     chosen = draft.placed()
     if recipe is not None:
         chosen = {name: one for name, one in chosen.items() if name not in recipe.left_out}
-    _check_complete(chosen, required, free=recipe is None or not recipe.followed)
+    _check_complete(chosen, requirements(recipe), free=recipe is None or not recipe.followed)
     reserved = [name for name in chosen if get_close_matches(name, _RESERVED, n=1, cutoff=0.7)]
     if reserved:
-        raise MissingError(f"a target cannot be called {reserved[0]}, too like a key of init files; rename it")
+        raise RefusedError(422, f"a target cannot be called {reserved[0]}, too like a key of init files; rename it")
     start = carried(Start(draft.frame, chosen, ORIGIN), begun)
     try:
         if recipe is not None:
@@ -177,7 +163,7 @@ def start_of(
                 check_size(ORIGIN, name, target.box)
         _check_build(start, size, recipe if recipe is not None else load_recipe(DEFAULT))
     except FacetrackError as e:
-        raise MissingError(" ".join(str(e).splitlines()).removeprefix(f"{ORIGIN}: ")) from None
+        raise RefusedError(422, " ".join(str(e).splitlines()).removeprefix(f"{ORIGIN}: ")) from None
     return start
 
 
@@ -188,11 +174,9 @@ def fitted(start: Start, recipe: Recipe | None) -> Start:
     names = {name: name for name in start.targets if name in recipe.followed}
     if len(start.targets) == 1 and not names:
         names = dict.fromkeys(start.targets, recipe.followed[0])
-    return replace(
-        start,
-        targets={names[name]: target for name, target in start.targets.items() if name in names},
-        corrections=tuple(replace(one, target=names[one.target]) for one in start.corrections if one.target in names),
-    )
+    targets = {names[name]: target for name, target in start.targets.items() if name in names}
+    kept = tuple(replace(one, target=names[one.target]) for one in start.corrections if one.target in names)
+    return replace(start, targets=targets, corrections=kept)
 
 
 def carried(start: Start, begun: Start | None) -> Start:
@@ -208,17 +192,18 @@ def carried(start: Start, begun: Start | None) -> Start:
 
 
 def _check_complete(chosen: Mapping[str, TargetStart], required: Sequence[Json], *, free: bool) -> None:
-    """MissingError that names everything that is missing, by target."""
+    """RefusedError that names everything that is missing, by target."""
     if not chosen:
-        raise MissingError(f"nothing is chosen yet; choose {listed(_missing(TargetStart(), required[0]), MOST_POINTS)}")
+        first = listed(_missing(TargetStart(), required[0]), MOST_POINTS)
+        raise RefusedError(422, f"nothing is chosen yet; choose {first}")
     by_name = dict.fromkeys(chosen, required[0]) if free else {one["target"]: one for one in required}
     unknown = [name for name in chosen if name not in by_name]
     if unknown:
-        raise MissingError(f"the recipe follows {', '.join(by_name)}, and no {', '.join(unknown)}; remove it")
+        raise RefusedError(422, f"the recipe follows {', '.join(by_name)}, and no {', '.join(unknown)}; remove it")
     missing = {name: _missing(chosen.get(name, TargetStart()), one) for name, one in by_name.items()}
     if any(missing.values()):
         open_ = "; ".join(f"{listed(parts, MOST_POINTS)} of {name}" for name, parts in missing.items() if parts)
-        raise MissingError(f"still to choose: {open_}")
+        raise RefusedError(422, f"still to choose: {open_}")
 
 
 def _missing(target: TargetStart, required: Json) -> list[str]:

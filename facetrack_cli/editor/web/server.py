@@ -35,11 +35,7 @@ MOST_BODY: Final = 256 * 1024  # bytes: the largest draft has fewer
 MOST_READ: Final = 4 * 1024 * 1024  # of a body that is refused, so that its sender receives the answer
 IDLE_S: Final = 60.0  # until a connection without requests is closed
 POLL_S: Final = 0.1
-KINDS: Final = {
-    ".html": "text/html; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-}
+KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'",
@@ -59,7 +55,7 @@ def assets() -> Mapping[str, Answer]:
     """The files of the page by name; no other file is ever served."""
     files = resources.files("facetrack_cli.editor.web").joinpath("assets").iterdir()
     kinds = [(file, KINDS.get(PurePath(file.name).suffix)) for file in files]
-    return {file.name: Answer(file.read_bytes(), kind=kind) for file, kind in kinds if kind is not None}
+    return {file.name: Answer(file.read_bytes(), kind=f"{kind}; charset=utf-8") for file, kind in kinds if kind}
 
 
 class Server(ThreadingHTTPServer):
@@ -92,7 +88,7 @@ class Server(ThreadingHTTPServer):
         return f"http://{ADDRESS}:{self.server_port}/{self.token}/"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A tab that was closed is no error; anything else is recorded."""
+        """Record an error, but not that a tab was closed."""
         error = sys.exc_info()[1]
         if isinstance(error, Exception) and not isinstance(error, OSError):
             self.session.record(error)
@@ -144,7 +140,7 @@ class _Handler(BaseHTTPRequestHandler):
         pass
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """What http.server refuses by itself, in our form."""
+        """What http.server refuses by itself, as JSON."""
         self.close_connection = True
         self._send(_encoded(Answer({"error": (message or "refused")[:200]}, int(code))))
 
@@ -206,7 +202,7 @@ class _Handler(BaseHTTPRequestHandler):
         return answer if isinstance(answer, Answer) else Answer(answer)
 
     def _same_origin(self, host: str) -> bool:
-        """Whether the origin, if there is one, is that of this page, as it is called through a tunnel."""
+        """Whether the origin, if there is one, is that of this page, also through a tunnel."""
         origins = [one.strip().lower() for one in self.headers.get_all("Origin", [])]
         # a browser that hides the origin sends null; no page can forge the other header
         hidden = origins == ["null"] and self.headers.get_all("Sec-Fetch-Site") == ["same-origin"]

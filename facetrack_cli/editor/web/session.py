@@ -15,8 +15,7 @@ from pydantic import Field, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.editor.retrack import StoppedError
-from facetrack_cli.editor.web.draft import Draft, Json, Proposer
-from facetrack_cli.editor.web.frame_images import FrameImages
+from facetrack_cli.editor.web.frame import Draft, FrameImages, Json, Proposer
 from facetrack_cli.video.seek import Frames
 
 LINGER_S: Final = 2.0  # after a client was first told of the end
@@ -82,8 +81,6 @@ class Session(ABC):
         self._saving = False
         self._ended_at = self._seen_at = 0.0
 
-    # what a subclass defines
-
     @abstractmethod
     def save(self, draft: Draft) -> None:
         """Begin the job that writes the draft and calls `end`; RefusedError (422) if something is missing. No lock."""
@@ -94,8 +91,6 @@ class Session(ABC):
     def proposals(self, frame: int) -> Json:
         """{"frame", "proposals", "note"} of a frame."""
         return self._proposer(frame)
-
-    # what a subclass may use
 
     def change(self, draft: Draft) -> None:
         """Replace the draft, for every client."""
@@ -138,8 +133,6 @@ class Session(ABC):
         with self.lock:
             self.ended = {"messages": list(messages), "next": next_}
             self._ended_at = time.monotonic()
-
-    # what the server uses
 
     def routes(self) -> Sequence[Route]:
         return (

@@ -9,9 +9,19 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.trust import ConfidenceMeasures
-from facetrack_cli.report.figures.axes import frame_axis, limit
 from facetrack_cli.report.figures.lines import Pen, columns_for, quantiles
-from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, clean, heading, line_style, new_figure, style
+from facetrack_cli.report.figures.style import (
+    COLOURS,
+    GUIDE,
+    STATUS,
+    clean,
+    frame_axis,
+    heading,
+    limit,
+    line_style,
+    new_figure,
+    style,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,8 +71,6 @@ def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], ma
 
     longest = max((len(label) for label in curves), default=0)
     with style():
-        from matplotlib.ticker import PercentFormatter
-
         figure = new_figure(SQUARE[0] + 0.055 * max(0, min(longest, 40) - 12), SQUARE[1])
         axes = figure.subplots()
         handles = {}
@@ -76,20 +84,14 @@ def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], ma
             axes.axvline(mark, **_MARK)
         axes.margins(x=0)
         axes.set(ylim=(0, 1.015), xlabel=names[0], ylabel=names[1])
-        axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+        axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
         several = any(len(values) > 1 for _, values in curves.values())
         heading(axes, title, "band: range over seeds" if several else "")
         scores = {label: score(label) for label in curves}
         best = sorted(curves, key=lambda label: -scores[label])
-        figure.legend(
-            [handles[label] for label in best],
-            [f"{scores[label]:.3f}  {clean(label, 40)}" for label in best],
-            loc="outside right upper",
-            title=measure,
-            alignment="left",
-            title_fontproperties={"weight": "bold", "size": 9},
-            handlelength=2.8,
-        )
+        labels = [f"{scores[label]:.3f}  {clean(label, 40)}" for label in best]
+        bold: Any = {"title": measure, "title_fontproperties": {"weight": "bold", "size": 9}, "alignment": "left"}
+        figure.legend([handles[label] for label in best], labels, loc="outside right upper", handlelength=2.8, **bold)
         return figure
 
 

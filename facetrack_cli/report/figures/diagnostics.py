@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.report.figures.axes import limit
 from facetrack_cli.report.figures.lines import Line, Panel, Pen
-from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, clean
+from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, clean, limit
 from facetrack_cli.trajectory.diagnostics import AFFINE, POSTERIOR, SURE, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory

@@ -52,15 +52,19 @@ def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
 
     Of several targets each has one colour, as in the annotated video, and its parts differ by their dashes.
     """
-    truth = {pair.ours.names[0]: pair for pair in pairs}
-    targets = table.targets
+    import matplotlib
+    from matplotlib.colors import to_hex
+
+    truth, targets = {pair.ours.names[0]: pair for pair in pairs}, table.targets
     nth = {one.names[0]: number for target in targets for number, one in enumerate(table.of_target(target))}
     found = []
     for number, one in enumerate(table.parts):
         place = targets.index(one.target)
         group = COLOURS[place % len(COLOURS)]
         if len(table.parts) > MANY:
-            colour = group if len(targets) > 1 else _ramp(number / (len(table.parts) - 1))
+            # between purple and yellow-green, dark enough for paper
+            ramp = matplotlib.colormaps["viridis"](0.88 * number / (len(table.parts) - 1))
+            colour = group if len(targets) > 1 else to_hex(ramp)
             look: dict[str, Any] = {"color": colour, "linewidth": 0.6, "alpha": 0.75}
         elif len(targets) > 1:
             # the targets of a second round of colours would look like those of the first
@@ -78,14 +82,6 @@ def _name(one: Trajectory, table: Trajectory) -> str:
     if sole and (several or (one.part == "box" and one.target)):
         return clean(one.target.replace("_", " "), 40)
     return clean((one.name if several else one.part).replace("_", " "), 40)
-
-
-def _ramp(share: float) -> str:
-    """A colour between purple and yellow-green, dark enough for paper."""
-    import matplotlib
-    from matplotlib.colors import to_hex
-
-    return to_hex(matplotlib.colormaps["viridis"](0.88 * share))
 
 
 @dataclass(frozen=True)
@@ -121,7 +117,8 @@ class Pen:
         x, y, _ = envelope(frame, low, self.bins)
         top = envelope(frame, high, self.bins).y
         if len(frame) > 2 * self.bins:  # each bin has its least and its greatest value: the band holds both
-            y, top = _pairwise(y, np.fmin), _pairwise(top, np.fmax)
+            pairs = ((y, np.fmin), (top, np.fmax))
+            y, top = (np.where(np.isnan(v), np.nan, pick(v, np.append(v[1:], np.nan))) for v, pick in pairs)
         axes.fill_between(x, y, top, color=colour, alpha=alpha, linewidth=0)
 
     def shade(self, axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float) -> None:
@@ -172,11 +169,6 @@ class Pen:
             axes.broken_barh(bars, place, facecolors=STATUS[status], linewidth=0, antialiased=False)
 
 
-def _pairwise(y: Array, pick: np.ufunc) -> Array:
-    """The extreme of each point and the one after it."""
-    return np.where(np.isnan(y), np.nan, pick(y, np.append(y[1:], np.nan)))
-
-
 def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
     """(columns, rows) of a legend of these labels, filled column by column, over `width` inches."""
     lengths = [len(label) for label in labels]
@@ -187,9 +179,6 @@ def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
         if sum(0.068 * most + 0.56 for most in widest) <= width - 0.2:
             return columns, rows
     return 1, len(labels)
-
-
-# --- arrays made ready for drawing -------------------------------------------------------------------------------
 
 
 def stacked(series: Sequence[tuple[Whole, Array | Mask]]) -> tuple[Whole, Array]:

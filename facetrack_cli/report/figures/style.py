@@ -1,4 +1,7 @@
-"""The style of all figures, and how one becomes a file: equal numbers give equal bytes, whatever the user has set."""
+"""The style of all figures, how one becomes a file, and axes: limits, ticks, frames below and seconds above.
+
+Equal numbers give equal bytes, whatever matplotlib settings the user has.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,17 @@ import io
 import logging
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,6 +44,10 @@ CORRECTED: Final[Any] = {
     "marker": "^", "color": INK, "linestyle": "none", "markersize": 5, "clip_on": False, "zorder": 5,
 }  # fmt: skip
 
+_STEPS = (1, 2, 2.5, 5, 10)
+_SECONDS = (
+    0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000,
+)  # fmt: skip
 _STYLE: Final = Path(__file__).with_name("facetrack.mplstyle")
 
 
@@ -81,7 +92,6 @@ def style() -> Iterator[None]:
     """The settings of all figures, instead of the user's; without warnings of overflow and of missing glyphs."""
     need_matplotlib()
     import matplotlib
-    import numpy as np
 
     with matplotlib.rc_context(), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
@@ -138,3 +148,89 @@ def clean(text: str, most: int) -> str:
     text = "".join(c if c.isprintable() else "?" for c in text)
     text = text if len(text) <= most else text[: most - 1] + "…"
     return f" {text}" if text.startswith("_") else text
+
+
+def limit(axes: Axes, values: Iterable[Array], floor: float | None = None, ticks: int = 4) -> None:
+    """The `limits` of the vertical axis, with few ticks."""
+    from matplotlib.ticker import MaxNLocator
+
+    found = limits(values, floor)
+    if found is None:
+        return
+    axes.set_ylim(found)
+    places = MaxNLocator(ticks, steps=_STEPS).tick_values(*found)
+    inside = [float(place) for place in places if found[0] <= place <= found[1]]
+    axes.set_yticks(inside, numbers(inside))
+
+
+def limits(values: Iterable[Array], floor: float | None = None) -> tuple[float, float] | None:
+    """Limits a little wider than `values`, at least 1 apart, None where nothing is known.
+
+    Where the whole range is more than eight times that of the middle 98 % of the rows, they follow the middle: a few
+    rows far outside do not compress all others.
+    """
+    every = np.concatenate([v[np.isfinite(v)] for v in values] or [np.empty(0)])
+    if not every.size:
+        return None
+    low, high = float(every.min()), float(every.max())
+    middle = np.quantile(every[:: max(1, len(every) // 500_000)], (0.01, 0.99))
+    tall = max(float(middle[1] - middle[0]), 1.0)
+    if high - low > 8 * tall:
+        low, high = max(low, float(middle[0]) - tall), min(high, float(middle[1]) + tall)
+    if floor is not None:
+        high += max(1.0 - (high - floor), 0)
+        return floor, high + 0.06 * (high - floor)
+    short = max(1.0 - (high - low), 0) / 2
+    low, high = low - short, high + short
+    margin = 0.06 * (high - low)
+    return low - margin, high + margin
+
+
+def numbers(ticks: Sequence[float]) -> list[str]:
+    """Labels of ticks, with as many decimals as one of them needs."""
+    if any(abs(tick) >= 1e7 for tick in ticks):
+        return [f"{tick:.3g}" for tick in ticks]
+    decimals = next((d for d in range(4) if all(abs(t - round(t, d)) < 1e-9 for t in ticks)), 4)
+    return [f"{tick + 0.0:,.{decimals}f}".replace("-", "\N{MINUS SIGN}") for tick in ticks]
+
+
+def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
+    """An axis of frames, which increase, with at most `most` ticks."""
+    from matplotlib.ticker import MaxNLocator
+
+    first, last = float(frame[0]), float(frame[-1])
+    margin = max(0.5, 0.004 * (last - first), 1e-9 * last)
+    axes.set_xlim(first - margin, last + margin)
+    axes.set_xlabel("frame")
+    axes.xaxis.set_major_locator(MaxNLocator(max(2, most - 1), integer=True, min_n_ticks=1, steps=_STEPS))
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+    axes.tick_params(bottom=True)
+
+
+def second_axis(axes: Axes, table: Trajectory, most: int) -> bool:
+    """An axis of seconds above that of frames; False where seconds are not known or do not increase."""
+    time_s = table.times
+    known = np.isfinite(time_s)
+    if known.sum() < 2 or (np.diff(time_s[known]) <= 0).any():
+        return False
+    above = axes.secondary_xaxis("top")
+    above.set_ticks(*ticks(table.frames[known], time_s[known], most))
+    above.tick_params(length=2, pad=2)
+    above.spines["top"].set_visible(False)
+    return True
+
+
+def ticks(frame: Whole, time_s: Array, most: int = 11) -> tuple[list[float], list[str]]:
+    """About `most` frames at round times, and their labels: 1.5 s, 2:30 (minutes), 1:02:30 (hours)."""
+    first, last = float(time_s[0]), float(time_s[-1])
+    length = last - first
+    step = next((s for s in _SECONDS if length / s <= most), 36000.0 * np.ceil(length / 36000 / most))
+    seconds = np.arange(np.ceil(first / step - 1e-9), np.floor(last / step + 1e-9) + 1) * step + 0.0  # no minus zero
+    places = np.interp(seconds, time_s, frame).tolist()
+    if last < 120 or step < 1:
+        decimals = 0 if step >= 1 else 1 if step >= 0.1 else 2
+        return places, [f"{t:,.{decimals}f} s" for t in seconds.tolist()]
+    whole = [round(t) for t in seconds.tolist()]
+    if last < 3600:
+        return places, [f"{t // 60}:{t % 60:02}" for t in whole]
+    return places, [f"{t // 3600}:{t // 60 % 60:02}:{t % 60:02}" for t in whole]

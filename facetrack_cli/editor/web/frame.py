@@ -1,27 +1,34 @@
-"""The draft, which is what is being chosen in one frame on the page, and proposals for it."""
+"""One frame on the page: the draft, which is what is being chosen in it, its images, and proposals."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Final, Literal, TypeAlias
+from typing import Annotated, Any, Final, Generic, Literal, TypeAlias, TypeVar
+from weakref import WeakValueDictionary
 
+import cv2
+import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic_core import to_jsonable_python
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside
-from facetrack_cli.core.types import Box, Frame, Start, TargetStart
-from facetrack_cli.editor.web.frame_images import OnceCache
+from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.tracking.start import PARTS, box_start, name_targets
 from facetrack_cli.tracking.start.haar import NotHereError, find_faces
 from facetrack_cli.tracking.start.init_file import NAME, TARGET
 from facetrack_cli.tracking.start.points import place
 from facetrack_cli.trajectory.start import FrameNumber, Pixels, Side
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.seek import Cache, Frames
 
+CACHE_BYTES: Final = 64 << 20
+_QUALITY: Final = 90
+_Key = TypeVar("_Key", bound=Hashable)
+_Value = TypeVar("_Value")
 MOST_TARGETS: Final = 20
 MOST_POINTS: Final = 500
 MOST_KEPT: Final = 256  # frames whose proposals are kept
@@ -73,6 +80,69 @@ class Draft:
 def draft_of(frame: int, targets: Mapping[str, TargetStart]) -> Draft:
     """The draft of a start or a proposal."""
     return Draft(frame, {name: DraftTarget(one.box, dict(one.points)) for name, one in targets.items()})
+
+
+class OnceCache(Generic[_Key, _Value]):
+    """A thread-safe LRU cache that computes a value once; `most` bounds the sum of the values' `size`.
+
+    Errors are not kept.
+    """
+
+    def __init__(self, most: int, size: Callable[[_Value], int]) -> None:
+        self._kept: Cache[_Key, _Value] = Cache(most)
+        self._size, self._lock = size, threading.Lock()
+        self._locks: WeakValueDictionary[_Key, threading.Lock] = WeakValueDictionary()  # of keys in use
+
+    def get(self, key: _Key, compute: Callable[[], _Value]) -> _Value:
+        with self._lock:
+            lock = self._locks.setdefault(key, threading.Lock())
+        with lock:
+            value = self._kept.get(key)
+            if value is None:
+                value = compute()
+                self._kept.put(key, value, self._size(value))
+            return value
+
+
+class FrameImages:
+    """Encoded frames of a clip, each encoded once while it is kept. Thread-safe. Raises what `Frames.read` raises."""
+
+    def __init__(self, frames: Frames):
+        self._frames = frames
+        self._encoded: OnceCache[tuple[int, ...], bytes] = OnceCache(CACHE_BYTES, len)
+
+    def jpeg(self, index: int, reduce: int = 1) -> bytes:
+        """A frame as JPEG, its sides divided by `reduce`, by area means, and rounded up: it covers the whole frame."""
+
+        def encode() -> bytes:
+            image = self._frames.read(index).bgr
+            if reduce > 1:
+                size = -(-image.shape[1] // reduce), -(-image.shape[0] // reduce)
+                image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+            return _encode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
+
+        return self._encoded.get((index, reduce), encode)
+
+    def crop(self, index: int, x: int, y: int, w: int, h: int) -> bytes:
+        """The pixels x .. x+w-1, y .. y+h-1 of a frame, as far as it has them, as PNG. InputError if it has none."""
+        width, height = self._frames.size
+        left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width), min(y + h, height)
+        if left >= right or top >= bottom:
+            none = f"none of those of {w}x{h} from ({x}, {y}) on"
+            raise InputError(f"the frame has {width}x{height} pixels, and {none}; choose others")
+
+        def encode() -> bytes:
+            region = self._frames.read(index).bgr[top:bottom, left:right]
+            return _encode(".png", region, (cv2.IMWRITE_PNG_COMPRESSION, 1))
+
+        return self._encoded.get((index, left, top, right, bottom), encode)
+
+
+def _encode(suffix: str, image: Image, options: tuple[int, int]) -> bytes:
+    done, data = cv2.imencode(suffix, image, options)
+    if not done:
+        raise RuntimeError(f"OpenCV cannot write {suffix}")
+    return data.tobytes()
 
 
 class Proposer:
