@@ -1,27 +1,24 @@
-"""Corrections of a run, one after the other, and the rows that follow from them; every step can be taken back."""
+"""Corrections of a run, one after the other, and the rows that follow from them; every step can be undone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Correction, Start
-from facetrack_cli.editor.retrack import Read, Report, Task, Tracking, frames_of
+from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
+from facetrack_cli.editor.retrack import Read, Report, Stop, Store, Task, Track, Tracking, frames_of, never, silent
 from facetrack_cli.editor.run_folder import Run
-from facetrack_cli.editor.tracks import Store, Track, spliced
-from facetrack_cli.tracking.corrected import completed, is_complete
+from facetrack_cli.tracking.corrected import all_or, completed, is_complete
 from facetrack_cli.tracking.start import name_targets, read_init
 from facetrack_cli.tracking.start.init_file import TARGET
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-MOST_STEPS: Final = 1000  # that can be taken back
-
-
+MOST_STEPS: Final = 1000  # that can be undone
 Tracks: TypeAlias = Mapping[str, Sequence[Track]]  # of each target
 
 
@@ -33,36 +30,32 @@ class Step(NamedTuple):
 
 
 class Fixer:
-    """A run and what is corrected of it `now`. What fails, or is stopped, leaves that as it was.
+    """A run, and its corrections and rows `now`, which a call that fails or is stopped leaves as they were.
 
-    One call at a time changes anything; what there is now may be read from other threads meanwhile.
+    One call at a time may change them; other threads may read them meanwhile.
     """
 
     def __init__(self, run: Run, read: Read) -> None:
         self.run = run
         self._store = Store()
         self._tracking = Tracking(run, self._store, read)
-        self._at_first = self._ordered(_completed_by_rows(run))
-        self._known = {name: self._recorded(name) for name in run.targets}
+        # what corrections leave open is where the rows have it; those past the end stay as they are
+        at_first = (completed_by(one, run.rows) if one.frame <= run.last else one for one in run.start.corrections)
+        self._at_first = self._ordered(at_first)
+        plans = {name: self._plan(name, self._at_first) for name in run.rows.targets}
+        tracks = {name: [Track(name, one.begin, one.first, one.stop) for one in plan] for name, plan in plans.items()}
+        self._known: Mapping[str, list[Track]] = tracks
         self._past: list[Step] = []
-        self._take(Step(self._at_first, {name: tuple(tracks) for name, tracks in self._known.items()}))
-
-    @property
-    def corrections(self) -> tuple[Correction, ...]:
-        return self.now[0]
-
-    @property
-    def rows(self) -> Trajectory:
-        return self.now[1]
+        self._take(Step(self._at_first, {name: tuple(those) for name, those in tracks.items()}))
 
     @property
     def start(self) -> Start:
-        """Where the run begins, and what is corrected."""
+        """The run's start with the corrections of now."""
         return replace(self.run.start, corrections=self.corrections)
 
     @property
     def changed(self) -> bool:
-        """Whether the corrections are others than those in the run's files."""
+        """Whether the corrections differ from those in the run's files."""
         return self.corrections != self._at_first
 
     @property
@@ -72,49 +65,30 @@ class Fixer:
     def find(self, frame: int, target: str) -> Correction | None:
         return next((one for one in self.corrections if (one.frame, one.target) == (frame, target)), None)
 
-    def put(
-        self,
-        given: Sequence[Correction],
-        *,
-        report: Report = lambda done, total: None,
-        stop: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """Add corrections, or replace those of the same frames and targets, and track anew what follows from them."""
+    def put(self, given: Sequence[Correction], *, report: Report = silent, stop: Stop = never) -> None:
+        """Add corrections, or replace those of the same frames and targets, and track what follows from them."""
         for one in given:
             self.check(one)
-        done = [completed(one, rows_of(self.rows, one.frame, one.target)) for one in given]
-        others = [one for one in self.corrections if not any(_same(one, new) for new in done)]
-        self._become([*others, *done], report, stop)
+        done = {(one.frame, one.target): completed_by(one, self.rows) for one in given}
+        others = [one for one in self.corrections if (one.frame, one.target) not in done]
+        self._become([*others, *done.values()], report, stop)
 
-    def remove(
-        self,
-        frame: int,
-        target: str,
-        *,
-        report: Report = lambda done, total: None,
-        stop: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """Take a correction away; what follows is tracked from the one before it, if it was not already."""
+    def remove(self, frame: int, target: str, *, report: Report = silent, stop: Stop = never) -> None:
+        """Remove a correction; what follows is tracked from the one before it, if it was not already."""
         if self.find(frame, target) is None:
             raise InputError(f"{target} has no correction at frame {frame}")
         rest = [one for one in self.corrections if (one.frame, one.target) != (frame, target)]
         self._become(rest, report, stop)
 
     def undo(self) -> None:
-        """Take back the last step; nothing is tracked for it."""
+        """Undo the last step; nothing is tracked for it."""
         if self._past:
             self._take(self._past.pop())
 
-    def apply(
-        self,
-        corrections: Sequence[Correction],
-        *,
-        report: Report = lambda done, total: None,
-        stop: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """Have these corrections and no others. What they leave open is where the track before them is.
+    def apply(self, corrections: Sequence[Correction], *, report: Report = silent, stop: Stop = never) -> None:
+        """Have these corrections alone. What they leave open is where the track before them is.
 
-        Those past the run's end are kept for a longer one.
+        Those past the run's end are kept for a longer run.
         """
         for one in corrections:
             self.check(one, beyond=True)
@@ -124,29 +98,28 @@ class Fixer:
         """InputError if a correction does not fit the run; it may lie `beyond` its end."""
         run = self.run
         if one.target not in run.parts:
-            raise InputError(f"there is no {one.target} in the run; it has {', '.join(run.targets)}")
+            raise InputError(f"there is no {one.target} in the run; it has {', '.join(run.rows.targets)}")
         if not run.first < one.frame <= run.last and not (beyond and one.frame > run.last):
-            why = ", in which it begins; begin it anew with facetrack init" if one.frame == run.first else ""
-            raise InputError(
-                f"frame {one.frame} cannot be corrected{why}; the run can be from {run.first + 1} to {run.last}"
-            )
+            why = ", in which it begins; begin it again with facetrack init" if one.frame == run.first else ""
+            remedy = f"the run can be from {run.first + 1} to {run.last}"
+            raise InputError(f"frame {one.frame} cannot be corrected{why}; {remedy}")
         self._tracking.check(one)
 
     def close(self) -> None:
         self._store.close()
 
-    def _become(self, corrections: Sequence[Correction], report: Report, stop: Callable[[], bool]) -> None:
-        """Take up these corrections, tracking what no track is known of."""
-        plans = {name: self._plan(name, self._within(corrections, name)) for name in self._known}
+    def _become(self, corrections: Sequence[Correction], report: Report, stop: Stop) -> None:
+        """Have these corrections, and track what no track is known of."""
+        plans = {name: self._plan(name, corrections) for name in self._known}
         found: dict[str, list[Track]] = {name: [] for name in plans}
-        ends: dict[str, Track] = {}  # which have the frame of the next beginning, too, if that wants it
+        ends: dict[str, Track] = {}  # which include the frame of the next beginning if that needs it
         done = total = 0
         while any(plans.values()):
-            # one stretch a target at a time, so that targets which are corrected in the same frames share the pictures
+            # one stretch a target at a time, so that targets that are corrected in the same frames share the images
             tasks: list[Task] = []
             for name, plan in plans.items():
                 while plan:
-                    task = self._completed(plan[0], ends.get(name))
+                    task = self._begun(plan[0], ends.get(name))
                     if (known := self._find(task, task.stop)) is None:
                         tasks.append(task)
                         break
@@ -154,19 +127,22 @@ class Fixer:
                     ends[name] = known
                     plan.pop(0)
             # each round goes through the frames of its tasks once
-            rounds = [tasks, *([one for one in row if one] for row in zip_longest(*_after(plans, tasks)))]
+            begun = {task.target for task in tasks}
+            after = (plan[1:] if name in begun else plan for name, plan in plans.items())
+            rounds = [tasks, *([one for one in row if one] for row in zip_longest(*after))]
             left = sum(stop - first for tasks_ in rounds for first, stop in frames_of(tasks_))
             total = max(total, done + left)
 
-            def told(n: int, _: int, before: int = done, total: int = total) -> None:
+            def step(n: int, _: int, before: int = done, total: int = total) -> None:
                 report(before + n, max(total, before + n))
 
-            for task, track in zip(tasks, self._tracking.track(tasks, self.rows, report=told, stop=stop), strict=True):
-                # rows that are there stay, though one frame more was wanted
-                shorter = self._find(task, self._next_begins(plans[task.target], task.stop))
+            for task, track in zip(tasks, self._tracking.track(tasks, self.rows, report=step, stop=stop), strict=True):
+                # known rows stay, though one frame more was needed
+                plan = plans[task.target]
+                shorter = self._find(task, plan[1].first if len(plan) > 1 else task.stop)
                 found[task.target].append(shorter or track)
                 ends[task.target] = track
-                plans[task.target].pop(0)
+                plan.pop(0)
             done += sum(stop - first for first, stop in frames_of(tasks))
         begins = [track.begin for tracks in found.values() for track in tracks if track.begin is not None]
         became = self._ordered([*begins, *(one for one in corrections if one.frame > self.run.last)])
@@ -179,84 +155,72 @@ class Fixer:
 
     def _take(self, step: Step) -> None:
         self._step = step
-        self.now = step.corrections, spliced(self.run.rows, step.tracks, self._store)
-
-    def _recorded(self, target: str) -> list[Track]:
-        """The tracks that the run itself recorded of a target."""
-        begins = [None, *self._within(self._at_first, target)]
-        firsts = [self.run.first if begin is None else begin.frame for begin in begins]
-        stops = [*firsts[1:], self.run.last + 1]
-        return [Track(target, *one) for one in zip(begins, firsts, stops, strict=True)]
-
-    def _within(self, corrections: Iterable[Correction], target: str) -> list[Correction]:
-        """Those of a target that the run comes to."""
-        return [one for one in corrections if one.target == target and one.frame <= self.run.last]
+        self.corrections, self.rows = self.now = step.corrections, self._store.spliced(self.run.rows, step.tracks)
 
     def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
-        places = {name: place for place, name in enumerate(self.run.targets)}
+        places = {name: place for place, name in enumerate(self.run.rows.targets)}
         return tuple(sorted(corrections, key=lambda one: (one.frame, places[one.target])))
 
-    def _plan(self, target: str, corrections: Sequence[Correction]) -> list[Task]:
-        """What one target is made of: from each beginning to the next, one frame more where that leaves parts open."""
+    def _plan(self, target: str, corrections: Iterable[Correction]) -> list[Task]:
+        """The tasks of one target: from each beginning to the next, one frame more where that leaves parts open."""
         plan: list[Task] = []
-        begin: Correction | None = None
-        first = self.run.first
-        for one in sorted(corrections, key=lambda one: one.frame):
+        begin, first = None, self.run.first
+        within = (one for one in corrections if one.target == target and one.frame <= self.run.last)
+        for one in sorted(within, key=lambda one: one.frame):
             more = 0 if is_complete(one, self.run.parts[target]) else 1
             plan.append(Task(target, begin, first, one.frame + more))
             begin, first = one, one.frame
         plan.append(Task(target, begin, first, self.run.last + 1))
         return plan
 
-    @staticmethod
-    def _next_begins(plan: Sequence[Task], stop: int) -> int:
-        """The frame in which the second task of a plan begins; `stop` if there is none."""
-        return plan[1].first if len(plan) > 1 else stop
-
-    def _completed(self, task: Task, before: Track | None) -> Task:
-        """With its beginning completed by what the track before it has in that frame."""
-        if task.begin is None or is_complete(task.begin, self.run.parts[task.target]):
+    def _begun(self, task: Task, before: Track | None) -> Task:
+        """A task whose beginning is completed by the rows of the track before it in that frame."""
+        if task.begin is None or before is None or is_complete(task.begin, self.run.parts[task.target]):
             return task
-        assert before is not None
-        rows = before.rows(self.run.rows, self._store)
-        return replace(task, begin=completed(task.begin, rows_of(rows, task.first, task.target)))
+        return replace(task, begin=completed_by(task.begin, before.rows(self.run.rows, self._store)))
 
     def _find(self, task: Task, stop: int) -> Track | None:
-        """A track that is known already of what the task asks for, up to a frame."""
-        same = (track for track in self._known[task.target] if track.begin == task.begin)
-        return next((track for track in same if track.stop >= stop), None)
+        """A known track of a task, up to a frame."""
+        known = self._known[task.target]
+        return next((track for track in known if track.begin == task.begin and track.stop >= stop), None)
 
 
-def _completed_by_rows(run: Run) -> list[Correction]:
-    """The corrections that a run was made with; what they leave open is where the rows of their frames have it."""
-    return [
-        completed(one, rows_of(run.rows, one.frame, one.target)) if one.frame <= run.last else one
-        for one in run.start.corrections
-    ]
+def completed_by(one: Correction, rows: Trajectory) -> Correction:
+    """A correction; what it leaves open is where the rows have it."""
+    return completed(one, choose(rows.at(one.frame), one.target))
 
 
-def rows_of(rows: Trajectory, frame: int, target: str) -> Trajectory:
-    """The rows of a target in one frame."""
-    return choose(rows.at(frame), target)
+def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -> Correction:
+    """What is corrected now, merged with the correction `before` of the same frame and target, if any."""
+    frame, target, points = new.frame, new.target, new.given.points
+    if new.absent is True or (parts == (BOX,) and new.absent):
+        return Correction(frame, target, absent=True)
+    gone = set(new.absent)
+    if new.given.box is not None and (parts == (BOX,) or not points):
+        return replace(new, given=TargetStart(box=new.given.box))
+    old = Correction(frame, target) if before is None else before
+    by_hand = {part: at for part, at in {**old.given.points, **points}.items() if part not in gone or part in points}
+    kept = {part: at for part, at in old.kept.items() if part not in by_hand and part not in gone}
+    hidden = [part for part in parts if part in {*gone, *old.hidden(parts)} and part not in by_hand]
+    return Correction(frame, target, TargetStart(points=by_hand), kept, all_or(hidden, parts), old.learn)
 
 
 def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
     """The corrections of an init file that begins as the run does. InputError if it does not."""
     start = _named(read_init(path), run)
     if start.frame != run.start.frame:
-        raise InputError(
-            f"{path}: begins at frame {start.frame}, and the run at {run.start.frame}; run the clip anew with it"
-        )
+        begins = f"begins at frame {start.frame}, and the run at {run.start.frame}"
+        raise InputError(f"{path}: {begins}; run the clip again with it")
     for name, one in start.targets.items():
         theirs = run.start.targets.get(name, one)
         points = {part: theirs.points.get(part) for part in one.points}
         if one.box not in (None, theirs.box) or points != one.points:
-            raise InputError(f"{path}: {name} does not begin where it does in the run; run the clip anew with it")
+            raise InputError(f"{path}: {name} does not begin where it does in the run; run the clip again with it")
     return start.corrections
 
 
 def _named(start: Start, run: Run) -> Start:
-    """With the targets that the recipe names, as a run takes them; what the file does not know is as in the run."""
+    """With the targets that the recipe names, as in a run; what the file does not have is as in the run."""
     names, out = run.recipe.followed, run.recipe.left_out
     given = {name: one for name, one in start.targets.items() if name not in out}
     if not names or not given:
@@ -270,13 +234,3 @@ def _named(start: Start, run: Run) -> Start:
     if not given.keys() & {names[0], TARGET}:
         rest[names[0]] = run.start.targets[names[0]]
     return name_targets(replace(start, targets={**given, **rest}), names, None, left_out=out)
-
-
-def _after(plans: Mapping[str, Sequence[Task]], tasks: Sequence[Task]) -> list[Sequence[Task]]:
-    """What is left of each plan once these first tasks are done."""
-    begun = {task.target for task in tasks}
-    return [plan[1:] if name in begun else plan for name, plan in plans.items()]
-
-
-def _same(one: Correction, other: Correction) -> bool:
-    return (one.frame, one.target) == (other.frame, other.target)

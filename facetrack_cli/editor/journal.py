@@ -1,7 +1,7 @@
-"""Several files of a run replaced together: whatever ends the program meanwhile, in the end all of them are, or none.
+"""Several files of a run replaced together: all of them or none, whatever ends the program meanwhile.
 
-New files are written beside the old ones. Once they are whole, a journal says so; from then on they only have to take
-over, which whoever opens the run next finishes.
+New files are written beside the old ones. Once they are whole, a journal says so; if they are then not renamed, the
+next program that opens the run does it.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ _PART: Final = re.compile(r"\..+-(\d+)\.part\b")
 
 
 def announce(folder: Path, files: Iterable[Path], instead: Sequence[Path] = ()) -> None:
-    """Say that what stands `beside` each of these files of a folder is whole, and that those `instead` are to go.
+    """Record that what is `beside` each of these files is whole, and that those `instead` are to be removed.
 
-    Raises OSError; nothing is to be replaced then. Otherwise `finish` follows.
+    `finish` follows; not after an OSError.
     """
     names = {}
     for path in files:
@@ -37,9 +37,9 @@ def announce(folder: Path, files: Iterable[Path], instead: Sequence[Path] = ()) 
 
 
 def finish(folder: Path) -> None:
-    """Replace what was announced and is not replaced yet, if anything. Again it may be interrupted, or fail.
+    """Replace what is announced and not replaced yet; it may be interrupted, and repeated. Raises OutputError.
 
-    Where other files stand by now, as those of another run, they stay. Raises OutputError.
+    Files that were written since, as by another run, stay.
     """
     journal = folder / JOURNAL
     try:
@@ -59,14 +59,13 @@ def finish(folder: Path) -> None:
             (folder / name).unlink(missing_ok=True)
         journal.unlink(missing_ok=True)
     except OSError as e:
-        raise OutputError(
-            f"{e.filename or journal}: cannot be replaced by what was saved: {e.strerror or e}; make it writable, and "
-            f"facetrack fix {folder} does it"
-        ) from e
+        remedy = f"make it writable, and facetrack fix {folder} does it"
+        what = f"{e.filename or journal}: cannot be replaced by what was saved"
+        raise OutputError(f"{what}: {e.strerror or e}; {remedy}") from e
 
 
 def sweep(folder: Path) -> None:
-    """Remove what other processes, which are no more, wrote beside the run's files, and did not announce."""
+    """Remove what processes that have ended wrote beside the run's files, and did not announce."""
     if os.name != "posix" or (folder / JOURNAL).exists():
         return
     for path in list(folder.iterdir()):
@@ -78,7 +77,7 @@ def sweep(folder: Path) -> None:
 
 def _read(journal: Path) -> dict[str, Any] | None:
     try:
-        record = json.loads(journal.read_bytes())
+        record: dict[str, Any] = json.loads(journal.read_bytes())
         names = [*record["files"], *record["gone"]]
         if any(Path(name).name != name for name in names) or not isinstance(record["process"], int):
             raise ValueError("names what is elsewhere")
@@ -86,8 +85,7 @@ def _read(journal: Path) -> dict[str, Any] | None:
         return None
     except (ValueError, TypeError, KeyError) as e:
         raise OutputError(f"{journal}: is not as facetrack fix writes it; remove it") from e
-    found: dict[str, Any] = record
-    return found
+    return record
 
 
 def _stamp(path: Path) -> list[int] | None:

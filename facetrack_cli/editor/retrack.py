@@ -1,40 +1,103 @@
-"""Tracking targets anew over a part of a run, while the others stay as they are recorded."""
+"""Tracking targets again over a part of a run, while the others stay as recorded."""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Iterable, Sequence
+import pickle
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.spans import union
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.editor.run_folder import Run
-from facetrack_cli.editor.tracks import Store, Track
 from facetrack_cli.recipe.model import ParticlesRecipe
 from facetrack_cli.tracking.build.build import build_tracker, tracker_for
 from facetrack_cli.tracking.corrected import CorrectedTarget
 from facetrack_cli.tracking.exclusion import Cover
 from facetrack_cli.tracking.loop import Target
-from facetrack_cli.trajectory.trajectory import Collector, Trajectory
+from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.writers import as_written
 
 _APART_S: Final = 0.002  # a clip whose frames have other times than the run's is another clip
-
 Read: TypeAlias = Callable[[int], Frame]
 Report: TypeAlias = Callable[[int, int], None]  # frames done, frames in all
+Stop: TypeAlias = Callable[[], bool]
+Place: TypeAlias = tuple[int, int]  # the first byte, and how many
 
 
 class StoppedError(Exception):
-    """The wish to stop was granted; nothing has changed."""
+    """The work was stopped on request; nothing has changed."""
+
+
+def silent(done: int, total: int) -> None:
+    """Report nothing."""
+
+
+def never() -> bool:
+    """Do not stop."""
+    return False
+
+
+class Store:
+    """Rows in a temporary file, so that undo over many corrections takes no memory. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._end = 0
+        try:
+            # without a buffer: what does not fit is forgotten
+            self._file: Any = tempfile.TemporaryFile(prefix="facetrack-fix-", buffering=0)  # noqa: SIM115
+        except OSError as e:
+            raise OutputError(f"no temporary file can be made: {e.strerror or e}; set TMPDIR to a folder") from e
+
+    def add(self, rows: Trajectory) -> Place:
+        """The place where they are from now on."""
+        data = pickle.dumps(rows)
+        with self._lock:
+            at, written = self._end, 0
+            try:
+                self._file.seek(at)
+                while written < len(data):
+                    written += self._file.write(data[written:])
+            except OSError as e:
+                remedy = "free some space, or set TMPDIR"
+                raise OutputError(f"{tempfile.gettempdir()}: cannot be written: {e.strerror or e}; {remedy}") from e
+            self._end += len(data)
+            return at, len(data)
+
+    def read(self, place: Place) -> Trajectory:
+        with self._lock:
+            self._file.seek(place[0])
+            found: Trajectory = pickle.loads(self._file.read(place[1]))
+        return found
+
+    def spliced(self, recorded: Trajectory, tracks: Mapping[str, Sequence[Track]]) -> Trajectory:
+        """The rows of a run: of each target its tracks, by their first frames, each up to the next."""
+        if all(track.at is None for those in tracks.values() for track in those):
+            return recorded
+        pieces = []
+        for those in tracks.values():
+            stops = [*(track.first for track in those[1:]), those[-1].stop]
+            pieces += [track.rows(recorded, self, stop) for track, stop in zip(those, stops, strict=True)]
+        return successive(pieces, recorded)
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._file.close()
 
 
 @dataclass(frozen=True)
 class Task:
-    """One target to track anew from a beginning, None for the start, up to and not including frame `stop`."""
+    """One target to track from a beginning, None for the start, in the frames [first, stop)."""
 
     target: str
     begin: Correction | None
@@ -42,12 +105,29 @@ class Task:
     stop: int
 
 
+@dataclass(frozen=True)
+class Track(Task):
+    """The rows of a task. `at` is their place in the store; None: they are the run's recorded ones."""
+
+    at: Place | None = None
+
+    def rows(self, recorded: Trajectory, store: Store, stop: int | None = None) -> Trajectory:
+        """The rows up to before `stop`, of a run that recorded these."""
+        whole = recorded if self.at is None else store.read(self.at)
+        some = whole.between(self.first, self.stop if stop is None else stop)
+        return choose(some, self.target) if self.at is None else some
+
+
+def frames_of(tasks: Iterable[Task]) -> list[tuple[int, int]]:
+    """[first, stop) of the frames that any task needs, in order."""
+    return union((task.first, task.stop) for task in tasks)
+
+
 class Tracking:
-    """Tracks anew, over and over, in the frames that `read` gives."""
+    """Tracks any tasks of a run, as often as it is asked, in the frames that `read` gives."""
 
     def __init__(self, run: Run, store: Store, read: Read) -> None:
         self._run, self._store, self._read = run, store, read
-        self._start: Frame | None = None
         self._alone = not (isinstance(run.recipe, ParticlesRecipe) and run.recipe.exclusion is not None)
 
     def check(self, correction: Correction) -> None:
@@ -56,37 +136,28 @@ class Tracking:
         tracker_for(self._run.recipe, start, self._run.header.source.size)
 
     def track(
-        self,
-        tasks: Sequence[Task],
-        rows: Trajectory,
-        *,
-        report: Report = lambda done, total: None,
-        stop: Callable[[], bool] = lambda: False,
+        self, tasks: Sequence[Task], rows: Trajectory, *, report: Report = silent, stop: Stop = never
     ) -> list[Track]:
-        """The tracks of these tasks; where targets keep off each other, `rows` tell where the others are.
+        """The tracks of tasks of different targets; with mutual exclusion, `rows` say where the others are.
 
-        A target has one task at most. Raises StoppedError once `stop` says so, InputError if the clip is not the run's.
+        Raises StoppedError once `stop` says so, InputError if the clip is not the run's.
         """
-        live = [_Live(self._run, task, self._first()) for task in tasks]
+        live = [_Live(self._run, task, self._start) for task in tasks]
         frames = frames_of(tasks)
-        total = sum(stop - first for first, stop in frames)
-        done = 0
-        for first, end in frames:
-            for index in range(first, end):
-                if stop():
-                    raise StoppedError
-                frame = self._frame(index)
-                now = [one for one in live if one.task.first <= index < one.task.stop]
-                for one in sorted(now, key=lambda one: one.place):
-                    one.step(frame, [] if self._alone else self._covers(one, now, rows, index))
-                done += 1
-                report(done, total)
+        total = sum(end - first for first, end in frames)
+        for done, index in enumerate((index for span in frames for index in range(*span)), 1):
+            if stop():
+                raise StoppedError
+            frame = self._frame(index)
+            now = [one for one in live if one.task.first <= index < one.task.stop]
+            for one in sorted(now, key=lambda one: one.place):
+                one.step(frame, [] if self._alone else self._covers(one, now, rows, index))
+            report(done, total)
         return [one.track(self._store) for one in live]
 
-    def _first(self) -> Frame:
-        if self._start is None:
-            self._start = self._read(self._run.start.frame)
-        return self._start
+    @cached_property
+    def _start(self) -> Frame:
+        return self._read(self._run.start.frame)
 
     def _frame(self, index: int) -> Frame:
         frame = self._read(index)
@@ -99,17 +170,16 @@ class Tracking:
         return frame
 
     def _covers(self, one: _Live, now: Sequence[_Live], rows: Trajectory, index: int) -> list[Cover]:
-        """What the other targets explain: those that are tracked now as they are, the rest as they are recorded.
+        """What the other targets explain, by their state or their recorded rows.
 
         As in a run, targets before it are where they are in this frame, those after it where they were.
         """
         found: list[Cover | None] = []
         running = {other.task.target: other for other in now}
-        for place, name in enumerate(self._run.targets):
+        for place, name in enumerate(self._run.rows.targets):
+            ahead, other = place > one.place, running.get(name)
             if place == one.place:
                 continue
-            ahead = place > one.place
-            other = running.get(name)
             if other is not None and (other.begun or not ahead):
                 found.append(other.target.cover(other.state, ahead=ahead))
             else:
@@ -130,14 +200,12 @@ class _Live:
     """A target that is being tracked."""
 
     def __init__(self, run: Run, task: Task, first: Frame) -> None:
-        self.task = task
-        self.place = run.targets.index(task.target)
+        self.task, self.place = task, run.rows.targets.index(task.target)
         corrections = () if task.begin is None else (task.begin,)
-        target: Target = build_tracker(run.recipe, replace(run.start, corrections=corrections))[self.place]
+        self.target: Target = build_tracker(run.recipe, replace(run.start, corrections=corrections))[self.place]
         if task.begin is not None:
-            assert isinstance(target, CorrectedTarget)
-            target = target.resumed(first)
-        self.target = target
+            assert isinstance(self.target, CorrectedTarget)
+            self.target = self.target.resumed(first)
         self.begun = False
         self.state: Any = None
         self._collected = Collector()
@@ -154,10 +222,5 @@ class _Live:
         self._collected.add(result.rows)
 
     def track(self, store: Store) -> Track:
-        rows = as_written(self._collected.trajectory())
-        return Track(self.task.target, self.task.begin, self.task.first, self.task.stop, store.add(rows))
-
-
-def frames_of(tasks: Iterable[Task]) -> list[tuple[int, int]]:
-    """[first, stop) of the frames that any task needs, in order."""
-    return union((task.first, task.stop) for task in tasks)
+        at = store.add(as_written(self._collected.trajectory()))
+        return Track(self.task.target, self.task.begin, self.task.first, self.task.stop, at)

@@ -1,15 +1,11 @@
-"""A finished run, as its folder tells of it: rows, recipe, start, and the clip that it was made from.
-
-run = open_run(Path("out"))
-run.recipe, run.start, run.rows
-"""
+"""A finished run, read from its folder: rows, recipe, start, and the clip that it was made from."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from fractions import Fraction
@@ -44,9 +40,9 @@ _FRAME: Final = re.compile(rb'\{(?:"type":"frame",)?"frame":(\d{1,15}),')
 
 @dataclass(frozen=True)
 class Run:
-    """A run. `rows` are those of its JSON, `files` its trajectories with what they were when they were opened.
+    """A run. `rows` are those of its JSON, `files` its trajectories with their `stamp` when they were opened.
 
-    `start` has the corrections that it was made with; `fps` is None for a video.
+    `start` includes the corrections that it was made with; `fps` is None for a video.
     """
 
     folder: Path
@@ -72,10 +68,6 @@ class Run:
         return {name: tuple(part for target, part in self.rows.names if target == name) for name in self.rows.targets}
 
     @property
-    def targets(self) -> tuple[str, ...]:
-        return self.rows.targets
-
-    @property
     def video(self) -> Path | None:
         """The video that the run wrote, if it did."""
         path = self.folder / VIDEO
@@ -83,10 +75,10 @@ class Run:
 
 
 def open_run(folder: Path, clip: Path | None = None) -> Run:
-    """Open the run that `facetrack run` wrote into a folder; `clip` is where its clip is now, if not where it was.
+    """The run that `facetrack run` wrote into a folder; `clip` is where its clip is now, if not where it was.
 
-    Raises InputError, in one line, for a folder without JSON, files that are cut short or differ, rows that do not fit
-    the recipe and the start, a recipe of another version, and a clip or a file of the recipe that is not there.
+    Raises InputError for a folder without JSON, files that are cut short or differ, rows that do not fit the recipe and
+    the start, a recipe of another version, and a clip or a file of the recipe that is missing.
     """
     finish(folder)  # a save that was interrupted
     main = trajectory_of(folder)
@@ -98,122 +90,93 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     if clip is None and not _is_there(path):
         raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
     recipe = _recipe(main, rows.header["recipe"], [Path(), folder, folder.parent, path.parent])
-    start = _start(main, header)
+    start = header.init.start
     fps = None if listing(path) is None else Fraction(header.source.fps).limit_denominator(1001)
     run = Run(folder, rows, header, recipe, start, path, fps, stamped)
     _check_rows(main, run)
     return run
 
 
-def stamp(path: Path) -> object:
-    """What changes when a file is written again."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_ino, found.st_size, found.st_mtime_ns
-
-
-# --- the files -----------------------------------------------------------------------------------------------------
-
-
 def read_files(files: Mapping[Format, Path]) -> Trajectory:
-    """The rows that the trajectories of a run hold, each of them the same: those of its JSON, or else its JSON lines.
+    """The rows of a run's JSON, or else its JSON lines; its other trajectories must hold the same.
 
     Raises InputError, with the line, for what is not byte for byte as a run writes it, and for a file that differs.
     """
     main = files["json"] if "json" in files else files["jsonl"]
-    _check_frames(main)
+    last = None
+    with contextlib.suppress(OSError), main.open("rb") as file:  # what cannot be read is refused next
+        for line, frame, _ in _frames(file):
+            if last is not None and frame != last + 1:
+                raise InputError(f"{main}:{line}: frame {frame} follows frame {last}; {_AGAIN}")
+            last = frame
     rows = read_trajectory(main)
     if "lost_frames" not in rows.header or "init" not in rows.header:
         raise _not_ours(main)
-    _check_dense(rows)
     _check_main(rows)
     for form, path in files.items():
-        if path != main:
-            _check_other(path, form, rows)
+        try:
+            if path != main:
+                with path.open("rb") as file:
+                    write_rows(form, _Compared(file, path, main.name), rows)
+        except OSError as e:
+            raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable") from e
     return rows
 
 
-def _check_frames(main: Path) -> None:
-    """InputError if the frames in a file do not follow each other."""
-    last = None
-    with contextlib.suppress(OSError), main.open("rb") as file:  # what cannot be read is refused next
-        for line, text in enumerate(file, 1):
-            if found := _FRAME.match(text):
-                if last is not None and int(found[1]) != last + 1:
-                    raise InputError(f"{main}:{line}: frame {int(found[1])} follows frame {last}; {_AGAIN}")
-                last = int(found[1])
+def _frames(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
+    """(line, frame, text) of each line of a frame in JSON or JSON lines."""
+    for line, text in enumerate(file, 1):
+        if found := _FRAME.match(text):
+            yield line, int(found[1]), text
 
 
-def _check_dense(rows: Trajectory) -> None:
-    """InputError if a part has no row in some frame, or a status that no run writes."""
-    frames = rows.frames
+def _check_main(rows: Trajectory) -> None:
+    """InputError if a row is missing, or a frame in their file is not, byte by byte, what is written for it."""
     for one in rows.parts:
-        if len(one) < len(frames):
-            missing = int(np.setdiff1d(frames, one.frame)[0])
+        if len(one) < len(rows.frames):
+            missing = int(np.setdiff1d(rows.frames, one.frame)[0])
             raise InputError(f"{_place(rows, missing)}: frame {missing} has no row of {one.name}; {_AGAIN}")
     strange = ~np.isin(rows.status, STATUS)
     if strange.any():
         raise _not_ours(_place(rows, int(rows.frame[strange].min())))
-
-
-def _check_main(rows: Trajectory) -> None:
-    """InputError if the frames in the file of `rows` are not, byte by byte, what is written for them."""
     texts = (text.encode(errors="backslashreplace") for text in json_frames(rows))
     with rows.path.open("rb") as file:
-        for line, found in enumerate(file, 1):
-            if begun := _FRAME.match(found):
-                expected = found[: begun.start(1) - len('"frame":')] + next(texts, b"") + b"}"
-                if found not in (expected + b"\n", expected + b",\n"):
-                    raise _not_ours(f"{rows.path}:{line}")
+        for line, _, found in _frames(file):
+            expected = found[: found.index(b'"frame":')] + next(texts, b"") + b"}"
+            if found not in (expected + b"\n", expected + b",\n"):
+                raise _not_ours(f"{rows.path}:{line}")
     if next(texts, None) is not None:
         raise _not_ours(rows.path)
 
 
-class _DiffersError(Exception):
-    """At the line that is its first argument."""
-
-
 class _Compared:
-    """A sink that compares with a file what would be written."""
+    """A sink that compares what would be written with a file beside the file `main`."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file, self._line, self._records = file, 1, 0
+    def __init__(self, file: BinaryIO, path: Path, main: str) -> None:
+        self._file, self._path, self._main, self._line, self._records = file, path, main, 1, 0
 
     def write(self, record: str) -> None:
         data = record.encode(errors="backslashreplace")
         self._records += 1
         if (found := self._file.read(len(data))) != data:
             same = next((i for i, (a, b) in enumerate(zip(found, data, strict=False)) if a != b), len(found))
-            raise _DiffersError(self._line + data.count(b"\n", 0, same))
+            raise self._differs(data.count(b"\n", 0, same))
         self._line += data.count(b"\n")
 
     def finish(self, tail: Callable[[int], str]) -> None:
         self.write(tail(self._records))
         if self._file.read(1):
-            raise _DiffersError(self._line)
+            raise self._differs()
 
-
-def _check_other(path: Path, form: Format, rows: Trajectory) -> None:
-    """InputError if a file is not what is written for the rows."""
-    try:
-        with path.open("rb") as file:
-            write_rows(form, _Compared(file), rows)
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable") from e
-    except _DiffersError as e:
-        main = rows.path.name
-        raise InputError(
-            f"{path}:{e.args[0]}: differs from {main}; remove it, {main} tells the same, or {_AGAIN}"
-        ) from None
+    def _differs(self, more: int = 0) -> InputError:
+        remedy = f"remove it, {self._main} says the same, or {_AGAIN}"
+        return InputError(f"{self._path}:{self._line + more}: differs from {self._main}; {remedy}")
 
 
 def _place(rows: Trajectory, frame: int) -> str:
     """The file of the rows, with the line on which a frame stands."""
     with rows.path.open("rb") as file:
-        lines = (line for line, text in enumerate(file, 1) if (at := _FRAME.match(text)) and int(at[1]) == frame)
-        return ":".join(map(str, (rows.path, *lines)))
+        return ":".join(map(str, (rows.path, *(line for line, number, _ in _frames(file) if number == frame))))
 
 
 def _not_ours(place: Path | str) -> InputError:
@@ -221,7 +184,7 @@ def _not_ours(place: Path | str) -> InputError:
 
 
 def write_rows(form: Format, sink: Sink, rows: Trajectory, corrections: Sequence[Correction] | None = None) -> None:
-    """Write a file of a run with these rows; with `corrections` in place of those in its header, if they are given."""
+    """Write a file of a run with these rows, and `corrections`, if given, in place of those in its header."""
     ends = {*Footer._fields, "frames_tracked", "type"}
     head = {key: value for key, value in rows.header.items() if key not in ends}
     foot = {key: value for key, value in rows.header.items() if key in Footer._fields}
@@ -236,40 +199,43 @@ def write_rows(form: Format, sink: Sink, rows: Trajectory, corrections: Sequence
 
 
 def lost_frames(rows: Trajectory) -> dict[str, int]:
-    """How often each part is lost, in the order in which they first are, as a run counts them."""
+    """The number of frames in which each part is lost, in the order in which they first are, as a run counts them."""
     lost = {one.name: np.flatnonzero(one.status == "lost") for one in rows.parts}
     return {name: len(at) for name, at in sorted(lost.items(), key=lambda one: one[1][:1].tolist()) if len(at)}
 
 
 def check_writable(run: Run) -> None:
-    """OutputError if nothing can be written into the run's folder: before somebody has corrected it for an hour."""
+    """OutputError if nothing can be written into the run's folder; checked before it is corrected."""
     if not os.access(run.folder, os.W_OK):
-        raise OutputError(
-            f"{run.folder}: cannot be written, where what is corrected is to go; make it writable, or copy the run"
-        )
+        remedy = "make it writable, or copy the run"
+        raise OutputError(f"{run.folder}: cannot be written, where what is corrected is to go; {remedy}")
 
 
 def check_size(run: Run, size: tuple[int, int]) -> None:
     """InputError if a clip of this (width, height) is not the run's."""
     if size != run.header.source.size:
-        width, height = run.header.source.size
-        raise InputError(
-            f"{run.clip}: is {size[0]}x{size[1]}, not {width}x{height} pixels as in the run; name its clip with --clip"
-        )
+        found, expected = (f"{width}x{height}" for width, height in (size, run.header.source.size))
+        raise InputError(f"{run.clip}: is {found}, not {expected} pixels as in the run; name its clip with --clip")
 
 
 def _is_there(path: Path) -> bool:
     try:
         return path.exists() or bool(listing(path))
-    except (OSError, ValueError):  # it is no name at all
+    except (OSError, ValueError):  # it is not a valid name
         return False
 
 
-# --- the recipe ----------------------------------------------------------------------------------------------------
+def stamp(path: Path) -> object:
+    """What changes when a file is written again."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def _recipe(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) -> Recipe:
-    """The recipe as the run had it; files that it names are sought in `folders` and among the shipped ones."""
+    """The run's recipe; the files that it names are looked for in `folders` and among the shipped ones."""
     name = str(settings.get("name", "recipe"))
     known: dict[str, Any] = {key: deepcopy(value) for key, value in settings.items() if key != "name"}
     if any(file.stem == name for file in shipped_recipes()):
@@ -285,13 +251,11 @@ def _recipe(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) ->
     except ValidationError as e:
         first = e.errors()[0]
         key = ".".join(str(step) for step in first["loc"])
-        raise InputError(
-            f"{main}: this version of facetrack does not know its recipe ({key}: {first['msg'].lower()}); {_AGAIN}"
-        ) from None
+        wrong = f"{key}: {first['msg'].lower()}"
+        raise InputError(f"{main}: this version of facetrack does not know its recipe ({wrong}); {_AGAIN}") from None
 
 
 def _mappings(value: Any) -> list[dict[str, Any]]:
-    """Those of its values that are mappings."""
     return [one for one in value.values() if isinstance(one, dict)] if isinstance(value, dict) else []
 
 
@@ -303,28 +267,15 @@ def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
     raise InputError(f'{main}: its recipe names the file "{name}", which is in none of {places}; put it into one')
 
 
-# --- the start -----------------------------------------------------------------------------------------------------
-
-
-def _start(main: Path, header: Header) -> Start:
-    start = header.init.start
-    places = [(one.frame, one.target) for one in start.corrections]
-    ours = all(
-        one.target in start.targets
-        and one.frame > start.frame
-        and (one.absent or one.given.box is not None or one.given.points)
-        for one in start.corrections
-    )
-    if not ours or len({*places}) < len(places) or sorted(frames := [frame for frame, _ in places]) != frames:
-        raise InputError(f"{main}: init.corrections is not as facetrack run writes it; make the run again")
-    return start
-
-
-# --- the rows ------------------------------------------------------------------------------------------------------
-
-
 def _check_rows(main: Path, run: Run) -> None:
-    """InputError if the rows are not what this recipe makes of this start."""
+    """InputError if the corrections are not as a run has them, or the rows not what this recipe makes of this start."""
+    start = run.start
+    places = [(one.frame, one.target) for one in start.corrections]
+    frames = [frame for frame, _ in places]
+    ours = all(one.target in start.targets and one.frame > start.frame for one in start.corrections)
+    empty = any(not (one.absent or one.given.box is not None or one.given.points) for one in start.corrections)
+    if not ours or empty or len({*places}) < len(places) or sorted(frames) != frames:
+        raise InputError(f"{main}: init.corrections is not as facetrack run writes it; {_AGAIN}")
     try:
         check_start(run.start, run.header.source.size, run.recipe.points)
         tracker = build_tracker(run.recipe, run.start)
@@ -332,10 +283,8 @@ def _check_rows(main: Path, run: Run) -> None:
         raise InputError(f"{main}: its start and its recipe do not go together: {e}") from None
     expected = {target.name: target.parts for target in tracker}
     if list(expected.items()) != list(run.parts.items()):
-        there, wanted = (
-            ", ".join(f"{name}/{part}" for name, parts in both.items() for part in parts)
-            for both in (run.parts, expected)
-        )
+        sides: tuple[Mapping[str, tuple[str, ...]], ...] = run.parts, expected
+        there, wanted = (", ".join(f"{name}/{part}" for name in side for part in side[name]) for side in sides)
         raise InputError(f"{main}: has rows of {there}, and its recipe follows {wanted}; {_AGAIN}")
     if run.first != run.start.frame:
         raise InputError(f"{main}: its rows begin with frame {run.first}, its start with {run.start.frame}; {_AGAIN}")

@@ -1,4 +1,4 @@
-"""Everything that was corrected into the run's folder: all files are written beside the old ones, then take over."""
+"""What is corrected into the run's folder: all files are written beside the old ones, and then replace them."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
-from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, beside, discard
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.journal import announce, finish, sweep
-from facetrack_cli.editor.repaint import repaint
-from facetrack_cli.editor.retrack import Report
+from facetrack_cli.editor.retrack import Report, Stop, StoppedError, never, silent
 from facetrack_cli.editor.run_folder import UNSAVED, Run, stamp, write_rows
 from facetrack_cli.report.make import NAME as PAGE
 from facetrack_cli.runs.clip import past_end
 from facetrack_cli.tracking.start import write_init
 from facetrack_cli.tracking.start.init_file import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
+from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.source import open_source
+from facetrack_cli.video.writer import VideoWriter
 
 
 class _Plain:
@@ -35,17 +38,11 @@ class _Plain:
         self._file.write(tail(self._records).encode(errors="backslashreplace"))
 
 
-def save(
-    fixer: Fixer,
-    *,
-    video: bool = True,
-    report: Report = lambda done, total: None,
-    stop: Callable[[], bool] = lambda: False,
-) -> list[str]:
-    """Write the rows as they are now, the corrections, and with `video` the video, if the run has one.
+def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Stop = never) -> list[str]:
+    """Write the rows of now, the corrections, and with `video` the video, if the run has one; a line on each file.
 
-    What was written, a line each. Raises OutputError or InputError if something cannot be written, StoppedError once
-    `stop` says so; the folder is then as it was.
+    Raises OutputError or InputError if something cannot be written, StoppedError once `stop` says so; the folder is
+    then as it was.
     """
     run, rows = fixer.run, fixer.rows
     if not fixer.changed:
@@ -53,13 +50,13 @@ def save(
         return [f"{run.folder}: nothing was corrected, all is as it was"]
     _check(run)
     files: list[Path] = []
-    said: list[str] = []
+    notes: list[str] = []
     at = run.folder
     try:
         sweep(run.folder)
         if run.video is not None and video:
             files.append(run.video)
-            said += repaint(run, rows, report=report, stop=stop)
+            notes += repaint(run, run.video, rows, report, stop)
         for form, (path, _) in run.files.items():
             at = path
             files.append(at)
@@ -78,11 +75,11 @@ def save(
         remedy = "free some space" if e.errno in FULL else "make it writable"
         raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
     finish(run.folder)
-    said += past_end(fixer.corrections, run.last, str(run.folder / CORRECTED))
+    notes += past_end(fixer.corrections, run.last, str(run.folder / CORRECTED))
     old = [run.video] if run.video is not None and not video else []
     old += [path for path in (run.folder / PAGE,) if path.is_file()]
-    said += [f"{path}: left as it was, it shows the track of before" for path in old]
-    return [*(f"{path}: written" for path in files), *said]
+    notes += [f"{path}: left as it was, it shows the track of before" for path in old]
+    return [*(f"{path}: written" for path in files), *notes]
 
 
 def _check(run: Run) -> None:
@@ -92,6 +89,32 @@ def _check(run: Run) -> None:
             raise OutputError(f"{path}: was written by somebody else since it was opened; begin again")
     if (run.folder / CORRECTED).is_dir():
         raise OutputError(f"{run.folder / CORRECTED}: is a folder, where a file is to be; move it away, and save again")
+
+
+def repaint(run: Run, path: Path, rows: Trajectory, report: Report, stop: Stop) -> tuple[str, ...]:
+    """Write the run's annotated video `beside` its path, without particles, which rows do not have; its warnings.
+
+    Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
+    """
+    total, done = run.last - run.first + 1, 0
+    with open_source(run.clip, fps=run.fps, start=run.first, stop=run.last + 1) as source:
+        overlay = Overlay(source.size, fps=float(source.fps), title=run.recipe.name)
+        sound = source.path if source.is_video else None
+        video = VideoWriter(path, source.size, source.fps, audio_from=sound, replace=False)
+        try:
+            for done, frame in enumerate(source, 1):
+                if stop():
+                    raise StoppedError
+                video.write(overlay.draw(FrameResult(frame, recorded(frame.index, rows.at(frame.index)))), frame.time_s)
+                report(done, total)
+            if done < total:
+                missing = run.first + done
+                raise InputError(f"{run.clip}: has no frame {missing}, which the run has; name its clip with --clip")
+        except BaseException:
+            video.discard()
+            raise
+        video.close()
+        return tuple(video.warnings)
 
 
 def keep(fixer: Fixer) -> Path | None:

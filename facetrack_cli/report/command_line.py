@@ -26,19 +26,16 @@ from facetrack_cli.trajectory.header import CORRECTED, ClipHeader, Header, InitH
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.source import FOLDER_FPS
 
-# --- the recipe as YAML ------------------------------------------------------------------------------------------
-
 
 class _Representer(RoundTripRepresenter):
-    pass
+    """Null as a word."""
 
 
-# null as a word, not as nothing
 _Representer.add_representer(type(None), lambda self, _: self.represent_scalar("tag:yaml.org,2002:null", "null"))
 
 
 def recipe_yaml(recipe: Mapping[str, Any]) -> str:
-    """A recipe's settings as a file that is the same recipe again; lists and inner mappings on one line each."""
+    """A recipe file of these settings; lists and inner mappings stand on one line each."""
     return _dump(_tree({key: value for key, value in recipe.items() if key != "name"}, 0))
 
 
@@ -64,19 +61,15 @@ def _tree(value: Any, depth: int) -> Any:
 
 
 def init_yaml(header: Header) -> str:
-    """Where the run began, and what was corrected, as an init file."""
+    """The start and the corrections of a run, as an init file."""
     return as_yaml(header.init.start, header.clip_name)
 
 
-# --- the command -------------------------------------------------------------------------------------------------
-
-
 def command(header: Header, last: int, folder: Path | None = None) -> str:
-    """The command line that makes the run again, up to the frame `last`.
+    """The command that makes the run again, up to the frame `last`.
 
-    A recipe that is a shipped one, some keys apart, is written as that; another as the file NAME.yaml. Corrections
-    come with the init file that the run began with, if they stand in it, else with the one in the run's `folder`; else
-    with a file `CORRECTED`, which is to be made of `init_yaml`.
+    A recipe that is not a shipped one, but for some keys, is a file NAME.yaml. Corrections are in the init file that
+    the run began with, or the one in the run's `folder`; else in a file `CORRECTED`, to be made of `init_yaml`.
     """
     words = ["facetrack", "run", header.source.path, *_recipe_words(header), "--seed", str(header.seed)]
     words += [*_init_words(header.init, folder), "--stop", str(last + 1), *_rate_words(header.source), "-o", "again"]
@@ -93,13 +86,13 @@ def _recipe_words(header: Header) -> list[str]:
             overrides = [f"{key}={value}" for key, value in _differences(ours | {"seed": 0}, wanted)]
             if to_dict(load_recipe(shipped, overrides)) | {"seed": 0} == wanted:
                 return ["--config", name, *(word for override in overrides for word in ("--set", override))]
-    except (FacetrackError, TypeError, ValueError):  # of another version, or changed beyond what --set can say
+    except (FacetrackError, TypeError, ValueError):  # of another version, or beyond what --set can say
         pass
     return ["--config", f"{name}.yaml"]
 
 
 def _differences(ours: Mapping[str, Any], wanted: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """(key, value as YAML) of what is wanted otherwise; a mapping as a whole where it has other keys."""
+    """(key, value as YAML) of each difference; a mapping with other keys as a whole."""
     for key, value in wanted.items():
         own = ours.get(key)
         if isinstance(value, Mapping) and isinstance(own, Mapping) and value.keys() == own.keys():
@@ -131,7 +124,7 @@ def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
 
 
 def _corrections(start: Start) -> list[Correction]:
-    """Whatever the targets are called: a recipe may call a face the head."""
+    """Without the names of targets, since a recipe may call a face the head."""
     return [replace(one, target="") for one in start.corrections]
 
 

@@ -1,7 +1,6 @@
-"""What happened in a run: when each part was lost and found again, and which frames show it best.
+"""What happened in a run: when each part was lost and tracked again, and which frames show it best.
 
-Frames are source frames; a lost span runs from the frame in which a part was called lost up to, not including, the
-frame in which it was tracked again, corrected by hand, or marked as absent.
+Frames are source frames; a lost span ends before the frame in which the part is tracked, corrected or absent.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from facetrack_cli.core.spans import spans
-from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 Kind: TypeAlias = Literal["start", "corrected", "lost", "back", "worst", "end"]
@@ -25,20 +24,18 @@ _OF_EPISODES: Final = 2 / 3  # of the frames beside start, worst and end, where 
 
 
 class Clock:
-    """Frames to seconds on the clip's clock: as the rows say, at the nominal rate where they say nothing."""
+    """Seconds of frames on the clip's clock: as in the rows, at the nominal rate where they have none."""
 
     def __init__(self, table: Trajectory, fps: float) -> None:
-        self.frames: Whole = table.frames
-        self._period = 1 / fps
-        times = table.times
+        self.frames, times, self._period = table.frames, table.times, 1 / fps
         self.times: Array = np.where(np.isfinite(times), times, self.frames * self._period)
 
     def at(self, frame: int) -> float:
-        """Seconds from the clip's first frame to this one, which must be a frame of the run."""
+        """Seconds from the clip's first frame to this one, a frame of the run."""
         return float(self.times[np.searchsorted(self.frames, frame)])
 
     def after(self, frame: int) -> float:
-        """When this frame ends: when the run's next one begins."""
+        """When this frame ends and the run's next one begins."""
         place = int(np.searchsorted(self.frames, frame)) + 1
         return float(self.times[place]) if place < len(self.times) else float(self.times[-1]) + self._period
 
@@ -56,10 +53,9 @@ class Stretch(NamedTuple):
 
 
 class LostSpan(NamedTuple):
-    """One part lost once: from frame `first` to frame `last`; tracked again in `back`, None if never.
+    """One part lost once, in frames `first` to `last`; `back`: where it is tracked again, None if never.
 
-    `lowest` is its least confidence in the span, nan if there is none. `by_hand`: a correction ended it, by giving the
-    part in `back`, or by marking it as absent.
+    `lowest` is its least confidence, nan if there is none. `by_hand`: a correction, or its mark as absent, ended it.
     """
 
     name: str
@@ -73,7 +69,7 @@ class LostSpan(NamedTuple):
 
 
 class CorrectedFrame(NamedTuple):
-    """A frame that was corrected by hand: the parts `given` in it, and those from then on `absent`."""
+    """A frame that is corrected by hand: the parts `given` in it, and those from then on `absent`."""
 
     frame: int
     given: tuple[str, ...]
@@ -82,10 +78,9 @@ class CorrectedFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class PartHistory:
-    """What happened to one part. `worst` is the frame of its lowest confidence; confidences are nan where unknown.
+    """What happened to one part; confidences are nan where unknown, `worst` is the frame of the lowest.
 
-    `judged` is whether the tracker reports its status after the first frame, or would: it has a confidence.
-    `absences` are the stretches in which it is absent, `frames_absent` their number of frames.
+    `judged`: the tracker reports a status after the first frame, or a confidence.
     """
 
     name: str
@@ -101,7 +96,7 @@ class PartHistory:
 
 
 class Event(NamedTuple):
-    """Why a frame is shown, and what it is about: the spans that begin or end, or the correction."""
+    """Why a frame is shown: the spans that begin or end in it, or its correction."""
 
     kind: Kind
     spans: tuple[LostSpan, ...] = ()
@@ -115,7 +110,7 @@ class KeyFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class RunHistory:
-    """A whole run: its parts, the stretches in which any was lost, the frame of the lowest confidence."""
+    """A whole run: its parts, the `episodes` in which any is lost, the frame of the lowest mean confidence."""
 
     parts: tuple[PartHistory, ...]
     episodes: tuple[Stretch, ...]
@@ -125,16 +120,16 @@ class RunHistory:
 
     @property
     def spans(self) -> list[LostSpan]:
-        """Of all parts, in the order in which they began."""
+        """Of all parts, in the order in which they begin."""
         return sorted((s for part in self.parts for s in part.spans), key=lambda s: (s.first, s.name))
 
     def ending(self, status: str) -> list[str]:
-        """The parts that have this status in their last frame."""
+        """The parts with this status at the end."""
         return [part.name for part in self.parts if part.last_status == status]
 
     @property
     def events(self) -> dict[tuple[int, Kind], Event]:
-        """What happened after the start, by frame and kind: lost, tracked again, corrected by hand."""
+        """The events after the start, by frame and kind."""
         found: dict[tuple[int, Kind], Event] = {}
         for span in self.spans:
             ends: list[tuple[int | None, Kind]] = [(span.first, "lost"), (None if span.by_hand else span.back, "back")]
@@ -148,7 +143,7 @@ class RunHistory:
 def history_of(table: Trajectory, clock: Clock) -> RunHistory:
     """What happened, from the rows of a trajectory."""
     several = len(table.targets) > 1
-    parts = [_part(one, one.name if several else one.part, clock) for one in table.parts]
+    parts = tuple(_part(one, one.name if several else one.part, clock) for one in table.parts)
     place = np.searchsorted(clock.frames, table.frame)
     any_lost = np.zeros(len(clock.frames), dtype=np.bool_)
     any_lost[place[table.status == "lost"]] = True
@@ -156,22 +151,15 @@ def history_of(table: Trajectory, clock: Clock) -> RunHistory:
     known = np.bincount(place[sure], minlength=len(clock.frames))
     total = np.bincount(place[sure], table.confidence[sure], len(clock.frames))
     mean = np.divide(total, known, out=np.full(len(total), np.inf), where=known > 0)
-    return RunHistory(
-        parts=tuple(parts),
-        episodes=tuple(Stretch(int(clock.frames[a]), int(clock.frames[b - 1])) for a, b in spans(any_lost)),
-        frames_lost=int(any_lost.sum()),
-        worst=int(clock.frames[np.argmin(mean)]) if known.any() else None,
-        corrections=_corrections(table, [part.name for part in parts]),
-    )
-
-
-def _corrections(table: Trajectory, names: Sequence[str]) -> tuple[CorrectedFrame, ...]:
-    found: dict[int, tuple[list[str], list[str]]] = {}
-    for one, name in zip(table.parts, names, strict=True):
+    episodes = tuple(Stretch(int(clock.frames[a]), int(clock.frames[b - 1])) for a, b in spans(any_lost))
+    worst = int(clock.frames[np.argmin(mean)]) if known.any() else None
+    corrected: dict[int, tuple[list[str], list[str]]] = {}
+    for one, part in zip(table.parts, parts, strict=True):
         for at in np.flatnonzero(one.corrected).tolist():
-            given, absent = found.setdefault(int(one.frame[at]), ([], []))
-            (absent if one.status[at] == "absent" else given).append(name)
-    return tuple(CorrectedFrame(frame, tuple(given), tuple(absent)) for frame, (given, absent) in sorted(found.items()))
+            given, absent = corrected.setdefault(int(one.frame[at]), ([], []))
+            (absent if one.status[at] == "absent" else given).append(part.name)
+    fixes = tuple(CorrectedFrame(at, tuple(given), tuple(absent)) for at, (given, absent) in sorted(corrected.items()))
+    return RunHistory(parts, episodes, int(any_lost.sum()), worst, fixes)
 
 
 def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
@@ -200,17 +188,14 @@ def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
 
 
 def _least(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.min()) if len(known) else math.nan
+    return float(np.fmin.reduce(values, initial=math.nan))
 
 
 def key_frames(history: RunHistory, first: int, last: int, most: int = MOST_FRAMES) -> list[KeyFrame]:
-    """The frames to show, at most `most`, in their order.
+    """The frames to show, at most `most`: the first, the last, that of the lowest mean confidence, and of events.
 
-    Always the first, the last, and the one whose parts have the lowest confidence on average; and, if they are few
-    enough, every frame in which a part was called lost, was tracked again or was corrected by hand. Otherwise, of the
-    longest stretches in which any part was lost, the frames where they begin and end; then, one by one, the event
-    furthest in time from all those taken.
+    Of too many events, those where the longest episodes begin and end; then, one by one, the event furthest in time
+    from all those taken.
     """
     found = history.events
     events = sorted({frame for frame, _ in found})
@@ -231,7 +216,7 @@ def key_frames(history: RunHistory, first: int, last: int, most: int = MOST_FRAM
 
 
 def _spread(taken: set[int], events: Sequence[int], most: int) -> set[int]:
-    """Those taken, and the events furthest from them and from each other."""
+    """The frames taken, and the events furthest from them and from each other."""
     frames = np.array(events, dtype=np.int64)
     away = np.min(np.abs(frames[:, None] - np.array(sorted(taken))), axis=1)
     while len(taken) < most and away.max() > 0:

@@ -5,6 +5,7 @@ A clip is decoded once, up to the last frame that is wanted; of an image folder,
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +17,8 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Frame, Image
+from facetrack_cli.core.types import Frame
+from facetrack_cli.core.types import Image as Pixels
 from facetrack_cli.report.events import Clock
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
@@ -36,31 +38,30 @@ Report: TypeAlias = Callable[[int, int], None]  # frames read, frames to read
 View: TypeAlias = tuple[int, int, int, int]  # left, top, width, height in the clip's pixels
 
 
-class KeyImage(NamedTuple):
-    """One key frame: a JPEG of `size` (width, height), which shows `view` of the clip."""
+class Image(NamedTuple):
+    """Bytes of an image, its (width, height) in CSS pixels, its MIME type, and what of the clip it shows."""
 
-    jpeg: bytes
+    data: bytes
     size: tuple[int, int]
-    view: View
+    mime: str = "image/jpeg"
+    view: View = (0, 0, 0, 0)
+
+    @property
+    def uri(self) -> str:
+        return f"data:{self.mime};base64,{base64.b64encode(self.data).decode('ascii')}"
 
 
 @dataclass
 class KeyImages:
-    """The images that could be made, by frame; `origin` is clip or annotated; `notes` say what is missing or odd."""
+    """The images that could be made, by frame, their origin, clip or annotated, and notes on what is missing."""
 
-    found: dict[int, KeyImage] = field(default_factory=dict)
+    found: dict[int, Image] = field(default_factory=dict)
     origin: str = ""
     notes: list[str] = field(default_factory=list)
 
 
 def key_images(
-    table: Trajectory,
-    header: Header,
-    wanted: Sequence[int],
-    *,
-    given: Path | None = None,
-    annotated: Path | None = None,
-    report: Report = lambda done, total: None,
+    table: Trajectory, header: Header, wanted: Sequence[int], given: Path | None, annotated: Path | None, report: Report
 ) -> KeyImages:
     """Images of the `wanted` frames: from the clip `given` or the header's, else from the MP4 `annotated`.
 
@@ -80,7 +81,7 @@ def key_images(
 
 
 class _Maker:
-    """Turns frames into images: cut out, scaled, drawn on, encoded."""
+    """Makes images of frames: cut out, scaled, drawn on, encoded."""
 
     def __init__(self, table: Trajectory, header: Header) -> None:
         self._table, self._clip, self._title = table, header.source, header.recipe_name
@@ -91,10 +92,7 @@ class _Maker:
         self._unit = max((max(width, height) for _, _, width, height in boxes), default=0) or self._typical()
 
     def read(self, path: Path, wanted: Sequence[int], report: Report, *, annotated: bool = False) -> KeyImages:
-        """The images that one source gives; what is wrong with it is in the notes.
-
-        An `annotated` video has its overlay, counts from the run's first frame, and pads odd sizes.
-        """
+        """The images of one source. An `annotated` video counts from the run's first frame, and pads odd sizes."""
         done = KeyImages(origin="annotated" if annotated else "clip")
         frames, (width, height) = self._clock.frames, self._clip.size
         place = {int(np.searchsorted(frames, index)) if annotated else index: index for index in wanted}
@@ -105,11 +103,12 @@ class _Maker:
                 then = self._clock.at(index)
                 late = abs(frame.time_s - then) > _APART_S + 0.05 / self._clip.fps
                 if late and not annotated and not done.notes:
-                    done.notes.append(
-                        f"{path}: frame {index} is at {frame.time_s:.3f} s, in the run it was at {then:.3f} s; "
-                        "is it the same clip?"
-                    )
-                done.found[index] = self.cut(frame.bgr[:height, :width], index) if annotated else self.draw(frame)
+                    times = f"is at {frame.time_s:.3f} s, in the run it was at {then:.3f} s"
+                    done.notes.append(f"{path}: frame {index} {times}; is it the same clip?")
+                view, out = self._layout(index)
+                whole = _scaled(frame.bgr[:height, :width], view, out)
+                drawn = whole if annotated else self.draw(Frame(index, then, whole), view)
+                done.found[index] = Image(_jpeg(drawn), out, view=view)
             missing = [index for index in wanted if index not in done.found]
             if missing:
                 done.notes.append(f"{path}: has no frame {missing[0]}, which the run has; name its clip with --clip")
@@ -117,42 +116,30 @@ class _Maker:
             done.notes.append(str(e))
         return done
 
-    def cut(self, image: Image, frame: int) -> KeyImage:
-        """The image of a frame that has its overlay."""
-        view, size = self._layout(frame)
-        return KeyImage(_jpeg(_scaled(image, view, size)), size, view)
-
-    def draw(self, frame: Frame) -> KeyImage:
-        """The frame with the overlay that `facetrack run` draws, at the image's own size, with its trail."""
-        view, size = self._layout(frame.index)
-        image, now = _scaled(frame.bgr, view, size), self._clock.at(frame.index)
-        overlay = Overlay(size, title=self._title, trail_s=_TRAIL_S)
+    def draw(self, frame: Frame, view: View) -> Pixels:
+        """A scaled frame with the overlay of `facetrack run`."""
+        overlay = Overlay(frame.size, title=self._title, trail_s=_TRAIL_S)
         last = int(np.searchsorted(self._clock.frames, frame.index))
         past = self._clock.frames[max(0, last - math.ceil(self._clip.fps * _TRAIL_S)) : last].tolist()
-        past = [index for index in past if self._clock.at(index) >= now - _TRAIL_S]
-        for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))], frame.index]:  # it draws the trail it has seen
-            drawn = overlay.draw(self._result(Frame(index, self._clock.at(index), image), view, size[0] / view[2]))
-        return KeyImage(_jpeg(drawn), size, view)
+        past = [index for index in past if self._clock.at(index) >= frame.time_s - _TRAIL_S]
+        for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))], frame.index]:  # the trail is of drawn frames
+            now = Frame(index, self._clock.at(index), frame.bgr)
+            drawn = overlay.draw(self._result(now, view, frame.size[0] / view[2]))
+        return drawn
 
     def _result(self, frame: Frame, view: View, zoom: float) -> FrameResult:
-        """The rows of one frame as the tracker's result, in the pixels of a view enlarged by `zoom`."""
+        """The rows of one frame, in the pixels of a view enlarged by `zoom`."""
         rows = self._marked.at(frame.index)
-        shown = replace(
-            rows,
-            x=(rows.x - view[0] + 0.5) * zoom - 0.5,
-            y=(rows.y - view[1] + 0.5) * zoom - 0.5,
-            w=np.nan_to_num(rows.w) * zoom,
-            h=np.nan_to_num(rows.h) * zoom,
-            std_x=rows.std_x * zoom,
-            std_y=rows.std_y * zoom,
-            status=np.where(rows.status == "", "tracked", rows.status),
-        )
+        columns = {name: getattr(rows, name) * zoom for name in ("std_x", "std_y")}
+        columns |= {name: np.nan_to_num(getattr(rows, name)) * zoom for name in "wh"}
+        columns |= {name: (getattr(rows, name) - at + 0.5) * zoom - 0.5 for name, at in zip("xy", view, strict=False)}
+        shown = replace(rows, **columns, status=np.where(rows.status == "", "tracked", rows.status))
         # without diagnostics: their numbers stand in the plots
         targets = (one._replace(rows=replace(one.rows, diagnostics={})) for one in recorded(frame.index, shown))
         return FrameResult(frame, tuple(targets))
 
     def _typical(self) -> float:
-        """The size of the targets where nothing else says it: the median span of their windows."""
+        """The size of targets without a box: the median span of their windows."""
         parts = [one for one in self._table.parts if len(one) == len(self._table.parts[0])]
         spans = []
         for at, side in (("x", "w"), ("y", "h")):
@@ -163,7 +150,7 @@ class _Maker:
         return max(spans, default=0.0) or max(self._clip.size)
 
     def _layout(self, frame: int) -> tuple[View, tuple[int, int]]:
-        """What of the clip to show, and how large."""
+        """The part of the clip to show, and the size of its image."""
         width, height = self._clip.size
         rows = self._table.at(frame)
         rows = rows.take((rows.x >= 0) & (rows.x < width) & (rows.y >= 0) & (rows.y < height))  # nan is not
@@ -188,10 +175,8 @@ def _frames(path: Path, size: tuple[int, int], fps: float, wanted: Sequence[int]
         rate = Fraction(fps).limit_denominator(1001) if folder else None
         with open_source(path, fps=rate, start=begin, stop=end) as source:
             if source.size != size:
-                raise InputError(
-                    f"{path}: is {source.size[0]}x{source.size[1]}, not {size[0]}x{size[1]} pixels as in the run; "
-                    "name its clip with --clip"
-                )
+                is_, was = (f"{width}x{height}" for width, height in (source.size, size))
+                raise InputError(f"{path}: is {is_}, not {was} pixels as in the run; name its clip with --clip")
             for frame in source:
                 done += 1
                 report(done, total)
@@ -206,7 +191,7 @@ def _fit(size: tuple[int, int]) -> tuple[int, int]:
     return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
 
 
-def _scaled(image: Image, view: View, size: tuple[int, int]) -> Image:
+def _scaled(image: Pixels, view: View, size: tuple[int, int]) -> Pixels:
     left, top, width, height = view
     part = np.ascontiguousarray(image[top : top + height, left : left + width])
     if size == (width, height):
@@ -215,9 +200,8 @@ def _scaled(image: Image, view: View, size: tuple[int, int]) -> Image:
     return np.asarray(cv2.resize(part, size, interpolation=how), np.uint8)
 
 
-def _jpeg(image: Image) -> bytes:
-    """At the best quality at which it takes no more than `MOST_BYTES`."""
-    data = b""
+def _jpeg(image: Pixels) -> bytes:
+    """At the best quality with at most `MOST_BYTES`."""
     for quality in (88, 80, 70, 55, 40, 25):
         data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
         if len(data) <= MOST_BYTES:

@@ -1,8 +1,4 @@
-"""One HTML file about one finished run: what happened in it, with images, and how it was made.
-
-page = make_report(Path("out"))
-Path("report.html").write_bytes(page.html)
-"""
+"""One HTML file about one finished run: what happened in it, with images, and how it was made."""
 
 from __future__ import annotations
 
@@ -27,8 +23,7 @@ from facetrack_cli.report import text
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
 from facetrack_cli.report.events import Clock, LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.report.figures.style import needed
-from facetrack_cli.report.frames import Report, key_images
-from facetrack_cli.report.measures import about, measures
+from facetrack_cli.report.frames import Image, Report, key_images
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -64,18 +59,6 @@ class Page(NamedTuple):
     notes: tuple[str, ...]
 
 
-class Image(NamedTuple):
-    """Bytes of an image, its MIME type, and its (width, height) in CSS pixels."""
-
-    data: bytes
-    mime: str
-    size: tuple[int, int]
-
-    @property
-    def uri(self) -> str:
-        return f"data:{self.mime};base64,{base64.b64encode(self.data).decode('ascii')}"
-
-
 def make_report(
     run: Path,
     *,
@@ -84,11 +67,10 @@ def make_report(
     title: str | None = None,
     report: Report = lambda done, total: None,
 ) -> Page:
-    """The report of the run in the folder `run`; `report` gets the number of frames read, and of how many.
+    """The report of the run in the folder `run`, which fetches nothing and runs no script.
 
-    Nothing in the document is fetched from anywhere, and no script may run. Raises InputError for a folder without a
-    JSON trajectory, a broken one, a `clip` that is not the run's, and ground truth that does not fit; UsageError
-    without matplotlib or Jinja2.
+    Raises InputError for a folder without a JSON trajectory, a broken one, a `clip` that is not the run's, and ground
+    truth that does not fit; UsageError without matplotlib or Jinja2.
     """
     plots.need_matplotlib()
     template = _template()
@@ -100,14 +82,9 @@ def make_report(
     title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
     first, last = int(clock.frames[0]), int(clock.frames[-1])
     keys = key_frames(history, first, last)
-    found = key_images(
-        table,
-        header,
-        [key.frame for key in keys],
-        given=clip,
-        annotated=run / _VIDEO if (run / _VIDEO).is_file() else None,
-        report=report,
-    )
+    shown = [key.frame for key in keys]
+    annotated = run / _VIDEO if (run / _VIDEO).is_file() else None
+    found = key_images(table, header, shown, clip, annotated, report)
     means = [part.mean for part in history.parts if np.isfinite(part.mean)]
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MOST_SPANS]
     again = command(header, last, run)
@@ -127,10 +104,9 @@ def make_report(
         most_spans=MOST_SPANS,
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,
-        images={frame: Image(one.jpeg, "image/jpeg", one.size) for frame, one in found.found.items()},
-        views={frame: one.view for frame, one in found.found.items()},
+        images=found.found,
         from_clip=found.origin == "clip",
-        some_left_out=not {frame for frame, _ in history.events} <= {key.frame for key in keys},
+        some_left_out=not {frame for frame, _ in history.events} <= {*shown},
         reasons={key.frame: text.reasons(key, table, history, header.init.origin) for key in keys},
         plot=_plot(table, pairs, title),
         reported=bool(table.diagnostics) or bool((table.identity != "").any()),
@@ -146,7 +122,7 @@ def make_report(
 
 
 def trajectory_of(run: Path) -> Path:
-    """The trajectory of a run's folder that has a header. InputError, with the remedy, if there is none."""
+    """The trajectory of a run's folder that has a header. InputError if there is none."""
     remedy = "name the folder of a run, which facetrack run wrote"
     if run.is_file():
         raise InputError(f"{run}: is a file; {remedy}")
@@ -168,12 +144,9 @@ def _template() -> Template:
         from markupsafe import Markup
 
     folder = Path(__file__).parent
+    loader, strict = jinja2.FileSystemLoader(folder), jinja2.StrictUndefined
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+        loader=loader, autoescape=True, undefined=strict, trim_blocks=True, lstrip_blocks=True
     )
     filters = (text.count, text.lasting, text.names, text.number, text.percent)
     environment.filters |= {"clock": at_clock, **{one.__name__: one for one in filters}}
@@ -184,15 +157,15 @@ def _template() -> Template:
 
 
 def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list[Pair], Mapping[str, Any]]:
-    """The pairs of the run and its ground truth, and what the page shows of them."""
+    """The pairs of the run and its ground truth, and what the page says of them."""
     theirs = read_truth(truth.path, truth.form, shift=truth.shift or 0)
     notes: list[str] = []
     check = truth.shift is None
     pairs = match(table, theirs, partial=truth.partial, select=truth.target, check_shift=check, note=notes.append)
     found = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.parts)
     read_as = str(theirs.header.get("read_as", truth.form)) + (f", {truth.shift:+d} frames" if truth.shift else "")
-    words = f"Read as {read_as}. {about(found)}"
-    return pairs, {"path": str(theirs.path), "about": words, "tables": measures(found), "notes": found.notes}
+    words = f"Read as {read_as}. {text.about(found)}"
+    return pairs, {"path": str(theirs.path), "about": words, "tables": text.measures(found), "notes": found.notes}
 
 
 def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Mapping[str, Image]:
@@ -200,15 +173,15 @@ def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Mapping[str, Imag
     figure = plots.page_figure(table, pairs, title=title, width=_WIDE)
     width, height = figure.get_size_inches()
     size = (round(96 * width), round(96 * height))
-    wide = Image(plots.render(figure, "svg"), "image/svg+xml", size)
+    wide = Image(plots.render(figure, "svg"), size, "image/svg+xml")
     if len(wide.data) > _MOST_SVG:
-        wide = Image(plots.render(figure, "png", dpi=150), "image/png", size)
+        wide = Image(plots.render(figure, "png", dpi=150), size, "image/png")
     narrow = plots.render(plots.page_figure(table, pairs, title=title, width=_NARROW), "png", dpi=180)
-    return {"wide": wide, "narrow": Image(narrow, "image/png", (442, 0))}
+    return {"wide": wide, "narrow": Image(narrow, (442, 0), "image/png")}
 
 
 def _bars(spans: Sequence[LostSpan | Stretch], first: int, scale: float) -> list[tuple[float, float]]:
-    """(left, width) of what to paint: thousands of spans are no more than the bar has room for."""
+    """(left, width) of what to paint, joined where the bar has no room for a gap."""
     least = 2.0 if len(spans) <= _BINS // 20 else 0.5  # a single frame of many must still be seen
     bars: list[tuple[float, float]] = []
     for span in spans:

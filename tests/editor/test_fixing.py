@@ -12,10 +12,9 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
+from facetrack_cli.editor import history
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.corrections import merged
 from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.history import rows_of as of_target
 from facetrack_cli.editor.retrack import StoppedError
 from facetrack_cli.editor.run_folder import UNSAVED, _recipe, check_size, open_run
 from facetrack_cli.editor.save import keep, save
@@ -24,6 +23,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.writers import csv_frames, json_frames
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
@@ -35,6 +35,10 @@ STOP = 24
 FEW = ["--set", "filter.particles=20"]
 PLACES = {"nose": 141, "mouth_left": 154, "mouth_right": 154, "lip_upper": 153, "lip_lower": 169}
 ACROSS = {"nose": 160, "mouth_left": 139, "mouth_right": 181, "lip_upper": 160, "lip_lower": 160}
+
+
+def of_target(rows, frame, target):
+    return choose(rows.at(frame), target)
 
 
 def begins(left):
@@ -472,6 +476,9 @@ def test_what_is_not_saved_is_kept_for_the_next_time(fixed):
 
 
 def test_what_is_dragged_goes_over_what_its_frame_has():
+    def merged(frame, target, box, points, absent, before, parts):
+        return history.merged(Correction(frame, target, TargetStart(box, points), absent=absent), before, parts)
+
     parts = ("a", "b", "c")
     old = Correction(5, "t", TargetStart(points={"a": (1, 1)}), kept={"b": (2, 2)}, absent=("c",))
     new = merged(5, "t", None, {"b": (3, 3)}, (), old, parts)

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import FileSink
 from facetrack_cli.core.types import Correction
-from facetrack_cli.editor.overview import doubtful, overview
+from facetrack_cli.editor.retrack import Store, Track
 from facetrack_cli.editor.run_folder import STATUS, lost_frames, read_files, write_rows
-from facetrack_cli.editor.tracks import Store, Track, spliced
+from facetrack_cli.editor.web.fix_session import doubtful, overview
 from facetrack_cli.trajectory.trajectory import COLUMNS, Collector
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, as_written
 from tests.support.results import part, result, target
@@ -116,7 +116,7 @@ def test_what_is_spliced_is_what_a_run_would_have_written(seed, pieces, forms):
                 collected.add(result(frame, [said(name, frame, number)]).rows)
             at = store.add(as_written(collected.trajectory()))
             tracks[name].append(Track(name, Correction(first, name, absent=True), first, FIRST + FRAMES, at))
-        rows = spliced(recorded, tracks, store)
+        rows = store.spliced(recorded, tracks)
 
         def seeds(target, frame):
             return max(((f, s) for t, f, s in pieces if t == target and f <= frame), default=(0, seed))[1]

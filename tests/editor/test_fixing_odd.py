@@ -20,9 +20,9 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import run_folder
 from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.overview import overview
 from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import save
+from facetrack_cli.editor.web.fix_session import overview
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.writers import csv_frames
@@ -286,7 +286,7 @@ def test_of_a_file_that_the_json_replaces_it_is_said_that_it_may_go(short, tmp_p
     out = copied(short, tmp_path / "out")
     path = out / f"trajectory.{name}"
     path.write_bytes(change(path.read_bytes()))
-    with pytest.raises(InputError, match=r"[?;] remove it, trajectory.json tells the same, or make the run") as refused:
+    with pytest.raises(InputError, match=r"[?;] remove it, trajectory.json says the same, or make the run") as refused:
         open_run(out)
     assert str(refused.value).startswith(f"{path}:")
     path.unlink()

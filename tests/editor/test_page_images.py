@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.editor.web import frame_images
-from facetrack_cli.editor.web.frame_images import FrameImages
+from facetrack_cli.editor.web import frame as frame_images
+from facetrack_cli.editor.web.frame import FrameImages
 from facetrack_cli.video.seek import Frames
 from tests.support import media
 

@@ -22,10 +22,10 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.editor.web import server as server_module
 from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.draft import Draft, DraftTarget
-from facetrack_cli.editor.web.pick_session import PickSession
-from facetrack_cli.editor.web.requirements import MissingError, requirements, start_of
+from facetrack_cli.editor.web.frame import Draft, DraftTarget
+from facetrack_cli.editor.web.pick_session import PickSession, requirements, start_of
 from facetrack_cli.editor.web.server import serving
+from facetrack_cli.editor.web.session import RefusedError
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.start import PARTS, name_targets, read_init, write_init
 from facetrack_cli.tracking.start.haar import find_faces
@@ -115,7 +115,7 @@ def test_a_single_point_requires_a_box_as_unit_of_length(tmp_path):
 def test_the_faces_of_a_frame_are_proposed_once(clips, monkeypatch):
     looked = []
     monkeypatch.setattr(
-        "facetrack_cli.editor.web.proposals.find_faces", lambda image: looked.append(1) or find_faces(image)
+        "facetrack_cli.editor.web.frame.find_faces", lambda image: looked.append(1) or find_faces(image)
     )  # fmt: skip
     with picking(clips / "face") as (client, _):
         assert client.get("api/proposals/0").json == {
@@ -168,7 +168,7 @@ def test_requests_at_the_same_time_look_for_faces_once(clips, monkeypatch):
         assert go.wait(60)
         return []
 
-    monkeypatch.setattr("facetrack_cli.editor.web.proposals.find_faces", slow)
+    monkeypatch.setattr("facetrack_cli.editor.web.frame.find_faces", slow)
     with picking(clips / "face") as (_, session):
         got = []
         threads = [Thread(target=lambda: got.append(session.proposals(1))) for _ in range(4)]
@@ -310,10 +310,9 @@ def test_a_box_to_begin_with_has_its_points(clips):
 def test_what_the_page_cannot_check_is_checked_by_the_engine(clips):
     recipe = load_recipe("contour_histogram")
     draft = Draft(0, {"face": DraftTarget((1, 1, 40, 40))})
-    required = requirements(recipe)
-    assert start_of(draft, required, (320, 240), None, recipe, None).targets["face"].box == (1, 1, 40, 40)
-    with pytest.raises(MissingError, match="starts at frame 0, but the clip ends with frame -1"):
-        start_of(draft, required, (320, 240), 0, recipe, None)
+    assert start_of(draft, (320, 240), None, recipe, None).targets["face"].box == (1, 1, 40, 40)
+    with pytest.raises(RefusedError, match="starts at frame 0, but the clip ends with frame -1"):
+        start_of(draft, (320, 240), 0, recipe, None)
 
 
 NAMES = ["face", "frame", "box", "corrections", "windows_", "null", "yes", "On", "Infinity", "nan", "hand-2", "_"]
@@ -333,14 +332,13 @@ TARGETS = a_target(INSIDE, SIDES) | st.builds(DraftTarget) | a_target(INSIDE | O
 @pytest.mark.parametrize("config", [None, "contour_histogram"])
 def test_any_draft_is_a_start_that_is_read_back_or_lacks_something(config, tmp_path):
     recipe = None if config is None else load_recipe(config)
-    required = requirements(recipe)
 
     @settings(max_examples=40, deadline=None)
     @given(st.builds(Draft, st.integers(0, 4), st.dictionaries(st.sampled_from(NAMES), TARGETS, max_size=3)))
     def check(draft):
         try:
-            start = start_of(draft, required, (320, 240), 5, recipe, None)
-        except MissingError as e:
+            start = start_of(draft, (320, 240), 5, recipe, None)
+        except RefusedError as e:
             assert len(str(e).splitlines()) == 1
         else:
             assert start.frame == draft.frame and start.targets
@@ -551,7 +549,7 @@ def test_an_internal_error_is_reported_at_the_end(clips, tmp_path, monkeypatch, 
     def broken(image):
         raise ZeroDivisionError("odd")
 
-    monkeypatch.setattr("facetrack_cli.editor.web.proposals.find_faces", broken)
+    monkeypatch.setattr("facetrack_cli.editor.web.frame.find_faces", broken)
     drive(monkeypatch, act)
     code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
     assert code == 0 and "while the page was open: internal error; please report it: ZeroDivisionError: odd" in err

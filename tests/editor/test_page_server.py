@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.draft import Draft, DraftTarget
-from facetrack_cli.editor.web.frame_images import FrameImages
+from facetrack_cli.editor.web.frame import Draft, DraftTarget, FrameImages
 from facetrack_cli.editor.web.server import ADDRESS, HEADERS, MOST_BODY, MOST_READ, Server, assets, serving
 from facetrack_cli.editor.web.session import Answer, RefusedError, Route, Session
 from tests.support.page_client import Client, wait_for

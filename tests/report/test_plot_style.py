@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from facetrack_cli.cli.commands.plot import FORMS
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report.figures import style as plot_style
@@ -63,10 +64,10 @@ def test_colours_are_those_of_the_video():
 def test_twelve_lines_differ_in_colour_or_dash():
     looks = {str(plot_style.line_style(i)) for i in range(12)}
     assert len(looks) == 12
-    assert not {plot_style.line_style(i)["color"] for i in range(12)} & {plot_style.LOST}
+    assert not {plot_style.line_style(i)["color"] for i in range(12)} & {plot_style.STATUS["lost"]}
 
 
-@pytest.mark.parametrize("form", plots.FORMS)
+@pytest.mark.parametrize("form", FORMS)
 def test_same_numbers_give_the_same_bytes_whatever_the_user_has_set(form):
     import matplotlib
 

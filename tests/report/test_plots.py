@@ -3,7 +3,6 @@
 import itertools
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -11,20 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report import figures as plots
-from facetrack_cli.report.figures import data as plot_data
+from facetrack_cli.report.figures import lines as plot_lines
 from facetrack_cli.report.figures import style as plot_style
-from facetrack_cli.report.figures import timeline as plot_time
-from facetrack_cli.report.figures.lines import MANY, columns_for, lines_of, numbers, shares
-from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
+from facetrack_cli.report.figures.lines import MANY, columns_for, lines_of, stacked
+from facetrack_cli.report.figures.style import numbers
+from facetrack_cli.trajectory.trajectory import joined, one_part
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
-
-
-class Pair(NamedTuple):
-    name: str
-    ours: Trajectory
-    truth: Trajectory
 
 
 def track(frames=60, parts=3, targets=("face",), fps=25.0, **columns):
@@ -52,7 +46,7 @@ def track(frames=60, parts=3, targets=("face",), fps=25.0, **columns):
 
 def pairs_of(table, off=(3.0, 4.0), status="visible"):
     truths = [replace(s, x=s.x - off[0], y=s.y - off[1], status=np.full(len(s), status)) for s in table.parts]
-    return [Pair(s.name, s, truth) for s, truth in zip(table.parts, truths, strict=True)]
+    return [Pair(s, truth) for s, truth in zip(table.parts, truths, strict=True)]
 
 
 def panels(figure):
@@ -86,7 +80,7 @@ def drawn(axes):
 )
 def test_envelope_keeps_every_peak_and_invents_nothing(values, bins):
     value = np.array(values)
-    x, y, *_ = plot_data.envelope(np.arange(len(value)), value, bins)
+    x, y, *_ = plot_lines.envelope(np.arange(len(value)), value, bins)
     known = value[np.isfinite(value)]
     if not known.size:
         assert np.isnan(y).all()
@@ -100,34 +94,34 @@ def test_envelope_keeps_every_peak_and_invents_nothing(values, bins):
 def test_envelope_thins_long_series_alone_and_shows_a_peak_of_one_frame():
     value = np.zeros(100_000)
     value[70_007] = 9
-    thin = plot_data.envelope(np.arange(100_000), value, 500)
+    thin = plot_lines.envelope(np.arange(100_000), value, 500)
     assert len(thin.y) <= 1000 and thin.y.max() == 9
     assert abs(thin.x[thin.y.argmax()] - 70_007) <= 200
-    assert thin.mean_y.max() == pytest.approx(9 / 200)
-    assert plot_data.envelope(np.arange(1000), value[:1000], 500).mean_y is None
+    assert thin.means[1].max() == pytest.approx(9 / 200)
+    assert plot_lines.envelope(np.arange(1000), value[:1000], 500).means is None
 
 
 @pytest.mark.parametrize("bins", [3, 1000])
 def test_lines_break_where_frames_or_values_are_missing(bins):
     frame = np.r_[0:40, 80:120]
     value = np.ones(80)
-    x, y, *_ = plot_data.envelope(frame, value, bins)
+    x, y, *_ = plot_lines.envelope(frame, value, bins)
     assert np.isnan(y).sum() == 1 and np.isnan(x[np.isnan(y)]).all()
     holes = np.ones(120)
     holes[40:80] = np.nan
-    assert np.isnan(plot_data.envelope(np.arange(120), holes, bins).y).sum() == 1
-    assert not np.isnan(plot_data.envelope(np.arange(0, 400, 5), value, bins).y).any(), "every fifth frame is no gap"
+    assert np.isnan(plot_lines.envelope(np.arange(120), holes, bins).y).sum() == 1
+    assert not np.isnan(plot_lines.envelope(np.arange(0, 400, 5), value, bins).y).any(), "every fifth frame is no gap"
 
 
 def test_single_points_and_spans():
-    assert plot_data.alone(np.array([1, np.nan, 2, 3, np.nan, 4])).tolist() == [True, False, False, False, False, True]
+    assert plot_lines.alone(np.array([1, np.nan, 2, 3, np.nan, 4])).tolist() == [True, False, False, False, False, True]
     frame = np.arange(10)
     mask = np.isin(frame, [0, 1, 2, 5, 9])
-    assert plot_data.frame_spans(frame, mask) == [(-0.5, 2.5), (4.5, 5.5), (8.5, 9.5)]
-    assert plot_data.frame_spans(frame, mask, 3.0) == [(-0.5, 10.5)], "near ones join"
-    assert plot_data.frame_spans(np.arange(10_000), np.arange(10_000) == 50, 20) == [(40, 60)], "one frame is seen"
-    assert plot_data.frame_spans(frame * 10, mask)[0] == (-5, 25)
-    assert plot_data.frame_spans(frame, ~(mask | ~mask)) == []
+    assert plot_lines.frame_spans(frame, mask) == [(-0.5, 2.5), (4.5, 5.5), (8.5, 9.5)]
+    assert plot_lines.frame_spans(frame, mask, 3.0) == [(-0.5, 10.5)], "near ones join"
+    assert plot_lines.frame_spans(np.arange(10_000), np.arange(10_000) == 50, 20) == [(40, 60)], "one frame is seen"
+    assert plot_lines.frame_spans(frame * 10, mask)[0] == (-5, 25)
+    assert plot_lines.frame_spans(frame, ~(mask | ~mask)) == []
 
 
 @settings(max_examples=40, deadline=None)
@@ -135,40 +129,43 @@ def test_single_points_and_spans():
 def test_quantiles_are_those_of_numpy(rows):
     values = np.array(rows)
     known = np.isfinite(values).any(axis=0)
-    for share, found in zip((0, 0.1, 0.5, 0.9, 1), plot_data.quantiles(values, (0, 0.1, 0.5, 0.9, 1)), strict=True):
+    for share, found in zip((0, 0.1, 0.5, 0.9, 1), plot_lines.quantiles(values, (0, 0.1, 0.5, 0.9, 1)), strict=True):
         np.testing.assert_allclose(found[known], np.nanquantile(values[:, known], share, axis=0), atol=1e-12)
         assert np.isnan(found[~known]).all()
 
 
 def test_limits_hold_the_data_but_for_what_is_far_out():
-    low, high = plot_data.limits([np.linspace(10, 20, 50), np.array([np.nan])])
+    low, high = plot_style.limits([np.linspace(10, 20, 50), np.array([np.nan])])
     assert 9 < low < 10 and 20 < high < 21
     far = np.r_[np.linspace(0, 10, 500), 4000]
-    assert plot_data.limits([far])[1] < 30
-    assert plot_data.limits([np.r_[np.zeros(50), np.full(50, 4000)]])[1] > 4000, "half of it is no outlier"
-    assert plot_data.limits([np.array([5.0])], floor=0.0)[0] == 0
-    assert plot_data.limits([np.array([np.nan])]) is None
-    low, high = plot_data.limits([np.full(9, 7.0)])
+    assert plot_style.limits([far])[1] < 30
+    assert plot_style.limits([np.r_[np.zeros(50), np.full(50, 4000)]])[1] > 4000, "half of it is no outlier"
+    assert plot_style.limits([np.array([5.0])], floor=0.0)[0] == 0
+    assert plot_style.limits([np.array([np.nan])]) is None
+    low, high = plot_style.limits([np.full(9, 7.0)])
     assert low < 7 < high
 
 
 def test_share_of_parts_is_of_those_that_have_the_frame():
-    frame, share = shares(
+    frame, held = stacked(
         [(np.array([0, 1, 2]), np.array([1, 0, 1], bool)), (np.array([2, 3]), np.array([0, 1], bool))]
     )
-    assert frame.tolist() == [0, 1, 2, 3] and share.tolist() == [1, 0, 0.5, 1]
+    assert frame.tolist() == [0, 1, 2, 3] and np.nanmean(held, axis=0).tolist() == [1, 0, 0.5, 1]
 
 
 def test_ticks_of_time_follow_the_frames_times():
     frame = np.arange(101.0)
     time_s = np.where(frame <= 50, frame / 25, 2 + (frame - 50) / 10)  # the rate changes
-    places, labels = plot_time.ticks(frame, time_s)
+    places, labels = plot_style.ticks(frame, time_s)
     assert labels[:3] == ["0 s", "1 s", "2 s"] and places[:4] == pytest.approx([0, 25, 50, 60])
-    assert plot_time.ticks(np.arange(9000.0), np.arange(9000) / 25)[1][:2] == ["0:00", "1:00"]
-    assert plot_time.ticks(np.arange(100_000.0), np.arange(100_000) / 25)[1][1] == "0:10:00"
-    assert plot_time.ticks(np.arange(3.0), np.arange(3) / 25)[1][0] == "0.00 s"
-    assert plot_time.times(track(time_s=None)) is None
-    assert plot_time.times(track(1)) is None
+    assert plot_style.ticks(np.arange(9000.0), np.arange(9000) / 25)[1][:2] == ["0:00", "1:00"]
+    assert plot_style.ticks(np.arange(100_000.0), np.arange(100_000) / 25)[1][1] == "0:10:00"
+    assert plot_style.ticks(np.arange(3.0), np.arange(3) / 25)[1][0] == "0.00 s"
+    with plot_style.style():
+        axes = plot_style.new_figure(4, 3).subplots()
+        backwards = track(time_s=-np.arange(60.0))
+        assert not any(plot_style.second_axis(axes, table, 5) for table in (track(time_s=None), track(1), backwards))
+        assert plot_style.second_axis(axes, track(), 5)
 
 
 def test_labels_of_ticks_have_equal_decimals():
@@ -244,7 +241,7 @@ def test_page_shades_what_is_lost_and_hidden():
     assert spans == [(19.5, 29.5), (24.5, 29.5)], "pale where any is lost, darker where all are"
     assert [(p.get_x(), p.get_width()) for p in found["error"].patches] == [(-0.5, 5.0)]
     texts, labels = said(figure)
-    assert labels == ["part 0", "part 1", "part 2", "truth", "lost", "hidden in truth"]
+    assert labels == ["part 0", "part 1", "part 2", "ground truth", "lost", "hidden in the ground truth"]
     assert "lost in 14 % of rows, 3 of 3 parts" in texts[1] and "median error 5.00 px" in texts[1]
 
 

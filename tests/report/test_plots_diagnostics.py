@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report.figures.diagnostics import adaptation, bounds_of, eta
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
-from tests.report.test_plots import Pair, drawn, panels, said
+from tests.report.test_plots import drawn, panels, said
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
 
@@ -150,16 +151,16 @@ def test_true_scale_is_relative_to_the_start() -> None:
     made = table(reported())
     (ours,) = made.parts
     truth = replace(ours, w=30.0 * (1 + ours.x / 50), h=60.0 * (1 + ours.x / 50), status=np.full(60, "visible"))
-    scale = panels(plots.page_figure(made, [Pair(ours.name, ours, truth)]))["scale"]
+    scale = panels(plots.page_figure(made, [Pair(ours, truth)]))["scale"]
     assert np.allclose(drawn(scale)[1][:, 1], 1 + np.arange(60) / 50)
     unknown = replace(truth, w=np.full(60, np.nan))
-    assert len(drawn(panels(plots.page_figure(made, [Pair(ours.name, ours, unknown)]))["scale"])) == 1
+    assert len(drawn(panels(plots.page_figure(made, [Pair(ours, unknown)]))["scale"])) == 1
 
 
 def test_eta_is_equation_13() -> None:
     assert eta(np.array([0.0, 1.0, 1e9]), 0.5, 2, 1) == pytest.approx([0.5, 0.5 + 1.5 * np.tanh(1), 2])
     panel = adaptation(table(reported()))
-    assert panel is not None and "median 0.50; η there 1.19" in panel.note
+    assert panel is not None and "median 0.50; η there 1.19" in "; ".join(panel.notes)
     axes = panels(plots.page_figure(table(reported())))["noise η over error ε"]
     curve = axes.lines[0].get_xydata()
     assert np.allclose(curve[:, 1], eta(curve[:, 0], 0.5, 2, 1))
@@ -182,7 +183,7 @@ FULL = {"least": 1, "most": 2, "rate": 1}
 )
 def test_a_recipe_without_adaptive_noise_has_no_eta(noise: Any) -> None:
     header = {"recipe": {"name": "x", "motion": {"noise": noise}}}
-    assert bounds_of(header) is None
+    assert bounds_of(table(reported(), header=header)) is None
     assert "noise η over error ε" not in panels(plots.page_figure(table(reported(), header=header)))
 
 

@@ -12,6 +12,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
+import jinja2
 import numpy as np
 import pytest
 
@@ -20,12 +21,11 @@ from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.evaluation.summary import MEASURES
 from facetrack_cli.report import frames as report_frames
 from facetrack_cli.report import make as report
-from facetrack_cli.report import measures as report_measures
+from facetrack_cli.report import text as report_text
 from facetrack_cli.report.figures import style as plot_style
-from facetrack_cli.report.frames import MOST_BYTES, Clip, _jpeg, pictures
-from facetrack_cli.report.html import Html, Image, tag
-from facetrack_cli.report.make import make_report
-from facetrack_cli.report.page import Plot
+from facetrack_cli.report.frames import MOST_BYTES, _jpeg, key_images
+from facetrack_cli.report.make import Image, make_report
+from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.writers import Footer
 from tests.support.media import number, numbered, write_pictures, write_video
@@ -37,20 +37,21 @@ PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQV
 @pytest.fixture
 def no_plot(monkeypatch):
     """The plots have their own tests, and take most of the time."""
-    dot = Image(PIXEL, "image/png", (1, 1))
-    monkeypatch.setattr(report, "_plot", lambda *_: Plot(dot, dot))
+    dot = Image(PIXEL, (1, 1), "image/png")
+    monkeypatch.setattr(report, "_plot", lambda *_: {"wide": dot, "narrow": dot})
 
 
 def shown(html: bytes) -> dict[int, np.ndarray]:
-    """The pictures of a page by the frame that its caption names."""
+    """The images of a page by the frame that its caption names."""
     found = {}
-    for data, frame in re.findall(r'<img src="data:image/jpeg;base64,([^"]*)".*?<strong>Frame (\d+)<', html.decode()):
+    figure = r'<img src="data:image/jpeg;base64,([^"]*)"[^>]*>\s*<figcaption>\s*<p><strong>Frame (\d+)<'
+    for data, frame in re.findall(figure, html.decode()):
         found[int(frame)] = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR)
     return found
 
 
 def seen(html: bytes) -> dict[int, int]:
-    """The number that each picture shows, by the frame that its caption names."""
+    """The number that each image shows, by the frame that its caption names."""
     return {frame: number(picture) for frame, picture in shown(html).items()}
 
 
@@ -140,18 +141,19 @@ def test_large_clips_are_cut_out_around_the_target_and_windows_stay_in_place(tmp
     clip = write_pictures(tmp_path / "clip", [still] * 7)
     run = write_run(tmp_path / "run", clip, size=size, frames=2)
     data = json.loads((run / "trajectory.json").read_text())
+    data["init"]["targets"]["face"]["box"] = [850, 450, 100, 100]
     for frame in data["frames"]:
         for part, x in zip(frame["targets"][0]["parts"], (900, 1000), strict=True):
             part.update(x=x, y=500, w=40, h=40)
     (run / "trajectory.json").write_text(json.dumps(data))
     table = read_trajectory(run)
-    found = pictures(table, Clip(clip, size, 25.0), [6], unit=100.0).found[6]
+    found = key_images(table, read_header(table), [6], None, None, lambda *_: None).found[6]
     left, top, width, height = found.view
     assert (width, height) == (350, 263)
     assert left < 900 < 1000 < left + width
     assert top < 500 < top + height
     # what was drawn is where the windows are: their edges, 20 px from the centres
-    picture = cv2.imdecode(np.frombuffer(found.jpeg, np.uint8), cv2.IMREAD_COLOR).astype(int)
+    picture = cv2.imdecode(np.frombuffer(found.data, np.uint8), cv2.IMREAD_COLOR).astype(int)
     drawn = np.abs(picture - 90).sum(axis=2) > 120
     zoom = found.size[0] / width
     x0, y0 = round((880 - left + 0.5) * zoom), round((480 - top + 0.5) * zoom)
@@ -185,7 +187,7 @@ def test_whatever_names_hold_is_text(tmp_path):
     assert not {tag for tag, _ in read.all} & {"script", "i", "b", "anna"}
     for text in ("a<b>&\"'$style", "</style><script>", "<disk> & full", "<b>one</b>", "<anna>/a", "<i>T</i> & $title"):
         assert text in read.text
-    assert "There are no pictures" in read.text
+    assert "There are no images" in read.text
     assert not re.search("[\x00-\x08\x0b-\x1f]", page.html.decode())
 
 
@@ -216,8 +218,12 @@ def test_the_page_is_whole_accessible_and_alone(tmp_path):
     assert not any("style" in attributes or "onclick" in attributes for _, attributes in read.all)
 
 
-def test_html_escapes_all_but_html():
-    assert tag("a", "<&>", Html("<b>x</b>"), href='"', data_x=None) == '<a href="&quot;">&lt;&amp;&gt;<b>x</b></a>'
+def test_the_template_escapes_what_is_put_into_it():
+    environment = report._template().environment
+    made = environment.from_string('<a href="{{ x }}">{{ y }}{{ z | names }}</a>').render(x='"', y="<&>", z=["<b>"])
+    assert made == '<a href="&#34;">&lt;&amp;&gt;&lt;b&gt;</a>'
+    with pytest.raises(jinja2.UndefinedError):
+        environment.from_string("{{ nothing }}").render()
 
 
 @pytest.mark.usefixtures("no_plot")
@@ -231,9 +237,7 @@ def test_many_spans_are_cut_with_a_note(tmp_path, monkeypatch):
 
 def test_all_figures_of_the_tables_exist():
     known = set(MEASURES)
-    groups = {"points": report_measures._POINTS, "boxes": report_measures._BOXES}
-    used = [f"{group}.{name}" for group, columns in groups.items() for _, name, _ in columns]
-    used += [name for _, name, _ in report_measures._TRUST]
+    used = [name for _, name, _ in (*report_text._POINTS, *report_text._BOXES, *report_text._TRUST)]
     assert set(used) <= known
 
 

@@ -1,4 +1,4 @@
-"""The report of a tracker that adapts: who it is, in words and on the pictures, and the box as it was deformed."""
+"""The report of a tracker that adapts: who it is, in words and on the images, and the box as it was deformed."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ import pytest
 from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import Array
 from facetrack_cli.report import make as report
-from facetrack_cli.report.diagnostics import named
 from facetrack_cli.report.events import Clock
-from facetrack_cli.report.frames import Clip, pictures
-from facetrack_cli.report.html import Image
-from facetrack_cli.report.page import Plot
+from facetrack_cli.report.frames import key_images
+from facetrack_cli.report.make import Image
+from facetrack_cli.report.text import identities
+from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
-from tests.support.media import SIZE, write_video
+from tests.support.media import write_video
 from tests.support.report_run import write_run
 
 
@@ -44,42 +44,46 @@ def table_of(folder: Path) -> Trajectory:
     return read_trajectory(folder / "trajectory.json")
 
 
+def jpeg_of(folder: Path) -> bytes:
+    table = table_of(folder)
+    return key_images(table, read_header(table), [10], None, None, lambda *_: None).found[10].data
+
+
 def test_who_it_is_since_when(tmp_path: Path) -> None:
     table = table_of(with_more(write_run(tmp_path / "run", tmp_path / "clip.mp4")))
     said = "It is named anna at the end, with a probability of 95.0\u00a0%; that passed 0.9 in frame 9, at 0:00.36."
-    assert named(table, Clock(table, 25.0)) == [said]
+    assert list(identities(table, Clock(table, 25.0))) == [said]
     two = table_of(with_more(write_run(tmp_path / "two", tmp_path / "clip.mp4", targets=("a", "b")), target="b"))
-    (line,) = named(two, Clock(two, 25.0))
+    (line,) = identities(two, Clock(two, 25.0))
     assert line.startswith("b is named anna at the end")
 
 
 def test_who_stays_in_doubt_or_is_not_named(tmp_path: Path) -> None:
     doubt = table_of(with_more(write_run(tmp_path / "doubt", tmp_path / "clip.mp4"), identity_prob=0.6))
-    (line,) = named(doubt, Clock(doubt, 25.0))
+    (line,) = identities(doubt, Clock(doubt, 25.0))
     assert line.endswith("60.0\u00a0%; that never passed 0.9.")
     bare = table_of(with_more(write_run(tmp_path / "bare", tmp_path / "clip.mp4"), identity_prob=None))
-    assert named(bare, Clock(bare, 25.0)) == ["It is named anna at the end."]
+    assert list(identities(bare, Clock(bare, 25.0))) == ["It is named anna at the end."]
     none = table_of(write_run(tmp_path / "none", tmp_path / "clip.mp4"))
-    assert named(none, Clock(none, 25.0)) == []
+    assert list(identities(none, Clock(none, 25.0))) == []
 
 
 def test_the_page_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    dot = Image(b"", "image/png", (1, 1))
-    monkeypatch.setattr(report, "_plot", lambda *_: Plot(dot, dot))
+    dot = Image(b"", (1, 1), "image/png")
+    monkeypatch.setattr(report, "_plot", lambda *_: {"wide": dot, "narrow": dot})
     run = write_run(tmp_path / "run", write_video(tmp_path / "clip.mp4", frames=25))
     assert b"is named" not in report.make_report(run).html
     page = report.make_report(with_more(run)).html.decode()
     assert "It is named anna at the end" in html.unescape(page)
-    assert "what the tracker told of identity" in page
+    assert "what the tracker reported of identity" in page
 
 
 def test_pictures_have_the_name_and_the_parallelogram(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", tmp_path / "clip.mp4")
-    clip = Clip(write_video(tmp_path / "clip.mp4", frames=12), SIZE, 25.0)
+    write_video(tmp_path / "clip.mp4", frames=12)
 
     def drawn(folder: Path) -> np.ndarray[Any, Any]:
-        jpeg = pictures(table_of(folder), clip, [10]).found[10].jpeg
-        return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).astype(float)
+        return cv2.imdecode(np.frombuffer(jpeg_of(folder), np.uint8), cv2.IMREAD_COLOR).astype(float)
 
     plain = drawn(with_more(run, identity=None, identity_prob=None))
     name = drawn(with_more(run))
@@ -91,11 +95,9 @@ def test_pictures_have_the_name_and_the_parallelogram(tmp_path: Path) -> None:
 
 def test_the_scale_stands_in_the_plots_and_not_on_the_pictures(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", tmp_path / "clip.mp4", size=(640, 480))
-    clip = Clip(
-        write_video(tmp_path / "clip.mp4", frames=[np.full((480, 640, 3), 90, np.uint8)] * 12), (640, 480), 25.0
-    )
-    plain = pictures(table_of(with_more(run)), clip, [10]).found[10].jpeg
-    assert pictures(table_of(with_more(run, scale=1.5, noise=2.0)), clip, [10]).found[10].jpeg == plain
+    write_video(tmp_path / "clip.mp4", frames=[np.full((480, 640, 3), 90, np.uint8)] * 12)
+    plain = jpeg_of(with_more(run))
+    assert jpeg_of(with_more(run, scale=1.5, noise=2.0)) == plain
 
 
 def test_corners_follow_the_affine_map() -> None:

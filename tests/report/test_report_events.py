@@ -1,4 +1,4 @@
-"""What a report tells of a run: lost spans, stretches, and which frames it shows."""
+"""What a report says of a run: lost spans, stretches, and which frames it shows."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facetrack_cli.report.events import Clock, key_frames, tell
+from facetrack_cli.report.events import Clock, history_of, key_frames
 from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.report_run import LOST, write_run
 
 
-def test_parts_are_told_as_they_fared(tmp_path):
+def test_the_history_of_each_part(tmp_path):
     table = read_trajectory(write_run(tmp_path, Path("clip.mp4")))
     clock = Clock(table, 25.0)
-    story = tell(table, clock)
-    a, b = story.parts
+    history = history_of(table, clock)
+    a, b = history.parts
     assert [(s.first, s.last, s.back, s.frames) for s in a.spans] == [(8, 11, 12, 4)]
     assert [(s.first, s.last, s.back, s.frames) for s in b.spans] == [(14, 24, None, 11)]
-    assert a.seconds_lost == pytest.approx(0.16)
-    assert b.seconds_lost == pytest.approx(0.44)  # until the last frame ends
+    assert sum(span.seconds for span in a.spans) == pytest.approx(0.16)
+    assert sum(span.seconds for span in b.spans) == pytest.approx(0.44)  # until the last frame ends
     assert clock.duration == pytest.approx(0.8)
     assert a.mean == pytest.approx((15 * 0.75 + 4 * 0.05) / 19)  # without the first frame
-    assert (story.frames_lost, story.episodes, story.lost_at_end) == (15, ((8, 11), (14, 24)), ("b",))
-    assert story.worst == 8
-    kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(story, 5, 24)}
+    assert (history.frames_lost, history.episodes, history.ending("lost")) == (15, ((8, 11), (14, 24)), ["b"])
+    assert history.worst == 8
+    kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(history, 5, 24)}
     assert kinds == {5: ["start"], 8: ["lost", "worst"], 12: ["back"], 14: ["lost"], 24: ["end"]}
 
 
@@ -36,13 +36,13 @@ def test_key_frames_are_few_and_far_apart(tmp_path, monkeypatch, seed):
     monkeypatch.setitem(LOST, "a", lost["a"])
     monkeypatch.setitem(LOST, "b", lost["b"])
     table = read_trajectory(write_run(tmp_path, Path("clip.mp4"), start=0, frames=2000))
-    story = tell(table, Clock(table, 25.0))
-    keys = key_frames(story, 0, 1999)
+    history = history_of(table, Clock(table, 25.0))
+    keys = key_frames(history, 0, 1999)
     at = [key.frame for key in keys]
     assert len(at) == 12
     assert at == sorted(set(at))
-    assert {0, 1999, story.worst} <= set(at)
-    longest = max(story.episodes, key=lambda e: e[1] - e[0])
+    assert {0, 1999, history.worst} <= set(at)
+    longest = max(history.episodes, key=lambda e: e[1] - e[0])
     assert longest[0] in at
     assert max(np.diff(at)) < 700
     for key in keys:

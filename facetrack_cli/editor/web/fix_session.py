@@ -2,35 +2,39 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, ClassVar, Final, Literal
 
+import numpy as np
 from pydantic import Field, StrictBool, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError, InputError
-from facetrack_cli.core.types import BOX, Correction
-from facetrack_cli.editor.corrections import merged
-from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.overview import overview
-from facetrack_cli.editor.repaint import cells
+from facetrack_cli.core.spans import spans
+from facetrack_cli.core.types import BOX, Correction, Mask
+from facetrack_cli.editor.history import Fixer, merged
 from facetrack_cli.editor.save import keep, save
-from facetrack_cli.editor.web.draft import Draft, FrameNumber, Json
-from facetrack_cli.editor.web.proposals import Proposer
-from facetrack_cli.editor.web.requirements import requirement
+from facetrack_cli.editor.web.frame import Draft, Json, Proposer
+from facetrack_cli.editor.web.pick_session import requirement
 from facetrack_cli.editor.web.session import Answer, RefusedError, Report, Route, Session
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.tracking.start import PARTS
+from facetrack_cli.trajectory.diagnostics import outlines
+from facetrack_cli.trajectory.start import FrameNumber
+from facetrack_cli.trajectory.trajectory import Trajectory, by_frame
 from facetrack_cli.video.seek import Frames
 
 MOST_ROWS: Final = 600
+MOST_DOUBTFUL: Final = 100
+DOUBT: Final = 0.5  # a confidence below this is worth a look
 
 
 class FixSession(Session):
-    """The corrections of one run, in a `fixer`. With `video`, Save also writes the annotated video again, if any.
+    """The corrections of one run, in a `fixer`; `unsaved` ones, of a session that was not saved, are applied first.
 
-    `unsaved` are the corrections of a session that was not saved, which are applied first.
+    With `video`, Save also writes the annotated video again, if there is one.
     """
 
     mode: ClassVar[Literal["fix"]] = "fix"
@@ -45,7 +49,7 @@ class FixSession(Session):
             "requirements": [_requirement(name, parts) for name, parts in self._parts.items()],
             "free": False,
             "saves_to": str(run.folder),
-            "learns": not isinstance(run.recipe, OpenCvRecipe),  # those trackers always begin again
+            "learns": not isinstance(run.recipe, OpenCvRecipe),  # whose trackers always begin again
         }
         proposer, draft = Proposer(frames, run.recipe, run.recipe.points), Draft(run.first, {})
         super().__init__(frames, proposer, draft, about, first=run.first, last=run.last)
@@ -68,16 +72,13 @@ class FixSession(Session):
         proposals = []
         for one in found["proposals"]:
             if self.fixer.run.recipe.followed:
-                proposals.append({**one, "targets": {n: t for n, t in one["targets"].items() if n in self._parts}})
+                proposals.append((one["label"], {n: t for n, t in one["targets"].items() if n in self._parts}))
             else:
                 [face] = one["targets"].values()
-                several = len(self._parts) > 1
-                for name in self._parts:
-                    label = f"{one['label']}: {name}" if several else one["label"]
-                    proposals.append({"label": label, "targets": {name: face}})
-        for one in proposals:
-            one["targets"] = {name: self._fitted(name, target) for name, target in one["targets"].items()}
-        return {**found, "proposals": proposals}
+                of = ": {}" if len(self._parts) > 1 else ""
+                proposals += [(one["label"] + of.format(name), {name: face}) for name in self._parts]
+        fitted = [(label, {name: self._fitted(name, one) for name, one in those.items()}) for label, those in proposals]
+        return {**found, "proposals": [{"label": label, "targets": targets} for label, targets in fitted]}
 
     def check_draft(self, draft: Draft) -> None:
         for name, one in draft.targets.items():
@@ -93,8 +94,6 @@ class FixSession(Session):
             raise RefusedError(422, f"what was moved in frame {frame} is not tracked yet; track it, or discard it")
         self.begin("saving", self._write, saves=draft)
 
-    # handlers
-
     def _rows(self, first: int, last: int) -> Json:
         """The rows of frames `first` to `last`, both included."""
         run = self.fixer.run
@@ -105,7 +104,6 @@ class FixSession(Session):
         return {"first": first, "parts": parts, "frames": cells(self.fixer.rows, first, last + 1)}
 
     def _overview(self, bins: Annotated[int, Field(ge=1, le=4000)] = 400) -> Json:
-        """Where the run is least certain, and what is corrected."""
         corrections, rows = self.fixer.now
         return overview(rows, bins, corrections)
 
@@ -137,13 +135,8 @@ class FixSession(Session):
             raise RefusedError(422, "there is nothing to undo")
         return self._begin("undoing", lambda **_: self.fixer.undo())
 
-    # jobs
-
     def _begin(self, what: str, work: Callable[..., None]) -> Answer:
-        """Begin a job that changes the corrections: `work`, a method of Fixer with its `report` and `stop` left open.
-
-        Afterwards the corrections are kept in a file, and the pages request the rows again.
-        """
+        """Begin the job `work`, which takes `report` and `stop` and changes the corrections; these are then kept."""
 
         def job(report: Report) -> None:
             work(report=report, stop=self.stopping.is_set)
@@ -160,8 +153,8 @@ class FixSession(Session):
         found = []
         for name, one in draft.targets.items():
             if not one.empty:
-                at, before = one.rounded(), self.fixer.find(draft.frame, name)
-                found.append(merged(draft.frame, name, at.box, at.points, one.absent, before, self._parts[name]))
+                new = Correction(draft.frame, name, one.rounded(), absent=one.absent)
+                found.append(merged(new, self.fixer.find(draft.frame, name), self._parts[name]))
         if not found:
             raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
         return found
@@ -190,3 +183,61 @@ def _requirement(target: str, parts: tuple[str, ...]) -> Json:
     if parts == (BOX,):
         return requirement(target, [], "needed")
     return requirement(target, parts, "optional" if set(parts) <= set(PARTS) else "no")
+
+
+def overview(rows: Trajectory, bins: int, corrections: tuple[Correction, ...] = ()) -> dict[str, Any]:
+    """Ready for JSON: of each part and each of `bins` equal spans the least confidence, None if unknown, and the shares
+    of frames in which it is lost and absent; the doubtful frames; the corrections.
+    """
+    first, last = int(rows.frame[0]), int(rows.frame[-1])
+    count = last - first + 1
+    bins = max(1, min(bins, count))
+    edges = np.arange(bins) * count // bins
+    sizes = np.diff([*edges.tolist(), count])
+
+    def shares(those: Mask) -> list[float]:
+        return [round(share, 4) for share in (np.add.reduceat(those.astype(np.int64), edges) / sizes).tolist()]
+
+    parts, corrected = [], []
+    for part in rows.parts:
+        least = [None if sure != sure else sure for sure in np.fmin.reduceat(part.confidence, edges).tolist()]
+        gone = {status: shares(part.status == status) for status in ("lost", "absent")}
+        parts.append({"target": part.target, "part": part.part, "least": least, **gone})
+    for one in corrections:
+        if one.frame <= last:
+            given = ["box"] if one.given.box is not None else list(one.given.points)
+            absent = True if one.absent is True else list(one.absent)
+            corrected.append({"frame": one.frame, "target": one.target, "parts": given, "absent": absent})
+    found = {"first": first, "last": last, "bins": bins, "parts": parts}
+    return {**found, "doubtful": doubtful(rows), "corrections": corrected}
+
+
+def doubtful(rows: Trajectory, level: float = DOUBT) -> list[dict[str, Any]]:
+    """The worst frame of each span in which a part is lost or its confidence below `level`, worst first."""
+    found = []
+    for column, one in enumerate(rows.parts):
+        sure = one.confidence
+        doubt = np.isfinite(sure) & (one.status != "absent") & ((one.status == "lost") | (sure < level))
+        worst = [begin + int(np.argmin(sure[begin:end])) for begin, end in spans(doubt)]
+        found += sorted((float(sure[at]), at, column) for at in worst)[:MOST_DOUBTFUL]
+    keys, first = ("frame", "target", "part", "confidence", "status"), int(rows.frame[0])
+    values = [
+        (first + at, *rows.names[column], sure, str(rows.parts[column].status[at]))
+        for sure, at, column in sorted(found)[:MOST_DOUBTFUL]
+    ]
+    return [dict(zip(keys, one, strict=True)) for one in values]
+
+
+def cells(rows: Trajectory, first: int, stop: int) -> list[list[list[Any]]]:
+    """Of each frame in [first, stop) and each part: x, y, w, h, angle, confidence, status, whether by hand, corners."""
+    some = rows.between(first, stop)
+    numbers = np.stack([getattr(some, name) for name in ("x", "y", "w", "h", "angle", "confidence")], axis=1).tolist()
+    found = outlines(some)
+    shapes: list[Any] = [None] * len(some)
+    if found is not None:
+        shapes = [None if math.isnan(shape[0][0]) else shape for shape in np.round(found, 2).tolist()]
+    lines = [
+        [*(None if math.isnan(value) else value for value in row), *others]
+        for row, *others in zip(numbers, some.status.tolist(), some.by_hand.tolist(), shapes, strict=True)
+    ]
+    return [[lines[i] for i in at] for _, at in by_frame(some)]

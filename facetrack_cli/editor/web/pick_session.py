@@ -1,27 +1,42 @@
-"""Choosing where a track begins, on the page."""
+"""Choosing where a track begins, on the page: what a recipe requires, and whether a draft has it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Final, Literal
 
-from facetrack_cli.core.types import Box, Start
-from facetrack_cli.editor.web.draft import Draft, draft_of
-from facetrack_cli.editor.web.proposals import Proposer
-from facetrack_cli.editor.web.requirements import ORIGIN, MissingError, carried, fitted, requirements, start_of
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.types import Box, Start, TargetStart
+from facetrack_cli.editor.web.frame import MOST_POINTS, Draft, Json, Proposer, draft_of
 from facetrack_cli.editor.web.session import RefusedError, Session
-from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.tracking.start import write_init
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
+from facetrack_cli.recipe.skin import SkinCloud
+from facetrack_cli.report.text import names as listed
+from facetrack_cli.tracking.start import PARTS, check_size, check_start, name_targets, write_init
+from facetrack_cli.tracking.start.init_file import KEYS, OF_CORRECTIONS, TARGET
+from facetrack_cli.tracking.start.init_writer import WHAT_PARTS_ARE
 from facetrack_cli.tracking.start.preview import write_preview
 from facetrack_cli.video.seek import Frames
 
+ORIGIN: Final = "the page"
+DEFAULT: Final = "factorized"  # the recipe of `facetrack run` without --config
+_RESERVED: Final = ("frame", "corrections", *KEYS, *OF_CORRECTIONS)
+_ABOUT_BOXES: Final = {
+    "hand": "the whole hand, from the wrist to the finger tips",
+    "head": "the face of this head, from the brows to the chin",
+    "face": "from the brows to the chin, as wide as the face",
+}
+
 
 class PickSession(Session):
-    """A start to be chosen, at first in frame `frame`. `begun` is the start of the file that will be replaced.
+    """A start to be chosen, at first in `frame`, where the `box` of a face may give the first draft.
 
-    Save writes to `out`, and an image of it to `preview`; without `out` the start is left in `saved`, to be printed.
-    `box`, of a face in that frame, gives the first draft, with its points. Raises InputError if there is no such frame,
-    or no face can be in that box.
+    `begun` is the start of the file that will be replaced. Save writes to `out`, and an image to `preview`; without
+    `out` the start is left in `saved`. Raises InputError for a frame or box that cannot be.
     """
 
     mode: ClassVar[Literal["pick"]] = "pick"
@@ -45,19 +60,17 @@ class PickSession(Session):
         self.begun = begun = None if begun is None else fitted(begun, recipe)
         self.saved: Start | None = None
         self._previewed = False
-        self._required = requirements(recipe)
-        proposer = Proposer(frames, recipe, self._required[0]["points"])
+        required = requirements(recipe)
+        proposer = Proposer(frames, recipe, required[0]["points"])
         shown = frame if frame is not None else begun.frame if begun is not None else 0
         first = frames.read(shown)  # raises InputError before anything is served
-        if box is not None:
-            draft = proposer.in_box(first, box, str(clip))
-        else:
-            draft = draft_of(shown, begun.targets if begun is not None else {})
+        given = draft_of(shown, begun.targets if begun is not None else {})
+        draft = given if box is None else proposer.in_box(first, box, str(clip))
         self._unchanged = draft if box is None else None
         about = {
             "clip": clip.name or str(clip),
             "recipe": None if recipe is None else recipe.name,
-            "requirements": self._required,
+            "requirements": required,
             "free": recipe is None or not recipe.followed,
             "saves_to": "standard output" if out is None else str(out),
         }
@@ -67,10 +80,7 @@ class PickSession(Session):
 
     def save(self, draft: Draft) -> None:
         frames = self.frames.count if self.frames.exact else None
-        try:
-            start = start_of(draft, self._required, self.frames.size, frames, self.recipe, self.begun)
-        except MissingError as e:
-            raise RefusedError(422, str(e)) from None
+        start = start_of(draft, self.frames.size, frames, self.recipe, self.begun)
         if frames is None:
             self.frames.read(start.frame)  # how long the clip is may be known only then
         self.begin("writing the init file", lambda _: self._write(start), saves=draft)
@@ -98,3 +108,118 @@ class PickSession(Session):
             messages.append(f"corrections left out, since they come before the start or have no target: {lost}")
         self.saved = start
         self.end(messages, self.next)
+
+
+def requirement(target: str, points: Sequence[str], box: Literal["needed", "optional", "no"]) -> Json:
+    """What the page asks for of one target; "about" says in words what each point, and the box, should be."""
+    about = {part: WHAT_PARTS_ARE[part] for part in points if part in WHAT_PARTS_ARE}
+    about["box"] = next((text for name, text in _ABOUT_BOXES.items() if name in target.lower()), "all of it, no more")
+    return {"target": target, "box": box, "points": list(points), "about": about}
+
+
+def requirements(recipe: Recipe | None) -> list[Json]:
+    """The `requirement` of each target, or a single one for all targets where the recipe names none.
+
+    Without a recipe it is a face and the five points that can be placed.
+    """
+    if not isinstance(recipe, ParticlesRecipe):
+        points = PARTS if recipe is None else recipe.points
+        return [requirement(TARGET, points, _box_for(points))]
+    first, *_ = recipe.filters
+    # the first target's face is where the others are looked for, and a cloud learns its colours from a box
+    clouds = {name: one.likelihood for name, one in recipe.filters.items() if isinstance(one.likelihood, SkinCloud)}
+    boxed = {first, *(one.learn_from or name for name, one in clouds.items())}
+    points_of = {name: one.points for name, one in recipe.filters.items()}
+    return [requirement(name, p, "needed" if name in boxed else _box_for(p)) for name, p in points_of.items()]
+
+
+def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
+    """The box is the unit of length where there is no second point."""
+    return "needed" if len(points) < 2 else "optional"
+
+
+def start_of(
+    draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, begun: Start | None
+) -> Start:
+    """The start of a draft, to 0.01 px, which a run accepts; with what of the earlier start `begun` is `carried`.
+
+    `size` is (width, height), `frames` their number where it is certain. Raises RefusedError (422), with all that is
+    missing.
+    """
+    chosen = draft.placed()
+    if recipe is not None:
+        chosen = {name: one for name, one in chosen.items() if name not in recipe.left_out}
+    _check_complete(chosen, requirements(recipe), free=recipe is None or not recipe.followed)
+    reserved = [name for name in chosen if get_close_matches(name, _RESERVED, n=1, cutoff=0.7)]
+    if reserved:
+        raise RefusedError(422, f"a target cannot be called {reserved[0]}, too like a key of init files; rename it")
+    start = carried(Start(draft.frame, chosen, ORIGIN), begun)
+    try:
+        if recipe is not None:
+            start = name_targets(start, recipe.followed, None, left_out=recipe.left_out)
+        check_start(start, size, recipe.points if recipe is not None else PARTS, frames)
+        for name, target in start.targets.items():
+            if target.box is not None:
+                check_size(ORIGIN, name, target.box)
+        _check_build(start, size, recipe if recipe is not None else load_recipe(DEFAULT))
+    except FacetrackError as e:
+        raise RefusedError(422, " ".join(str(e).splitlines()).removeprefix(f"{ORIGIN}: ")) from None
+    return start
+
+
+def fitted(start: Start, recipe: Recipe | None) -> Start:
+    """The start with those targets that the recipe follows; a single one by another name is the first of them."""
+    if recipe is None or not recipe.followed:
+        return start
+    names = {name: name for name in start.targets if name in recipe.followed}
+    if len(start.targets) == 1 and not names:
+        names = dict.fromkeys(start.targets, recipe.followed[0])
+    targets = {names[name]: target for name, target in start.targets.items() if name in names}
+    kept = tuple(replace(one, target=names[one.target]) for one in start.corrections if one.target in names)
+    return replace(start, targets=targets, corrections=kept)
+
+
+def carried(start: Start, begun: Start | None) -> Start:
+    """The start with the windows and corrections of `begun` that still have their target and come after it."""
+    if begun is None:
+        return start
+    targets = {}
+    for name, target in start.targets.items():
+        before = begun.targets.get(name, TargetStart())
+        targets[name] = replace(target, windows={p: w for p, w in before.windows.items() if p in target.points})
+    kept = tuple(one for one in begun.corrections if one.target in targets and one.frame > start.frame)
+    return replace(start, targets=targets, corrections=kept)
+
+
+def _check_complete(chosen: Mapping[str, TargetStart], required: Sequence[Json], *, free: bool) -> None:
+    """RefusedError that names everything that is missing, by target."""
+    if not chosen:
+        first = listed(_missing(TargetStart(), required[0]), MOST_POINTS)
+        raise RefusedError(422, f"nothing is chosen yet; choose {first}")
+    by_name = dict.fromkeys(chosen, required[0]) if free else {one["target"]: one for one in required}
+    unknown = [name for name in chosen if name not in by_name]
+    if unknown:
+        raise RefusedError(422, f"the recipe follows {', '.join(by_name)}, and no {', '.join(unknown)}; remove it")
+    missing = {name: _missing(chosen.get(name, TargetStart()), one) for name, one in by_name.items()}
+    if any(missing.values()):
+        open_ = "; ".join(f"{listed(parts, MOST_POINTS)} of {name}" for name, parts in missing.items() if parts)
+        raise RefusedError(422, f"still to choose: {open_}")
+
+
+def _missing(target: TargetStart, required: Json) -> list[str]:
+    box = ["the box"] if required["box"] == "needed" and target.box is None else []
+    return [*box, *(part for part in required["points"] if part not in target.points)]
+
+
+def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:
+    """Raises what the run would: build_tracker, and check_windows. Recognition is left out: it needs a gallery."""
+    from facetrack_cli.tracking.build.build import build_tracker
+    from facetrack_cli.tracking.start.checks import check_windows
+
+    nobody = {"recognition": None}
+    if isinstance(recipe, ParticleRecipe):
+        recipe = recipe.model_copy(update=nobody)
+    elif isinstance(recipe, ParticlesRecipe):
+        targets = {name: one and one.model_copy(update=nobody) for name, one in recipe.targets.items()}
+        recipe = recipe.model_copy(update={"targets": targets})
+    check_windows(recipe, build_tracker(recipe, start), size, start.origin)

@@ -35,12 +35,7 @@ MOST_BODY: Final = 256 * 1024  # bytes: the largest draft has fewer
 MOST_READ: Final = 4 * 1024 * 1024  # of a body that is refused, so that its sender receives the answer
 IDLE_S: Final = 60.0  # until a connection without requests is closed
 POLL_S: Final = 0.1
-
-KINDS: Final = {
-    ".html": "text/html; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-}
+KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'",
@@ -60,7 +55,7 @@ def assets() -> Mapping[str, Answer]:
     """The files of the page by name; no other file is ever served."""
     files = resources.files("facetrack_cli.editor.web").joinpath("assets").iterdir()
     kinds = [(file, KINDS.get(PurePath(file.name).suffix)) for file in files]
-    return {file.name: Answer(file.read_bytes(), kind=kind) for file, kind in kinds if kind is not None}
+    return {file.name: Answer(file.read_bytes(), kind=f"{kind}; charset=utf-8") for file, kind in kinds if kind}
 
 
 class Server(ThreadingHTTPServer):
@@ -74,9 +69,10 @@ class Server(ThreadingHTTPServer):
     def __init__(self, session: Session, port: int = 0) -> None:
         self.session = session
         self.token = secrets.token_urlsafe(32)
-        self.routes: list[tuple[str, re.Pattern[str], Callable[..., Any]]] = [
-            (route.method, _pattern(route.path), validate_call(route.handler)) for route in session.routes()
-        ]
+        self.routes: list[tuple[str, re.Pattern[str], Callable[..., Any]]] = []
+        for method, path, handler in session.routes():
+            pattern = re.sub(r"\\{(\w+)\\}", r"(?P<\1>[0-9]{1,9})", re.escape(path))
+            self.routes.append((method, re.compile(pattern), validate_call(handler)))
         try:
             super().__init__((ADDRESS, port), _Handler)
         except OSError as e:
@@ -92,7 +88,7 @@ class Server(ThreadingHTTPServer):
         return f"http://{ADDRESS}:{self.server_port}/{self.token}/"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A tab that was closed is no error; anything else is recorded."""
+        """Record an error, but not that a tab was closed."""
         error = sys.exc_info()[1]
         if isinstance(error, Exception) and not isinstance(error, OSError):
             self.session.record(error)
@@ -100,7 +96,7 @@ class Server(ThreadingHTTPServer):
 
 @contextlib.contextmanager
 def serving(session: Session, port: int = 0) -> Iterator[Server]:
-    """The server of a session, running in threads of its own for the length of a `with`."""
+    """The server of a session, running in its own threads within the `with`."""
     with Server(session, port) as server:
         thread = threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True)
         thread.start()
@@ -115,10 +111,7 @@ def serving(session: Session, port: int = 0) -> Iterator[Server]:
 def run_page(
     session: Session, stop: Callable[[], bool], say: Callable[[str], None], *, port: int = 0, browse: bool = False
 ) -> None:
-    """Say where the page is, and return when it has ended or `stop` says so; a running job is waited for.
-
-    Port 0 is any free port. Raises UsageError if the port is taken.
-    """
+    """Serve the page until it has ended or `stop` says so, and its job is done; `port` as of Server."""
     with serving(session, port) as server:
         at = server.server_port
         say(f"open this page: {server.url}")
@@ -147,7 +140,7 @@ class _Handler(BaseHTTPRequestHandler):
         pass
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """What http.server refuses by itself, in our form."""
+        """What http.server refuses by itself, as JSON."""
         self.close_connection = True
         self._send(_encoded(Answer({"error": (message or "refused")[:200]}, int(code))))
 
@@ -164,7 +157,9 @@ class _Handler(BaseHTTPRequestHandler):
         except RefusedError as e:
             answer = Answer({"error": str(e), **e.more}, e.code)
         except ValidationError as e:
-            answer = Answer({"error": _reason(e)}, 400)
+            first = e.errors(include_url=False)[0]
+            reason = ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]]))
+            answer = Answer({"error": " ".join(reason.splitlines())}, 400)
         except FacetrackError as e:
             missing = self.command == "GET" and isinstance(e, InputError)  # as a frame that cannot be decoded
             answer = Answer({"error": " ".join(str(e).splitlines())}, 404 if missing else 422)
@@ -179,9 +174,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _route(self, method: str) -> Answer:
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or not _HOST.fullmatch(hosts[0].strip()):
-            raise RefusedError(
-                403, "this page is for localhost and 127.0.0.1 alone; open the address that facetrack printed"
-            )
+            only = "this page is for localhost and 127.0.0.1 alone"
+            raise RefusedError(403, f"{only}; open the address that facetrack printed")
         if not self._same_origin(hosts[0].strip().lower()):
             raise RefusedError(403, "requested by a page of another origin")
         path, _, query = self.path.partition("?")
@@ -208,7 +202,7 @@ class _Handler(BaseHTTPRequestHandler):
         return answer if isinstance(answer, Answer) else Answer(answer)
 
     def _same_origin(self, host: str) -> bool:
-        """Whether the origin, if there is one, is that of this page, as it is called through a tunnel."""
+        """Whether the origin, if there is one, is that of this page, also through a tunnel."""
         origins = [one.strip().lower() for one in self.headers.get_all("Origin", [])]
         # a browser that hides the origin sends null; no page can forge the other header
         hidden = origins == ["null"] and self.headers.get_all("Sec-Fetch-Site") == ["same-origin"]
@@ -241,18 +235,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(answer.body)
 
 
-def _pattern(path: str) -> re.Pattern[str]:
-    return re.compile(re.sub(r"\\{(\w+)\\}", r"(?P<\1>[0-9]{1,9})", re.escape(path)))
-
-
 def _encoded(answer: Answer) -> Answer:
     """With its JSON as bytes."""
     if isinstance(answer.body, bytes):
         return answer
     return answer._replace(body=json.dumps(answer.body, separators=(",", ":"), allow_nan=False).encode())
-
-
-def _reason(error: ValidationError) -> str:
-    """The first thing that is not valid, in one line."""
-    first = error.errors(include_url=False)[0]
-    return " ".join(": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]])).splitlines())

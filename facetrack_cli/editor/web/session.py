@@ -1,7 +1,6 @@
 """What choosing targets and correcting them have in common: one draft, which several windows may change.
 
-A subclass says what is required, saves, and adds routes of its own. Every method may be called from several threads at
-once. What takes long runs as the one job, in a thread of its own.
+Long work runs as the one job, in its own thread. Every method is thread-safe.
 """
 
 from __future__ import annotations
@@ -16,9 +15,7 @@ from pydantic import Field, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.editor.retrack import StoppedError
-from facetrack_cli.editor.web.draft import Draft, Json
-from facetrack_cli.editor.web.frame_images import FrameImages
-from facetrack_cli.editor.web.proposals import Proposer
+from facetrack_cli.editor.web.frame import Draft, FrameImages, Json, Proposer
 from facetrack_cli.video.seek import Frames
 
 LINGER_S: Final = 2.0  # after a client was first told of the end
@@ -47,9 +44,9 @@ class Answer(NamedTuple):
 class Route(NamedTuple):
     """An address below the token; {name} in the `path` stands for a whole number, as in api/frame/{frame}.jpg.
 
-    The handler takes the numbers of the path, the fields of the query and the members of the JSON body by their names.
-    Its annotations say what is valid (pydantic); all else is refused (400). It returns the value of the JSON answer, or
-    an Answer, and may raise RefusedError. An InputError becomes 404 of a GET; any other FacetrackError becomes 422.
+    The handler takes the numbers of the path, the fields of the query and the members of the JSON body by name, as its
+    annotations allow (pydantic; else 400), and returns an Answer or the value of its JSON. It may raise RefusedError;
+    an InputError becomes 404 of a GET, any other FacetrackError 422.
     """
 
     method: Literal["GET", "PUT", "POST"]
@@ -58,23 +55,16 @@ class Route(NamedTuple):
 
 
 class Session(ABC):
-    """One page, until it is saved or stopped.
+    """One page, until it is saved or stopped; a subclass saves, and may add routes.
 
-    `about` is what the page shows of it: {"clip", "recipe", "requirements", "free", "saves_to"} and more. Frames go
-    from `first` to `last`, None for the clip's last frame.
+    `about`: {"clip", "recipe", "requirements", "free", "saves_to"} and more, for the page. Frames go from `first` to
+    `last`, None for the clip's last one.
     """
 
     mode: ClassVar[Literal["pick", "fix"]]
 
     def __init__(
-        self,
-        frames: Frames,
-        proposer: Proposer,
-        draft: Draft,
-        about: Json,
-        *,
-        first: int = 0,
-        last: int | None = None,
+        self, frames: Frames, proposer: Proposer, draft: Draft, about: Json, *, first: int = 0, last: int | None = None
     ) -> None:
         self.frames, self.images, self.draft = frames, FrameImages(frames), draft
         self.first, self.last = first, last
@@ -91,23 +81,16 @@ class Session(ABC):
         self._saving = False
         self._ended_at = self._seen_at = 0.0
 
-    # what a subclass defines
-
     @abstractmethod
     def save(self, draft: Draft) -> None:
-        """Begin the job that writes the draft and calls `end`; raises RefusedError (422) if something is missing.
-
-        Called without the lock.
-        """
+        """Begin the job that writes the draft and calls `end`; RefusedError (422) if something is missing. No lock."""
 
     def check_draft(self, draft: Draft) -> None:  # noqa: B027 -- any draft is valid
-        """Raises RefusedError (400) for a draft that this session cannot hold; called with the lock."""
+        """RefusedError (400) for a draft that this session cannot hold; called with the lock."""
 
     def proposals(self, frame: int) -> Json:
         """{"frame", "proposals", "note"} of a frame."""
         return self._proposer(frame)
-
-    # what a subclass may use
 
     def change(self, draft: Draft) -> None:
         """Replace the draft, for every client."""
@@ -116,10 +99,9 @@ class Session(ABC):
             self.revision += 1
 
     def begin(self, what: str, work: Callable[[Report], None], *, saves: Draft | None = None) -> None:
-        """Run `work` as the job, in its own thread. Raises RefusedError (409) as `refuse_if_busy`.
+        """Run `work` as the job, whose error becomes the message. RefusedError (409) as `refuse_if_busy`.
 
-        An error in it becomes the message, and the session continues. The job that `saves` a draft is refused (409) if
-        there is another draft by now; while it runs, the draft cannot be changed.
+        The job that `saves` a draft is refused (409) if there is another one by now; until it ends, none is accepted.
         """
         with self.lock:
             self.refuse_if_busy()
@@ -132,7 +114,7 @@ class Session(ABC):
             self._worker.start()
 
     def refuse_if_busy(self) -> None:
-        """Raises RefusedError (409) while a job runs, and after the end."""
+        """RefusedError (409) while a job runs, and after the end."""
         with self.lock:
             if self.ended is not None:
                 raise RefusedError(409, "everything is saved, and this page has ended", self.state())
@@ -140,19 +122,17 @@ class Session(ABC):
                 raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
 
     def current(self, base: int) -> Draft:
-        """The draft, if `base` is its revision; else raises RefusedError (409) with the state."""
+        """The draft, if `base` is its revision; else RefusedError (409) with the state."""
         with self.lock:
             if base != self.revision:
                 raise self._stale()
             return self.draft
 
     def end(self, messages: Sequence[str], next_: str | None) -> None:
-        """Everything is done: show the `messages`, a line each, and the command to continue with."""
+        """End the session: show the `messages`, a line each, and the command to continue with."""
         with self.lock:
             self.ended = {"messages": list(messages), "next": next_}
             self._ended_at = time.monotonic()
-
-    # what the server uses
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -166,12 +146,11 @@ class Session(ABC):
         )
 
     def about(self) -> Json:
-        """What does not change while the page is open; only the last frame of the clip may become known later."""
+        """What does not change while the page is open, but that the clip's last frame may become known later."""
         fps = float(self.frames.fps)
         return {"mode": self.mode, **self._about, "size": self.frames.size, "fps": fps, "frames": self._range()}
 
     def state(self) -> Json:
-        """What changes."""
         with self.lock:
             return {
                 "revision": self.revision,
@@ -242,8 +221,6 @@ class Session(ABC):
         known = self._range()
         if frame < self.first or (known["exact"] and frame > known["last"]):
             raise RefusedError(404, f"there is no frame {frame}; they go from {self.first} to {known['last']}")
-
-    # handlers
 
     def _put_draft(self, base: StrictInt, draft: Draft) -> Json:
         with self.lock:

@@ -9,9 +9,19 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.trust import ConfidenceMeasures
-from facetrack_cli.report.figures.axes import frame_axis, limit
 from facetrack_cli.report.figures.lines import Pen, columns_for, quantiles
-from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, clean, heading, line_style, new_figure, style
+from facetrack_cli.report.figures.style import (
+    COLOURS,
+    GUIDE,
+    STATUS,
+    clean,
+    frame_axis,
+    heading,
+    limit,
+    line_style,
+    new_figure,
+    style,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,45 +40,37 @@ def success_figure(curves: Curves, *, title: str = "Success") -> Figure:
     `curves` are thresholds (n,) 0..1 and shares (S, n) by label; the band is the range over seeds, the line their mean,
     and the legend, best first, has the area under the curve as the mean over thresholds and seeds.
     """
-    scores = {label: float(np.mean(values)) for label, (_, values) in curves.items()}
-    return _curves(curves, scores, "AUC", title, ("overlap threshold (IoU)", "share of frames above it"), None)
+    return _curves(curves, "AUC", title, ("overlap threshold (IoU)", "share of frames above it"))
 
 
 def precision_figure(curves: Curves, *, title: str = "Precision", at: float = 20.0) -> Figure:
-    """Share of frames whose centre is within a threshold of the true one; the legend has the share within `at` pixels.
+    """As `success_figure`, for the distance of the centres: the share of frames within a threshold (n,) in pixels.
 
-    `curves` are thresholds (n,) in pixels and shares (S, n) by label; band and line as in `success_figure`.
+    The legend has the share within `at` pixels.
     """
-    names = ("distance threshold (px)", "share of frames within it")
-    return _curves(curves, _shares_at(curves, at), f"at {at:g} px", title, names, at)
+    return _curves(curves, f"at {at:g} px", title, ("distance threshold (px)", "share of frames within it"), at)
 
 
 def cumulative_error_figure(
     curves: Curves, *, threshold: float, unit: str = "px", title: str = "Cumulative error"
 ) -> Figure:
-    """Share of rows whose error is below a value, for each recipe; the legend has the share below `threshold`.
+    """As `success_figure`, for the share of rows whose error is below a value (n,) in `unit`.
 
-    `curves` are values (n,) in `unit` and shares (S, n) by label. Band and line as in `success_figure`.
+    The legend has the share below `threshold`.
     """
-    names, measure = (f"error ({unit})", "share of rows below it"), f"below {threshold:.3g} {unit}"
-    return _curves(curves, _shares_at(curves, threshold), measure, title, names, threshold)
+    names = f"error ({unit})", "share of rows below it"
+    return _curves(curves, f"below {threshold:.3g} {unit}", title, names, threshold)
 
 
-def _shares_at(curves: Curves, threshold: float) -> dict[str, float]:
-    """The mean share over seeds at a threshold."""
-    return {
-        label: float(np.mean([np.interp(threshold, at, row) for row in values]))
-        for label, (at, values) in curves.items()
-    }
+def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], mark: float | None = None) -> Figure:
+    """The legend has the mean over seeds of the share at `mark`, or over the whole curve."""
 
+    def score(label: str) -> float:
+        at, values = curves[label]
+        return float(np.mean(values if mark is None else [np.interp(mark, at, row) for row in values]))
 
-def _curves(
-    curves: Curves, scores: Mapping[str, float], measure: str, title: str, names: tuple[str, str], mark: float | None
-) -> Figure:
     longest = max((len(label) for label in curves), default=0)
     with style():
-        from matplotlib.ticker import PercentFormatter
-
         figure = new_figure(SQUARE[0] + 0.055 * max(0, min(longest, 40) - 12), SQUARE[1])
         axes = figure.subplots()
         handles = {}
@@ -81,31 +83,24 @@ def _curves(
         if mark is not None:
             axes.axvline(mark, **_MARK)
         axes.margins(x=0)
-        axes.set_ylim(0, 1.015)
-        axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
-        axes.set(xlabel=names[0], ylabel=names[1])
+        axes.set(ylim=(0, 1.015), xlabel=names[0], ylabel=names[1])
+        axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
         several = any(len(values) > 1 for _, values in curves.values())
         heading(axes, title, "band: range over seeds" if several else "")
+        scores = {label: score(label) for label in curves}
         best = sorted(curves, key=lambda label: -scores[label])
-        figure.legend(
-            [handles[label] for label in best],
-            [f"{scores[label]:.3f}  {clean(label, 40)}" for label in best],
-            loc="outside right upper",
-            title=measure,
-            alignment="left",
-            title_fontproperties={"weight": "bold", "size": 9},
-            handlelength=2.8,
-        )
+        labels = [f"{scores[label]:.3f}  {clean(label, 40)}" for label in best]
+        bold: Any = {"title": measure, "title_fontproperties": {"weight": "bold", "size": 9}, "alignment": "left"}
+        figure.legend([handles[label] for label in best], labels, loc="outside right upper", handlelength=2.8, **bold)
         return figure
 
 
 def error_over_time_figure(
     frames: Whole, errors: Mapping[str, Array], hidden: Mask, unit: str = "px", *, title: str = "Error over time"
 ) -> Figure:
-    """Median over seeds of the error in each frame, and the band between the 10 and the 90 % quantile.
+    """Median over seeds of the error in each frame, the band from the 10 to the 90 % quantile, `hidden` (T,) shaded.
 
-    `errors` are (S, T) by label, in `unit`, nan where not known. The frames where the target is `hidden` (T,) are
-    shaded.
+    `errors` are (S, T) by label, in `unit`, nan where not known.
     """
     with style():
         figure, axes, pen = _over_time(frames, list(errors))
@@ -132,10 +127,9 @@ def spread_figure(
     *,
     title: str = "Spread over seeds",
 ) -> Figure:
-    """How far the farthest run is from the median of all, in each frame and for each part.
+    """The distance of the farthest run from the median of all, `distances` (T,) in pixels by part.
 
-    `distances` (T,) in pixels by part; `parting` is the frame where the first run leaves the others, and `limits` how
-    far a run of each part may be from them, in pixels.
+    `parting` is the frame where the first run leaves the others, and `limits` the most by part, in pixels.
     """
     with style():
         figure, axes, pen = _over_time(frames, list(distances))
@@ -148,17 +142,10 @@ def spread_figure(
         if parting is not None:
             axes.axvline(parting, color=STATUS["lost"], linewidth=1.2, zorder=1)
             late = parting > (float(frames[0]) + float(frames[-1])) / 2
-            axes.annotate(
-                f"runs part ways at frame {parting:,}",
-                (parting, 1),
-                xycoords=("data", "axes fraction"),
-                xytext=(-5 if late else 5, -3),
-                textcoords="offset points",
-                ha="right" if late else "left",
-                va="top",
-                fontsize=8.5,
-                bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5},
-            )
+            place: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "top"}
+            place |= {"xytext": (-5 if late else 5, -3), "ha": "right" if late else "left", "fontsize": 8.5}
+            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
+            axes.annotate(f"runs part ways at frame {parting:,}", (parting, 1), bbox=box, **place)
         heading(axes, title, "the farthest run's distance from the median" + ("; dashed: limit" if limits else ""))
         axes.set_ylabel("distance (px)")
         return figure
@@ -176,10 +163,9 @@ def calibration_figure(measures: ConfidenceMeasures, *, title: str = "Confidence
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.2, 1]})
         upper.plot([0, 1], [0, 1], **_MARK, label="ideal: equal to confidence")
         upper.vlines(mean, mean, near, color=STATUS["lost"], linewidth=1.0, alpha=0.55, zorder=1.5)
-        marked: dict[str, Any] = {"color": COLOURS[0], "linewidth": 1.5, "markersize": 5}
-        upper.plot(mean, near, "o-", **marked, label="near the ground truth")
+        upper.plot(mean, near, "o-", color=COLOURS[0], linewidth=1.5, markersize=5, label="near the ground truth")
         if (visible < 1).any():
-            marked = {"color": COLOURS[1], "linewidth": 1.2, "markersize": 4}
+            marked: dict[str, Any] = {"color": COLOURS[1], "linewidth": 1.2, "markersize": 4}
             upper.plot(mean, visible, "s--", **marked, label="visible in the ground truth")
         upper.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.04), ylabel="share of rows")
         ece = measures.ece

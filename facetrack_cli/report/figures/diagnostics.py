@@ -1,7 +1,4 @@
-"""What a tracker reports of its targets beside their rows, over time: identity, particles, scale, noise, error.
-
-The panels of scale, noise and error are those of figure 2 of Zhou et al. 2003.
-"""
+"""Diagnostics over time: identity, particles, and scale, noise and error as in figure 2 of Zhou et al. 2003."""
 
 from __future__ import annotations
 
@@ -11,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.report.figures.axes import limit
 from facetrack_cli.report.figures.lines import Line, Panel, Pen
-from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, clean
+from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, clean, limit
 from facetrack_cli.trajectory.diagnostics import AFFINE, POSTERIOR, SURE, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -36,40 +32,39 @@ _LOOK: Final[Mapping[str, tuple[str, str, float]]] = {
 
 
 def panels(table: Trajectory, lines: Sequence[Line], pen: Pen) -> Iterator[Panel]:
-    """The panels of what is reported of the table's targets; none of a tracker that reports nothing."""
+    """A panel for each thing that the tracker reports."""
     first = {line.ours.target: line for line in reversed(lines)}
     yield from _particles(table, first, pen)
-    identities = [target for target in table.targets if _known(table.beliefs(target)[2])]
+    identities = [target for target in table.targets if known(table.beliefs(target)[2])]
     for target in identities[:MOST]:
         yield _identity(table, target, pen, target if len(first) > 1 else "")
     reported = {target: one for target, one in table.diagnostics.items() if target in first}
     declared = {one.name: one for each in reported.values() for one in each.declared if one.name in each.values}
     for name in [*_LOOK, *(name for name in declared if name not in (*_LOOK, *_ELSEWHERE))]:
-        known = {target: each for target, each in reported.items() if _known(each.get(name))}
-        if known and name in declared:
-            yield _curves(table, declared[name], known, lines, pen)
+        those = {target: each for target, each in reported.items() if known(each.get(name))}
+        if those and name in declared:
+            yield _curves(table, declared[name], those, lines, pen)
 
 
 def _curves(
-    table: Trajectory, one: Diagnostic, known: Mapping[str, Diagnostics], lines: Sequence[Line], pen: Pen
+    table: Trajectory, one: Diagnostic, those: Mapping[str, Diagnostics], lines: Sequence[Line], pen: Pen
 ) -> Panel:
-    """The values of one diagnostic, of each target that reports it."""
     colours = {line.ours.target: line.group for line in lines}
     title, note, height = _LOOK.get(one.name, (one.name, one.meaning, 0.7))
     bounds = bounds_of(table) if one.name == "noise" else None
     ends = () if bounds is None else bounds[:2]
     pairs = [line.pair for line in lines if line.pair is not None and one.name == "scale"]
-    truth = [true for pair in pairs if (true := _true_scale(pair, known)) is not None]
+    truth = [true for pair in pairs if (true := _true_scale(pair, those)) is not None]
     notes = [note, "dashed: its bounds" if ends else ""]
     notes += ["dotted: ground truth, root of width × height"] if truth else []
-    people = max(len(each.labels.get(POSTERIOR.name, ())) for each in known.values())
+    people = max(len(each.labels.get(POSTERIOR.name, ())) for each in those.values())
     notes += [f"undecided among {people}: {np.log(people):.2f}"] if one.name == "entropy" and people > 1 else []
 
     def draw(axes: Axes) -> None:
-        # around 1 a scale's changes show best; what is 0 at best begins there
-        values = [*(each.get(one.name) for each in known.values()), *(value for _, value in truth), np.array(ends)]
+        # a scale is near 1; what is 0 at best begins there
+        values = [*(each.get(one.name) for each in those.values()), *(value for _, value in truth), np.array(ends)]
         limit(axes, values, 0.0 if one.least == 0 and one.name != "scale" else None, 3)
-        for target, each in known.items():
+        for target, each in those.items():
             for column in np.atleast_2d(each.get(one.name).T):
                 pen.line(axes, each.frame, column, color=colours[target], linewidth=1.2)
         for end in ends:
@@ -99,31 +94,28 @@ def eta(error: Array, least: float, most: float, rate: float) -> Array:
 def adaptation(table: Trajectory) -> Panel | None:
     """Figure 2(a): eta over the error, and a histogram of the errors of this run; None if there are none."""
     bounds = bounds_of(table)
-    errors = np.concatenate(
-        [np.empty(0), *(one.get("error") for target, one in table.diagnostics.items() if target in table.targets)]
-    )
+    reported = [one.get("error") for target, one in table.diagnostics.items() if target in table.targets]
+    errors = np.concatenate([np.empty(0), *reported])
     errors = errors[np.isfinite(errors)]
     if bounds is None or not errors.size:
         return None
     least, most, rate = bounds
-    # those far out share the last bar, or they would compress all others, and the curve
+    # errors far out share the last bar, so that they do not compress the others
     reach = min(max(2 * rate, 1.05 * float(np.quantile(errors, 0.98))), 5 * rate)
 
     def draw(axes: Axes) -> None:
         counts, edges = np.histogram(np.minimum(errors, reach), 60, (0, reach))
         low, high = min(least, most), max(least, most)
         tall = 0.9 * (high - low or 1.0) / max(int(counts.max()), 1)
-        look: dict[str, Any] = {"align": "edge", "color": STATUS["hidden"], "alpha": 0.4, "linewidth": 0}
-        axes.bar(edges[:-1], counts * tall, np.diff(edges), low, **look)
+        grey = STATUS["hidden"]
+        axes.bar(edges[:-1], counts * tall, np.diff(edges), low, align="edge", color=grey, alpha=0.4, linewidth=0)
         x = np.linspace(0, reach, 300)
         axes.plot(x, eta(x, *bounds), color=COLOURS[0], linewidth=1.6)
         for end in (least, most):
             axes.axhline(end, **GUIDE)
-        axes.set_xlim(0, reach)
         margin = 0.06 * (high - low or 1.0)
-        axes.set_ylim(low - margin, high + margin)
+        axes.set(xlim=(0, reach), ylim=(low - margin, high + margin), xlabel="error ε")
         axes.set_yticks(sorted({least, most}), [f"{end:.3g}" for end in sorted({least, most})])
-        axes.set_xlabel("error ε")
         axes.tick_params(bottom=False, left=False)
 
     middle = np.median(errors)
@@ -137,9 +129,9 @@ def adaptation(table: Trajectory) -> Panel | None:
 
 
 def _particles(table: Trajectory, first: Mapping[str, Line], pen: Pen) -> Iterator[Panel]:
-    """The number of particles, where it changes; the parts of a target have the same."""
+    """The number of particles, which the parts of a target share, where it changes."""
     counts = {name: first[name].ours.particles for name in table.targets}
-    changing = [name for name, value in counts.items() if _known(value) and np.ptp(value[np.isfinite(value)]) > 0]
+    changing = [name for name, value in counts.items() if known(value) and np.ptp(value[np.isfinite(value)]) > 0]
     if not changing:
         return
     settings = said(table, "recipe", "filter")
@@ -163,12 +155,12 @@ def _identity(table: Trajectory, target: str, pen: Pen, whose: str) -> Panel:
     frame, names, values = table.beliefs(target)
     most = np.where(np.isfinite(values), values, -1.0)
     peak = most.max(axis=0)
-    # of those that ever mattered, the likeliest at the end first
+    # the likeliest at the end first
     rank: list[int] = np.lexsort((-peak, -np.round(most[-1], 2))).tolist()
     leading = rank[:NAMED]
     if len(names) > NAMED:
         leading = [k for k in leading if peak[k] > 0.1] or leading[:1]
-        # a name that led for a while and was then rejected is of interest too
+        # and a name that led for a while
         leading += [k for k in rank if k not in leading and peak[k] > 0.5][: NAMED + 1 - len(leading)]
     others = len(names) - len(leading)
     best = names[leading[0]]
@@ -187,8 +179,8 @@ def _identity(table: Trajectory, target: str, pen: Pen, whose: str) -> Panel:
                 pen.line(axes, frame, values[:, k], color=STATUS["hidden"], linewidth=0.6, alpha=0.6, zorder=1.6)
         for turn, k in reversed(list(enumerate(leading))):
             pen.line(axes, frame, values[:, k], color=COLOURS[turn % len(COLOURS)], linewidth=1.3, zorder=2.5)
-        known = [values[np.isfinite(values[:, k]), k] for k in leading]
-        ends = [float(one[-1]) if one.size else 0.0 for one in known]
+        finite = [values[np.isfinite(values[:, k]), k] for k in leading]
+        ends = [float(one[-1]) if one.size else 0.0 for one in finite]
         _labels(axes, ends, [clean(names[k], 24) for k in leading])
 
     kept = target in table.diagnostics and POSTERIOR.name in table.diagnostics[target].labels
@@ -196,7 +188,7 @@ def _identity(table: Trajectory, target: str, pen: Pen, whose: str) -> Panel:
 
 
 def _labels(axes: Axes, ends: Sequence[float], names: Sequence[str]) -> None:
-    """Names at the right of their lines, in the lines' colours, moved apart until all can be read."""
+    """Names at the right of their lines, in their colours, moved apart."""
     from matplotlib.patheffects import withStroke
 
     order = sorted(range(len(ends)), key=lambda i: (ends[i], -i))
@@ -205,23 +197,13 @@ def _labels(axes: Axes, ends: Sequence[float], names: Sequence[str]) -> None:
     for i in order:
         below = ends[i] - 0.09 if ends[i] < 0.85 else min(ends[i] - 0.09, 0.79)  # clear of the dashed line
         at = places[i] = max(below, at + step, 0.06)
-    for i in reversed(order):  # too many at the top: all of them lower
+    for i in reversed(order):  # too many at the top: all lower
         places[i] = min(places[i], top)
         top = places[i] - step
+    look: Any = {"xycoords": ("axes fraction", "data"), "xytext": (-4, 0), "textcoords": "offset points", "zorder": 5}
+    look |= {"ha": "right", "va": "center", "path_effects": [withStroke(linewidth=2.5, foreground="white")]}
     for i, name in enumerate(names):
-        axes.annotate(
-            name,
-            (1, places[i]),
-            xycoords=("axes fraction", "data"),
-            xytext=(-4, 0),
-            textcoords="offset points",
-            ha="right",
-            va="center",
-            fontsize=8,
-            color=COLOURS[i % len(COLOURS)],
-            path_effects=[withStroke(linewidth=2.5, foreground="white")],
-            zorder=5,
-        )
+        axes.annotate(name, (1, places[i]), fontsize=8, color=COLOURS[i % len(COLOURS)], **look)
 
 
 def _true_scale(pair: Pair, reported: Mapping[str, Diagnostics]) -> tuple[Whole, Array] | None:
@@ -238,5 +220,5 @@ def _true_scale(pair: Pair, reported: Mapping[str, Diagnostics]) -> tuple[Whole,
     return pair.truth.frame, true * (scale[mine[both[0]]] / true[theirs[both[0]]])
 
 
-def _known(value: Array) -> bool:
+def known(value: Array) -> bool:
     return bool(np.isfinite(value).any())

@@ -24,7 +24,7 @@ MANY = 12  # parts that have a line of their own in every panel
 
 @dataclass(frozen=True)
 class Panel:
-    """A plot of a page: its title, notes beside it of which as many are drawn as fit, and its height in inches."""
+    """A plot of a page: its title, notes beside it, drawn as far as they fit, and its height in inches."""
 
     title: str
     notes: Sequence[str]
@@ -48,21 +48,24 @@ class Line:
 
 
 def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
-    """A line for each part.
+    """A line for each part. The parts of a single target differ by colour; more than `MANY` have a range of colours.
 
-    Each part of a single target has its own colour; of several targets each has one colour, as in the annotated video,
-    and its parts differ by their dashes. More than `MANY` parts of one target run through a range of colours.
+    Of several targets each has one colour, as in the annotated video, and its parts differ by their dashes.
     """
-    truth = {pair.ours.names[0]: pair for pair in pairs}
-    targets = table.targets
+    import matplotlib
+    from matplotlib.colors import to_hex
+
+    truth, targets = {pair.ours.names[0]: pair for pair in pairs}, table.targets
     nth = {one.names[0]: number for target in targets for number, one in enumerate(table.of_target(target))}
     found = []
     for number, one in enumerate(table.parts):
         place = targets.index(one.target)
         group = COLOURS[place % len(COLOURS)]
         if len(table.parts) > MANY:
-            ramp = group if len(targets) > 1 else _ramp(number / (len(table.parts) - 1))
-            look: dict[str, Any] = {"color": ramp, "linewidth": 0.6, "alpha": 0.75}
+            # between purple and yellow-green, dark enough for paper
+            ramp = matplotlib.colormaps["viridis"](0.88 * number / (len(table.parts) - 1))
+            colour = group if len(targets) > 1 else to_hex(ramp)
+            look: dict[str, Any] = {"color": colour, "linewidth": 0.6, "alpha": 0.75}
         elif len(targets) > 1:
             # the targets of a second round of colours would look like those of the first
             dash = DASHES[(nth[one.names[0]] + place // len(COLOURS)) % len(DASHES)]
@@ -74,21 +77,11 @@ def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
 
 
 def _name(one: Trajectory, table: Trajectory) -> str:
-    """As short as tells the parts apart: of several targets with a part each, the target's name."""
-    sole = len(table.of_target(one.target)) == 1
-    if len(table.targets) > 1:
-        name = one.target if sole else one.name
-    else:
-        name = one.target if sole and one.part == "box" and one.target else one.part
-    return clean(name.replace("_", " "), 40)
-
-
-def _ramp(share: float) -> str:
-    """A colour between purple and yellow-green, dark enough for paper."""
-    import matplotlib
-    from matplotlib.colors import to_hex
-
-    return to_hex(matplotlib.colormaps["viridis"](0.88 * share))
+    """As short as distinguishes the parts: of several targets with a part each, the target's name."""
+    sole, several = len(table.of_target(one.target)) == 1, len(table.targets) > 1
+    if sole and (several or (one.part == "box" and one.target)):
+        return clean(one.target.replace("_", " "), 40)
+    return clean((one.name if several else one.part).replace("_", " "), 40)
 
 
 @dataclass(frozen=True)
@@ -99,9 +92,9 @@ class Pen:
     least: float
 
     def line(self, axes: Axes, frame: Whole, value: Array, dot: str = ".", **look: Any) -> None:
-        """A line, with gaps where a value is unknown; a dot where one stands alone, a wedge where the axis ends.
+        """A line, with gaps where a value is unknown, a dot for one alone, a wedge for one beyond the axis.
 
-        Of a long series the whole range is pale and the mean over it strong, so that lines do not hide each other.
+        Of a long series the range is pale and the mean strong, so that lines do not hide each other.
         """
         x, y, means = envelope(frame, value, self.bins)
         if means is None:
@@ -112,8 +105,7 @@ class Pen:
         lonely, colour = alone(y), look["color"]
         if lonely.any():
             fill: dict[str, Any] = {} if dot == "." else {"markerfacecolor": "none", "markeredgewidth": 0.8}
-            order = look.get("zorder", 2)
-            axes.plot(x[lonely], y[lonely], dot, color=colour, markersize=6, zorder=order, **fill)
+            axes.plot(x[lonely], y[lonely], dot, color=colour, markersize=6, zorder=look.get("zorder", 2), **fill)
         low, high = sorted(axes.get_ylim())
         for outside, place, wedge in ((y < low, low, "v"), (y > high, high, "^")):
             if outside.any():
@@ -125,11 +117,12 @@ class Pen:
         x, y, _ = envelope(frame, low, self.bins)
         top = envelope(frame, high, self.bins).y
         if len(frame) > 2 * self.bins:  # each bin has its least and its greatest value: the band holds both
-            y, top = _pairwise(y, np.fmin), _pairwise(top, np.fmax)
+            pairs = ((y, np.fmin), (top, np.fmax))
+            y, top = (np.where(np.isnan(v), np.nan, pick(v, np.append(v[1:], np.nan))) for v, pick in pairs)
         axes.fill_between(x, y, top, color=colour, alpha=alpha, linewidth=0)
 
     def shade(self, axes: Axes, frame: Whole, mask: Mask, status: str, alpha: float) -> None:
-        """Behind everything, the frames where the mask holds, in the colour of a status."""
+        """The frames of a mask, behind everything, in the colour of a status."""
         for start, end in frame_spans(frame, mask, self.least):
             axes.axvspan(start, end, color=STATUS[status], alpha=alpha, linewidth=0, zorder=0.5)
 
@@ -142,9 +135,9 @@ class Pen:
             self.shade(axes, frame, mask, status, alpha)
 
     def status(self, axes: Axes, lines: Sequence[Line]) -> None:
-        """A row a part: pale where tracked, vermilion where lost, grey where absent, a diamond where it was given.
+        """A row a part, with a diamond where it was given; below it the status in the ground truth.
 
-        Below it stands the status in the ground truth. Of many parts only bars are drawn.
+        Of many parts only bars are drawn.
         """
         many = len(lines) > MANY
         truth = not many and any(line.pair is not None for line in lines)
@@ -176,14 +169,6 @@ class Pen:
             axes.broken_barh(bars, place, facecolors=STATUS[status], linewidth=0, antialiased=False)
 
 
-def _pairwise(y: Array, pick: np.ufunc) -> Array:
-    """The extreme of each point and the one after it."""
-    after = np.append(y[1:], np.nan)
-    out = np.asarray(pick(y, after), dtype=np.float64)
-    out[np.isnan(y)] = np.nan
-    return out
-
-
 def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
     """(columns, rows) of a legend of these labels, filled column by column, over `width` inches."""
     lengths = [len(label) for label in labels]
@@ -196,11 +181,8 @@ def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
     return 1, len(labels)
 
 
-# --- arrays made ready for drawing -------------------------------------------------------------------------------
-
-
 def stacked(series: Sequence[tuple[Whole, Array | Mask]]) -> tuple[Whole, Array]:
-    """All (T,) frames of K series, increasing, and their values (K, T), nan where a series does not have the frame."""
+    """All (T,) frames of K series and their values (K, T), nan where a series does not have the frame."""
     frame = series[0][0]
     if not all(f is frame or np.array_equal(f, frame) for f, _ in series):  # nearly always they are all the same
         frame = np.unique(np.concatenate([f for f, _ in series]))
@@ -211,7 +193,7 @@ def stacked(series: Sequence[tuple[Whole, Array | Mask]]) -> tuple[Whole, Array]
 
 
 class Drawn(NamedTuple):
-    """A line to draw: (x, y) with nan wherever it is broken; if it was thinned, the (x, y) of its means too."""
+    """A line to draw: (x, y) with nan wherever it is broken; if it is thinned, the (x, y) of its means too."""
 
     x: Array
     y: Array
@@ -219,10 +201,10 @@ class Drawn(NamedTuple):
 
 
 def envelope(frame: Whole, value: Array, bins: int) -> Drawn:
-    """A line through (T,) values, broken where a value is not known and where frames are missing.
+    """A line through (T,) values, broken where values or frames are missing.
 
-    A series with more than two rows to a bin is thinned: drawn by the least and the greatest value in each of `bins`
-    equal spans of frames, so that no peak is lost, and by their means.
+    More than two rows a bin are thinned to the least and the greatest value in each of `bins` equal spans of frames, so
+    that no peak is lost, and their means.
     """
     known = np.flatnonzero(np.isfinite(value))
     if not known.size:
@@ -249,22 +231,21 @@ def _broken(x: Array, y: Array, before: Whole) -> tuple[Array, Array]:
 
 
 def _step(frame: Whole) -> int:
-    """The usual step between rows: 1, or n of a series with every n-th frame."""
+    """The usual step between frames."""
     return int(np.median(np.diff(frame))) if len(frame) > 1 else 1
 
 
 def alone(y: Array) -> Mask:
-    """(T,) the points of a line that have no neighbour: they need a mark to be seen."""
+    """(T,) the points of a line without a neighbour, which need a mark to be seen."""
     known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
     lonely: Mask = known[1:-1] & ~known[:-2] & ~known[2:]
     return lonely
 
 
 def frame_spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[tuple[float, float]]:
-    """(start, end) of each span of rows where `mask` holds, each row half a step wide to either side.
+    """(start, end) of each span of rows where `mask` holds, half a step wider at either end.
 
-    Spans less than `least` frames apart become one, and each is at least `least` frames wide, so that a single frame of
-    a long clip is still seen.
+    Spans less than `least` frames apart become one, and each is at least so wide: one frame of a long clip is seen.
     """
     if not mask.any():
         return []
@@ -276,10 +257,7 @@ def frame_spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[tuple[floa
 
 
 def quantiles(values: Array, shares: Iterable[float]) -> list[Array]:
-    """Quantiles of (K, T) along K, of the values that are known: (T,) for each share; nan where none is.
-
-    As numpy.nanquantile, which is a hundred times slower.
-    """
+    """(T,) for each share: as numpy.nanquantile of (K, T) along K, which is a hundred times slower."""
     ordered = np.sort(values, axis=0)  # nan goes to the end
     last = np.maximum(np.isfinite(ordered).sum(axis=0) - 1, 0)
     found = []

@@ -1,4 +1,4 @@
-"""The page of `facetrack plot`: what happened in one trajectory, panel under panel over one axis of time."""
+"""The page of `facetrack plot`: what happened in one trajectory, a panel each over one axis of time."""
 
 from __future__ import annotations
 
@@ -13,11 +13,24 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.core.types import Array
-from facetrack_cli.report.figures.axes import frame_axis, limit, numbers, second_axis
-from facetrack_cli.report.figures.diagnostics import adaptation, panels
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
 from facetrack_cli.report.figures.lines import MANY, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
-from facetrack_cli.report.figures.style import CORRECTED, FAINT, STATUS, TRUTH, WIDTH, clean, heading, new_figure, style
+from facetrack_cli.report.figures.style import (
+    CORRECTED,
+    FAINT,
+    STATUS,
+    TRUTH,
+    WIDTH,
+    clean,
+    frame_axis,
+    heading,
+    limit,
+    new_figure,
+    numbers,
+    second_axis,
+    style,
+)
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -29,7 +42,7 @@ if TYPE_CHECKING:
 
 BINS = 1000  # about the pixels across a panel
 UNSEEN = ("hidden", "absent")
-
+_UNIT = (-0.03, 1.06)  # the axis of what is from 0 to 1
 Of = Callable[[Trajectory], Array]
 _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angle", "confidence", "particles", "ess"))
 
@@ -37,12 +50,11 @@ _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angl
 def page_figure(
     table: Trajectory, pairs: Sequence[Pair] | None = None, *, title: str | None = None, width: float = WIDTH
 ) -> Figure:
-    """Position, size, confidence, status, particles, spread and error over time: a panel each, of what is known.
+    """Position, size, confidence, status, particles, spread, diagnostics and error over time, as far as known.
 
-    `pairs` (evaluation/match.py) bring the ground truth; the title names clip and recipe unless given; `width` is in
-    inches, the height follows. Up to `MANY` parts have a line each; of more, all panels but position and size show the
-    median, the middle 80 % and the whole range over parts. Long tracks are drawn by their envelope, and what
-    a tracker reports beside its rows has panels too (diagnostics.py). Raises InputError where nothing is known.
+    `pairs` (evaluation/match.py) bring the ground truth; the title is by default clip and recipe; `width` in inches.
+    Of more than `MANY` parts, all panels but position and size show the median, the middle 80 % and the range. Raises
+    InputError where nothing is known.
     """
     with style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
@@ -64,16 +76,11 @@ def error(pair: Pair) -> Array:
     return np.where(pair.truth.status == "absent", np.nan, wrong)
 
 
-def overlap(pair: Pair) -> Array:
-    """(T,) intersection over union with the true box; nan where either is not known, and where the part is absent."""
-    return np.where(pair.truth.status == "absent", np.nan, iou(pair.ours.boxes, pair.truth.boxes))
-
-
 def _title(table: Trajectory) -> str:
     clip, name = said(table, "source", "path"), said(table, "recipe", "name")
     if isinstance(clip, str):
         return PurePath(clip).name + (f", {name}" if isinstance(name, str) else "")
-    # trajectory.csv lies in a folder that is named after clip and recipe
+    # a run's folder is named after clip and recipe
     folder = table.path.resolve().parent.name
     return folder if table.path.stem == "trajectory" and folder else table.path.name
 
@@ -82,15 +89,14 @@ class _Page:
     def __init__(self, table: Trajectory, pairs: Sequence[Pair], width: float) -> None:
         self.table, self.width, self.frames = table, width, table.frames
         self.lines = lines_of(table, pairs)
-        self.paired = [(line, line.pair) for line in self.lines if line.pair is not None]
-        self.errors = [error(pair) for _, pair in self.paired]
+        self.paired = [(line, line.pair, error(line.pair)) for line in self.lines if line.pair is not None]
         self.many = len(self.lines) > MANY
-        # so many strokes take long and say no more
+        # more strokes take long and show no more
         bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS
         self.pen = Pen(bins, float(self.frames[-1] - self.frames[0] + 1) / BINS)
         self.judged = bool((table.status != "").any())
         self.gone = [status for status in ("lost", "absent") if (table.status == status).any()]
-        self.truth = {status for _, pair in self.paired for status in np.unique(pair.truth.status).tolist()}
+        self.truth = {status for _, pair, _ in self.paired for status in {*pair.truth.status.tolist()}}
         self.corrected = np.unique(np.concatenate([line.ours.frame[line.ours.corrected] for line in self.lines]))
 
     def figure(self, title: str) -> Figure:
@@ -112,17 +118,10 @@ class _Page:
         head.text(0.012, 1 - 0.09 / top, clean(title, int(self.width * 8)), va="top", weight="bold", size=12)
         head.text(0.012, 1 - 0.31 / top, "\n".join(lines), va="top", size=8.5, color=FAINT)
         if legend:
-            head.legend(
-                list(legend.values()),
-                list(legend),
-                loc="upper left",
-                bbox_to_anchor=(0.004, 1 - (above - 0.02) / top),
-                ncols=columns,
-                handlelength=2.4,
-                columnspacing=1.6,
-                labelspacing=0.35,
-                handler_map={tuple: HandlerTuple(ndivide=None, pad=0)},
-            )
+            place = {"loc": "upper left", "bbox_to_anchor": (0.004, 1 - (above - 0.02) / top)}
+            spacing = {"handlelength": 2.4, "columnspacing": 1.6, "labelspacing": 0.35}
+            handlers = {tuple: HandlerTuple(ndivide=None, pad=0)}
+            head.legend([*legend.values()], [*legend], ncols=columns, handler_map=handlers, **place, **spacing)
         self._stack(rest, panels)
         if foot is not None:  # has an axis of its own
             axes = pieces[2].subplots()
@@ -147,14 +146,13 @@ class _Page:
             heading(axes, panel.title, self._fitting(panel), 13 if timed and axes is column[0] else 0)
 
     def _fitting(self, panel: Panel) -> str:
-        """As many of a panel's notes as there is room for."""
+        """The first of a panel's notes, as far as they fit."""
         notes = "; ".join(filter(None, panel.notes)).split("; ")
         while notes and len("; ".join(notes)) > (self.width - 1.0) / 0.062 - 1.3 * len(panel.title):
             notes.pop()
         return "; ".join(notes)
 
     def _legend(self) -> dict[str, Any]:
-        """Labels and their handles, in order."""
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
@@ -163,28 +161,23 @@ class _Page:
             found |= {line.name: Line2D([], [], **line.look) for line in self.lines}
         for target in self.table.targets if self.many else ():
             group = [line for line in self.lines if line.ours.target == target]
-            picked = [group[round(i * (len(group) - 1) / 5)] for i in range(6)]
             of = f"{target}: " if len(self.table.targets) > 1 else ""
             what = f"{of}{len(group)} parts, {group[0].ours.part} to {group[-1].ours.part}"
-            label = clean(what if len(group) > 1 else target or group[0].name, 60)
-            found[label] = tuple(Line2D([], [], color=line.colour, linewidth=2) for line in picked)
+            colours = [group[round(i * (len(group) - 1) / 5)].colour for i in range(6)]
+            handles = tuple(Line2D([], [], color=colour, linewidth=2) for colour in colours)
+            found[clean(what if len(group) > 1 else target or group[0].name, 60)] = handles
         if self.paired and not self.many:
             found["ground truth"] = Line2D([], [], **TRUTH)
-        for status in self.gone:
-            found[status] = Patch(color=STATUS[status], linewidth=0)
+        found |= {status: Patch(color=STATUS[status], linewidth=0) for status in self.gone}
         if len(self.corrected):
             found["corrected by hand"] = Line2D([], [], **CORRECTED)
-        for status in UNSEEN if not self.many else ():
-            if status in self.truth:
-                found[f"{status} in the ground truth"] = Patch(color=STATUS[status], linewidth=0)
-        return found
+        unseen = [status for status in UNSEEN if status in self.truth and not self.many]
+        return found | {f"{one} in the ground truth": Patch(color=STATUS[one], linewidth=0) for one in unseen}
 
     def _summary(self) -> list[str]:
-        """The run in a line or two, under the title."""
         count = len(self.frames)
         found = [f"{count:,} frame{'s' * (count != 1)}"]
-        seed = self.table.header.get("seed")
-        if isinstance(seed, int):
+        if isinstance(seed := self.table.header.get("seed"), int):
             found.append(f"seed {seed}")
         if self.judged:
             lost = [int((line.ours.status == "lost").sum()) for line in self.lines]
@@ -194,9 +187,9 @@ class _Page:
             found.append(f"lost in {share} of {over}" if any(lost) else "never lost")
         if len(self.corrected):
             found.append(f"corrected by hand in {len(self.corrected):,} of them")
-        # as eval counts: what is hidden is measured apart
-        wrong = [e[~np.isin(pair.truth.status, UNSEEN)] for (_, pair), e in zip(self.paired, self.errors, strict=True)]
-        if wrong and np.isfinite(every := np.concatenate(wrong)).any():
+        # hidden rows are left out, as in eval
+        wrong = [error[~np.isin(pair.truth.status, UNSEEN)] for _, pair, error in self.paired]
+        if wrong and known(every := np.concatenate(wrong)):
             found.append(f"median error {np.nanmedian(every):.2f} px")
         if self.table.header.get("complete") is False:
             found.append("the run was cut short")
@@ -204,69 +197,62 @@ class _Page:
             found.append(f"pale: range over {round(self.pen.least * BINS / self.pen.bins)} frames, line: their mean")
         return found
 
-    # which panels there are
-
     def _panels(self) -> Iterator[Panel]:
-        lines, many = self.lines, self.many
+        table, lines, many = self.table, self.lines, self.many
         truth = "dotted: ground truth" if self.paired and not many else ""
         bands = "median, middle 80 % and range of the parts" if many else ""
-        if self._known(_x):
+        if known(table.x):
             yield Panel("x (px)", [truth], 1.15, partial(self._values, of=_x))
-        if self._known(_y):
+        if known(table.y):
             yield Panel("y (px)", ["up is up in the image", truth], 1.15, partial(self._values, of=_y, down=True))
-        if self._known(size):
-            sizes = [line.ours for line in lines] + [pair.truth for _, pair in self.paired if not many]
+        if known(size(table)):
+            sizes = [line.ours for line in lines] + [pair.truth for _, pair, _ in self.paired if not many]
             still = all(_reach(size(s)) < 0.01 for s in sizes)
             notes = ["root of width × height", "constant" if still else truth]
             yield Panel("size (px)", notes, 0.45 if still else 0.85, partial(self._values, of=size, floor=0.0))
         if any(_reach(line.ours.angle) > 0 for line in lines):
             yield Panel("angle (°)", [truth], 0.85, partial(self._values, of=_angle))
-        if self._known(_confidence):
+        if known(table.confidence):
             yield Panel("confidence", [bands, self._shaded(" or ".join(self.gone))], 0.95, self._confidence)
         if self.judged:
             below = "below each row: ground truth" if self.truth & {*UNSEEN} else ""
             notes = ["a row a part, from first to last" if many else below]
             tall = max(0.2, min(0.165 * len(lines), 1.5))
             yield Panel("status", notes, tall, partial(self.pen.status, lines=lines))
-        if self._known(_ess):
+        if known(table.ess):
             grey = many or len({_particles(line.ours).tobytes() for line in lines}) == 1
-            behind = f"{'grey' if grey else 'pale'}: particles" if self._known(_particles) else ""
+            behind = f"{'grey' if grey else 'pale'}: particles" if known(table.particles) else ""
             yield Panel("effective sample size", [bands, behind, "log scale"], 0.95, self._particles)
-        elif self._known(_particles):
+        elif known(table.particles):
             yield Panel("particles", [], 0.6, self._particles)
-        if self._known(spread):
+        if known(spread(table)):
             notes = [bands, "standard deviation of the particles, both axes together"]
             yield Panel("spread (px)", notes, 0.95, partial(self._positive, of=spread))
-        yield from panels(self.table, lines, self.pen)
-        if any(np.isfinite(wrong).any() for wrong in self.errors):
+        yield from panels(table, lines, self.pen)
+        if any(known(wrong) for _, _, wrong in self.paired):
             notes = [bands, self._shaded("hidden in the ground truth" if "hidden" in self.truth else "")]
             notes += ["bands: 50 and 90 % by the spread"] if self._alone() else []
             yield Panel("error (px)", notes, 1.15, self._error)
-        if any(pair.is_box for _, pair in self.paired):
+        if any(pair.is_box for _, pair, _ in self.paired):
             yield Panel("overlap (IoU)", [bands, "with the true box"], 0.85, self._overlap)
 
-    def _known(self, of: Of) -> bool:
-        return bool(np.isfinite(of(self.table)).any())
-
     def _alone(self) -> bool:
-        """Whether there is one part alone, with ground truth, whose spread is known."""
-        return len(self.lines) == 1 and bool(self.paired) and self._known(spread)
+        """Whether there is only one part, with ground truth and a known spread."""
+        return len(self.lines) == 1 and bool(self.paired) and known(spread(self.table))
 
     def _shaded(self, what: str) -> str:
         if not what or self.many:
             return what and f"shaded: more than half {what}"
         return f"shaded: {what}" + (", darker where all are" if len(self.lines) > 1 else "")
 
-    # what they show
-
     def _values(self, axes: Axes, of: Of, floor: float | None = None, down: bool = False) -> None:
-        """A line for each part, and its ground truth; `down`: upside down."""
+        """A line for each part and its ground truth; `down`: values increase downwards."""
         ours = [of(line.ours) for line in self.lines]
-        true = [] if self.many else [of(pair.truth) for _, pair in self.paired]  # of many, it would hide them
+        true = [] if self.many else [of(pair.truth) for _, pair, _ in self.paired]  # of many, it would hide the lines
         limit(axes, ours + true, floor, 2 if floor is not None else 4)
         for line, value in zip(self.lines, ours, strict=True):
             self.pen.line(axes, line.ours.frame, value, **line.look)
-        for (_, pair), value in zip(self.paired, true, strict=False):
+        for (_, pair, _), value in zip(self.paired, true, strict=False):
             self.pen.line(axes, pair.truth.frame, value, dot="o", **TRUTH)
         if down:
             axes.invert_yaxis()
@@ -275,7 +261,7 @@ class _Page:
         for status in self.gone:
             self.pen.shade_parts(axes, [line.ours for line in self.lines], status)
         usual = bool(np.nanmin(self.table.confidence) >= 0 and np.nanmax(self.table.confidence) <= 1)
-        self._positive(axes, _confidence, (-0.03, 1.06) if usual else None)
+        self._positive(axes, _confidence, _UNIT if usual else None)
         if usual:
             axes.set_yticks([0, 0.5, 1])
 
@@ -283,13 +269,12 @@ class _Page:
         from matplotlib.ticker import LogLocator
 
         counts = [_particles(line.ours) for line in self.lines]
-        sampled = self._known(_ess)
-        if sampled:  # what matters is whether a few are left, or many
+        sampled = known(self.table.ess)
+        if sampled:  # whether a few are left, or many
             every = np.concatenate([self.table.particles, self.table.ess])
             high = 1.4 * max(2.0, float(np.nanmax(every)))
             low = max(0.8, min(0.7 * float(np.nanmin(every)), high / 15))
-            axes.set_yscale("log")
-            axes.set_ylim(low, high)
+            axes.set(yscale="log", ylim=(low, high))
             axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 120 * low else (1,)))
             axes.yaxis.set_major_formatter(lambda value, _: numbers([value])[0])
             axes.yaxis.minorticks_off()
@@ -304,39 +289,41 @@ class _Page:
             self._positive(axes, _ess, axes.get_ylim())
 
     def _error(self, axes: Axes) -> None:
-        self.pen.shade_parts(axes, [pair.truth for _, pair in self.paired], "hidden")
-        limit(axes, self.errors, 0.0)
+        self.pen.shade_parts(axes, [pair.truth for _, pair, _ in self.paired], "hidden")
+        limit(axes, [wrong for _, _, wrong in self.paired], 0.0)
         if self._alone():
             (line,) = self.lines
             sigma = spread(line.ours) / math.sqrt(2)  # along one axis
             for reach, alpha in ((2.146, 0.16), (1.177, 0.2)):  # radii of a circular normal distribution's 90 and 50 %
                 self.pen.band(axes, line.ours.frame, 0 * sigma, reach * sigma, line.colour, alpha)
-        paired = zip(self.paired, self.errors, strict=True)
-        self._strokes(axes, [(line, pair.ours, wrong) for (line, pair), wrong in paired])
+        self._strokes(axes, [(line, pair.ours.frame, wrong) for line, pair, wrong in self.paired])
 
     def _overlap(self, axes: Axes) -> None:
-        axes.set_ylim(-0.03, 1.06)
-        axes.set_yticks([0, 0.5, 1])
-        self._strokes(axes, [(line, pair.ours, overlap(pair)) for line, pair in self.paired if pair.is_box])
+        axes.set(ylim=_UNIT, yticks=[0, 0.5, 1])
+        boxes = [(line, pair) for line, pair, _ in self.paired if pair.is_box]
+        shares = [iou(pair.ours.boxes, pair.truth.boxes) for _, pair in boxes]
+        shares = [
+            np.where(pair.truth.status == "absent", np.nan, v) for (_, pair), v in zip(boxes, shares, strict=True)
+        ]
+        self._strokes(axes, [(line, pair.ours.frame, v) for (line, pair), v in zip(boxes, shares, strict=True)])
 
     def _positive(self, axes: Axes, of: Of, ends: tuple[float, float] | None = None) -> None:
-        """Values from 0 up."""
-        shown = [(line, line.ours, of(line.ours)) for line in self.lines]
+        shown = [(line, line.ours.frame, of(line.ours)) for line in self.lines]
         if ends is None:
             limit(axes, [value for _, _, value in shown], 0.0)
         else:
             axes.set_ylim(ends)
         self._strokes(axes, shown)
 
-    def _strokes(self, axes: Axes, shown: Sequence[tuple[Line, Trajectory, Array]]) -> None:
-        """A line each, or of many parts the median of each target within bands."""
+    def _strokes(self, axes: Axes, shown: Sequence[tuple[Line, Whole, Array]]) -> None:
+        """A line each; of many parts the median of each target within bands."""
         if not self.many:
-            for line, s, value in shown:
-                self.pen.line(axes, s.frame, value, **line.look)
+            for line, frame, value in shown:
+                self.pen.line(axes, frame, value, **line.look)
             return
         for target in dict.fromkeys(line.ours.target for line, _, _ in shown):
-            group = [(line, s.frame, value) for line, s, value in shown if s.target == target]
-            frame, values = stacked([(f, value) for _, f, value in group])
+            group = [one for one in shown if one[0].ours.target == target]
+            frame, values = stacked([one[1:] for one in group])
             least, low, middle, high, most = quantiles(values, (0.0, 0.1, 0.5, 0.9, 1.0))
             colour = group[0][0].group
             self.pen.band(axes, frame, least, most, colour, 0.14)
@@ -345,7 +332,6 @@ class _Page:
 
 
 def _wrap(said: Sequence[str], most: int) -> list[str]:
-    """Joined in lines of at most `most` characters."""
     lines = [said[0]]
     for one in said[1:]:
         longer = f"{lines[-1]}   ·   {one}"
@@ -355,5 +341,5 @@ def _wrap(said: Sequence[str], most: int) -> list[str]:
 
 def _reach(value: Array) -> float:
     """Greatest minus least, of what is known."""
-    known = value[np.isfinite(value)]
-    return float(np.ptp(known)) if known.size else 0.0
+    found = value[np.isfinite(value)]
+    return float(np.ptp(found)) if found.size else 0.0

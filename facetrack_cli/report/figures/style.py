@@ -1,7 +1,6 @@
-"""The style of all figures: colours, type, and how a figure becomes the bytes of a file.
+"""The style of all figures, how one becomes a file, and axes: limits, ticks, frames below and seconds above.
 
-Figures are made without pyplot, inside `style()`, which restores the user's matplotlib settings. The same numbers give
-the same bytes, whatever those settings are.
+Equal numbers give equal bytes, whatever matplotlib settings the user has.
 """
 
 from __future__ import annotations
@@ -11,12 +10,17 @@ import io
 import logging
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +34,6 @@ WIDTH: Final = 10.0  # inches
 COLOURS: Final = ("#30A2DC", "#C49500", "#00795A", "#BE5CA6", "#2B3FC0", "#222222")
 INK: Final = "#222222"
 FAINT: Final = "#6B6B6B"
-GRID: Final = "#E3E3E3"
 # vermilion is never a line's colour
 STATUS: Final = {"tracked": "#D5E4EE", "lost": "#E0480A", "hidden": "#8A8A8A", "absent": "#4A4A4A"}
 # where colours run out: solid, dashed, dotted, dash-dotted
@@ -41,37 +44,11 @@ CORRECTED: Final[Any] = {
     "marker": "^", "color": INK, "linestyle": "none", "markersize": 5, "clip_on": False, "zorder": 5,
 }  # fmt: skip
 
-_SETTINGS: Final[Any] = {
-    "font.family": ["DejaVu Sans"],  # matplotlib brings it along
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.titlepad": 4.0,
-    "axes.labelsize": 9.0,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": "#B0B0B0",
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "text.color": INK,
-    "text.parse_math": False,  # names may hold a dollar
-    **dict.fromkeys(("xtick.color", "ytick.color"), FAINT),
-    **dict.fromkeys(("xtick.labelcolor", "ytick.labelcolor"), INK),
-    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize"), 8.0),
-    **dict.fromkeys(("xtick.major.size", "ytick.major.size"), 3.0),
-    "legend.fontsize": 8.5,
-    "legend.frameon": False,
-    "lines.linewidth": 1.2,
-    "agg.path.chunksize": 20_000,
-    "svg.hashsalt": "facetrack",
-    "svg.fonttype": "path",
-    "pdf.fonttype": 42,
-}
+_STEPS = (1, 2, 2.5, 5, 10)
+_SECONDS = (
+    0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000,
+)  # fmt: skip
+_STYLE: Final = Path(__file__).with_name("facetrack.mplstyle")
 
 
 @contextmanager
@@ -89,10 +66,9 @@ def needed(what: str, package: str) -> Iterator[None]:
 
 @cache
 def need_matplotlib() -> None:
-    """UsageError in one line where matplotlib is missing or broken.
+    """UsageError where matplotlib is missing or broken.
 
-    What it logs on its first import (the font cache is being built, the home folder cannot be written) does not reach
-    standard error: it changes nothing in a figure.
+    What it logs on its first import, on its font cache or the home folder, is suppressed: it changes no figure.
     """
     log = logging.getLogger("matplotlib")
     before = log.level
@@ -113,52 +89,40 @@ def need_matplotlib() -> None:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """The settings of all figures for the length of a `with`, whatever matplotlibrc the user has.
-
-    Numbers that overflow, and letters that the font lacks, are drawn without a warning.
-    """
+    """The settings of all figures, instead of the user's; without warnings of overflow and of missing glyphs."""
     need_matplotlib()
     import matplotlib
-    import numpy as np
 
     with matplotlib.rc_context(), warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_SETTINGS)
+        matplotlib.rc_file(_STYLE)
         yield
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """A figure of `width` x `height` inches, without pyplot; call it within `style()`."""
+    """A figure of `width` x `height` inches, made without pyplot, within `style()`."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
 
 
 def render(figure: Figure, form: str = "png", *, dpi: float = DPI) -> bytes:
-    """The figure as a file of the form png, svg or pdf; the same figure gives the same bytes, with no date in them.
-
-    An SVG begins with an XML declaration and a doctype: what embeds it in HTML cuts up to `<svg`.
-    """
-    none: dict[str, dict[str, Any]] = {
-        "png": {"Software": None},
-        "svg": {"Date": None, "Creator": None},
-        "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-    }
+    """The bytes of the figure as png, svg or pdf, without a date."""
+    none = {"png": ["Software"], "svg": ["Date", "Creator"], "pdf": ["CreationDate", "Creator", "Producer"]}
     into = io.BytesIO()
     with style():
-        figure.savefig(into, format=form, dpi=dpi, metadata=none[form])
+        figure.savefig(into, format=form, dpi=dpi, metadata=dict.fromkeys(none[form]))
     return into.getvalue()
 
 
 def line_style(index: int) -> dict[str, Any]:
-    """Colour and dash of the line of that number: all colours solid, then all of them dashed, and so on."""
+    """Colour and dash of line `index`: all colours solid, then all of them dashed, and so on."""
     turn, place = divmod(index, len(COLOURS))
     return {"color": COLOURS[place], "linestyle": DASHES[turn % len(DASHES)]}
 
 
 def heading(axes: Axes, title: str, note: str = "", above: float = 0.0) -> None:
-    """A title at the top left, `above` points higher, and after it in grey a note on how to read the panel."""
+    """A title at the top left, `above` points higher, and after it a note in grey."""
     from matplotlib.offsetbox import AnchoredOffsetbox, HPacker, TextArea
     from matplotlib.transforms import ScaledTranslation
 
@@ -180,7 +144,93 @@ def heading(axes: Axes, title: str, note: str = "", above: float = 0.0) -> None:
 
 
 def clean(text: str, most: int) -> str:
-    """A name on one line of at most `most` characters; a legend would hide one that begins with an underscore."""
+    """A name on one line of at most `most` characters; legends hide names that begin with an underscore."""
     text = "".join(c if c.isprintable() else "?" for c in text)
     text = text if len(text) <= most else text[: most - 1] + "…"
     return f" {text}" if text.startswith("_") else text
+
+
+def limit(axes: Axes, values: Iterable[Array], floor: float | None = None, ticks: int = 4) -> None:
+    """The `limits` of the vertical axis, with few ticks."""
+    from matplotlib.ticker import MaxNLocator
+
+    found = limits(values, floor)
+    if found is None:
+        return
+    axes.set_ylim(found)
+    places = MaxNLocator(ticks, steps=_STEPS).tick_values(*found)
+    inside = [float(place) for place in places if found[0] <= place <= found[1]]
+    axes.set_yticks(inside, numbers(inside))
+
+
+def limits(values: Iterable[Array], floor: float | None = None) -> tuple[float, float] | None:
+    """Limits a little wider than `values`, at least 1 apart, None where nothing is known.
+
+    Where the whole range is more than eight times that of the middle 98 % of the rows, they follow the middle: a few
+    rows far outside do not compress all others.
+    """
+    every = np.concatenate([v[np.isfinite(v)] for v in values] or [np.empty(0)])
+    if not every.size:
+        return None
+    low, high = float(every.min()), float(every.max())
+    middle = np.quantile(every[:: max(1, len(every) // 500_000)], (0.01, 0.99))
+    tall = max(float(middle[1] - middle[0]), 1.0)
+    if high - low > 8 * tall:
+        low, high = max(low, float(middle[0]) - tall), min(high, float(middle[1]) + tall)
+    if floor is not None:
+        high += max(1.0 - (high - floor), 0)
+        return floor, high + 0.06 * (high - floor)
+    short = max(1.0 - (high - low), 0) / 2
+    low, high = low - short, high + short
+    margin = 0.06 * (high - low)
+    return low - margin, high + margin
+
+
+def numbers(ticks: Sequence[float]) -> list[str]:
+    """Labels of ticks, with as many decimals as one of them needs."""
+    if any(abs(tick) >= 1e7 for tick in ticks):
+        return [f"{tick:.3g}" for tick in ticks]
+    decimals = next((d for d in range(4) if all(abs(t - round(t, d)) < 1e-9 for t in ticks)), 4)
+    return [f"{tick + 0.0:,.{decimals}f}".replace("-", "\N{MINUS SIGN}") for tick in ticks]
+
+
+def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
+    """An axis of frames, which increase, with at most `most` ticks."""
+    from matplotlib.ticker import MaxNLocator
+
+    first, last = float(frame[0]), float(frame[-1])
+    margin = max(0.5, 0.004 * (last - first), 1e-9 * last)
+    axes.set_xlim(first - margin, last + margin)
+    axes.set_xlabel("frame")
+    axes.xaxis.set_major_locator(MaxNLocator(max(2, most - 1), integer=True, min_n_ticks=1, steps=_STEPS))
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+    axes.tick_params(bottom=True)
+
+
+def second_axis(axes: Axes, table: Trajectory, most: int) -> bool:
+    """An axis of seconds above that of frames; False where seconds are not known or do not increase."""
+    time_s = table.times
+    known = np.isfinite(time_s)
+    if known.sum() < 2 or (np.diff(time_s[known]) <= 0).any():
+        return False
+    above = axes.secondary_xaxis("top")
+    above.set_ticks(*ticks(table.frames[known], time_s[known], most))
+    above.tick_params(length=2, pad=2)
+    above.spines["top"].set_visible(False)
+    return True
+
+
+def ticks(frame: Whole, time_s: Array, most: int = 11) -> tuple[list[float], list[str]]:
+    """About `most` frames at round times, and their labels: 1.5 s, 2:30 (minutes), 1:02:30 (hours)."""
+    first, last = float(time_s[0]), float(time_s[-1])
+    length = last - first
+    step = next((s for s in _SECONDS if length / s <= most), 36000.0 * np.ceil(length / 36000 / most))
+    seconds = np.arange(np.ceil(first / step - 1e-9), np.floor(last / step + 1e-9) + 1) * step + 0.0  # no minus zero
+    places = np.interp(seconds, time_s, frame).tolist()
+    if last < 120 or step < 1:
+        decimals = 0 if step >= 1 else 1 if step >= 0.1 else 2
+        return places, [f"{t:,.{decimals}f} s" for t in seconds.tolist()]
+    whole = [round(t) for t in seconds.tolist()]
+    if last < 3600:
+        return places, [f"{t // 60}:{t % 60:02}" for t in whole]
+    return places, [f"{t // 3600}:{t // 60 % 60:02}:{t % 60:02}" for t in whole]
