@@ -305,6 +305,17 @@ def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     return build(tuple(numbers), np.concatenate(which), **columns, **others)
 
 
+def aligned(parts: Sequence[Trajectory], *columns: str) -> tuple[Whole, dict[str, Any]]:
+    """The T frames of K trajectories of one part each, and the values (T, K) of each column, unknown without a row."""
+    frame = np.unique(np.concatenate([part.frame for part in parts]))
+    found = {}
+    for name in columns:
+        found[name] = np.full((len(frame), len(parts)), *_UNKNOWN.get(name, (np.nan,)))
+        for k, part in enumerate(parts):
+            found[name][np.searchsorted(frame, part.frame), k] = getattr(part, name)
+    return frame, found
+
+
 # --- what a tracker says of one frame ----------------------------------------------------------------------------
 
 

@@ -121,8 +121,7 @@ def _text(table: Trajectory, form: str, path: Path | None, media: Path | None, a
 
     import numpy as np
 
-    from facetrack_cli.trajectory.formats import boxes as plain
-    from facetrack_cli.trajectory.formats import coco, dlc, eaf, mot, vot
+    from facetrack_cli.trajectory.formats import boxes, eaf, keypoints
     from facetrack_cli.trajectory.header import said
     from facetrack_cli.trajectory.select import enclose
 
@@ -130,19 +129,19 @@ def _text(table: Trajectory, form: str, path: Path | None, media: Path | None, a
         raise InputError("no row has a place, x and y; there is nothing to export")
     if form == "dlc":
         recipe = said(table, "recipe", "name")
-        return dlc.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack")
+        return keypoints.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack")
     if form == "eaf":
         clip = _clip(table, media)
         return eaf.write_eaf(table, clip, path.parent if path else Path.cwd(), written=datetime.now())
     if form == "coco":
         size, file_name = _pictures(table, media)
-        return coco.write_coco(table, size, file_name, around=around)
+        return keypoints.write_coco(table, size, file_name, around=around)
     if form in ONE_TARGET and len(table.targets) > 1:
         raise UsageError(f"{form} holds one target; choose with --target among {', '.join(table.targets)}")
-    boxes = [enclose(table.of_target(target), around) for target in table.targets]
+    chosen = [enclose(table.of_target(target), around) for target in table.targets]
     if form == "mot":
-        return mot.write_mot(boxes)
-    return {"otb": plain.write_otb, "got10k": plain.write_got10k, "vot": vot.write_vot}[form](boxes[0])
+        return boxes.write_mot(chosen)
+    return {"otb": boxes.write_otb, "got10k": boxes.write_got10k, "vot": boxes.write_vot}[form](chosen[0])
 
 
 def _clip(table: Trajectory, media: Path | None) -> Path:
