@@ -1,28 +1,9 @@
-"""Numbers and names as results hold them: equal values give equal bytes."""
+"""Values as text."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
-from typing import Any
-
-
-def fixed(decimals: int) -> Callable[[Any], str]:
-    """A function that writes a number with so many decimals; "" for None and what is not finite, and never -0."""
-    spec, zero = f".{decimals}f", f"{0:.{decimals}f}"
-
-    def text(value: Any) -> str:
-        if value is None:
-            return ""
-        written = format(value, spec)
-        if written[0] in "-ni":  # a minus, nan or inf
-            if not math.isfinite(value):
-                return ""
-            return zero if written[1:] == zero else written
-        return written
-
-    return text
 
 
 def dumps(value: object) -> str:

@@ -191,7 +191,7 @@ def _versions() -> dict[str, str]:
 def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
     from facetrack_cli.recipe.model import to_dict
     from facetrack_cli.trajectory.diagnostics import KNOWN
-    from facetrack_cli.trajectory.start import to_record
+    from facetrack_cli.trajectory.header import to_record
 
     # those that every facetrack knows are not declared
     declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}

@@ -34,8 +34,8 @@ from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.core.yaml_tree import Node, Problem, Source, YamlProblems, parse, read_source
 from facetrack_cli.recipe.messages import locate, problems, suggest
 from facetrack_cli.tracking.start.init_writer import as_json, as_yaml
+from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord
 from facetrack_cli.trajectory.reader import MAX_FRAME
-from facetrack_cli.trajectory.start import CorrectedTarget, TargetRecord
 
 SUFFIXES: Final = (".yaml", ".yml", ".json")
 TARGET: Final = "face"

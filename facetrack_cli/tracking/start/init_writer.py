@@ -8,7 +8,7 @@ from itertools import groupby
 from typing import Any, Final
 
 from facetrack_cli.core.types import Point, Start, TargetStart
-from facetrack_cli.trajectory.start import corrected, whole
+from facetrack_cli.trajectory.header import corrected, whole
 
 _HOW: Final = {"haar": "found by Haar cascades", "--box": "placed in the box given", "the page": "picked on the page"}
 WHAT_PARTS_ARE: Final = {
