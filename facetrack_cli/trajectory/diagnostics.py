@@ -27,9 +27,8 @@ SURE: Final = 0.9
 class Diagnostic:
     """A quantity that is reported of a target in every frame.
 
-    `shape` () is a number, (n,) are n numbers, and None one number for each of some names. `least` and `most` bound
-    the values, `decimals` are those in JSON, one for all or one for each number, and `meaning` stands in plots. Raises
-    ValueError for a shape or decimals that cannot be.
+    `shape` () is a number, (n,) are n numbers, and None one number for each of some names. `decimals` are those in
+    JSON, one for all or one for each number; `meaning` stands in plots. Raises ValueError for what cannot be.
     """
 
     name: str
@@ -57,10 +56,9 @@ ENTROPY: Final = Diagnostic("entropy", "of the posterior", "nats", least=0)
 SCALE: Final = Diagnostic("scale", "1 at the start", least=0)
 NOISE: Final = Diagnostic("noise", "eta of eq. 13: noise of the motion, relative to its usual", least=0)
 ERROR: Final = Diagnostic("error", "eps_t of eq. 13: error of the velocity prediction", least=0)
+_AFFINE: Final = "deformation a1 to a4 since the start; centre in pixels"
 # a1 to a4 to 5 decimals: of a box of 1,000 pixels that is a hundredth of one
-AFFINE: Final = Diagnostic(
-    "affine", "deformation a1 to a4 since the start; centre in pixels", shape=(6,), decimals=(5, 5, 5, 5, 3, 3)
-)
+AFFINE: Final = Diagnostic("affine", _AFFINE, shape=(6,), decimals=(5, 5, 5, 5, 3, 3))
 KNOWN: Final[Mapping[str, Diagnostic]] = {one.name: one for one in (POSTERIOR, ENTROPY, SCALE, NOISE, ERROR, AFFINE)}
 """Those of the shipped trackers (Zhou, Chellappa & Moghaddam 2003), which docs/files.md describes."""
 
@@ -153,7 +151,8 @@ def outlines(rows: Trajectory) -> Array | None:
 def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
     """The numbers of a value, nan where there are none."""
     bounds = one.least, one.most
-    expected = _EXPECTED.get(bounds) or "number from {:g} to {:g}".format(*bounds)
+    known = {(0, 1): "probability", (0, math.inf): "number from 0 up", (-math.inf, math.inf): "finite number"}
+    expected = known.get(bounds) or "number from {:g} to {:g}".format(*bounds)
     if one.shape is None:
         if not isinstance(value, Mapping):
             raise ValueError(at, f"{one.name} is not an object of names and numbers")
@@ -169,13 +168,6 @@ def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> A
     if not _fits(one, value):
         raise ValueError(at, f"{one.name} {value!r} is no {expected}")
     return float(value)
-
-
-_EXPECTED: Final = {
-    (0, 1): "probability",
-    (0, math.inf): "number from 0 up",
-    (-math.inf, math.inf): "finite number",
-}
 
 
 def _fits(one: Diagnostic, value: Any) -> bool:

@@ -41,10 +41,9 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     """One box for each row of a target, as the series of a part `box`: the smallest upright box around its parts.
 
     A target of one part has that part's own box. Of several, `windows` encloses the windows that the tracker compares,
-    as in annotated videos; `points` their centres alone, each as one pixel. Parts whose place is not known in a row are
-    left out of it; lost ones count, since their place is the estimate (see `blank_lost`). `confidence` is the mean over
-    the parts, `status` lost when all parts are that are not absent. Raises InputError for windows of parts that have
-    none.
+    `points` their centres alone, each as one pixel. Parts whose place is not known in a row are left out of it; lost
+    ones count, since their place is the estimate. `confidence` is the mean over the parts, `status` lost when all parts
+    are that are not absent. Raises InputError for windows of parts that have none.
     """
     target = parts[0].target
     if len(parts) == 1:

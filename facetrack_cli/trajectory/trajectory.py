@@ -1,9 +1,5 @@
 """The one type for trajectories and ground truth: rows as typed columns, from the tracker's result to every file.
 
-    trajectory = read_trajectory(Path("out"))
-    nose = trajectory.find("face", "nose")
-    nose.frame, nose.x, nose.y       # (R,) each
-
 Axes: R rows, one for each frame, target and part. Rows of one part stand together, in the order of their frames; a
 number that is not known is nan, a text "".
 """
@@ -14,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
@@ -27,7 +24,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
-DECIMALS: Final[Mapping[str, int]] = {
+DECIMALS: Final = {
     "time_s": 4,
     "x": 3,
     "y": 3,
@@ -61,10 +58,8 @@ class Trajectory:
     standard deviations and `cov_xy` its covariance, in pixels. `status` is init, tracked, lost or absent in a
     trajectory; visible, hidden or absent in ground truth; "" where nothing is said. `by_hand` marks rows that a
     correction gave, which a CSV does not tell. `corners` (R, 4, 2), clockwise from the top left, are there for rotated
-    boxes and polygons.
-
-    `header` is what a JSON file says of its run (source, recipe, seed, init), `diagnostics` what a tracker reports of
-    each target beside its rows, `path` the file.
+    boxes and polygons. `header` is what a JSON file says of its run, `diagnostics` what a tracker reports of each
+    target beside its rows, `path` the file.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -93,8 +88,6 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.frame)
-
-    # --- names and parts
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -130,8 +123,6 @@ class Trajectory:
     def of_target(self, target: str) -> tuple[Trajectory, ...]:
         """A trajectory of each part of one target."""
         return tuple(one for one in self.parts if one.target == target)
-
-    # --- rows
 
     @property
     def frames(self) -> Whole:
@@ -179,8 +170,6 @@ class Trajectory:
         found[np.searchsorted(frames, self.frame[known])] = self.time_s[known]
         return found
 
-    # --- who a target is
-
     def beliefs(self, target: str) -> tuple[Whole, tuple[str, ...], Array]:
         """(T,) frames, (P,) names and (T, P) their probabilities: the posterior over identities of a target.
 
@@ -200,8 +189,6 @@ class Trajectory:
         above = np.flatnonzero(probabilities[:, names.index(name)] > level) if name in names else np.empty(0)
         return int(frame[above[0]]) if above.size else None
 
-    # --- geometry and corrections
-
     @property
     def boxes(self) -> Array:
         """(R, 4): left, top, width, height; a box over whole pixels has its centre at left + (w - 1) / 2."""
@@ -217,8 +204,6 @@ class Trajectory:
         shown = (self.status == "init") | (absent & ~np.concatenate([absent[:1], absent[:-1]]))
         found: Mask = self.by_hand | (shown & (np.arange(len(self)) > 0))
         return found
-
-    # --- for other libraries
 
     def columns(self) -> dict[str, Any]:
         """The columns of the CSV as arrays, rows in the order of the file: by frame, then by part."""
@@ -260,10 +245,8 @@ def build(
     which, frame = which[order], frame[order]
     twice = np.flatnonzero((np.diff(frame) == 0) & (np.diff(which) == 0))
     if twice.size:
-        name = "/".join(names[which[twice[0]]])
-        raise InputError(
-            f"{path}: frame {frame[twice[0]]} has two rows of {name}; keep one row a frame, target and part"
-        )
+        at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
+        raise InputError(f"{path}: frame {at} has two rows of {name}; keep one row a frame, target and part")
     known: dict[str, Any] = {"which": which, "frame": frame}
     for name in _ARRAYS[2:]:
         given = columns.pop(name, None)
@@ -295,13 +278,14 @@ def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
         for name in one.names:
             numbers.setdefault(name, len(numbers))
     which = [np.array([numbers[name] for name in one.names], np.int64)[one.which] for one in all_]
-    columns: dict[str, Any] = {
-        name: np.concatenate([getattr(one, name) for one in all_]) for name in _ARRAYS[1:] if name != "corners"
-    }
-    if any(one.corners is not None for one in all_):
-        columns["corners"] = np.concatenate(
-            [np.full((len(one), 4, 2), np.nan) if one.corners is None else one.corners for one in all_]
-        )
+    columns: dict[str, Any] = {}
+    for column in _ARRAYS[1:]:
+        arrays = [getattr(one, column) for one in all_]
+        if any(array is not None for array in arrays):
+            filled = [
+                np.full((len(one), 4, 2), np.nan) if a is None else a for one, a in zip(all_, arrays, strict=True)
+            ]
+            columns[column] = np.concatenate(filled)
     return build(tuple(numbers), np.concatenate(which), **columns, **others)
 
 
@@ -374,8 +358,7 @@ class Collector:
     """Collects the rows of successive frames into one trajectory, in little more memory than that."""
 
     def __init__(self) -> None:
-        self._chunks: list[Trajectory] = []
-        self._frames: list[Trajectory] = []
+        self._chunks, self._frames = list[Trajectory](), list[Trajectory]()
 
     def add(self, rows: Trajectory) -> None:
         self._frames.append(rows)
@@ -401,7 +384,6 @@ def successive(pieces: Sequence[Trajectory], like: Trajectory | None = None) -> 
 
 def by_frame(rows: Trajectory) -> Iterator[tuple[int, list[int]]]:
     """Each frame and the indices of its rows, by part."""
-    order = np.lexsort((rows.which, rows.frame)).tolist()
-    frames = rows.frame.tolist()
-    for frame, group in groupby(order, key=lambda i: frames[i]):
-        yield frame, list(group)
+    order, frames = rows._by_frame
+    for frame, group in groupby(zip(frames.tolist(), order.tolist(), strict=True), key=itemgetter(0)):
+        yield frame, [row for _, row in group]

@@ -32,8 +32,7 @@ _Form: TypeAlias = Callable[[list[Any]], list[str]]  # values to texts, "" for w
 class Footer(NamedTuple):
     """How a run ended. `complete` is False when frames that were asked for are missing; `stopped` says why.
 
-    `lost_frames` counts, for each "target/part", the frames in which it was lost. Only at its end is it known whether
-    a clip keeps a constant rate.
+    `lost_frames` counts, for each "target/part", the frames in which it was lost.
     """
 
     complete: bool = True

@@ -19,20 +19,15 @@ _MOST = 4  # targets with pictures, one a corner
 
 
 class Shown(NamedTuple):
-    """The pictures of one target, each with its name, and the colour of their frame."""
+    """The images of one target, each with its name, and the colour of their frame."""
 
     target: str
     pictures: tuple[tuple[str, Image], ...]
     colour: Colour
 
 
-class _Place(NamedTuple):
-    corner: int
-    since: int
-
-
 class Insets:
-    """Lays pictures into corners of frames of `size`; below `top` rows, which are the status bar's.
+    """Lays images into corners of frames of `size`; below `top` rows, which are the status bar's.
 
     Each target has a corner of its own, and keeps it until a window comes to lie there; then it goes where there is
     most room, and stays there for a while whatever comes. Where no corner is free it covers as little as it can.
@@ -41,25 +36,25 @@ class Insets:
     def __init__(self, size: tuple[int, int], top: int, line: int, font: Font) -> None:
         self._size, self._top, self._line, self._font = size, top, line, font
         self._height = round(0.2 * min(size[1], 0.75 * size[0]))
-        self._places: dict[str, _Place] = {}
+        self._places: dict[str, tuple[int, int]] = {}  # the corner of a target, and since when
         self._count = 0
 
     def draw(self, image: Image, shown: Iterable[Shown], windows: Sequence[Rect]) -> list[Rect]:
         """Draw on `image` (H, W, 3) in place, away from `windows`; returns the places taken, one a target.
 
-        What is no picture, or has no room, is left out.
+        What is no grey image, or has no room, is left out.
         """
         self._count += 1
         taken: list[Rect] = []
-        places: dict[str, _Place] = {}
+        places: dict[str, tuple[int, int]] = {}
         for one in shown:
             scaled = self._scaled(one) if len(taken) < _MOST else []
             if not scaled:
                 continue
             size = sum(p.shape[1] + self._line for _, p in scaled) + self._line, scaled[0][1].shape[0] + 2 * self._line
-            corner = self._corner(one.target, size, windows, {p.corner for p in places.values()})
+            corner = self._corner(one.target, size, windows, {corner for corner, _ in places.values()})
             known = self._places.get(one.target)
-            places[one.target] = known if known and known.corner == corner else _Place(corner, self._count)
+            places[one.target] = known if known and known[0] == corner else (corner, self._count)
             box = self._box(corner, size)
             self._lay(image, scaled, one.colour, round(box[0]), round(box[1]))
             taken.append(box)
@@ -67,7 +62,7 @@ class Insets:
         return taken
 
     def _scaled(self, one: Shown) -> list[tuple[str, Image]]:
-        """The pictures with their names, all equally high, and together no wider than 0.4 of the frame."""
+        """The images with their names, all equally high, and together no wider than 0.4 of the frame."""
         fine = [(name, p) for name, p in one.pictures if p.ndim == 2 and min(p.shape) > 0 and p.dtype == np.uint8]
         wide = sum(p.shape[1] / p.shape[0] for _, p in fine)
         height = min(self._height, int(0.4 * self._size[0] / wide)) if fine else 0
@@ -90,14 +85,13 @@ class Insets:
     def _corner(self, target: str, size: tuple[int, int], windows: Sequence[Rect], used: set[int]) -> int:
         free = [corner for corner in range(4) if corner not in used]
         covered = {corner: _covered(self._box(corner, size), windows) for corner in free}
-        place = self._places.get(target)
-        if place is not None and place.corner in free:
-            if not covered[place.corner] or self._count - place.since < _STAYS:
-                return place.corner
-            if min(covered.values()) > 0.5 * covered[place.corner]:
-                return place.corner  # hardly better elsewhere
-            return min(free, key=lambda corner: (covered[corner], -_room(self._box(corner, size), windows)))
-        return min(free, key=lambda corner: (covered[corner], corner))
+        now, since = self._places.get(target, (-1, 0))
+        if now not in free:
+            return min(free, key=lambda corner: (covered[corner], corner))
+        hardly_better = min(covered.values()) > 0.5 * covered[now]
+        if not covered[now] or self._count - since < _STAYS or hardly_better:
+            return now
+        return min(free, key=lambda corner: (covered[corner], -_room(self._box(corner, size), windows)))
 
     def _lay(self, image: Image, scaled: Sequence[tuple[str, Image]], colour: Colour, left: int, top: int) -> None:
         line, font = self._line, self._font

@@ -36,6 +36,12 @@ class Shape(NamedTuple):
     lost: Mask
     colour: Colour
 
+    @property
+    def side(self) -> Array:
+        """(K,) the shorter side of each window."""
+        shorter: Array = self.sizes.min(axis=1)
+        return shorter
+
 
 class Labels:
     """Writes names on frames of `size`, below `top` rows, which are the status bar's; a name stays where it was."""
@@ -67,7 +73,8 @@ class Labels:
             small = min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * self._font.cap
             if small or part in (shape.target, BOX):  # the latter say nothing more
                 continue
-            sprite = self._font.sprite(_short(part), LOST if lost else shape.colour, self._line)
+            short = " ".join({"left": "L", "right": "R"}.get(word, word) for word in part.split("_"))
+            sprite = self._font.sprite(short, LOST if lost else shape.colour, self._line)
             places = _beside(bound, sprite.size, 2 * self._line)
             key = (shape.target, part)
             x, y = (centre - middle).tolist()
@@ -95,10 +102,9 @@ class Labels:
         It stands above the target, or below where another's `tags` or the border are in the way.
         """
         text, colour = _name(shape, named) if shape.parts else ("", shape.colour)
-        low, high = shape.bounds[:, :2], shape.bounds[:, 2:]
-        if not text or (high.max(axis=0, initial=-np.inf) < 0).any() or (low.min(axis=0) > self._size).any():
+        low, high = shape.bounds[:, :2].min(axis=0, initial=np.inf), shape.bounds[:, 2:].max(axis=0, initial=-np.inf)
+        if not text or (high < 0).any() or (low > self._size).any():
             return []
-        low, high = low.min(axis=0), high.max(axis=0)
         sprite = self._font.sprite(text, colour, self._line)
         width, height = sprite.size
         left = int(min(max((low[0] + high[0] - width) / 2, 0), max(self._size[0] - width, 0)))
@@ -128,11 +134,6 @@ def _name(shape: Shape, named: bool) -> tuple[str, Colour]:
         return who, shape.colour
     percent = " >99%" if sure >= 0.995 else f" {sure:.0%}"  # no posterior is certain
     return (f"{who}?{percent}", _DOUBTFUL) if sure < _DECIDED else (f"{who}{percent}", shape.colour)
-
-
-def _short(name: str) -> str:
-    """A part's name as one says it: mouth_left is "mouth L"."""
-    return " ".join({"left": "L", "right": "R"}.get(word, word) for word in name.split("_"))
 
 
 def _beside(bound: Sequence[float], size: tuple[int, int], gap: int) -> list[tuple[int, int]]:

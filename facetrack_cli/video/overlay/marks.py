@@ -66,22 +66,20 @@ def dashes(corners: Array, pitch: float) -> Array:
 
 def mark(
     image: Image,
-    x: float,
-    y: float,
+    at: tuple[float, float],
     status: Status,
     colour: tuple[float, ...],
     size: float,
     line: int,
-    *,
-    by_hand: bool = False,
+    by_hand: bool,
 ) -> None:
     """The sign of `status` at (x, y), about `size` pixels to each side, with lines `line` wide, in place."""
     if status == "tracked":
-        one = 1 << _SHIFT
-        cv2.circle(image, (round(x * one), round(y * one)), round(size * one), colour, -1, cv2.LINE_AA, _SHIFT)
+        x, y, radius = (round(value * (1 << _SHIFT)) for value in (*at, size))
+        cv2.circle(image, (x, y), radius, colour, -1, cv2.LINE_AA, _SHIFT)
     else:
         shape = {"lost": _CROSS, "absent": _DASH}.get(status, _DIAMOND)
-        strokes = list(fixed(size * shape + (x, y)))
+        strokes = list(fixed(size * shape + at))
         if by_hand and status == "init":
             cv2.fillPoly(image, strokes, colour, cv2.LINE_AA, _SHIFT)
         polylines(image, strokes, colour, line)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import unicodedata
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -64,8 +65,8 @@ class Font:
         self.cap = cap
         self.top = math.ceil(0.2 * cap)
         self.height = self.top + cap + math.ceil(0.4 * cap)
-        self._glyphs: dict[str, Image] = {}
-        self._sprites: dict[tuple[str, Colour, int], Sprite] = {}
+        self.sprite = lru_cache(_KEPT)(self._render)
+        self._glyph = lru_cache(None)(self._draw_glyph)
 
     def width(self, text: str) -> int:
         """The width of `text` in pixels."""
@@ -81,17 +82,8 @@ class Font:
         mask = self.mask(text)
         return Sprite(_grey(mask), _grey(cv2.bitwise_not(mask)))
 
-    def sprite(self, text: str, colour: Colour, halo: int = 0) -> Sprite:
+    def _render(self, text: str, colour: Colour, halo: int = 0) -> Sprite:
         """Text in `colour` (blue, green, red), with a dark rim of `halo` pixels which widens it on all sides."""
-        key = (text, colour, halo)
-        found = self._sprites.get(key)
-        if found is None:
-            if len(self._sprites) >= _KEPT:
-                self._sprites.clear()
-            found = self._sprites[key] = self._render(text, colour, halo)
-        return found
-
-    def _render(self, text: str, colour: Colour, halo: int) -> Sprite:
         mask = np.pad(self.mask(text), halo)
         rim = mask
         if halo:
@@ -99,12 +91,6 @@ class Font:
             rim = np.maximum(mask, (0.85 * cv2.dilate(mask, disc)).astype(np.uint8))
         ink = np.round(mask[..., None] * (np.array(colour) / 255)).astype(np.uint8)
         return Sprite(ink, _grey(cv2.bitwise_not(rim)))
-
-    def _glyph(self, char: str) -> Image:
-        found = self._glyphs.get(char)
-        if found is None:
-            found = self._glyphs[char] = self._draw_glyph(char)
-        return found
 
     def _draw_glyph(self, char: str) -> Image:
         stroke = max(1, round(_FINER * max(1.1, 0.12 * self.cap)))
