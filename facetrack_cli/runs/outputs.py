@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import FileSink, StreamSink
-from facetrack_cli.core.output_folder import check_folder, make_folder, remove_folders
+from facetrack_cli.core.files import FileSink, StreamSink, check_folder, make_folder, remove_folders
 from facetrack_cli.trajectory.trajectory import Collector
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Header, Writer
 

@@ -12,10 +12,8 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Image
 
-SUFFIXES = frozenset(
-    (".bmp", ".jp2", ".jpe", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp")
-)
-
+_KINDS = ("bmp", "jp2", "jpe", "jpeg", "jpg", "pgm", "png", "pnm", "ppm", "tif", "tiff", "webp")
+SUFFIXES = frozenset(f".{kind}" for kind in _KINDS)
 # modes whose numbers are neither grey levels nor RGB
 _READ_AS = {
     "1": "L",

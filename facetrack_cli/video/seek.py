@@ -1,10 +1,9 @@
 """Any frame of a clip, quickly, and exactly the one that `open_source` gives under its number.
 
-Near frames are reached by decoding onward. For distant ones the packets of a video are read once without decoding
-(`stamps.py`), which gives the time of each frame. A jump seeks to a keyframe before the wanted frame; the first frame
-that comes is identified by its time, and decoding goes on from there. The time of every frame is compared with the
-stamps; if one differs, or if there are no reliable ones, frames are counted from the start as `open_source` does, which
-is slow and correct.
+Near frames are reached by decoding onward. For distant ones the packets are read once without decoding (`stamps.py`),
+which gives the time of each frame. A jump seeks to a keyframe before the wanted frame; the first frame that comes is
+identified by its time, and decoding goes on from there. If the time of any frame differs from the stamps, or if there
+are no reliable ones, frames are counted from the start as `open_source` does, which is slow and correct.
 """
 
 from __future__ import annotations
@@ -164,10 +163,8 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
             if self._closed.is_set():
                 raise RuntimeError("these frames are closed; open them again")
             if index < 0 or (self._end is not None and index >= self._end):
-                raise InputError(
-                    f"{self.path}: there is no frame {index}, the clip has {self.count} frames "
-                    f"(0 to {self.count - 1}); choose one of them"
-                )
+                there = f"the clip has {self.count} frames (0 to {self.count - 1}); choose one of them"
+                raise InputError(f"{self.path}: there is no frame {index}, {there}")
             found = self._recent.get(index)
             if found is not None:
                 self._last = index
@@ -190,9 +187,10 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # --- from here on with the turn: nearer to a frame, which is put into `_recent` once it is there -----------------
+    # --- from here on with the turn ----------------------------------------------------------------------------------
 
     def _approach(self, index: int, ticket: int) -> None:
+        """Come nearer to a frame, which is put into `_recent` once it is there."""
         if self._folder is not None:
             try:
                 frame = self._folder.frame(index)
@@ -211,8 +209,6 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
                 return
             except _LostError:
                 continue
-
-    # --- captures ----------------------------------------------------------------------------------------------------
 
     def _nearest(self, index: int, from_start: bool) -> Capture | None:
         """The capture that is the shortest way before a frame; with `from_start` of those that never jumped."""
@@ -314,8 +310,6 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
             self._careful = True
             self._distrust()
             raise _LostError
-
-    # --- stamps ------------------------------------------------------------------------------------------------------
 
     def _begin_stamps(self) -> None:
         if self._thread is None and not self._careful:

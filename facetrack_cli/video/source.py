@@ -82,18 +82,16 @@ class Source(AbstractContextManager["Source"], ABC):
         self.warnings.append(message)
 
     def _past_end(self, frames: int) -> InputError:
-        return InputError(
-            f"{self.path}: frame {self._start} is past the end, the clip has {frames} frames "
-            f"(0 to {frames - 1}); start earlier"
-        )
+        there = f"the clip has {frames} frames (0 to {frames - 1})"
+        return InputError(f"{self.path}: frame {self._start} is past the end, {there}; start earlier")
 
 
 class Capture:
     """A video file opened by OpenCV, which decodes one frame after the other. Not thread-safe.
 
-    `next` is the number of the frame that `grab` goes to. Of the frame grabbed last, `position` is its time as OpenCV
-    gives it, and `time` counts from the first frame; both in seconds. `claimed` is the number of frames that the
-    container claims. After a seek to a keyframe, the frames before the number `key` may be damaged.
+    `next` is the number of the frame that `grab` goes to. `position` is the time of the frame grabbed last as OpenCV
+    gives it, `time` counts from the first frame; both in s. `claimed` is the number of frames that the container
+    claims. After a seek to a keyframe, the frames before the number `key` may be damaged.
     """
 
     def __init__(self, path: Path):
@@ -105,11 +103,8 @@ class Capture:
         self.period = float(1 / self.fps)
         count = self._opencv.get(cv2.CAP_PROP_FRAME_COUNT)
         self.claimed = int(count) if math.isfinite(count) and 1 <= count < 1e9 else None
-
-    @property
-    def is_text(self) -> bool:
-        """ffmpeg draws the text of .txt files."""
-        return int(self._opencv.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi")
+        # ffmpeg draws the text of .txt files
+        self.is_text = int(self._opencv.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi")
 
     def grab(self) -> bool:
         """Decode the next frame; False at the end."""
@@ -187,10 +182,8 @@ class VideoSource(Source):
             if index >= start:
                 if image is None or image.shape != shape:
                     what = "cannot be decoded" if image is None else f"is {image.shape[1]}x{image.shape[0]}"
-                    self._cut(
-                        f"{self.path}: frame {index} {what}, those before are {shape[1]}x{shape[0]}; "
-                        f"stopped after {index} frames, convert the clip to one size"
-                    )
+                    what = f"{self.path}: frame {index} {what}, those before are {shape[1]}x{shape[0]}"
+                    self._cut(f"{what}; stopped after {index} frames, convert the clip to one size")
                     return
                 yield Frame(index, time, image)
             index += 1
@@ -215,11 +208,10 @@ class VideoSource(Source):
             return
         early = end_s < claimed_s - max(1.0, 0.03 * claimed_s)
         if damage or early or video_s > last_s + max(0.5, 5 * period):
-            of = f" of about {claimed} ({last_s + period:.1f} of {max(claimed_s, claimed * period):.1f} s)"
-            self._cut(
-                f"{self.path}: cut short or damaged{f' ({damage})' if damage else ''}: {frames} frames"
-                f"{of if claimed > frames else ''} could be read; {_AGAIN} for the rest"
-            )
+            seconds = f"({last_s + period:.1f} of {max(claimed_s, claimed * period):.1f} s)"
+            read = f"{frames} frames{f' of about {claimed} {seconds}' if claimed > frames else ''} could be read"
+            why = f" ({damage})" if damage else ""
+            self._cut(f"{self.path}: cut short or damaged{why}: {read}; {_AGAIN} for the rest")
 
 
 class FolderSource(Source):
@@ -241,10 +233,8 @@ class FolderSource(Source):
         for file in read[1:]:
             size = images.header_size(file)
             if size is not None and size != self.size:
-                raise InputError(
-                    f"{file}: {size[0]}x{size[1]} pixels, but {read[0].name} has {width}x{height}; "
-                    "a folder must hold frames of one size"
-                )
+                first = f"{read[0].name} has {width}x{height}; a folder must hold frames of one size"
+                raise InputError(f"{file}: {size[0]}x{size[1]} pixels, but {first}")
 
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
@@ -316,15 +306,15 @@ def _why_not(path: Path) -> InputError:
     except (OSError, RuntimeError):
         return InputError(f"{path}: no video that can be decoded; convert it to MP4 (H.264)")
     # ffmpeg guesses MP4 from the name alone, so that any text called .mp4 lacks its moov
-    if "moov atom not found" in messages and "low score" not in messages:
-        return InputError(
-            f"{path}: the index of this MP4 (moov) is missing, its recording or download was cut off; {_AGAIN}"
-        )
     video = video.replace("ansi", "")
-    if video and not ffmpeg.ending(path)[-1]:
-        return InputError(f"{path}: the video cannot be decoded; convert it to MP4 (H.264)")
-    if audio and not video:
-        return InputError(f"{path}: holds sound but no video; give a video")
-    if video or ffmpeg.container(path) in ("mp4", "avi", "matroska"):
-        return InputError(f"{path}: cut short or damaged before its first frame; {_AGAIN}")
-    return InputError(f"{path}: not a video; give a video file or a folder of images")
+    if "moov atom not found" in messages and "low score" not in messages:
+        why = f"the index of this MP4 (moov) is missing, its recording or download was cut off; {_AGAIN}"
+    elif video and not ffmpeg.ending(path)[-1]:
+        why = "the video cannot be decoded; convert it to MP4 (H.264)"
+    elif audio and not video:
+        why = "holds sound but no video; give a video"
+    elif video or ffmpeg.container(path) in ("mp4", "avi", "matroska"):
+        why = f"cut short or damaged before its first frame; {_AGAIN}"
+    else:
+        why = "not a video; give a video file or a folder of images"
+    return InputError(f"{path}: {why}")

@@ -40,27 +40,15 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     """
 
     def __init__(
-        self,
-        path: Path,
-        size: tuple[int, int],
-        fps: Fraction,
-        *,
-        audio_from: Path | None = None,
-        replace: bool = True,
+        self, path: Path, size: tuple[int, int], fps: Fraction, *, audio_from: Path | None = None, replace: bool = True
     ):
-        self.path = path
-        self.size = size
-        self.warnings: list[str] = []
-        self.published = False
-        self._fps = fps
+        self.path, self.size, self.warnings = path, size, list[str]()
+        self._fps, self._audio_from, self._replace = fps, audio_from, replace
         # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 1/90000 s
         self._timescale = fps.numerator * -(-90000 // fps.numerator)
-        self._audio_from = audio_from
-        self._replace = replace
-        self._frames = 0
         self._first_s = 0.0
-        self._first_tick = self._last_tick = 0
-        self._closed = False
+        self._frames = self._first_tick = self._last_tick = 0
+        self.published = self._closed = False
         try:
             beside(path).open("wb").close()
         except OSError as error:
@@ -80,14 +68,13 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         if image.shape != (height, width, 3) or image.dtype != np.uint8:
             raise ValueError(f"frame is {image.dtype} {image.shape}, the video takes uint8 {(height, width, 3)}")
         tick = self._tick(time_s)
-        if self._frames == 0:
-            self._first_s, self._first_tick = time_s, tick
-        else:
-            tick = max(tick, self._last_tick + 1)
-        elapsed = (tick - self._first_tick) / self._timescale
         try:
             if self._frames == 0:
+                self._first_s, self._first_tick = time_s, tick
                 self._pipe.write(_matroska_head(width, height, self._fps))
+            else:
+                tick = max(tick, self._last_tick + 1)
+            elapsed = (tick - self._first_tick) / self._timescale
             self._pipe.write(_matroska_block(round(elapsed / _TICK_S), image.nbytes))
             self._pipe.write(np.ascontiguousarray(image).reshape(-1).data)
         except OSError as error:
@@ -97,10 +84,9 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
 
     def close(self) -> None:
         """Finish the file and put it at `path`; closing again does nothing. Without any frame there is no file."""
-        if self._closed:
-            return
         if self._frames == 0:
             self.discard()
+        if self._closed:
             return
         self._closed = True
         try:
@@ -234,29 +220,25 @@ def _widen(pipe: IO[bytes]) -> None:
 # Just enough of Matroska (RFC 9559) for one track of uncompressed BGR frames, each with a time
 
 
-def _element(identity: str, data: bytes) -> bytes:
+def _element(identity: str, value: bytes | int) -> bytes:
+    data = value.to_bytes(8, "big") if isinstance(value, int) else value
     return bytes.fromhex(identity) + (len(data) | 1 << 56).to_bytes(8, "big") + data
 
 
-def _number(identity: str, value: int) -> bytes:
-    return _element(identity, value.to_bytes(8, "big"))
-
-
 def _matroska_head(width: int, height: int, fps: Fraction) -> bytes:
-    ebml = _element("4282", b"matroska") + _number("4287", 4) + _number("4285", 2)
-    info = _number("2AD7B1", round(_TICK_S * 1e9)) + _element("4D80", b"facetrack") + _element("5741", b"facetrack")
-    video = _number("B0", width) + _number("BA", height) + _element("2EB524", b"BGR\x18")
-    track = _number("D7", 1) + _number("73C5", 1) + _number("83", 1) + _number("9C", 0)
-    track += _number("23E383", round(10**9 / fps))  # without it, the last frame would last no time and not be shown
+    ebml = _element("4282", b"matroska") + _element("4287", 4) + _element("4285", 2)
+    info = _element("2AD7B1", round(_TICK_S * 1e9)) + _element("4D80", b"facetrack") + _element("5741", b"facetrack")
+    video = _element("B0", width) + _element("BA", height) + _element("2EB524", b"BGR\x18")
+    track = _element("D7", 1) + _element("73C5", 1) + _element("83", 1) + _element("9C", 0)
+    track += _element("23E383", round(10**9 / fps))  # without it, the last frame would last no time and not be shown
     track += _element("86", b"V_UNCOMPRESSED") + _element("E0", video)
     segment = bytes.fromhex("18538067") + b"\x01" + b"\xff" * 7  # of unknown length: it ends with the pipe
-    return (
-        _element("1A45DFA3", ebml) + segment + _element("1549A966", info) + _element("1654AE6B", _element("AE", track))
-    )
+    tracks = _element("1654AE6B", _element("AE", track))
+    return _element("1A45DFA3", ebml) + segment + _element("1549A966", info) + tracks
 
 
 def _matroska_block(ticks: int, size: int) -> bytes:
     """All that goes before the `size` bytes of one frame: a cluster of its own, since only clusters hold long times."""
-    time = _number("E7", ticks)
+    time = _element("E7", ticks)
     block = b"\xa3" + (size + 4 | 1 << 56).to_bytes(8, "big") + b"\x81\x00\x00\x80"
     return bytes.fromhex("1F43B675") + (len(time) + len(block) + size | 1 << 56).to_bytes(8, "big") + time + block

@@ -15,7 +15,7 @@ from facetrack_cli.cli.options import FRAME, Whole, rate
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError
 
 if TYPE_CHECKING:
-    from facetrack_cli.core.output_folder import Folder
+    from facetrack_cli.core.files import Folder
     from facetrack_cli.core.types import Box
     from facetrack_cli.evaluation.experiments.compare import Entry, Options, Score
     from facetrack_cli.evaluation.experiments.compare_text import Comparison
@@ -124,7 +124,7 @@ def command(
     Exit codes: 0 done, 2 usage, recipe or output, 3 input,
     5 some of the recipes could not run, 130 interrupted, 143 terminated.
     """
-    from facetrack_cli.core.output_folder import Folder
+    from facetrack_cli.core.files import Folder
     from facetrack_cli.evaluation.experiments.compare import (
         PRIMARY,
         Options,

@@ -14,7 +14,7 @@ from facetrack_cli.cli.options import FRAME, Whole, rate
 from facetrack_cli.core.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from facetrack_cli.core.output_folder import Folder
+    from facetrack_cli.core.files import Folder
     from facetrack_cli.core.types import Box
     from facetrack_cli.evaluation.experiments.repeat_text import Repetition
     from facetrack_cli.runs.progress import Progress
@@ -99,7 +99,7 @@ def command(
     Exit codes: 0 done, 2 usage, recipe or output, 3 input, 130 interrupted,
     143 terminated.
     """
-    from facetrack_cli.core.output_folder import Folder
+    from facetrack_cli.core.files import Folder
     from facetrack_cli.evaluation.experiments.repeat import spreads
     from facetrack_cli.evaluation.experiments.repeat_text import Repetition
     from facetrack_cli.evaluation.experiments.sheet import clip_name
