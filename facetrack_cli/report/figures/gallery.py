@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Image
 from facetrack_cli.tracking.identity.gallery import Gallery
 from facetrack_cli.tracking.identity.subspaces import Subspace
-from facetrack_cli.video.overlay.marks import Colour
-from facetrack_cli.video.overlay.text import Font, plain, stamp
+from facetrack_cli.video.overlay.marks import Colour, Font, plain, stamp
 
 WIDTH, MARGIN, GAP = 1280, 32, 12  # pixels
 MEAN: Final = 250  # height of the mean face, and its width at most

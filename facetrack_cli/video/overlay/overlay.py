@@ -18,11 +18,21 @@ import numpy as np
 
 from facetrack_cli.core.types import BOX, Array, Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
-from facetrack_cli.video.overlay.insets import Insets, Shown
-from facetrack_cli.video.overlay.labels import Labels, Shape
-from facetrack_cli.video.overlay.marks import LOST, PALETTE, WHITE, Colour, Points, dashes, fixed, ink, mark, polylines
+from facetrack_cli.video.overlay.labels import Insets, Labels, Shape, Shown
+from facetrack_cli.video.overlay.marks import (
+    LOST,
+    PALETTE,
+    WHITE,
+    Colour,
+    Font,
+    Points,
+    dashes,
+    fixed,
+    ink,
+    mark,
+    polylines,
+)
 from facetrack_cli.video.overlay.status_bar import StatusBar
-from facetrack_cli.video.overlay.text import Font
 
 _FADES = 4  # steps of opacity along a trail
 _SAMPLES = 32  # of the past, at most, for a trail

@@ -11,8 +11,7 @@ import numpy as np
 from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.types import Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, Status, Trajectory
-from facetrack_cli.video.overlay.marks import PALETTE, WHITE, Colour, mark
-from facetrack_cli.video.overlay.text import Font, stamp
+from facetrack_cli.video.overlay.marks import PALETTE, WHITE, Colour, Font, mark, stamp
 
 _QUIET: Colour = (190, 190, 190)
 _TROUGH: Colour = (130, 130, 130)
