@@ -1,7 +1,6 @@
-"""What a tracker reports of a target beside its rows, as its parts declare it: scale, noise, posterior, ...
+"""What a tracker reports of a target beside its rows: scale, noise, posterior, ...
 
-A likelihood, a state space or a velocity prediction lists what it reports in `diagnostics`, and gives the values of
-each frame. They are collected into arrays, and go into JSON, plots and report; nothing there names them.
+Likelihoods, state spaces and velocity predictions declare it in `diagnostics`, and give the values of each frame.
 """
 
 from __future__ import annotations
@@ -91,11 +90,11 @@ class Diagnostics:
 
     @classmethod
     def of(
-        cls, declared: tuple[Diagnostic, ...], frame: Sequence[int], found: Sequence[Mapping[str, Any]]
+        cls, declared: Sequence[Diagnostic], frame: Sequence[int], found: Sequence[Mapping[str, Any]]
     ) -> Diagnostics:
         """From what was reported in each frame, by name; what is None or missing is not known.
 
-        Raises ValueError, with the index of the frame as its first argument, for a value that does not fit.
+        Raises ValueError(index of the frame, why) for a value that does not fit.
         """
         values: dict[str, Array] = {}
         labels: dict[str, tuple[str, ...]] = {}
@@ -110,7 +109,7 @@ class Diagnostics:
             for at, value in enumerate(given):
                 if value is not None:
                     column[at] = _checked(one, at, value, labels.get(one.name, ()))
-        return cls(declared, np.asarray(frame, np.int64), values, labels)
+        return cls(tuple(declared), np.asarray(frame, np.int64), values, labels)
 
     @classmethod
     def joined(cls, parts: Sequence[Diagnostics]) -> Diagnostics:
@@ -118,13 +117,12 @@ class Diagnostics:
         if len({(*one.values, *one.labels.items()) for one in parts}) == 1:
             values = {key: np.concatenate([one.values[key] for one in parts]) for key in parts[0].values}
             return replace(parts[0], frame=np.concatenate([one.frame for one in parts]), values=values)
-        declared: dict[str, Diagnostic] = {}
         # what is read from a file declares, in the tracker's order, only what is there
-        for part in sorted(parts, key=lambda part: -len(part.declared)):
-            for each in part.declared:
-                declared.setdefault(each.name, each)
+        longest = sorted(parts, key=lambda part: -len(part.declared))
+        declared = {each.name: each for part in reversed(longest) for each in part.declared}
+        order = dict.fromkeys(each.name for part in longest for each in part.declared)
         frames = [frame for one in parts for frame in one.frame.tolist()]
-        return cls.of(tuple(declared.values()), frames, [each for one in parts for each in one.records()])
+        return cls.of([declared[name] for name in order], frames, [each for one in parts for each in one.records()])
 
     def records(self) -> list[dict[str, Any]]:
         """What is known in each frame, by name, as `of` takes it."""

@@ -5,7 +5,7 @@ Starts are in init files, in the header of a trajectory, and in goldens.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
@@ -24,7 +24,6 @@ _Positive: TypeAlias = Annotated[int, Field(gt=0)]
 
 class _Target(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
-
     box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
     points: dict[str, tuple[Pixels, Pixels]] = {}  # x, y
 
@@ -63,7 +62,6 @@ class StartRecord(BaseModel):
     """A start: its frame, its targets by name, and the corrections after it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-
     frame: FrameNumber
     targets: dict[str, TargetRecord]
     corrections: tuple[CorrectionRecord, ...] = ()
@@ -89,22 +87,16 @@ def corrections_record(corrections: Sequence[Correction]) -> dict[str, Any]:
 
 def corrected(correction: Correction) -> dict[str, Any]:
     """What `CorrectedTarget` reads, for JSON: whole numbers without a fraction, and only members with a value."""
-    given, absent = correction.given, correction.absent
-    return _members(
-        box=given.box and [whole(value) for value in given.box],
-        points=_whole_points(given.points),
-        kept=_whole_points(correction.kept),
-        absent=absent is True or list(absent),
-    ) | ({} if correction.learn is None else {"learn": correction.learn})
+    given, absent, learn = correction.given, correction.absent, correction.learn
+    box = given.box and list(map(whole, given.box))
+    points, kept = ({k: list(map(whole, xy)) for k, xy in those.items()} for those in (given.points, correction.kept))
+    members = _members(box=box, points=points, kept=kept, absent=absent is True or list(absent))
+    return members if learn is None else {**members, "learn": learn}
 
 
 def whole(value: float) -> float | int:
     """A number without a fraction as an integer."""
     return int(value) if value == int(value) else float(value)
-
-
-def _whole_points(points: Mapping[str, tuple[float, float]]) -> dict[str, list[float]]:
-    return {part: [whole(value) for value in point] for part, point in points.items()}
 
 
 def _members(**members: Any) -> dict[str, Any]:
@@ -186,7 +178,7 @@ def picture_of(table: Trajectory) -> tuple[int, int] | None:
 
 
 def is_there(path: Path) -> bool:
-    """Whether there is such a file or folder, as far as the system lets us look."""
+    """Whether there is such a file or folder, as far as the system tells."""
     try:
         return path.exists()
     except OSError:  # no permission, or a name that is too long

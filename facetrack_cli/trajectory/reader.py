@@ -222,7 +222,15 @@ def _read_json(path: Path) -> Trajectory:
             raise unlike(row_of[row], f"{name} {values[row]!r:.60} is {what}")
     targets, names = columns.pop("target"), columns.pop("part")
     arrays = {name: np.array(values, np.float64 if name in FLOATS else None) for name, values in columns.items()}
-    diagnostics = {name: _diagnostics(path, name, declared, found) for name, found in reported.items()}
+    diagnostics = {}
+    for target, found in reported.items():
+        frames = sorted(found)
+        chosen = [one for name, one in declared.items() if any(name in each for each in found.values())]
+        try:
+            diagnostics[target] = Diagnostics.of(chosen, frames, [found[frame] for frame in frames])
+        except ValueError as e:
+            at, why = e.args
+            raise InputError(f"{path}: frame {frames[at]}, {target}: {why}; correct it, or leave it out") from None
     return _build(path, targets, names, arrays, header=header, diagnostics=diagnostics)
 
 
@@ -237,19 +245,6 @@ def _declared(path: Path, header: Mapping[str, Any]) -> dict[str, Diagnostic]:
     except ValidationError as e:
         raise not_as_written(path, e, "diagnostics") from None
     return {**KNOWN, **{one.name: one for one in listed if one.name not in KNOWN}}
-
-
-def _diagnostics(
-    path: Path, target: str, declared: Mapping[str, Diagnostic], found: Mapping[int, Mapping[str, Any]]
-) -> Diagnostics:
-    frames = sorted(found)
-    present = {key for each in found.values() for key in each}
-    chosen = tuple(one for name, one in declared.items() if name in present)
-    try:
-        return Diagnostics.of(chosen, frames, [found[frame] for frame in frames])
-    except ValueError as e:
-        at, why = e.args
-        raise InputError(f"{path}: frame {frames[at]}, {target}: {why}; correct it, or leave it out") from None
 
 
 def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
@@ -269,9 +264,7 @@ def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
         raise InputError(f"{path}: is nested too deep for a trajectory") from e
     except json.JSONDecodeError as whole_error:
         header = {}
-        for number, line in enumerate(text.split("\n"), 1):
-            if not line.strip():
-                continue
+        for number, line in ((number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()):
             try:
                 record = json.loads(line)
             except (json.JSONDecodeError, RecursionError):

@@ -95,17 +95,15 @@ class Trajectory:
 
     @property
     def target(self) -> str:
-        """The target of the first part: of a trajectory of one target, its name."""
+        """The target of the first part, as `part` and `name` (`target/part`) are its own."""
         return self.names[0][0]
 
     @property
     def part(self) -> str:
-        """The first part: of a trajectory of one part, its name."""
         return self.names[0][1]
 
     @property
     def name(self) -> str:
-        """`target/part` of the first part."""
         return "/".join(self.names[0])
 
     @cached_property
@@ -171,10 +169,7 @@ class Trajectory:
         return found
 
     def beliefs(self, target: str) -> tuple[Whole, tuple[str, ...], Array]:
-        """(T,) frames, (P,) names and (T, P) their probabilities: the posterior over identities of a target.
-
-        Where it was not kept, as in a CSV, the probability of the most likely one alone. Without names if nobody is.
-        """
+        """(T,) frames, (P,) names and (T, P) their probabilities; of a CSV those of the most likely identity alone."""
         found = self.diagnostics.get(target)
         if found is not None and POSTERIOR.name in found.values:
             return found.frame, found.labels[POSTERIOR.name], found.values[POSTERIOR.name]
@@ -196,10 +191,7 @@ class Trajectory:
 
     @property
     def corrected(self) -> Mask:
-        """(R,) rows that corrections gave, of a trajectory of one part.
-
-        In a CSV they are those that are `init` after the first row, or where `absent` begins.
-        """
+        """(R,) rows of a part that corrections gave; in a CSV `init` after the first row, or where `absent` begins."""
         absent = self.status == "absent"
         shown = (self.status == "init") | (absent & ~np.concatenate([absent[:1], absent[:-1]]))
         found: Mask = self.by_hand | (shown & (np.arange(len(self)) > 0))
@@ -224,20 +216,12 @@ _ARRAYS: Final = tuple(
 )
 
 
-def build(
-    names: Sequence[tuple[str, str]],
-    which: Any,
-    frame: Any,
-    *,
-    header: Mapping[str, Any] | None = None,
-    diagnostics: Mapping[str, Diagnostics] | None = None,
-    path: Path = Path(),
-    **columns: Any,
-) -> Trajectory:
+def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: Any) -> Trajectory:
     """A trajectory from the columns that are known, with rows in any order; None and columns left out are not known.
 
-    Raises InputError for two rows of one frame, target and part.
+    `others` are columns, header, diagnostics and path. Raises InputError for two rows of one frame, target and part.
     """
+    about = {name: others.pop(name) for name in ("header", "diagnostics", "path") if name in others}
     which, frame = np.asarray(which, np.int64), np.asarray(frame, np.int64)
     order: Any = np.lexsort((frame, which))
     if (order == np.arange(len(order))).all():
@@ -246,17 +230,17 @@ def build(
     twice = np.flatnonzero((np.diff(frame) == 0) & (np.diff(which) == 0))
     if twice.size:
         at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
-        raise InputError(f"{path}: frame {at} has two rows of {name}; keep one row a frame, target and part")
+        raise InputError(
+            f"{about.get('path', Path())}: frame {at} has two rows of {name}; keep one row a frame, target and part"
+        )
     known: dict[str, Any] = {"which": which, "frame": frame}
     for name in _ARRAYS[2:]:
-        given = columns.pop(name, None)
+        given = others.pop(name, None)
         if given is not None:
             known[name] = np.asarray(given, dtype=_TYPES.get(name, np.float64))[order]
         elif name != "corners":
             known[name] = np.full(len(frame), *_UNKNOWN.get(name, (np.nan,)))
-    if columns:
-        raise TypeError(f"a trajectory has no {', '.join(columns)}")
-    return Trajectory(tuple(names), **known, header=header or {}, diagnostics=diagnostics or {}, path=path)
+    return Trajectory(tuple(names), **known, **about, **others)
 
 
 _TYPES: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.str_), "by_hand": np.bool_}
@@ -304,10 +288,10 @@ def aligned(parts: Sequence[Trajectory], *columns: str) -> tuple[Whole, dict[str
 
 
 class TargetResult(NamedTuple):
-    """What a tracker says of one target in one frame: a row for each of its K parts, and its diagnostics.
+    """What a tracker says of one target in one frame: a row for each of its K parts, with its diagnostics.
 
-    `cloud` (N, K, 2) are the particles' centres in pixels, for drawing; `insets` are small grey images of what the
-    tracker knows, each with its name; `notes` are lines for the user, said in the first frame.
+    `cloud` (N, K, 2) are the particles' centres in pixels; `insets` are small grey images of what the tracker knows,
+    each with its name; `notes` are lines for the user, said in the first frame.
     """
 
     rows: Trajectory
@@ -340,16 +324,13 @@ class FrameResult:
 
 
 def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
-    """The rows and diagnostics of one frame as what the tracker said of each target: without particles and images.
-
-    Of a target that reports its affine map the corners follow from that.
-    """
+    """The rows and diagnostics of one frame by target, with the corners that follow from affine maps."""
     now, targets = rows.between(frame, frame + 1), []
     for target in now.targets:
         if parts := [one for one in now.of_target(target) if len(one)]:
             mine = joined(parts, diagnostics={name: one for name, one in now.diagnostics.items() if name == target})
             found = outlines(mine)
-            mine = mine if found is None else replace(mine, corners=found)
+            mine = replace(mine, corners=mine.corners if found is None else found)
             targets.append(TargetResult(mine, np.empty((0, len(mine), 2))))
     return tuple(targets)
 

@@ -3,11 +3,11 @@
 Frames are counted from 0 of the file, also when reading starts later; `time_s` counts from the file's first frame, by
 the file's own clock, and grows from frame to frame. The number of frames that a container claims is only a hint.
 
-A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what was
-lost. A video with fewer frames than the container claims (or any MPEG program stream, which claims nothing) is read
+A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what is
+missing. A video with fewer frames than the container claims (or any MPEG program stream, which claims nothing) is read
 again without decoding, and is incomplete if the demuxer reports missing data, if packets follow where the decoder
-stopped, or if they end clearly before the claimed duration. Transport streams, Ogg and WMV do not say that more should
-follow: in them a cut between two packets is not noticed.
+stopped, or if they end clearly before the claimed duration. In transport streams, Ogg and WMV, which do not say that
+more should follow, a cut between two packets is not noticed.
 """
 
 from __future__ import annotations
@@ -58,10 +58,7 @@ class Source(AbstractContextManager["Source"], ABC):
         self._begun = self._closed = False
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames from `start` up to, not including, `stop`.
-
-        Raises InputError when the clip ends before `start`, RuntimeError when the source was iterated before.
-        """
+        """The frames. Raises InputError when the clip ends before the first, RuntimeError when iterated before."""
         if self._begun:
             raise RuntimeError("a source is read only once; open it again")
         self._begun = True
@@ -134,11 +131,8 @@ class Capture:
 
 
 def following(time: float, elapsed: float, period: float) -> float:
-    """The time in s of the frame that follows one at `time`, and is `elapsed` after the first by its own stamp.
-
-    The last frames of some AVI and MPEG files have no stamp, others one that is not later: they follow after `period`.
-    """
-    step = elapsed - time
+    """The time in s of the frame that follows one at `time`, and is `elapsed` after the first by its own stamp."""
+    step = elapsed - time  # the last frames of some AVI and MPEG files have no stamp, or one that is not later
     return time + (step if step > 0 else period)
 
 
@@ -218,7 +212,6 @@ class FolderSource(Source):
     """The images of a folder in natural order (2.jpg before 10.jpg), at a constant rate.
 
     `files` are all of them; those to be read must be of one size, which is checked from their headers beforehand.
-    `images.read` says what becomes of 16 bits, transparency and orientation.
     """
 
     def __init__(self, path: Path, files: Sequence[Path], fps: Fraction, start: int, stop: int | None):
@@ -281,20 +274,18 @@ def _check_file(path: Path) -> None:
     """Raise InputError for what can be told without looking for a video in it."""
     try:
         str(path).encode()
-    except UnicodeEncodeError:  # OpenCV would end the process over it
-        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
-    try:
         if not path.exists():
-            hint = "; a pipe cannot be read, save the clip to a file" if str(path) == "-" else "; check the name"
-            raise InputError(f"{path}: no such file or folder{hint}")
+            hint = "a pipe cannot be read, save the clip to a file" if str(path) == "-" else "check the name"
+            raise InputError(f"{path}: no such file or folder; {hint}")
         if not path.is_file():
             raise InputError(f"{path}: neither a file nor a folder; save the clip to a file")
         with path.open("rb") as file:
-            empty = not file.read(1)
+            if not file.read(1):
+                raise InputError(f"{path}: the file is empty; {_AGAIN}")
+    except UnicodeEncodeError:  # OpenCV would end the process over it
+        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
     except OSError as error:
         raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
-    if empty:
-        raise InputError(f"{path}: the file is empty; {_AGAIN}")
     if path.suffix.lower() in images.SUFFIXES:
         raise InputError(f"{path}: a single image; give a video or the folder that holds the frames")
 

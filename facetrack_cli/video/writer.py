@@ -33,10 +33,10 @@ _TICK_S = 1e-6  # of the pipe to the encoder
 class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     """Writes BGR frames of `size` (width, height) to an MP4 at `path`, which appears there when `close` is called.
 
-    `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from the time of the first frame written to
-    the end of the last one. Odd sizes are padded by one black line or column, which H.264 requires. With
-    `replace=False` the finished file stays `beside` its path. `warnings` (one line each) says what could not be kept,
-    `published` whether the file is at `path`. Raises OutputError when the file cannot be written.
+    `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from the first frame written to the end of
+    the last. Odd sizes are padded by one black line or column, which H.264 requires. With `replace=False` the finished
+    file stays `beside` its path. `warnings` (one line each) says what could not be kept, `published` whether the file
+    is at `path`. Raises OutputError when the file cannot be written.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             self._drop()
 
     def __exit__(self, *_: object) -> None:
-        self.close()  # what was written until an interruption is worth keeping, too
+        self.close()  # what was written until an interruption is kept too
 
     @property
     def _target(self) -> Path:
@@ -148,8 +148,8 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         return [*command, *self._as_mp4(self._target)]
 
     def _as_mp4(self, path: Path) -> list[str]:
-        timescale = ["-video_track_timescale", str(self._timescale)]
-        return [*timescale, "-movflags", "+faststart", "-f", "mp4", ffmpeg.source_argument(path)]
+        options = ["-video_track_timescale", str(self._timescale), "-movflags", "+faststart", "-f", "mp4"]
+        return [*options, ffmpeg.source_argument(path)]
 
     def _add_audio(self) -> None:
         """Add the source's sound to the video just written; without it, a warning."""

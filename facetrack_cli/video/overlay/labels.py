@@ -1,7 +1,7 @@
 """What is written beside the targets of a frame: names, and small grey images of what a tracker knows in its corners.
 
-The images are those of Zhou et al. 2003, figure 3. Names are of parts beside their windows, and of targets, with who they
-are, above or below them.
+The images are those of Zhou et al. 2003, figure 3. Names are of parts beside their windows, and of targets, with their
+identity, above or below them.
 """
 
 from __future__ import annotations
