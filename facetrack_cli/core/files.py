@@ -27,9 +27,8 @@ class ReaderGoneError(BrokenPipeError):
 
 def cannot_write(path: Path, error: OSError, remedy: str = "choose another place with --out") -> OutputError:
     """The one line for a file that cannot be written."""
-    if error.errno in FULL:
-        return OutputError(f"{path}: the disk is full ({reason(error)}); free some space or {remedy}")
-    return OutputError(f"{path}: cannot be written: {reason(error)}; {remedy}")
+    full = f"the disk is full ({reason(error)}); free some space or {remedy}"
+    return OutputError(f"{path}: {full if error.errno in FULL else f'cannot be written: {reason(error)}; {remedy}'}")
 
 
 def beside(path: Path, process: int | None = None) -> Path:
@@ -160,38 +159,31 @@ class FileSink:
 class StreamSink:
     """Records to an open binary stream, each passed on at once. ReaderGoneError when the reader has closed it."""
 
-    def __init__(self, stream: BinaryIO, name: str = "standard output") -> None:
-        self.path, self.published = None, False
+    def __init__(self, stream: BinaryIO) -> None:
+        self.path, self.published, self._records = None, False, 0
         # unbuffered: what a reader did not take must not be written again at exit
         self._stream = getattr(stream, "raw", stream)
-        self._name, self._records = name, 0
 
     def write(self, record: str) -> None:
         self._records += 1
-        self._pass_on(record)
-
-    def finish(self, tail: Callable[[int], str]) -> None:
-        self._pass_on(tail(self._records))
-
-    def discard(self) -> None:
-        pass
-
-    def _pass_on(self, text: str) -> None:
         try:
-            rest = memoryview(_bytes(text))
+            rest = memoryview(_bytes(record))
             while rest:
                 rest = rest[self._stream.write(rest) :]
         except BrokenPipeError as e:
             raise ReaderGoneError from e
         except OSError as e:
-            raise cannot_write(Path(self._name), e) from e
+            raise cannot_write(Path("standard output"), e) from e
+
+    def finish(self, tail: Callable[[int], str]) -> None:
+        self.write(tail(self._records))
+
+    def discard(self) -> None:
+        pass
 
 
 def check_new(path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = ()) -> None:
-    """Refuse before the work what `write_new` would refuse after it, and a file that the work is made from.
-
-    Raises OutputError. Of `inputs`, those that are None or do not exist are ignored.
-    """
+    """Raises OutputError before the work for what `write_new` would refuse after it, and for a file of `inputs`."""
     check_file(path, overwrite=overwrite, inputs=inputs)
     if not path.parent.is_dir():
         raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file")
@@ -213,10 +205,7 @@ def check_file(
 
 
 def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
-    """Write a small file whole or not at all. OutputError if it exists without `overwrite`, or cannot be written.
-
-    A device or a pipe is written to, never replaced.
-    """
+    """Write a small file whole or not at all; a device or a pipe is written to. Raises OutputError as `check_file`."""
     check_file(path, overwrite=overwrite)
     try:
         if _is_stream(path):
@@ -237,7 +226,7 @@ def same_file(path: Path, other: Path) -> bool:
 
 
 def _is_stream(path: Path) -> bool:
-    """Whether `path` is a device or a pipe: a file in the place of /dev/null would break the whole machine."""
+    """Whether `path` is a device or a pipe, which must not be replaced, as /dev/null."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 

@@ -143,9 +143,9 @@ class TargetStart:
 class Correction:
     """What is corrected by hand of one target at one frame, from which it begins anew.
 
-    `given`: its box, or points of it, as in a start, without windows. `kept`: where its other points were; what is
-    neither given nor kept stays where the tracker has it. `absent`: parts that cannot be seen from there on, True for
-    all of them. `learn`: whether the appearance is learned anew there; None: of what is given.
+    `given` is its box, or points of it, without windows; `kept` says where its other points were: what is neither given
+    nor kept stays where the tracker has it. `absent` are parts that cannot be seen from there on, True for all.
+    `learn`: whether the appearance is learned anew there; None: of what is given.
     """
 
     frame: int

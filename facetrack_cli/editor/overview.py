@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from facetrack_cli.core.spans import spans
+from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Correction, Mask, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 

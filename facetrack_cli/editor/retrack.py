@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.spans import union
+from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.editor.run_folder import Run
 from facetrack_cli.editor.tracks import Store, Track

@@ -129,7 +129,7 @@ def as_written(rows: Trajectory) -> Trajectory:
     """The rows with the numbers that a file of them holds."""
 
     def rounded(values: Array, decimals: int) -> Array:
-        texts = _decimals(decimals)(values.ravel().tolist())
+        texts = _numbers(f".{decimals}f")(values.ravel().tolist())
         return np.array([float(text or "nan") for text in texts]).reshape(values.shape)
 
     def reported(found: Diagnostics) -> Diagnostics:
@@ -178,17 +178,16 @@ def _reported(found: Diagnostics, frame: int) -> list[str]:
         value = found.values[one.name][at].tolist()
         numbers = [value] if one.shape == () else value
         decimals = one.decimals if isinstance(one.decimals, tuple) else (one.decimals,) * len(numbers)
-        texts = [_decimals(d)([number])[0] for d, number in zip(decimals, numbers, strict=True)]
+        texts = [_numbers(f".{d}f")([number])[0] for d, number in zip(decimals, numbers, strict=True)]
         if one.shape is None:
-            known = [f"{_key(name)}:{text}" for name, text in zip(found.labels[one.name], texts, strict=True) if text]
-            text = "{" + ",".join(known) + "}" if known else ""
-        else:
-            text = ",".join(texts) if all(texts) else ""
-            text = f"[{text}]" if one.shape and text else text
-        members += [f"{_key(one.name)}:{text}"] if text else []
+            texts = [f"{_key(name)}:{text}" for name, text in zip(found.labels[one.name], texts, strict=True) if text]
+        if texts and all(texts):
+            brackets = "{}" if one.shape is None else "[]" if one.shape else ""
+            members.append(f"{_key(one.name)}:{brackets[:1]}{','.join(texts)}{brackets[1:]}")
     return members
 
 
+@lru_cache
 def _numbers(spec: str, prefix: str = "") -> _Form:
     """Writes numbers after a `prefix`; "" for what is not finite, and never -0."""
     whole, zero, minus = f"{prefix}%{spec}\n", prefix + format(0, spec), prefix + format(-0.0, spec.replace("d", ".0f"))
@@ -198,11 +197,6 @@ def _numbers(spec: str, prefix: str = "") -> _Form:
         return [odd.get(text, text) for text in (whole * len(values) % tuple(values)).split("\n")[:-1]]
 
     return texts
-
-
-@lru_cache
-def _decimals(count: int) -> _Form:
-    return _numbers(f".{count}f")
 
 
 def _texts(form: Callable[[Any], str], prefix: str = "") -> _Form:

@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.spans import spans
+from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned, joined
 

@@ -118,10 +118,8 @@ class Insets:
 
 def _covered(box: Rect, windows: Iterable[Rect]) -> float:
     """Pixels of the box that windows cover, each counted by itself."""
-    return sum(
-        max(0.0, min(box[2], w[2]) - max(box[0], w[0])) * max(0.0, min(box[3], w[3]) - max(box[1], w[1]))
-        for w in windows
-    )
+    shared = ((min(box[2], w[2]) - max(box[0], w[0]), min(box[3], w[3]) - max(box[1], w[1])) for w in windows)
+    return sum(max(0.0, across) * max(0.0, down) for across, down in shared)
 
 
 def _room(box: Rect, windows: Iterable[Rect]) -> float:

@@ -1,8 +1,7 @@
 """A tracker's result drawn over its frame: windows, trails, spread of the particles, status.
 
-Status shows by form as well as by colour: a tracked part has a solid window and a dot, a lost one a dashed window and a
-cross, one at its start a solid window and a diamond, which is filled where a correction gave it. Absent parts are not
-drawn. Each target has its own colour, of those that most colour-blind people tell apart; vermilion means lost.
+A tracked part has a solid window and a dot, a lost one a dashed window and a cross in vermilion, one at its start a
+solid window and a diamond. Absent parts are not drawn. Each target has a colour of its own.
 """
 
 from __future__ import annotations
