@@ -160,8 +160,7 @@ class VideoSource(Source):
 
     def _frames(self) -> Iterator[Frame]:
         capture, start, stop = self._capture, self._start, self._stop
-        shape = (self.size[1], self.size[0], 3)
-        index, time = 0, 0.0
+        shape, index, time = (self.size[1], self.size[0], 3), 0, 0.0
         while stop is None or index < stop:
             image = None  # free the last one before the next is decoded
             with self._lock:
@@ -185,8 +184,7 @@ class VideoSource(Source):
             return
         if index <= start:
             raise self._past_end(index)
-        if self.variable is None:
-            self.variable = False
+        self.variable = bool(self.variable)
         self._judge_end(index, time, capture.period)
 
     def _judge_end(self, frames: int, last_s: float, period: float) -> None:

@@ -58,7 +58,10 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         except (OSError, RuntimeError) as error:
             discard(path)
             raise OutputError(f"{path}: ffmpeg cannot be started ({reason(error)})") from error
-        _widen(self._pipe)
+        with contextlib.suppress(ImportError, AttributeError, OSError):  # a larger pipe: fewer context switches a frame
+            import fcntl
+
+            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[attr-defined,unused-ignore]
 
     def write(self, image: Image, time_s: float) -> None:
         """Append one (H, W, 3) uint8 BGR frame, shown from `time_s` on the source's clock; times must not fall."""
@@ -207,14 +210,6 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         self._encoder.__exit__()
         if not keep:
             discard(self.path)
-
-
-def _widen(pipe: IO[bytes]) -> None:
-    """A larger pipe, where the system has such: fewer context switches for each frame."""
-    with contextlib.suppress(ImportError, AttributeError, OSError):
-        import fcntl
-
-        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[attr-defined,unused-ignore]
 
 
 # Just enough of Matroska (RFC 9559) for one track of uncompressed BGR frames, each with a time

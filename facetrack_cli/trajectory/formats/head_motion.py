@@ -3,9 +3,8 @@
 A turn of the head and a step aside look alike here: both move the face to the left or right of the image.
 
 Three signals are read off a target's parts that are not lost: its place (the median of its points), its angle and the
-logarithm of its size (medians over the pairs of points); of a box its centre, its angle if the file has one, and the
-root of its area. A part that gets lost or is found again makes no step in them. Lengths are in units of the target's
-size, times in seconds, whatever the frame rate, which may vary.
+logarithm of its size (medians over the pairs of points); of a box its centre, its angle if known, and the root of its
+area. A part that gets lost or is found again makes no step in them. Lengths are in units of the target's size.
 
 | kind | label | begins above, lasts while above, for a change of at least | smoothed over |
 |---|---|---|---|
@@ -172,8 +171,7 @@ def _follow(values: Array, good: Mask) -> tuple[Array, Mask]:
 def _follow_angle(turn: Array) -> Array:
     """As `_follow`, of directions (T, M) as unit complex numbers, in degrees."""
     usual = np.nansum(turn, axis=0)
-    usual = np.where(np.abs(usual) > 0, usual, 1.0)
-    departure = np.degrees(np.angle(turn / usual))
+    departure = np.degrees(np.angle(turn / np.where(np.abs(usual) > 0, usual, 1.0)))
     return _follow(departure, np.isfinite(departure))[0]
 
 

@@ -44,9 +44,8 @@ FORMATS: Final = ("auto", *_READERS)
 def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Trajectory:
     """The truth in a file or folder, read as `form`, one of FORMATS; `auto` goes by the shape.
 
-    `shift` is added to every frame number. Of the table, `header["read_as"]` says in words how it was read, and
-    `header["shift"]` is the shift. Raises InputError, one line with file and line, for a file that is broken or of no
-    known shape; UsageError for a shift that no clip is long enough for.
+    `shift` is added to every frame number. `header["read_as"]` says how it was read, `header["shift"]` is the shift.
+    Raises InputError for a file that is broken or of no known shape, UsageError for a shift beyond any clip.
     """
     path = Path(path)
     if abs(shift) > MAX_FRAME:
@@ -64,7 +63,6 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
     """A trajectory of ours, or what another tracker wrote: a file in one of FORMATS, read as `form` or by its shape.
 
     Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
-    Raises InputError as `read_truth` does.
     """
     with _looking_at(path):
         shape = form
