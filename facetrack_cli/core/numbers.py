@@ -32,10 +32,7 @@ def clock(seconds: float) -> str:
 
 
 def spans(mask: Mask, apart: Mask | None = None) -> list[tuple[int, int]]:
-    """[begin, end) of each run of True in `mask` (T,).
-
-    `apart` (T - 1,) is True between two rows that belong to different runs even if both are True.
-    """
+    """[begin, end) of each run of True in `mask` (T,); runs are also split where `apart` (T - 1,) is True."""
     joined = mask[:-1] & mask[1:]
     if apart is not None:
         joined &= ~apart

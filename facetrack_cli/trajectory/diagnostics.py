@@ -92,10 +92,7 @@ class Diagnostics:
     def of(
         cls, declared: Sequence[Diagnostic], frame: Sequence[int], found: Sequence[Mapping[str, Any]]
     ) -> Diagnostics:
-        """From what was reported in each frame, by name; what is None or missing is not known.
-
-        Raises ValueError(index of the frame, why) for a value that does not fit.
-        """
+        """From what each frame reports by name; ValueError(index of the frame, why) for what does not fit."""
         values: dict[str, Array] = {}
         labels: dict[str, tuple[str, ...]] = {}
         for one in declared:

@@ -41,10 +41,7 @@ _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by le
 
 
 class Source(AbstractContextManager["Source"], ABC):
-    """Frames of one clip, iterable once; a context manager.
-
-    `size` (width, height) is in pixels with rotation applied, `fps` the nominal rate.
-    """
+    """Frames of one clip, iterable once; `size` (width, height) has rotation applied, `fps` is the nominal rate."""
 
     def __init__(self, path: Path, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
         self.path, self.size, self.fps = path, size, fps

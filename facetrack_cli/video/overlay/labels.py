@@ -49,10 +49,7 @@ class Insets:
         self._count = 0
 
     def draw(self, image: Image, shown: Iterable[Shown], windows: Sequence[Rect]) -> list[Rect]:
-        """Draw on `image` (H, W, 3) in place, away from `windows`; returns the places taken, one a target.
-
-        What is no grey image, or has no room, is left out.
-        """
+        """Draw on `image` (H, W, 3) in place, away from `windows`, what has room; returns the places taken."""
         self._count += 1
         taken: list[Rect] = []
         places: dict[str, tuple[int, int]] = {}

@@ -91,10 +91,7 @@ class StatusBar:
 
 
 def adaptation(rows: Trajectory) -> dict[str, str]:
-    """`scale`, and `particles` where their number follows the noise, of a single target that adapts; else nothing.
-
-    Each is about as wide in every frame.
-    """
+    """`scale`, and `particles` where their number follows the noise, of a single target that adapts; else nothing."""
     found = rows.diagnostics.get(rows.target) if len(rows.targets) == 1 else None
     scale, noise = (math.nan, math.nan) if found is None else (float(found.get(name)[0]) for name in ("scale", "noise"))
     if not math.isfinite(scale):
@@ -105,10 +102,7 @@ def adaptation(rows: Trajectory) -> dict[str, str]:
 
 
 def summary(rows: Trajectory) -> tuple[Status, list[str]]:
-    """The status of all together, and ways to say it, from the longest to the shortest.
-
-    What is absent is said beside it, and has no say in it unless all is.
-    """
+    """The status of all that is not absent, and ways to say it, from the longest to the shortest."""
     if not len(rows):
         return "lost", ["no target", "none"]
     absent, lost = (int(np.sum(rows.status == status)) for status in ("absent", "lost"))
