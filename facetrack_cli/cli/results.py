@@ -13,7 +13,7 @@ from facetrack_cli.cli.options import OVERWRITE, flag, jobs_option
 from facetrack_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from facetrack_cli.core.output_folder import Folder
+    from facetrack_cli.core.files import Folder
     from facetrack_cli.evaluation.experiments.sheet import Findings
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
@@ -42,7 +42,7 @@ class Results:
     @contextlib.contextmanager
     def open(self, clip: Path, out: str | None, folder: str, stem: str, plots: Sequence[str]) -> Iterator[Experiment]:
         """For results named `stem`.json and so on in `out`, or else `folder`; OutputError where there can be none."""
-        from facetrack_cli.core.output_folder import Folder
+        from facetrack_cli.core.files import Folder
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop
 

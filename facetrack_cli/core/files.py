@@ -1,4 +1,4 @@
-"""Writing results: files that appear, or are replaced, when they are whole; and streams.
+"""Writing results: files that appear, or are replaced, when they are whole; streams; the folder of a command's results.
 
 Every file is written under a temporary name `beside` its own and then renamed. A symbolic link stays one: the file that
 it leads to is replaced. On a full disk `FileSink` keeps the records that fit: the end of the file is written over the
@@ -11,7 +11,7 @@ import contextlib
 import errno
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -27,9 +27,8 @@ class ReaderGoneError(BrokenPipeError):
 
 def cannot_write(path: Path, error: OSError, remedy: str = "choose another place with --out") -> OutputError:
     """The one line for a file that cannot be written."""
-    if error.errno in FULL:
-        return OutputError(f"{path}: the disk is full ({reason(error)}); free some space or {remedy}")
-    return OutputError(f"{path}: cannot be written: {reason(error)}; {remedy}")
+    full = f"the disk is full ({reason(error)}); free some space or {remedy}"
+    return OutputError(f"{path}: {full if error.errno in FULL else f'cannot be written: {reason(error)}; {remedy}'}")
 
 
 def beside(path: Path, process: int | None = None) -> Path:
@@ -84,11 +83,9 @@ class FileSink:
         except OSError as e:
             raise cannot_write(path, e) from e
         self._buffer = bytearray()
-        self._flushed = 0  # bytes in the file
-        self._records = 0
+        self._flushed = self._records = 0  # bytes in the file, and records
         self._ends: deque[int] = deque()  # where the last records end
-        self._full = False
-        self.published = False  # whether the file stands at `path`
+        self._full = self.published = False  # `published`: whether the file stands at `path`
 
     def _open(self) -> BinaryIO:
         return beside(self.path).open("wb", buffering=0)
@@ -144,17 +141,13 @@ class FileSink:
 
     def _cut(self, tail: Callable[[int], str]) -> None:
         """End the file within the bytes that reached it, after as many whole records as leave space for the tail."""
-        kept = self._records
-        while self._ends:
+        for kept, place in zip(range(self._records, 0, -1), reversed(self._ends), strict=False):
             end = _bytes(tail(kept))
-            place = self._ends[-1]
             if place + len(end) <= self._flushed:
                 self._file.seek(place)
                 self._file.write(end)
                 self._file.truncate(place + len(end))
                 return
-            self._ends.pop()
-            kept -= 1
         self._file.truncate(0)
 
     def _rename(self) -> None:
@@ -166,40 +159,31 @@ class FileSink:
 class StreamSink:
     """Records to an open binary stream, each passed on at once. ReaderGoneError when the reader has closed it."""
 
-    def __init__(self, stream: BinaryIO, name: str = "standard output") -> None:
-        self.path = None
-        self.published = False
+    def __init__(self, stream: BinaryIO) -> None:
+        self.path, self.published, self._records = None, False, 0
         # unbuffered: what a reader did not take must not be written again at exit
         self._stream = getattr(stream, "raw", stream)
-        self._name = name
-        self._records = 0
 
     def write(self, record: str) -> None:
         self._records += 1
-        self._pass_on(record)
-
-    def finish(self, tail: Callable[[int], str]) -> None:
-        self._pass_on(tail(self._records))
-
-    def discard(self) -> None:
-        pass
-
-    def _pass_on(self, text: str) -> None:
         try:
-            rest = memoryview(_bytes(text))
+            rest = memoryview(_bytes(record))
             while rest:
                 rest = rest[self._stream.write(rest) :]
         except BrokenPipeError as e:
             raise ReaderGoneError from e
         except OSError as e:
-            raise cannot_write(Path(self._name), e) from e
+            raise cannot_write(Path("standard output"), e) from e
+
+    def finish(self, tail: Callable[[int], str]) -> None:
+        self.write(tail(self._records))
+
+    def discard(self) -> None:
+        pass
 
 
 def check_new(path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = ()) -> None:
-    """Refuse before the work what `write_new` would refuse after it, and a file that the work is made from.
-
-    Raises OutputError. Of `inputs`, those that are None or do not exist are ignored.
-    """
+    """Raises OutputError before the work for what `write_new` would refuse after it, and for a file of `inputs`."""
     check_file(path, overwrite=overwrite, inputs=inputs)
     if not path.parent.is_dir():
         raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another file")
@@ -221,10 +205,7 @@ def check_file(
 
 
 def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
-    """Write a small file whole or not at all. OutputError if it exists without `overwrite`, or cannot be written.
-
-    A device or a pipe is written to, never replaced.
-    """
+    """Write a small file whole or not at all; a device or a pipe is written to. Raises OutputError as `check_file`."""
     check_file(path, overwrite=overwrite)
     try:
         if _is_stream(path):
@@ -245,5 +226,71 @@ def same_file(path: Path, other: Path) -> bool:
 
 
 def _is_stream(path: Path) -> bool:
-    """Whether `path` is a device or a pipe: a file in the place of /dev/null would break the whole machine."""
+    """Whether `path` is a device or a pipe, which must not be replaced, as /dev/null."""
     return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def check_folder(path: Path, names: Sequence[str], *, overwrite: bool, inputs: Sequence[Path | None]) -> None:
+    """OutputError if files of these names cannot go into the folder `path`, or would replace or mix with `inputs`."""
+    try:
+        if path.exists() and not path.is_dir():
+            raise OutputError(f"{path}: is a file, where a folder for the results is to be; name another with --out")
+        if any(same_file(path, given) for given in inputs if given is not None):
+            raise OutputError(f"{path}: the results would go among the frames of the input; name another with --out")
+    except OSError as e:
+        raise cannot_write(path, e) from e
+    for name in names:
+        check_file(path / name, overwrite=overwrite, inputs=inputs, remedy="name another folder with --out")
+
+
+def make_folder(path: Path) -> list[Path]:
+    """Make a folder and return those that were made, the innermost first. OutputError if it cannot be written to."""
+    try:
+        made = [folder for folder in (path, *path.parents) if not folder.exists()]
+        path.mkdir(parents=True, exist_ok=True)
+        if not os.access(path, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as e:
+        raise cannot_write(path, e) from e
+    return made
+
+
+def remove_folders(made: Sequence[Path]) -> None:
+    """Remove folders that `make_folder` made, unless they hold something."""
+    for folder in made:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+class Folder:
+    """The folder `path` of the results of a command, into which `write` writes files named `names`, in a `with`.
+
+    `out` is the value of --out; without it the folder `default` in the working directory is taken. Raises OutputError
+    as `check_folder` and `make_folder` do. Folders made for it are removed if nothing is written.
+    """
+
+    def __init__(self, out: str | None, default: str, names: Sequence[str], *, overwrite: bool, clip: Path) -> None:
+        if out in ("", "-"):
+            raise OutputError(f"--out {out!r} names no folder; the table goes to standard output in any case")
+        self.path = Path(default if out is None else out)
+        self.written: list[Path] = []
+        self._names, self._overwrite, self._clip = names, overwrite, clip
+
+    def __enter__(self) -> Folder:
+        check_folder(self.path, self._names, overwrite=self._overwrite, inputs=[self._clip])
+        self._made = make_folder(self.path)
+        return self
+
+    def write(self, name: str, data: str | bytes) -> None:
+        """Write one file, whole or not at all."""
+        content = data.encode(errors="backslashreplace") if isinstance(data, str) else data
+        write_new(self.path / name, content, overwrite=self._overwrite)
+        self.written.append(self.path / name)
+
+    def __exit__(self, *_: object) -> None:
+        if not self.written:
+            remove_folders(self._made)
+
+    def summary(self) -> str:
+        """One line: what was written."""
+        return f"{self.path}{os.sep} ({', '.join(path.name for path in self.written)})" if self.written else "nothing"

@@ -10,14 +10,13 @@ from facetrack_cli.core.types import Array, Box, Point
 def iou(a: Array, b: Array, size: tuple[int, int] | None = None) -> Array:
     """(T,) intersection over union of boxes a and b (T, 4), 0..1; nan where one of them has nan.
 
-    As in got10k (`rect_iou`), 2.2e-16 is added to the union, so that two empty boxes have 0; it matters only where
-    boxes are far smaller than a pixel. A box of negative width or height is empty.
-
-    With `size` (width, height) of the image, boxes are first clipped to it as GOT-10k does: the corner is moved inside,
-    then the width is cut at the border. A box that extends beyond the left border is thus moved, and keeps its width.
+    As in got10k (`rect_iou`), 2.2e-16 is added to the union, so that two empty boxes have 0. A box of negative width or
+    height is empty. With `size` (width, height) of the image, boxes are first clipped to it as GOT-10k does: the corner
+    is moved inside, then the width is cut at the border. So a box beyond the left border is moved, and keeps its width.
     """
     if size is not None:
-        a, b = _clip(a, size), _clip(b, size)
+        low = [np.clip(boxes[:, :2], 0.0, size) for boxes in (a, b)]
+        a, b = (np.hstack([at, np.clip(box[:, 2:], 0.0, size - at)]) for at, box in zip(low, (a, b), strict=True))
     left, top = np.maximum(a[:, 0], b[:, 0]), np.maximum(a[:, 1], b[:, 1])
     right, bottom = np.minimum(a[:, 0] + a[:, 2], b[:, 0] + b[:, 2]), np.minimum(a[:, 1] + a[:, 3], b[:, 1] + b[:, 3])
     shared = np.maximum(right - left, 0.0) * np.maximum(bottom - top, 0.0)
@@ -26,11 +25,6 @@ def iou(a: Array, b: Array, size: tuple[int, int] | None = None) -> Array:
     ratio = np.divide(shared, union + np.finfo(np.float64).eps, out=shared.copy(), where=shared != 0.0)
     clipped: Array = np.clip(ratio, 0.0, 1.0)
     return clipped
-
-
-def _clip(boxes: Array, size: tuple[int, int]) -> Array:
-    corner = np.clip(boxes[:, :2], 0.0, size)
-    return np.concatenate([corner, np.clip(boxes[:, 2:], 0.0, size - corner)], axis=1)
 
 
 def overlap(a: Box, b: Box) -> float:

@@ -38,7 +38,6 @@ class Kind:
     def read(self, path: Path, make: Callable[[Stored], T]) -> T:
         """The object that `make` makes of the arrays. InputError for any damage, and where `make` raises ValueError."""
         remedy = f"make one with `{self.command}`"
-        unusable = f"{path}: is not a usable {self.what}"
         try:
             with path.open("rb") as raw:
                 file = np.load(raw, allow_pickle=False)
@@ -48,26 +47,30 @@ class Kind:
                 if str(found.get("format")) != self.format:
                     raise InputError(f"{path}: is not a {self.what}; {remedy}")
                 if found.get("version") is None or found["version"].ravel()[0] != self.version:
-                    raise InputError(
-                        f"{path}: is a {self.what} of format version {found.get('version')}, and this facetrack reads "
-                        f"version {self.version}; make it again with `{self.command}`"
-                    )
+                    version = f"is a {self.what} of format version {found.get('version')}"
+                    ours = f"and this facetrack reads version {self.version}"
+                    raise InputError(f"{path}: {version}, {ours}; make it again with `{self.command}`")
                 return make(Stored(file))
         except FileNotFoundError as e:
             raise InputError(f"{path}: there is no such {self.what}; {remedy}") from e
         except OSError as e:
-            raise InputError(
-                f"{path}: cannot be read: {e.strerror or e}; name a {self.what}, as `{self.command}` writes it"
-            ) from e
+            why = f"cannot be read: {e.strerror or e}"
+            raise InputError(f"{path}: {why}; name a {self.what}, as `{self.command}` writes it") from e
         except KeyError as e:
             raise InputError(f"{path}: the {self.what} lacks an array: {e.args[0]}; {remedy}") from e
-        except ValueError as e:
-            said = " ".join(str(e).split())
-            raise InputError(
-                f"{unusable}: {'it is no .npz of plain arrays' if 'pickle' in said else said}; {remedy}"
-            ) from e
-        except (TypeError, IndexError, EOFError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error) as e:
-            raise InputError(f"{unusable}: it is no .npz of plain arrays; {remedy}") from e
+        except (
+            ValueError,
+            TypeError,
+            IndexError,
+            EOFError,
+            MemoryError,
+            RuntimeError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as e:
+            plain = isinstance(e, ValueError) and "pickle" not in str(e)
+            why = " ".join(str(e).split()) if plain else "it is no .npz of plain arrays"
+            raise InputError(f"{path}: is not a usable {self.what}: {why}; {remedy}") from e
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,9 @@ class Stored:
     """The arrays of a file: each method returns one, and raises ValueError if it is of another kind."""
 
     file: Any
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.file.files
 
     def texts(self, key: str) -> tuple[str, ...]:
         return tuple(map(str, self._array(key, "U", 1)))
@@ -87,9 +93,6 @@ class Stored:
 
     def number(self, key: str) -> float:
         return float(self._array(key, "f", 0))
-
-    def __contains__(self, key: str) -> bool:
-        return key in self.file.files
 
     def reals(self, key: str, ndim: int) -> NDArray[Any]:
         """An array of `ndim` axes, of the precision that it was stored in."""

@@ -1,28 +1,17 @@
-"""Numbers and names as results hold them: equal values give equal bytes."""
+"""Values as text; and spans, half-open intervals [begin, end) of rows, frames or places."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Iterable
+from typing import TypeVar
 
+import numpy as np
 
-def fixed(decimals: int) -> Callable[[Any], str]:
-    """A function that writes a number with so many decimals; "" for None and what is not finite, and never -0."""
-    spec, zero = f".{decimals}f", f"{0:.{decimals}f}"
+from facetrack_cli.core.types import Mask
 
-    def text(value: Any) -> str:
-        if value is None:
-            return ""
-        written = format(value, spec)
-        if written[0] in "-ni":  # a minus, nan or inf
-            if not math.isfinite(value):
-                return ""
-            return zero if written[1:] == zero else written
-        return written
-
-    return text
+_Number = TypeVar("_Number", int, float)
 
 
 def dumps(value: object) -> str:
@@ -40,3 +29,24 @@ def clock(seconds: float) -> str:
     sign = "-" if seconds < 0 and hundredths else ""
     tail = f"{rest // 100:02d}.{rest % 100:02d}"
     return f"{sign}{hours}:{minutes:02d}:{tail}" if hours else f"{sign}{minutes}:{tail}"
+
+
+def spans(mask: Mask, apart: Mask | None = None) -> list[tuple[int, int]]:
+    """[begin, end) of each run of True in `mask` (T,); runs are also split where `apart` (T - 1,) is True."""
+    joined = mask[:-1] & mask[1:]
+    if apart is not None:
+        joined &= ~apart
+    begins = np.flatnonzero(mask & ~np.append(False, joined))
+    ends = np.flatnonzero(mask & ~np.append(joined, False)) + 1
+    return list(zip(begins.tolist(), ends.tolist(), strict=True))
+
+
+def union(found: Iterable[tuple[_Number, _Number]], gap: float = 0.0) -> list[tuple[_Number, _Number]]:
+    """The spans, in order, joined where they overlap, touch, or are at most `gap` apart."""
+    joined: list[tuple[_Number, _Number]] = []
+    for begin, end in sorted(found):
+        if joined and begin - joined[-1][1] <= gap:
+            joined[-1] = joined[-1][0], max(joined[-1][1], end)
+        else:
+            joined.append((begin, end))
+    return joined

@@ -51,8 +51,7 @@ class Frame:
         """The image reduced by `factor`, a power of two (area means), at least within `extent`.
 
         Returns it with the point (left, top) of the whole image at which it begins. Blocks are counted from the corner
-        of the image, so that a block has the same mean in every frame and whatever else is asked for; pixels beyond the
-        last whole block are left out.
+        of the image, so that a block has the same mean whatever is asked for; an incomplete last block is left out.
         """
         if factor == 1:
             return self.bgr, 0, 0
@@ -61,23 +60,20 @@ class Frame:
             # with a margin, since the next call of this frame asks for nearly the same place
             asked = _widened(extent, 6.0 * factor)
             known = self._reduced[factor] = (*self._reduce(factor, asked), asked)
-        return known[0], known[1], known[2]
+        return known[:3]
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
         known = self._grey.get(factor)
         if known is None or not _within(extent, known[3]):
-            # what is reduced is widened there already
-            asked = _widened(extent, 6.0) if factor == 1 else extent
-            image, left, top = self.reduced(factor, asked)
-            asked = asked if factor == 1 else self._reduced[factor][3]
+            image, left, top = self.reduced(factor, extent)
+            asked = _widened(extent, 6.0) if factor == 1 else self._reduced[factor][3]  # which is widened already
             height, width = image.shape[:2]
-            # what is reduced is already hardly more than the extent; the whole image is much more
             x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
             y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
             grey = np.asarray(cv2.cvtColor(image[y0:y1, x0:x1], cv2.COLOR_BGR2GRAY), np.uint8)
             known = self._grey[factor] = grey, left + x0 * factor, top + y0 * factor, asked
-        return known[0], known[1], known[2]
+        return known[:3]
 
     def remembered(self, key: Hashable) -> NDArray[np.float32] | None:
         """What was remembered with this key."""
@@ -147,9 +143,9 @@ class TargetStart:
 class Correction:
     """What is corrected by hand of one target at one frame, from which it begins anew.
 
-    `given`: its box, or points of it, as in a start, without windows. `kept`: where its other points were; what is
-    neither given nor kept stays where the tracker has it. `absent`: parts that cannot be seen from there on, True for
-    all of them. `learn`: whether the appearance is learned anew there; None: of what is given.
+    `given` is its box, or points of it, without windows; `kept` says where its other points were: what is neither given
+    nor kept stays where the tracker has it. `absent` are parts that cannot be seen from there on, True for all.
+    `learn`: whether the appearance is learned anew there; None: of what is given.
     """
 
     frame: int

@@ -31,12 +31,9 @@ from ruamel.yaml.events import (
 MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a page
 MAX_DEPTH = 20
 EXCERPT_WIDTH = 100
-
 Scalar: TypeAlias = "str | int | float | bool | None"
-
-_NULL = re.compile(r"null|Null|NULL|~|")
-_TRUE = re.compile(r"true|True|TRUE")
-_FALSE = re.compile(r"false|False|FALSE")
+_WORDS = {**dict.fromkeys(("null", "Null", "NULL", "~", "")), **dict.fromkeys(("true", "True", "TRUE"), True)}
+_WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
@@ -110,12 +107,8 @@ class Node:
     def walk(self) -> Iterator[tuple[tuple[str | int, ...], Node]]:
         """Every value below this one, and itself, with its path of keys and indices."""
         yield (), self
-        below: Iterator[tuple[str | int, Node]] = iter(())
-        if isinstance(self.value, dict):
-            below = iter(self.value.items())
-        elif isinstance(self.value, list):
-            below = iter(enumerate(self.value))
-        for name, node in below:
+        of_list = enumerate(self.value) if isinstance(self.value, list) else ()
+        for name, node in self.value.items() if isinstance(self.value, dict) else of_list:
             for path, child in node.walk():
                 yield (name, *path), child
 
@@ -158,8 +151,7 @@ def parse(source: Source, *, start: int = 0) -> Node | None:
 def assign(root: Node, option: str, assignment: str) -> None:
     """Put a value into the tree from the command line: `option` is its name there, `assignment` is `a.b=VALUE`.
 
-    The value is YAML, the path is keys with dots between them. Mappings on the way are made where nothing is.
-    Raises YamlProblems with the place in the assignment.
+    The value is YAML. Mappings on the way are made where nothing is. Raises YamlProblems with the place.
     """
     source = Source(f"{option} {printable(assignment)}", assignment, Path(), is_file=False)
     path, equals, _ = assignment.partition("=")
@@ -196,16 +188,13 @@ class _Reader:
     seen_alias: bool = False
 
     def read(self) -> Node | None:
-        yaml = YAML(typ="safe", pure=True)
         root: Node | None = None
-        documents = 0
         try:
-            events = iter(yaml.parse(self.source.text[self.start :]))
+            events = iter(YAML(typ="safe", pure=True).parse(self.source.text[self.start :]))
             for event in events:
                 if not isinstance(event, DocumentStartEvent):
                     continue
-                documents += 1
-                if documents > 1:
+                if root is not None:
                     self.refuse(event, "a second document begins here; keep one in a file")
                     break
                 if event.version not in (None, (1, 2), [1, 2]):
@@ -235,8 +224,7 @@ class _Reader:
         if tag is not None and str(tag) != "!":
             self.refuse(event, f'the tag "{tag}" is not allowed; remove it')
         if isinstance(event, MappingStartEvent):
-            found, end = self.mapping(events, depth)
-            return Node(self.span(event, end), found)
+            return self.mapping(events, event, depth)
         if isinstance(event, SequenceStartEvent):
             items: list[Node] = []
             while not isinstance(child := next(events), SequenceEndEvent):
@@ -244,20 +232,19 @@ class _Reader:
             return Node(self.span(event, child), items)
         return Node(span, self.scalar(event))
 
-    def mapping(self, events: Iterator[Any], depth: int) -> tuple[dict[str, Node], Any]:
+    def mapping(self, events: Iterator[Any], start: Any, depth: int) -> Node:
         found: dict[str, Node] = {}
         while not isinstance(event := next(events), MappingEndEvent):
             key = self.node(events, event, depth + 1)
             value = self.node(events, next(events), depth + 1)
             if not isinstance(event, ScalarEvent):
                 self.refuse(event, "a key must be a name")
-                continue
-            if (first := found.get(event.value)) is not None and first.key is not None:
+            elif (first := found.get(event.value)) is not None and first.key is not None:
                 also = f" (first on line {first.key.line + 1})" if self.source.is_file else ""
                 self.refuse(event, f'the key "{event.value}" is repeated{also}; remove one of them')
-                continue
-            found[event.value] = Node(value.span, value.value, key.span)
-        return found, event
+            else:
+                found[event.value] = Node(value.span, value.value, key.span)
+        return Node(self.span(start, event), found)
 
     def scalar(self, event: Any) -> Scalar:
         text: str = event.value
@@ -266,10 +253,8 @@ class _Reader:
             return None
         if event.style is not None or not event.implicit[0]:
             return text
-        if _NULL.fullmatch(text):
-            return None
-        if _TRUE.fullmatch(text) or _FALSE.fullmatch(text):
-            return text.lower() == "true"
+        if text in _WORDS:
+            return _WORDS[text]
         if _INT.fullmatch(text):
             if len(text) > 30:
                 self.refuse(event, f"a number of {len(text)} digits; is it meant as a text? Put it in quotes")

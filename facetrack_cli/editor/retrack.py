@@ -15,7 +15,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.spans import union
+from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.editor.run_folder import Run
 from facetrack_cli.recipe.model import ParticlesRecipe

@@ -25,9 +25,8 @@ from facetrack_cli.report.make import trajectory_of
 from facetrack_cli.runs.outputs import VIDEO
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import check_start
-from facetrack_cli.trajectory.header import Header, read_header
+from facetrack_cli.trajectory.header import Header, corrections_record, read_header
 from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.start import corrections_record
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, Sink, json_frames
 from facetrack_cli.video.images import listing

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from facetrack_cli.core.spans import spans
+from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.measure import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Value, mean, median
 from facetrack_cli.evaluation.rows import Rows, column

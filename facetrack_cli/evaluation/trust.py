@@ -13,7 +13,7 @@ from typing import Annotated
 
 import numpy as np
 
-from facetrack_cli.core.spans import spans
+from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.evaluation.measure import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Value, mean, median, share
 from facetrack_cli.evaluation.rows import Rows, column

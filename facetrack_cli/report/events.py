@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from facetrack_cli.core.spans import spans
+from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.trajectory import Trajectory
 

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import FileSink, StreamSink
-from facetrack_cli.core.output_folder import check_folder, make_folder, remove_folders
+from facetrack_cli.core.files import FileSink, StreamSink, check_folder, make_folder, remove_folders
 from facetrack_cli.trajectory.trajectory import Collector
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Header, Writer
 
@@ -191,7 +190,7 @@ def _versions() -> dict[str, str]:
 def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
     from facetrack_cli.recipe.model import to_dict
     from facetrack_cli.trajectory.diagnostics import KNOWN
-    from facetrack_cli.trajectory.start import to_record
+    from facetrack_cli.trajectory.header import to_record
 
     # those that every facetrack knows are not declared
     declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}

@@ -1,7 +1,6 @@
-"""What a tracker reports of a target beside its rows, as its parts declare it: scale, noise, posterior, ...
+"""What a tracker reports of a target beside its rows: scale, noise, posterior, ...
 
-A likelihood, a state space or a velocity prediction lists what it reports in `diagnostics`, and gives the values of
-each frame. They are collected into arrays, and go into JSON, plots and report; nothing there names them.
+Likelihoods, state spaces and velocity predictions declare it in `diagnostics`, and give the values of each frame.
 """
 
 from __future__ import annotations
@@ -27,9 +26,8 @@ SURE: Final = 0.9
 class Diagnostic:
     """A quantity that is reported of a target in every frame.
 
-    `shape` () is a number, (n,) are n numbers, and None one number for each of some names. `least` and `most` bound
-    the values, `decimals` are those in JSON, one for all or one for each number, and `meaning` stands in plots. Raises
-    ValueError for a shape or decimals that cannot be.
+    `shape` () is a number, (n,) are n numbers, and None one number for each of some names. `decimals` are those in
+    JSON, one for all or one for each number; `meaning` stands in plots. Raises ValueError for what cannot be.
     """
 
     name: str
@@ -57,10 +55,9 @@ ENTROPY: Final = Diagnostic("entropy", "of the posterior", "nats", least=0)
 SCALE: Final = Diagnostic("scale", "1 at the start", least=0)
 NOISE: Final = Diagnostic("noise", "eta of eq. 13: noise of the motion, relative to its usual", least=0)
 ERROR: Final = Diagnostic("error", "eps_t of eq. 13: error of the velocity prediction", least=0)
+_AFFINE: Final = "deformation a1 to a4 since the start; centre in pixels"
 # a1 to a4 to 5 decimals: of a box of 1,000 pixels that is a hundredth of one
-AFFINE: Final = Diagnostic(
-    "affine", "deformation a1 to a4 since the start; centre in pixels", shape=(6,), decimals=(5, 5, 5, 5, 3, 3)
-)
+AFFINE: Final = Diagnostic("affine", _AFFINE, shape=(6,), decimals=(5, 5, 5, 5, 3, 3))
 KNOWN: Final[Mapping[str, Diagnostic]] = {one.name: one for one in (POSTERIOR, ENTROPY, SCALE, NOISE, ERROR, AFFINE)}
 """Those of the shipped trackers (Zhou, Chellappa & Moghaddam 2003), which docs/files.md describes."""
 
@@ -93,12 +90,9 @@ class Diagnostics:
 
     @classmethod
     def of(
-        cls, declared: tuple[Diagnostic, ...], frame: Sequence[int], found: Sequence[Mapping[str, Any]]
+        cls, declared: Sequence[Diagnostic], frame: Sequence[int], found: Sequence[Mapping[str, Any]]
     ) -> Diagnostics:
-        """From what was reported in each frame, by name; what is None or missing is not known.
-
-        Raises ValueError, with the index of the frame as its first argument, for a value that does not fit.
-        """
+        """From what each frame reports by name; ValueError(index of the frame, why) for what does not fit."""
         values: dict[str, Array] = {}
         labels: dict[str, tuple[str, ...]] = {}
         for one in declared:
@@ -112,7 +106,7 @@ class Diagnostics:
             for at, value in enumerate(given):
                 if value is not None:
                     column[at] = _checked(one, at, value, labels.get(one.name, ()))
-        return cls(declared, np.asarray(frame, np.int64), values, labels)
+        return cls(tuple(declared), np.asarray(frame, np.int64), values, labels)
 
     @classmethod
     def joined(cls, parts: Sequence[Diagnostics]) -> Diagnostics:
@@ -120,13 +114,12 @@ class Diagnostics:
         if len({(*one.values, *one.labels.items()) for one in parts}) == 1:
             values = {key: np.concatenate([one.values[key] for one in parts]) for key in parts[0].values}
             return replace(parts[0], frame=np.concatenate([one.frame for one in parts]), values=values)
-        declared: dict[str, Diagnostic] = {}
         # what is read from a file declares, in the tracker's order, only what is there
-        for part in sorted(parts, key=lambda part: -len(part.declared)):
-            for each in part.declared:
-                declared.setdefault(each.name, each)
+        longest = sorted(parts, key=lambda part: -len(part.declared))
+        declared = {each.name: each for part in reversed(longest) for each in part.declared}
+        order = dict.fromkeys(each.name for part in longest for each in part.declared)
         frames = [frame for one in parts for frame in one.frame.tolist()]
-        return cls.of(tuple(declared.values()), frames, [each for one in parts for each in one.records()])
+        return cls.of([declared[name] for name in order], frames, [each for one in parts for each in one.records()])
 
     def records(self) -> list[dict[str, Any]]:
         """What is known in each frame, by name, as `of` takes it."""
@@ -153,7 +146,8 @@ def outlines(rows: Trajectory) -> Array | None:
 def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
     """The numbers of a value, nan where there are none."""
     bounds = one.least, one.most
-    expected = _EXPECTED.get(bounds) or "number from {:g} to {:g}".format(*bounds)
+    known = {(0, 1): "probability", (0, math.inf): "number from 0 up", (-math.inf, math.inf): "finite number"}
+    expected = known.get(bounds) or "number from {:g} to {:g}".format(*bounds)
     if one.shape is None:
         if not isinstance(value, Mapping):
             raise ValueError(at, f"{one.name} is not an object of names and numbers")
@@ -169,13 +163,6 @@ def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> A
     if not _fits(one, value):
         raise ValueError(at, f"{one.name} {value!r} is no {expected}")
     return float(value)
-
-
-_EXPECTED: Final = {
-    (0, 1): "probability",
-    (0, math.inf): "number from 0 up",
-    (-math.inf, math.inf): "finite number",
-}
 
 
 def _fits(one: Diagnostic, value: Any) -> bool:

@@ -1,21 +1,109 @@
-"""What a trajectory's JSON says of its run, checked; its recipe as YAML, and the command that repeats it."""
+"""What a trajectory's JSON says of its run, checked; and a start with its corrections as files hold them.
+
+Starts are in init files, in the header of a trajectory, and in goldens.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
-from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Start
-from facetrack_cli.trajectory.start import StartRecord
+from facetrack_cli.core.types import Correction, Start, TargetStart
+from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, not_as_written
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 CORRECTED: Final = "corrected.init.yaml"
+Pixels: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_PIXELS, le=MAX_PIXELS, allow_inf_nan=False)]
+Side: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=MAX_PIXELS, allow_inf_nan=False)]
+FrameNumber: TypeAlias = Annotated[int, Field(strict=True, ge=0, le=MAX_FRAME)]
+_Positive: TypeAlias = Annotated[int, Field(gt=0)]
 
 
-_Positive = Annotated[int, Field(gt=0)]
+class _Target(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
+    points: dict[str, tuple[Pixels, Pixels]] = {}  # x, y
+
+
+class TargetRecord(_Target):
+    """Where one target is at the start."""
+
+    windows: dict[str, tuple[Side, Side]] = {}  # width, height
+
+    def target(self) -> TargetStart:
+        return TargetStart(self.box, self.points, self.windows)
+
+
+class CorrectedTarget(_Target):
+    """What is corrected of one target in one frame; the members are those of `core.types.Correction`."""
+
+    kept: dict[str, tuple[Pixels, Pixels]] = {}
+    absent: Annotated[
+        Annotated[Literal[True], Tag("all")] | Annotated[tuple[str, ...], Tag("parts")],
+        Discriminator(lambda given: "all" if given is True else "parts"),
+    ] = ()
+    learn: Annotated[bool, Field(strict=True)] | None = None
+
+    def correction(self, frame: int, target: str) -> Correction:
+        return Correction(frame, target, TargetStart(self.box, self.points), self.kept, self.absent, self.learn)
+
+
+class CorrectionRecord(CorrectedTarget):
+    """The same with its frame and its target: a member of a list of corrections."""
+
+    frame: FrameNumber
+    target: str
+
+
+class StartRecord(BaseModel):
+    """A start: its frame, its targets by name, and the corrections after it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    frame: FrameNumber
+    targets: dict[str, TargetRecord]
+    corrections: tuple[CorrectionRecord, ...] = ()
+
+    def start_from(self, origin: str) -> Start:
+        """The start; `origin` is what said so."""
+        corrections = tuple(one.correction(one.frame, one.target) for one in self.corrections)
+        return Start(self.frame, {name: one.target() for name, one in self.targets.items()}, origin, corrections)
+
+
+def to_record(start: Start) -> dict[str, Any]:
+    """What `StartRecord` reads, for JSON; members without a value are left out."""
+    targets = {}
+    for name, one in start.targets.items():
+        targets[name] = _members(box=one.box, points=dict(one.points), windows=dict(one.windows))
+    return {"frame": start.frame, "targets": targets, **corrections_record(start.corrections)}
+
+
+def corrections_record(corrections: Sequence[Correction]) -> dict[str, Any]:
+    """The member `corrections` of a start's record; no member without any."""
+    return _members(corrections=[{"frame": one.frame, "target": one.target, **corrected(one)} for one in corrections])
+
+
+def corrected(correction: Correction) -> dict[str, Any]:
+    """What `CorrectedTarget` reads, for JSON: whole numbers without a fraction, and only members with a value."""
+    given, absent, learn = correction.given, correction.absent, correction.learn
+    box = given.box and list(map(whole, given.box))
+    points, kept = ({k: list(map(whole, xy)) for k, xy in those.items()} for those in (given.points, correction.kept))
+    members = _members(box=box, points=points, kept=kept, absent=absent is True or list(absent))
+    return members if learn is None else {**members, "learn": learn}
+
+
+def whole(value: float) -> float | int:
+    """A number without a fraction as an integer."""
+    return int(value) if value == int(value) else float(value)
+
+
+def _members(**members: Any) -> dict[str, Any]:
+    return {key: value for key, value in members.items() if value}
+
+
+# --- the header of a run -----------------------------------------------------------------------------------------
 
 
 class ClipHeader(BaseModel):
@@ -63,11 +151,7 @@ def read_header(table: Trajectory) -> Header:
     try:
         return Header.model_validate(dict(table.header))
     except ValidationError as e:
-        first = e.errors()[0]
-        key = ".".join(str(step) for step in first["loc"])
-        raise InputError(
-            f"{table.path}: {key} is not as facetrack run writes it ({first['msg'].lower()}); make the run again"
-        ) from None
+        raise not_as_written(table.path, e) from None
 
 
 def said(table: Trajectory, group: str, key: str) -> Any:
@@ -94,7 +178,7 @@ def picture_of(table: Trajectory) -> tuple[int, int] | None:
 
 
 def is_there(path: Path) -> bool:
-    """Whether there is such a file or folder, as far as the system lets us look."""
+    """Whether there is such a file or folder, as far as the system tells."""
     try:
         return path.exists()
     except OSError:  # no permission, or a name that is too long

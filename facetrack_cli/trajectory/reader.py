@@ -56,6 +56,13 @@ def _begins(path: Path) -> tuple[Path, bytes]:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
 
 
+def not_as_written(path: Path, error: Any, *above: str) -> InputError:
+    """The first error of a pydantic.ValidationError, in the key that is `above` what was validated."""
+    first = error.errors()[0]
+    key = ".".join(map(str, (*above, *first["loc"])))
+    return InputError(f"{path}: {key} is not as facetrack run writes it ({first['msg'].lower()}); make the run again")
+
+
 def _build(
     path: Path, targets: Sequence[str], parts: Sequence[str], columns: dict[str, Any], **others: Any
 ) -> Trajectory:
@@ -64,23 +71,21 @@ def _build(
         raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
     numbers: dict[tuple[str, str], int] = {}
     which = [numbers.setdefault(pair, len(numbers)) for pair in zip(targets, parts, strict=True)]
-
-    def check(name: str, wrong: NDArray[np.bool_], why: str) -> None:
-        if wrong.any():
-            row = int(np.flatnonzero(wrong)[0])
-            place = f"frame {columns['frame'][row]}, {targets[row]}/{parts[row]}"
-            raise InputError(f"{path}: {place}: {name} {columns[name][row]:.15g} {why}; correct it, or leave it empty")
-
-    with np.errstate(invalid="ignore"):
-        for name in FLOATS:
-            values = columns[name]
-            check(name, np.isinf(values), "is no finite number")
+    for name in FLOATS:
+        values = columns[name]
+        with np.errstate(invalid="ignore"):
+            checks = [(np.isinf(values), "is no finite number")]
             if name in ("x", "y", "w", "h", "std_x", "std_y"):
-                check(name, np.abs(values) > MAX_PIXELS, "is farther out than any image")
+                checks.append((np.abs(values) > MAX_PIXELS, "is farther out than any image"))
             if name in ("w", "h", "std_x", "std_y"):
-                check(name, values < 0, "is negative")
+                checks.append((values < 0, "is negative"))
             if name == "identity_prob":
-                check(name, (values < 0) | (values > 1), "is no probability")
+                checks.append(((values < 0) | (values > 1), "is no probability"))
+        for wrong, why in checks:
+            if wrong.any():
+                row = int(np.flatnonzero(wrong)[0])
+                place = f"{path}: frame {columns['frame'][row]}, {targets[row]}/{parts[row]}"
+                raise InputError(f"{place}: {name} {values[row]:.15g} {why}; correct it, or leave it empty")
     return build(tuple(numbers), which, path=path, **columns, **others)
 
 
@@ -89,182 +94,144 @@ def _build(
 
 def _read_csv(path: Path) -> Trajectory:
     blocks: list[dict[str, Any]] = []
-    targets: list[str] = []
-    parts: list[str] = []
+    named: dict[str, list[str]] = {"target": [], "part": []}
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file)
-            try:
-                header = _header(path, next(lines, []))
-                for block, numbers in _blocks(path, lines, len(header)):
-                    cells = dict(zip(header, zip(*block, strict=True), strict=True))
-                    columns = {name: list(map(str.strip, cells.get(name, [""] * len(block)))) for name in COLUMNS}
-                    for name, those in (("target", targets), ("part", parts)):
-                        named = columns.pop(name)
-                        if "" in named:
-                            raise InputError(
-                                f"{path}:{numbers[named.index('')]}: column {name} is empty; name the {name}"
-                            )
-                        those += named
-                    blocks.append({name: _column(path, name, cells, numbers) for name, cells in columns.items()})
-            except csv.Error as e:
-                raise InputError(f"{path}:{lines.line_num}: is not CSV: {e}") from e
+            header = [name.strip() for name in next(lines, [])]
+            if not any(header):
+                raise InputError(f"{path}: is empty; a trajectory begins with the header {','.join(COLUMNS)}")
+            if missing := ", ".join(name for name in REQUIRED if name not in header):
+                raise InputError(f"{path}:1: the header has no column {missing}; it should read {','.join(COLUMNS)}")
+            if twice := sorted(name for name in COLUMNS if header.count(name) > 1):
+                raise InputError(f"{path}:1: column {twice[0]} is there twice; keep one of them")
+            rows = _rows(path, lines, len(header))
+            while block := list(itertools.islice(rows, _BLOCK)):
+                numbers = [number for number, _ in block]
+                cells = dict(zip(header, zip(*(row for _, row in block), strict=True), strict=True))
+                columns = {name: list(map(str.strip, cells.get(name, [""] * len(block)))) for name in COLUMNS}
+                for name in named:
+                    if "" in columns[name]:
+                        place = f"{path}:{numbers[columns[name].index('')]}"
+                        raise InputError(f"{place}: column {name} is empty; name the {name}")
+                    named[name] += columns.pop(name)
+                blocks.append({name: _column(path, name, those, numbers) for name, those in columns.items()})
+    except csv.Error as e:
+        raise InputError(f"{path}:{lines.line_num}: is not CSV: {e}") from e
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
     except UnicodeDecodeError as e:
         raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is CSV with a header line") from e
     whole = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]} if blocks else {}
-    return _build(path, targets, parts, whole)
+    return _build(path, named["target"], named["part"], whole)
 
 
-def _header(path: Path, cells: Sequence[str]) -> list[str]:
-    header = [name.strip() for name in cells]
-    if not any(header):
-        raise InputError(f"{path}: is empty; a trajectory begins with the header {','.join(COLUMNS)}")
-    if missing := [name for name in REQUIRED if name not in header]:
-        raise InputError(f"{path}:1: the header has no column {', '.join(missing)}; it should read {','.join(COLUMNS)}")
-    if twice := sorted({name for name in header if name in COLUMNS and header.count(name) > 1}):
-        raise InputError(f"{path}:1: column {twice[0]} is there twice; keep one of them")
-    return header
-
-
-def _blocks(path: Path, lines: Any, width: int) -> Iterator[tuple[list[list[str]], list[int]]]:
-    """Rows of `width` cells, some at a time, with the number of each one's line."""
-
-    def rows() -> Iterator[tuple[list[str], int]]:
-        for cells in lines:
-            if len(cells) == width:
-                yield cells, lines.line_num
-            elif cells:
-                at = lines.line_num
-                if len(cells) < width and not any(lines):
-                    raise InputError(
-                        f"{path}:{at}: is no whole line, and the last; was the run cut short? remove this line"
-                    )
-                raise InputError(
-                    f"{path}:{at}: {len(cells)} values under {width} columns; "
-                    "give every column a value, or leave it empty between its commas"
-                )
-
-    every = rows()
-    while block := list(itertools.islice(every, _BLOCK)):
-        yield [cells for cells, _ in block], [number for _, number in block]
+def _rows(path: Path, lines: Any, width: int) -> Iterator[tuple[int, list[str]]]:
+    """Lines of `width` cells, each with its number."""
+    for cells in lines:
+        place = f"{path}:{lines.line_num}"
+        if 0 < len(cells) < width and not any(lines):
+            raise InputError(f"{place}: is no whole line, and the last; was the run cut short? remove this line")
+        if len(cells) not in (0, width):
+            why = "give every column a value, or leave it empty between its commas"
+            raise InputError(f"{place}: {len(cells)} values under {width} columns; {why}")
+        if cells:
+            yield lines.line_num, cells
 
 
 def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int]) -> NDArray[Any]:
     """The values of a column's cells without blanks; InputError, with the line, for the first that is none."""
     if name in TEXTS:
         return np.array(cells, dtype=np.str_)
-    convert = _frame if name == "frame" else _count if name == "particles" else _float
+    whole = name in ("frame", "particles")
+
+    def number(cell: str) -> float:
+        if not cell and name != "frame":
+            return math.nan
+        if whole and not (cell.isascii() and cell.isdigit() and len(cell) <= _DIGITS):
+            raise ValueError
+        value = int(cell) if whole else float(cell)
+        if not math.isfinite(value) or "_" in cell:  # nan, inf, or 1_0, which float() takes for 10
+            raise ValueError
+        return value
+
     try:
-        if convert is _float and "_" not in "".join(cells):  # as `_float` does, and faster
+        if not whole and "_" not in "".join(cells):  # as `number` does, and faster
             values = np.array([float(cell) if cell else math.nan for cell in cells])
             if np.isfinite(values).sum() == len(cells) - cells.count(""):
                 return values
-        return np.array([convert(cell) for cell in cells], dtype=np.int64 if name == "frame" else np.float64)
+        return np.array([number(cell) for cell in cells], dtype=np.int64 if name == "frame" else np.float64)
     except ValueError:
-        at = next(i for i, cell in enumerate(cells) if _fails(convert, cell))
-        if convert is _float:
-            why = "is no finite number; correct it or leave it empty"
-        else:
-            why = "is no whole number from 0 up; correct it"
-        raise InputError(f"{path}:{numbers[at]}: column {name}: {cells[at]!r} {why}") from None
-
-
-def _frame(cell: str) -> int:
-    if not (cell.isascii() and cell.isdigit()) or len(cell) > _DIGITS:
-        raise ValueError
-    return int(cell)
-
-
-def _count(cell: str) -> float:
-    return _frame(cell) if cell else math.nan
-
-
-def _float(cell: str) -> float:
-    if not cell:
-        return math.nan
-    number = float(cell)
-    if number - number != 0 or "_" in cell:  # nan, inf, or 1_0, which float() takes for 10
-        raise ValueError
-    return number
-
-
-def _fails(convert: Callable[[str], float], cell: str) -> bool:
-    try:
-        convert(cell)
-    except ValueError:
-        return True
-    return False
+        for line, cell in zip(numbers, cells, strict=True):
+            try:
+                number(cell)
+            except ValueError:
+                why = "whole number from 0 up; correct it" if whole else "finite number; correct it or leave it empty"
+                raise InputError(f"{path}:{line}: column {name}: {cell!r} is no {why}") from None
+        raise
 
 
 # --- JSON --------------------------------------------------------------------------------------------------------
 
 _SHARED: Final = ("frame", "time_s", "target", "particles", "identity", "identity_prob")
-_OWN: Final = ("part", "status", "by_hand", *(name for name in FLOATS if name not in _SHARED))
+_OWN: Final = {"status": "", "by_hand": False, **{name: None for name in FLOATS if name not in _SHARED}}
+_KEYS: Final = frozenset(("part", *_OWN))
+_KINDS: Final[Mapping[str, tuple[Callable[[Any], bool], str]]] = {
+    **dict.fromkeys(
+        FLOATS, (lambda v: v is None or type(v) is float or (type(v) is int and abs(v) < 10**300), "no number")
+    ),
+    **dict.fromkeys(("target", "part"), (lambda v: type(v) is str and v != "", "no name")),
+    **dict.fromkeys(TEXTS, (lambda v: type(v) is str, "no name")),
+    "frame": (lambda v: type(v) is int and 0 <= v < 10**_DIGITS, "no whole number from 0 up"),
+    "by_hand": (lambda v: type(v) is bool, "neither true nor false"),
+}
 
 
 def _read_json(path: Path) -> Trajectory:
     header, records = _records(path)
-    columns: dict[str, list[Any]] = {name: [] for name in (*_SHARED, *_OWN)}
+    columns: dict[str, list[Any]] = {name: [] for name in (*_SHARED, "part", *_OWN)}
+    row_of: list[int] = []  # the record of each row
     reported: dict[str, dict[int, Mapping[str, Any]]] = {}
     declared = _declared(path, header)
+
+    def unlike(at: int, why: object) -> InputError:
+        return InputError(f"{path}: record {at} of frames is not as facetrack writes it: {why}")
+
     for at, record in enumerate(records):
         try:
-            frame, time_s = _whole("frame", record["frame"]), _number("time_s", record.get("time_s"))
             for target in record["targets"]:
-                name, parts = _text("target", target["target"]), target["parts"]
-                particles, sure = (_number(key, target.get(key)) for key in ("particles", "identity_prob"))
-                who = "" if target.get("identity") is None else _text("identity", target["identity"], empty=True)
-                shared = (frame, time_s, name, particles, who, sure)
-                for key, value in zip(_SHARED, shared, strict=True):
-                    columns[key] += [value] * len(parts)
-                for part in parts:
-                    if not part.keys() <= _KEYS:
-                        raise ValueError(f"unknown key {min(part.keys() - _KEYS)!r}")
-                    columns["part"].append(_text("part", part["part"]))
-                    columns["status"].append(_text("status", part.get("status", ""), empty=True))
-                    columns["by_hand"].append(_flag("by_hand", part.get("by_hand", False)))
-                    for key in _OWN[3:]:
-                        columns[key].append(_number(key, part.get(key)))
+                parts, about = target["parts"], {"particles": None, "identity_prob": None, **target}
+                about |= {"frame": record["frame"], "time_s": record.get("time_s")}
+                if about.get("identity") is None:
+                    about["identity"] = ""
+                for key in _SHARED:
+                    columns[key] += [about[key]] * len(parts)
+                if unknown := sorted({key for part in parts for key in part.keys() - _KEYS}):
+                    raise ValueError(f"unknown key {unknown[0]!r}")
+                columns["part"] += [part["part"] for part in parts]
+                for key, missing in _OWN.items():
+                    columns[key] += [part.get(key, missing) for part in parts]
+                row_of += [at] * len(parts)
                 if not declared.keys().isdisjoint(target):
-                    reported.setdefault(name, {}).setdefault(frame, target)
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as e:
-            raise InputError(f"{path}: record {at} of frames is not as facetrack writes it: {e}") from None
-    arrays: dict[str, Any] = {
-        name: np.array(values) for name, values in columns.items() if name not in ("target", "part")
-    }
-    diagnostics = {name: _diagnostics(path, name, declared, found) for name, found in reported.items()}
-    return _build(path, columns["target"], columns["part"], arrays, header=header, diagnostics=diagnostics)
-
-
-_KEYS: Final = frozenset(_OWN)
-
-
-def _whole(name: str, value: Any) -> int:
-    if type(value) is not int or not 0 <= value < 10**_DIGITS:
-        raise ValueError(f"{name} {value!r} is no whole number from 0 up")
-    return value
-
-
-def _number(name: str, value: Any) -> float:
-    if value is None:
-        return math.nan
-    if type(value) not in (int, float):
-        raise ValueError(f"{name} {value!r} is no number")
-    return float(value)
-
-
-def _text(name: str, value: Any, *, empty: bool = False) -> str:
-    if not isinstance(value, str) or not (value or empty):
-        raise ValueError(f"{name} {value!r} is no name")
-    return value
-
-
-def _flag(name: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"{name} {value!r} is neither true nor false")
-    return value
+                    reported.setdefault(about["target"], {}).setdefault(about["frame"], target)
+        except (KeyError, TypeError, ValueError, AttributeError) as e:
+            raise unlike(at, e) from None
+    for name, values in columns.items():
+        is_one, what = _KINDS[name]
+        if (row := next((i for i, value in enumerate(values) if not is_one(value)), None)) is not None:
+            raise unlike(row_of[row], f"{name} {values[row]!r:.60} is {what}")
+    targets, names = columns.pop("target"), columns.pop("part")
+    arrays = {name: np.array(values, np.float64 if name in FLOATS else None) for name, values in columns.items()}
+    diagnostics = {}
+    for target, found in reported.items():
+        frames = sorted(found)
+        chosen = [one for name, one in declared.items() if any(name in each for each in found.values())]
+        try:
+            diagnostics[target] = Diagnostics.of(chosen, frames, [found[frame] for frame in frames])
+        except ValueError as e:
+            at, why = e.args
+            raise InputError(f"{path}: frame {frames[at]}, {target}: {why}; correct it, or leave it out") from None
+    return _build(path, targets, names, arrays, header=header, diagnostics=diagnostics)
 
 
 def _declared(path: Path, header: Mapping[str, Any]) -> dict[str, Diagnostic]:
@@ -276,25 +243,8 @@ def _declared(path: Path, header: Mapping[str, Any]) -> dict[str, Diagnostic]:
     try:
         listed = TypeAdapter(list[Diagnostic]).validate_python(header["diagnostics"])
     except ValidationError as e:
-        first = e.errors()[0]
-        key = ".".join(map(str, ("diagnostics", *first["loc"])))
-        raise InputError(
-            f"{path}: {key} is not as facetrack run writes it ({first['msg'].lower()}); make the run again"
-        ) from None
+        raise not_as_written(path, e, "diagnostics") from None
     return {**KNOWN, **{one.name: one for one in listed if one.name not in KNOWN}}
-
-
-def _diagnostics(
-    path: Path, target: str, declared: Mapping[str, Diagnostic], found: Mapping[int, Mapping[str, Any]]
-) -> Diagnostics:
-    frames = sorted(found)
-    present = {key for each in found.values() for key in each}
-    chosen = tuple(one for name, one in declared.items() if name in present)
-    try:
-        return Diagnostics.of(chosen, frames, [found[frame] for frame in frames])
-    except ValueError as e:
-        at, why = e.args
-        raise InputError(f"{path}: frame {frames[at]}, {target}: {why}; correct it, or leave it out") from None
 
 
 def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
@@ -314,9 +264,7 @@ def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
         raise InputError(f"{path}: is nested too deep for a trajectory") from e
     except json.JSONDecodeError as whole_error:
         header = {}
-        for number, line in enumerate(text.split("\n"), 1):
-            if not line.strip():
-                continue
+        for number, line in ((number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()):
             try:
                 record = json.loads(line)
             except (json.JSONDecodeError, RecursionError):

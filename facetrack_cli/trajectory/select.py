@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
+from facetrack_cli.core.types import BOX, Array, Texts
+from facetrack_cli.trajectory.trajectory import Trajectory, aligned, joined, one_part
 
 Around: TypeAlias = Literal["windows", "points"]
-AROUND: tuple[Around, ...] = get_args(Around)
 
 
 def choose(table: Trajectory, select: str | None) -> Trajectory:
@@ -42,49 +41,29 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     """One box for each row of a target, as the series of a part `box`: the smallest upright box around its parts.
 
     A target of one part has that part's own box. Of several, `windows` encloses the windows that the tracker compares,
-    as in annotated videos; `points` their centres alone, each as one pixel. Parts whose place is not known in a row are
-    left out of it; lost ones count, since their place is the estimate (see `blank_lost`). `confidence` is the mean over
-    the parts, `status` lost when all parts are that are not absent. Raises InputError for windows of parts that have
-    none.
+    `points` their centres alone, each as one pixel. Parts whose place is not known in a row are left out of it; lost
+    ones count, since their place is the estimate. `confidence` is the mean over the parts, `status` lost when all parts
+    are that are not absent. Raises InputError for windows of parts that have none.
     """
+    target = parts[0].target
     if len(parts) == 1:
-        return parts[0].renamed(parts[0].target, "box")
-    frame = np.unique(np.concatenate([part.frame for part in parts]))
-    shape = len(frame), len(parts)
-    by_hand = np.zeros(len(frame), dtype=np.bool_)
-    edges, confidence = np.full((*shape, 4), np.nan), np.full(shape, np.nan)
-    time_s, status = np.full(len(frame), np.nan), np.full(shape, "", dtype="<U8")
-    for k, part in enumerate(parts):
-        rows = np.searchsorted(frame, part.frame)
-        one = replace(part, w=np.ones(len(part)), h=np.ones(len(part))) if around == "points" else part
-        sizeless = np.flatnonzero(np.isfinite(one.x) & ~(np.isfinite(one.w) & np.isfinite(one.h)))
-        if sizeless.size:
-            raise InputError(
-                f"{one.name}: frame {one.frame[sizeless[0]]} has no w and h; enclose the points with --box points"
-            )
-        edges[rows, k, :2] = one.boxes[:, :2]
-        edges[rows, k, 2:] = one.boxes[:, :2] + one.boxes[:, 2:]
-        confidence[rows, k], status[rows, k] = part.confidence, part.status
-        time_s[rows] = np.where(np.isfinite(part.time_s), part.time_s, time_s[rows])
-        by_hand[rows] |= part.by_hand
-    unknown = ~np.isfinite(edges).all(axis=2)
-    low = np.where(unknown[..., None], np.inf, edges[..., :2]).min(axis=1)
-    high = np.where(unknown[..., None], -np.inf, edges[..., 2:]).max(axis=1)
-    w, h = np.where(unknown.all(axis=1)[:, None], np.nan, high - low).T
-    left, top = np.where(np.isfinite(low), low, np.nan).T
-    return one_part(
-        parts[0].target,
-        "box",
-        frame,
-        time_s=time_s,
-        x=left + (w - 1) / 2,
-        y=top + (h - 1) / 2,
-        w=w,
-        h=h,
-        confidence=mean(confidence),
-        status=_together(status),
-        by_hand=by_hand,
-    )
+        return parts[0].renamed(target, BOX)
+    if around == "points":
+        parts = [replace(part, w=np.ones(len(part)), h=np.ones(len(part))) for part in parts]
+    for part in parts:
+        if (sizeless := part.frame[np.isfinite(part.x) & ~np.isfinite(part.w + part.h)]).size:
+            raise InputError(f"{part.name}: frame {sizeless[0]} has no w and h; enclose the points with --box points")
+    frame, columns = aligned(parts, "x", "y", "w", "h", "confidence", "status", "by_hand")
+    x, y, w, h, confidence, status, by_hand = columns.values()
+    left, top = x - (w - 1) / 2, y - (h - 1) / 2
+    known = np.isfinite(left + top + w + h)
+    low = [np.where(known, edge, np.inf).min(axis=1) for edge in (left, top)]
+    high = [np.where(known, edge, -np.inf).max(axis=1) for edge in (left + w, top + h)]
+    left, top, right, bottom = (np.where(known.any(axis=1), edge, np.nan) for edge in (*low, *high))
+    w, h = right - left, bottom - top
+    place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h, "confidence": mean(confidence)}
+    about = {"status": _together(status), "by_hand": by_hand.any(axis=1), "time_s": joined(parts).times}
+    return one_part(target, BOX, frame, **place, **about)
 
 
 def mean(values: Array) -> Array:
@@ -94,17 +73,16 @@ def mean(values: Array) -> Array:
     return np.where(count > 0, np.where(known, values, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)
 
 
-def _together(status: np.ndarray[tuple[int, ...], np.dtype[np.str_]]) -> list[str]:
+def _together(status: Texts) -> list[str]:
     """What the statuses of parts (T, K) say of their target: what all agree on, else that it is there.
 
     In a trajectory, parts that are absent have no say as long as others are there.
     """
     found = []
     for row in status.tolist():
-        said = {one for one in row if one}
-        if said & {"tracked", "init", "lost"}:
+        said = set(filter(None, row))
+        of_tracker = bool(said & {"tracked", "init", "lost"})
+        if of_tracker:
             said.discard("absent")
-        found.append(said.pop() if len(said) == 1 else "tracked" if said & {"tracked", "init", "lost"} else "visible")
-        if not any(row):
-            found[-1] = ""
+        found.append(said.pop() if len(said) == 1 else "tracked" if of_tracker else "visible" if said else "")
     return found

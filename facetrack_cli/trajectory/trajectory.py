@@ -1,9 +1,5 @@
 """The one type for trajectories and ground truth: rows as typed columns, from the tracker's result to every file.
 
-    trajectory = read_trajectory(Path("out"))
-    nose = trajectory.find("face", "nose")
-    nose.frame, nose.x, nose.y       # (R,) each
-
 Axes: R rows, one for each frame, target and part. Rows of one part stand together, in the order of their frames; a
 number that is not known is nan, a text "".
 """
@@ -14,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
@@ -27,7 +24,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
-DECIMALS: Final[Mapping[str, int]] = {
+DECIMALS: Final = {
     "time_s": 4,
     "x": 3,
     "y": 3,
@@ -61,10 +58,8 @@ class Trajectory:
     standard deviations and `cov_xy` its covariance, in pixels. `status` is init, tracked, lost or absent in a
     trajectory; visible, hidden or absent in ground truth; "" where nothing is said. `by_hand` marks rows that a
     correction gave, which a CSV does not tell. `corners` (R, 4, 2), clockwise from the top left, are there for rotated
-    boxes and polygons.
-
-    `header` is what a JSON file says of its run (source, recipe, seed, init), `diagnostics` what a tracker reports of
-    each target beside its rows, `path` the file.
+    boxes and polygons. `header` is what a JSON file says of its run, `diagnostics` what a tracker reports of each
+    target beside its rows, `path` the file.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -94,25 +89,21 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.frame)
 
-    # --- names and parts
-
     @property
     def targets(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(target for target, _ in self.names))
 
     @property
     def target(self) -> str:
-        """The target of the first part: of a trajectory of one target, its name."""
+        """The target of the first part, as `part` and `name` (`target/part`) are its own."""
         return self.names[0][0]
 
     @property
     def part(self) -> str:
-        """The first part: of a trajectory of one part, its name."""
         return self.names[0][1]
 
     @property
     def name(self) -> str:
-        """`target/part` of the first part."""
         return "/".join(self.names[0])
 
     @cached_property
@@ -130,8 +121,6 @@ class Trajectory:
     def of_target(self, target: str) -> tuple[Trajectory, ...]:
         """A trajectory of each part of one target."""
         return tuple(one for one in self.parts if one.target == target)
-
-    # --- rows
 
     @property
     def frames(self) -> Whole:
@@ -179,13 +168,8 @@ class Trajectory:
         found[np.searchsorted(frames, self.frame[known])] = self.time_s[known]
         return found
 
-    # --- who a target is
-
     def beliefs(self, target: str) -> tuple[Whole, tuple[str, ...], Array]:
-        """(T,) frames, (P,) names and (T, P) their probabilities: the posterior over identities of a target.
-
-        Where it was not kept, as in a CSV, the probability of the most likely one alone. Without names if nobody is.
-        """
+        """(T,) frames, (P,) names and (T, P) their probabilities; of a CSV those of the most likely identity alone."""
         found = self.diagnostics.get(target)
         if found is not None and POSTERIOR.name in found.values:
             return found.frame, found.labels[POSTERIOR.name], found.values[POSTERIOR.name]
@@ -200,8 +184,6 @@ class Trajectory:
         above = np.flatnonzero(probabilities[:, names.index(name)] > level) if name in names else np.empty(0)
         return int(frame[above[0]]) if above.size else None
 
-    # --- geometry and corrections
-
     @property
     def boxes(self) -> Array:
         """(R, 4): left, top, width, height; a box over whole pixels has its centre at left + (w - 1) / 2."""
@@ -209,16 +191,11 @@ class Trajectory:
 
     @property
     def corrected(self) -> Mask:
-        """(R,) rows that corrections gave, of a trajectory of one part.
-
-        In a CSV they are those that are `init` after the first row, or where `absent` begins.
-        """
+        """(R,) rows of a part that corrections gave; in a CSV `init` after the first row, or where `absent` begins."""
         absent = self.status == "absent"
         shown = (self.status == "init") | (absent & ~np.concatenate([absent[:1], absent[:-1]]))
         found: Mask = self.by_hand | (shown & (np.arange(len(self)) > 0))
         return found
-
-    # --- for other libraries
 
     def columns(self) -> dict[str, Any]:
         """The columns of the CSV as arrays, rows in the order of the file: by frame, then by part."""
@@ -239,20 +216,12 @@ _ARRAYS: Final = tuple(
 )
 
 
-def build(
-    names: Sequence[tuple[str, str]],
-    which: Any,
-    frame: Any,
-    *,
-    header: Mapping[str, Any] | None = None,
-    diagnostics: Mapping[str, Diagnostics] | None = None,
-    path: Path = Path(),
-    **columns: Any,
-) -> Trajectory:
+def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: Any) -> Trajectory:
     """A trajectory from the columns that are known, with rows in any order; None and columns left out are not known.
 
-    Raises InputError for two rows of one frame, target and part.
+    `others` are columns, header, diagnostics and path. Raises InputError for two rows of one frame, target and part.
     """
+    about = {name: others.pop(name) for name in ("header", "diagnostics", "path") if name in others}
     which, frame = np.asarray(which, np.int64), np.asarray(frame, np.int64)
     order: Any = np.lexsort((frame, which))
     if (order == np.arange(len(order))).all():
@@ -260,20 +229,18 @@ def build(
     which, frame = which[order], frame[order]
     twice = np.flatnonzero((np.diff(frame) == 0) & (np.diff(which) == 0))
     if twice.size:
-        name = "/".join(names[which[twice[0]]])
+        at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
         raise InputError(
-            f"{path}: frame {frame[twice[0]]} has two rows of {name}; keep one row a frame, target and part"
+            f"{about.get('path', Path())}: frame {at} has two rows of {name}; keep one row a frame, target and part"
         )
     known: dict[str, Any] = {"which": which, "frame": frame}
     for name in _ARRAYS[2:]:
-        given = columns.pop(name, None)
+        given = others.pop(name, None)
         if given is not None:
             known[name] = np.asarray(given, dtype=_TYPES.get(name, np.float64))[order]
         elif name != "corners":
             known[name] = np.full(len(frame), *_UNKNOWN.get(name, (np.nan,)))
-    if columns:
-        raise TypeError(f"a trajectory has no {', '.join(columns)}")
-    return Trajectory(tuple(names), **known, header=header or {}, diagnostics=diagnostics or {}, path=path)
+    return Trajectory(tuple(names), **known, **about, **others)
 
 
 _TYPES: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.str_), "by_hand": np.bool_}
@@ -295,24 +262,36 @@ def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
         for name in one.names:
             numbers.setdefault(name, len(numbers))
     which = [np.array([numbers[name] for name in one.names], np.int64)[one.which] for one in all_]
-    columns: dict[str, Any] = {
-        name: np.concatenate([getattr(one, name) for one in all_]) for name in _ARRAYS[1:] if name != "corners"
-    }
-    if any(one.corners is not None for one in all_):
-        columns["corners"] = np.concatenate(
-            [np.full((len(one), 4, 2), np.nan) if one.corners is None else one.corners for one in all_]
-        )
+    columns: dict[str, Any] = {}
+    for column in _ARRAYS[1:]:
+        arrays = [getattr(one, column) for one in all_]
+        if any(array is not None for array in arrays):
+            filled = [
+                np.full((len(one), 4, 2), np.nan) if a is None else a for one, a in zip(all_, arrays, strict=True)
+            ]
+            columns[column] = np.concatenate(filled)
     return build(tuple(numbers), np.concatenate(which), **columns, **others)
+
+
+def aligned(parts: Sequence[Trajectory], *columns: str) -> tuple[Whole, dict[str, Any]]:
+    """The T frames of K trajectories of one part each, and the values (T, K) of each column, unknown without a row."""
+    frame = np.unique(np.concatenate([part.frame for part in parts]))
+    found = {}
+    for name in columns:
+        found[name] = np.full((len(frame), len(parts)), *_UNKNOWN.get(name, (np.nan,)))
+        for k, part in enumerate(parts):
+            found[name][np.searchsorted(frame, part.frame), k] = getattr(part, name)
+    return frame, found
 
 
 # --- what a tracker says of one frame ----------------------------------------------------------------------------
 
 
 class TargetResult(NamedTuple):
-    """What a tracker says of one target in one frame: a row for each of its K parts, and its diagnostics.
+    """What a tracker says of one target in one frame: a row for each of its K parts, with its diagnostics.
 
-    `cloud` (N, K, 2) are the particles' centres in pixels, for drawing; `insets` are small grey images of what the
-    tracker knows, each with its name; `notes` are lines for the user, said in the first frame.
+    `cloud` (N, K, 2) are the particles' centres in pixels; `insets` are small grey images of what the tracker knows,
+    each with its name; `notes` are lines for the user, said in the first frame.
     """
 
     rows: Trajectory
@@ -345,16 +324,13 @@ class FrameResult:
 
 
 def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
-    """The rows and diagnostics of one frame as what the tracker said of each target: without particles and images.
-
-    Of a target that reports its affine map the corners follow from that.
-    """
+    """The rows and diagnostics of one frame by target, with the corners that follow from affine maps."""
     now, targets = rows.between(frame, frame + 1), []
     for target in now.targets:
         if parts := [one for one in now.of_target(target) if len(one)]:
             mine = joined(parts, diagnostics={name: one for name, one in now.diagnostics.items() if name == target})
             found = outlines(mine)
-            mine = mine if found is None else replace(mine, corners=found)
+            mine = replace(mine, corners=mine.corners if found is None else found)
             targets.append(TargetResult(mine, np.empty((0, len(mine), 2))))
     return tuple(targets)
 
@@ -363,8 +339,7 @@ class Collector:
     """Collects the rows of successive frames into one trajectory, in little more memory than that."""
 
     def __init__(self) -> None:
-        self._chunks: list[Trajectory] = []
-        self._frames: list[Trajectory] = []
+        self._chunks, self._frames = list[Trajectory](), list[Trajectory]()
 
     def add(self, rows: Trajectory) -> None:
         self._frames.append(rows)
@@ -390,7 +365,6 @@ def successive(pieces: Sequence[Trajectory], like: Trajectory | None = None) -> 
 
 def by_frame(rows: Trajectory) -> Iterator[tuple[int, list[int]]]:
     """Each frame and the indices of its rows, by part."""
-    order = np.lexsort((rows.which, rows.frame)).tolist()
-    frames = rows.frame.tolist()
-    for frame, group in groupby(order, key=lambda i: frames[i]):
-        yield frame, list(group)
+    order, frames = rows._by_frame
+    for frame, group in groupby(zip(frames.tolist(), order.tolist(), strict=True), key=itemgetter(0)):
+        yield frame, [row for _, row in group]

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import groupby, islice
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
 from facetrack_cli import __version__
-from facetrack_cli.core.numbers import dumps, fixed
+from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
+from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostics
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, Trajectory, by_frame
 
 SCHEMA = "facetrack-trajectory"
@@ -32,8 +32,7 @@ _Form: TypeAlias = Callable[[list[Any]], list[str]]  # values to texts, "" for w
 class Footer(NamedTuple):
     """How a run ended. `complete` is False when frames that were asked for are missing; `stopped` says why.
 
-    `lost_frames` counts, for each "target/part", the frames in which it was lost. Only at its end is it known whether
-    a clip keeps a constant rate.
+    `lost_frames` counts, for each "target/part", the frames in which it was lost.
     """
 
     complete: bool = True
@@ -50,87 +49,56 @@ class Sink(Protocol):
     def finish(self, tail: Callable[[int], str]) -> None: ...
 
 
-class Writer(Protocol):
-    """A trajectory being written, some frames at a time. `close` ends it properly, whatever ended the run."""
+class Writer:
+    """A trajectory being written in a `form`, some frames at a time. `close` ends it properly, whatever ended the run.
 
-    def write(self, rows: Trajectory) -> None: ...
-    def close(self, footer: Footer) -> None: ...
+    csv has a header line, then a row for each frame, target and part. json is one object, whose frames stand in a list,
+    one to a line, so that neither writing nor `grep` holds them all. jsonl is for programs that read meanwhile.
+    """
 
-
-class CsvWriter:
-    """Header line, then a row for each frame, target and part."""
-
-    def __init__(self, sink: Sink, header: Header) -> None:
-        self._sink = sink
-        sink.write(",".join(COLUMNS) + "\n")
-
-    def write(self, rows: Trajectory) -> None:
-        for lines in csv_frames(rows):
-            self._sink.write(lines)
-
-    def close(self, footer: Footer) -> None:
-        self._sink.finish(lambda _: "")
-
-
-class JsonWriter:
-    """One object; the frames stand in a list, one to a line, so that neither writing nor `grep` holds them all."""
-
-    def __init__(self, sink: Sink, header: Header) -> None:
-        self._sink = sink
-        self._between = ""
-        head = "".join(f"{dumps(key)}: {dumps(value)},\n" for key, value in _head(header).items())
-        sink.write("{\n" + head + '"frames": [\n')
+    def __init__(self, form: Format, sink: Sink, header: Header) -> None:
+        self._form, self._sink, self._between = form, sink, ""
+        head = {"schema": SCHEMA, "version": VERSION, "facetrack": __version__, **header}
+        if form == "csv":
+            sink.write(",".join(COLUMNS) + "\n")
+        elif form == "json":
+            sink.write("{\n" + "".join(f"{member},\n" for member in _members(head)) + '"frames": [\n')
+        else:
+            sink.write(dumps({"type": "header", **head}) + "\n")
 
     def write(self, rows: Trajectory) -> None:
-        for frame in json_frames(rows):
-            # the comma goes with the record that follows it: a file cut back to whole records still closes
-            self._sink.write(self._between + "{" + frame + "}")
-            self._between = ",\n"
+        for frame in csv_frames(rows) if self._form == "csv" else json_frames(rows):
+            if self._form == "csv":
+                self._sink.write(frame)
+            elif self._form == "json":
+                # the comma goes with the record that follows it: a file cut back to whole records still closes
+                self._sink.write(self._between + "{" + frame + "}")
+                self._between = ",\n"
+            else:
+                self._sink.write('{"type":"frame",' + frame + "}\n")
 
     def close(self, footer: Footer) -> None:
         def tail(records: int) -> str:
-            pairs = _foot(footer, records - 1)
-            return "\n],\n" + ",\n".join(f"{dumps(key)}: {dumps(value)}" for key, value in pairs.items()) + "\n}\n"
+            foot = {
+                "complete": footer.complete,
+                **({"stopped": footer.stopped} if footer.stopped else {}),
+                "frames_tracked": records - 1,
+                "variable_fps": footer.variable_fps,
+                "lost_frames": dict(footer.lost_frames),
+                "warnings": list(footer.warnings),
+            }
+            if self._form == "json":
+                return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
+            return "" if self._form == "csv" else dumps({"type": "footer", **foot}) + "\n"
 
         self._sink.finish(tail)
 
 
-class JsonLinesWriter:
-    """A line a frame, for programs that read while the tracker runs."""
-
-    def __init__(self, sink: Sink, header: Header) -> None:
-        self._sink = sink
-        sink.write(dumps({"type": "header", **_head(header)}) + "\n")
-
-    def write(self, rows: Trajectory) -> None:
-        for frame in json_frames(rows):
-            self._sink.write('{"type":"frame",' + frame + "}\n")
-
-    def close(self, footer: Footer) -> None:
-        self._sink.finish(lambda records: dumps({"type": "footer", **_foot(footer, records - 1)}) + "\n")
+WRITERS: Mapping[Format, Callable[[Sink, Header], Writer]] = {form: partial(Writer, form) for form in FORMATS}
 
 
-WRITERS: Mapping[Format, Callable[[Sink, Header], Writer]] = {
-    "csv": CsvWriter,
-    "json": JsonWriter,
-    "jsonl": JsonLinesWriter,
-}
-
-
-def _head(header: Header) -> dict[str, Any]:
-    return {"schema": SCHEMA, "version": VERSION, "facetrack": __version__, **header}
-
-
-def _foot(footer: Footer, frames: int) -> dict[str, Any]:
-    ended = {"stopped": footer.stopped} if footer.stopped else {}
-    return {
-        "complete": footer.complete,
-        **ended,
-        "frames_tracked": frames,
-        "variable_fps": footer.variable_fps,
-        "lost_frames": dict(footer.lost_frames),
-        "warnings": list(footer.warnings),
-    }
+def _members(values: Mapping[str, Any]) -> list[str]:
+    return [f"{dumps(key)}: {dumps(value)}" for key, value in values.items()]
 
 
 # --- rows as text ------------------------------------------------------------------------------------------------
@@ -186,12 +154,10 @@ def _frames(rows: Trajectory, forms: Mapping[str, _Form]) -> Iterator[tuple[int,
     while block := list(islice(frames, _BLOCK)):
         some = rows.take(np.array([i for _, at in block for i in at], np.int64))
         which = some.which.tolist()
-        columns = []
-        for name, form in forms.items():
-            if name in texts:
-                columns.append([texts[name][i] for i in which])
-            else:
-                columns.append(form(getattr(some, name).tolist()))
+        columns = [
+            [texts[name][i] for i in which] if name in texts else form(getattr(some, name).tolist())
+            for name, form in forms.items()
+        ]
         lines, first = list(zip(*columns, strict=True)), 0
         for frame, at in block:
             rows_ = slice(first, first + len(at))
@@ -206,32 +172,24 @@ def _reported(found: Diagnostics, frame: int) -> list[str]:
     """
     at = found.row(frame)
     members = []
-    for one in sorted(found.declared, key=_rank):
-        if at is None or one.name not in found.values:
-            continue
+    ranks = {name: rank for rank, name in enumerate(KNOWN)}
+    declared = [one for one in found.declared if at is not None and one.name in found.values]
+    for one in sorted(declared, key=lambda d: (d.shape is not None, bool(d.shape), ranks.get(d.name, len(ranks)))):
         value = found.values[one.name][at].tolist()
         numbers = [value] if one.shape == () else value
         decimals = one.decimals if isinstance(one.decimals, tuple) else (one.decimals,) * len(numbers)
-        texts = [_form(d)(number) for d, number in zip(decimals, numbers, strict=True)]
+        texts = [_numbers(f".{d}f")([number])[0] for d, number in zip(decimals, numbers, strict=True)]
         if one.shape is None:
-            known = [f"{_key(name)}:{text}" for name, text in zip(found.labels[one.name], texts, strict=True) if text]
-            text = "{" + ",".join(known) + "}" if known else ""
-        else:
-            text = ",".join(texts) if all(texts) else ""
-            text = f"[{text}]" if one.shape and text else text
-        members += [f"{_key(one.name)}:{text}"] if text else []
+            texts = [f"{_key(name)}:{text}" for name, text in zip(found.labels[one.name], texts, strict=True) if text]
+        if texts and all(texts):
+            brackets = "{}" if one.shape is None else "[]" if one.shape else ""
+            members.append(f"{_key(one.name)}:{brackets[:1]}{','.join(texts)}{brackets[1:]}")
     return members
 
 
-def _rank(one: Diagnostic) -> tuple[bool, bool, int]:
-    return one.shape is not None, bool(one.shape), _RANKS.get(one.name, len(_RANKS))
-
-
-_RANKS = {name: at for at, name in enumerate(KNOWN)}
-
-
+@lru_cache
 def _numbers(spec: str, prefix: str = "") -> _Form:
-    """Writes numbers as `fixed` does, after a `prefix` where there is one."""
+    """Writes numbers after a `prefix`; "" for what is not finite, and never -0."""
     whole, zero, minus = f"{prefix}%{spec}\n", prefix + format(0, spec), prefix + format(-0.0, spec.replace("d", ".0f"))
     odd = {**{f"{prefix}{text}": "" for text in ("nan", "inf", "-inf")}, minus: zero}
 
@@ -251,7 +209,6 @@ def _quoted(text: str) -> str:
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\r\n') else text
 
 
-_form = lru_cache(fixed)
 _key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
 _OF_TARGET = ("target", "particles", "identity", "identity_prob")
 _OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", "std_x", "std_y", "ess")

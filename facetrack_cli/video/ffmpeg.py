@@ -10,23 +10,22 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import imageio_ffmpeg
 
 KEY, CORRUPT, DISCARD = 1, 2, 4  # libavcodec's flags of a packet
 # what demuxers say when data ends early or differs from the index
 _DAMAGE = re.compile(
-    r"partial file|ended prematurely|packet corrupt|corrupt input packet|invalid as first byte|"
-    r"exceeds (?:max length|containing)|truncat",
-    re.IGNORECASE,
+    r"(?i)partial file|ended prematurely|packet corrupt|corrupt input packet|invalid as first byte|"
+    r"exceeds (?:max length|containing)|truncat"
 )
 _CAUSE = re.compile(
-    r"No space left on device|Disk quota exceeded|File too large|Read-only file system|Input/output error|"
-    r"Permission denied"
+    "No space left on device|Disk quota exceeded|File too large|Read-only file system|Input/output error|"
+    "Permission denied"
 )
 _PREFIX = re.compile(r"^(?:\[[^\]]*\] )+")
-_NO_TIME = -(2**63)
+NO_TIME = -(2**63)
 _DURATION = re.compile(r"^  Duration: (\d+):(\d+):(\d+\.\d+)", re.MULTILINE)
 
 
@@ -86,11 +85,11 @@ def contents(path: Path) -> tuple[str, str, str]:
 
 
 class Packet(NamedTuple):
-    """One packet; times of decoding and of showing in ticks. After a `new_header` frames may be of another size."""
+    """One packet; times of decoding and of showing in ticks, or NO_TIME. After a `new_header` sizes may change."""
 
     stream: int
-    dts: int | None
-    pts: int | None
+    dts: int
+    pts: int
     duration: int
     flags: int
     new_header: bool
@@ -110,33 +109,30 @@ class Listing:
     def __iter__(self) -> Iterator[Packet]:
         with Program([*self._arguments, "-f", "framecrc", "-"], stdout=subprocess.PIPE) as program:
             assert program.child.stdout is not None
-            yield from self._parse(program.child.stdout)
+            for line in program.child.stdout:
+                if line.startswith(b"#tb "):
+                    stream, _, tick = line[4:].decode().partition(":")
+                    self.ticks[int(stream)] = Fraction(tick.strip())
+                elif not line.startswith(b"#"):
+                    fields = line.split(b",")
+                    # the flags of a packet that is a key and nothing else are left out
+                    has_flags = len(fields) > 6 and fields[6].startswith(b" F=0x")
+                    flags = int(fields[6].strip()[4:], 16) if has_flags else KEY
+                    number, dts, pts, duration = map(int, fields[:4])
+                    yield Packet(number, dts, pts, duration, flags, b"New Extradata" in line)
             self.messages = program.messages()
 
     def time(self, packet: Packet) -> float:
         """When a packet is shown, in seconds; -inf if unknown."""
-        stamp = packet.dts if packet.pts is None else packet.pts
-        return -math.inf if stamp is None else stamp * float(self.ticks[packet.stream])
-
-    def _parse(self, lines: IO[bytes]) -> Iterator[Packet]:
-        for line in lines:
-            if line.startswith(b"#tb "):
-                stream, _, tick = line[4:].decode().partition(":")
-                self.ticks[int(stream)] = Fraction(tick.strip())
-            elif not line.startswith(b"#"):
-                fields = line.split(b",")
-                dts, pts = (None if time == _NO_TIME else time for time in map(int, fields[1:3]))
-                # the flags of a packet that is a key and nothing else are left out
-                told = len(fields) > 6 and fields[6].startswith(b" F=0x")
-                flags = int(fields[6].strip()[4:], 16) if told else KEY
-                yield Packet(int(fields[0]), dts, pts, int(fields[3]), flags, b"New Extradata" in line)
+        stamp = packet.dts if packet.pts == NO_TIME else packet.pts
+        return -math.inf if stamp == NO_TIME else stamp * float(self.ticks[packet.stream])
 
 
 def ending(path: Path) -> tuple[float, float, float, str]:
     """What reading all packets of a file shows, without decoding them; memory stays flat.
 
-    In seconds: the duration that the container claims, 0 if it claims none; the time from the first frame to the last;
-    the end of video and audio, from the container's start. Then what ffmpeg said of missing or broken data, or "".
+    In seconds: the duration that the container claims, or 0; the time from the first frame to the last; the end of
+    video and audio, from the container's start. Then what ffmpeg said of missing or broken data, or "".
     """
     listing = Listing("-i", source_argument(path), "-map", "0:v:0", "-map", "0:a?", "-c", "copy")
     first, last, end = math.inf, -math.inf, 0.0

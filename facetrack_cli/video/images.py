@@ -12,16 +12,11 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Image
 
-SUFFIXES = frozenset(
-    (".bmp", ".jp2", ".jpe", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp")
-)
-
+_KINDS = ("bmp", "jp2", "jpe", "jpeg", "jpg", "pgm", "png", "pnm", "ppm", "tif", "tiff", "webp")
+SUFFIXES = frozenset(f".{kind}" for kind in _KINDS)
 # modes whose numbers are neither grey levels nor RGB
-_READ_AS = {
-    "1": "L",
-    **dict.fromkeys(("P", "PA", "LA", "La", "RGBa"), "RGBA"),
-    **dict.fromkeys(("CMYK", "YCbCr", "LAB", "HSV"), "RGB"),
-}
+_READ_AS = {"1": "L", **dict.fromkeys(("P", "PA", "LA", "La", "RGBa"), "RGBA")}
+_READ_AS |= dict.fromkeys(("CMYK", "YCbCr", "LAB", "HSV"), "RGB")
 
 
 class UnreadableError(InputError):
@@ -63,8 +58,8 @@ def read(path: Path, size: tuple[int, int] | None = None) -> Image:
         with iio.imopen(path, "r", plugin="pillow") as file:
             mode = str(file.metadata(exclude_applied=False)["mode"])
             if mode in ("I", "F") and path.suffix.lower() != ".png":
-                remedy = "convert it to 8 or 16 bits"
-                raise UnreadableError(path, "is a 32-bit image, which has no agreed range", remedy)
+                why = "is a 32-bit image, which has no agreed range"
+                raise UnreadableError(path, why, "convert it to 8 or 16 bits")
             options: dict[str, Any] = {"index": 0, "rotate": True, "mode": _READ_AS.get(mode)}
             pixels: Any = np.asarray(file.read(**options))
     except (OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError) as error:  # Pillow's

@@ -1,10 +1,9 @@
 """Any frame of a clip, quickly, and exactly the one that `open_source` gives under its number.
 
-Near frames are reached by decoding onward. For distant ones the packets of a video are read once without decoding
-(`stamps.py`), which gives the time of each frame. A jump seeks to a keyframe before the wanted frame; the first frame
-that comes is identified by its time, and decoding goes on from there. The time of every frame is compared with the
-stamps; if one differs, or if there are no reliable ones, frames are counted from the start as `open_source` does, which
-is slow and correct.
+Near frames are reached by decoding onward. For distant ones the packets are read once without decoding (`stamps.py`),
+which gives the time of each frame. A jump seeks to a keyframe before the wanted frame; the first frame that comes is
+identified by its time, and decoding goes on from there. If the time of any frame differs from the stamps, or if there
+are no reliable ones, frames are counted from the start as `open_source` does, which is slow and correct.
 """
 
 from __future__ import annotations
@@ -50,10 +49,9 @@ class Cache(Generic[_Key, _Value]):
 
     def get(self, key: _Key) -> _Value | None:
         with self._lock:
-            if key not in self._known:
-                return None
-            self._known.move_to_end(key)
-            return self._known[key][0]
+            if found := self._known.get(key):
+                self._known.move_to_end(key)
+            return found[0] if found else None
 
     def put(self, key: _Key, value: _Value, size: int) -> None:
         """Keep a value of so many bytes; the last one is kept however large it is."""
@@ -112,8 +110,8 @@ class _LostError(Exception):
 class Frames(contextlib.AbstractContextManager["Frames"]):
     """Any frame of a video or an image folder; a context manager. Thread-safe: the latest request is served first.
 
-    Attributes: `size` (width, height), rotation applied; `fps`; `decoded`, how many frames were decoded so far, and
-    `jumps`, how many seeks there were. Raises what `open_source` raises.
+    `size` is (width, height), rotation applied; `decoded` and `jumps` count the frames that were decoded and the seeks.
+    Raises what `open_source` raises.
     """
 
     def __init__(self, path: Path, *, fps: Fraction | None = None):
@@ -164,10 +162,8 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
             if self._closed.is_set():
                 raise RuntimeError("these frames are closed; open them again")
             if index < 0 or (self._end is not None and index >= self._end):
-                raise InputError(
-                    f"{self.path}: there is no frame {index}, the clip has {self.count} frames "
-                    f"(0 to {self.count - 1}); choose one of them"
-                )
+                there = f"the clip has {self.count} frames (0 to {self.count - 1}); choose one of them"
+                raise InputError(f"{self.path}: there is no frame {index}, {there}")
             found = self._recent.get(index)
             if found is not None:
                 self._last = index
@@ -190,9 +186,10 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # --- from here on with the turn: nearer to a frame, which is put into `_recent` once it is there -----------------
+    # what follows is called with the turn
 
     def _approach(self, index: int, ticket: int) -> None:
+        """Come nearer to a frame, which is put into `_recent` once it is there."""
         if self._folder is not None:
             try:
                 frame = self._folder.frame(index)
@@ -203,16 +200,12 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
             self._recent.put(index, (frame.time_s, frame.bgr), frame.bgr.nbytes)
             return
         for further in (*_OTHER_KEYS, None):
-            try:
+            with contextlib.suppress(_LostError):
                 cursor = self._nearest(index, further is None)
                 if further is not None:
                     cursor = self._jump(index, further, 0 if cursor is None else cursor.next) or cursor
                 self._walk(cursor or self._spare(fresh=True), index, ticket)
                 return
-            except _LostError:
-                continue
-
-    # --- captures ----------------------------------------------------------------------------------------------------
 
     def _nearest(self, index: int, from_start: bool) -> Capture | None:
         """The capture that is the shortest way before a frame; with `from_start` of those that never jumped."""
@@ -236,7 +229,7 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
     def _jump(self, index: int, further: int, beyond: int) -> Capture | None:
         """A capture after the keyframe before a frame, or one so many keyframes `further` before, and not past it.
 
-        None if that is not `beyond` a frame, or there are no stamps. Raises _LostError if the seek does not arrive.
+        None without stamps, or if that is not `beyond` a frame. Raises _LostError if the seek does not arrive.
         """
         stamps = self._stamps
         # without a claimed number OpenCV does not seek, and loses what it needs to decode onward
@@ -314,8 +307,6 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
             self._careful = True
             self._distrust()
             raise _LostError
-
-    # --- stamps ------------------------------------------------------------------------------------------------------
 
     def _begin_stamps(self) -> None:
         if self._thread is None and not self._careful:

@@ -3,11 +3,11 @@
 Frames are counted from 0 of the file, also when reading starts later; `time_s` counts from the file's first frame, by
 the file's own clock, and grows from frame to frame. The number of frames that a container claims is only a hint.
 
-A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what was
-lost. A video with fewer frames than the container claims (or any MPEG program stream, which claims nothing) is read
+A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what is
+missing. A video with fewer frames than the container claims (or any MPEG program stream, which claims nothing) is read
 again without decoding, and is incomplete if the demuxer reports missing data, if packets follow where the decoder
-stopped, or if they end clearly before the claimed duration. Transport streams, Ogg and WMV do not say that more should
-follow: in them a cut between two packets is not noticed.
+stopped, or if they end clearly before the claimed duration. In transport streams, Ogg and WMV, which do not say that
+more should follow, a cut between two packets is not noticed.
 """
 
 from __future__ import annotations
@@ -41,10 +41,7 @@ _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by le
 
 
 class Source(AbstractContextManager["Source"], ABC):
-    """Frames of one clip, iterable once; a context manager.
-
-    `size` (width, height) is in pixels with rotation applied, `fps` the nominal rate.
-    """
+    """Frames of one clip, iterable once; `size` (width, height) has rotation applied, `fps` is the nominal rate."""
 
     def __init__(self, path: Path, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
         self.path, self.size, self.fps = path, size, fps
@@ -58,10 +55,7 @@ class Source(AbstractContextManager["Source"], ABC):
         self._begun = self._closed = False
 
     def __iter__(self) -> Iterator[Frame]:
-        """The frames from `start` up to, not including, `stop`.
-
-        Raises InputError when the clip ends before `start`, RuntimeError when the source was iterated before.
-        """
+        """The frames. Raises InputError when the clip ends before the first, RuntimeError when iterated before."""
         if self._begun:
             raise RuntimeError("a source is read only once; open it again")
         self._begun = True
@@ -82,18 +76,16 @@ class Source(AbstractContextManager["Source"], ABC):
         self.warnings.append(message)
 
     def _past_end(self, frames: int) -> InputError:
-        return InputError(
-            f"{self.path}: frame {self._start} is past the end, the clip has {frames} frames "
-            f"(0 to {frames - 1}); start earlier"
-        )
+        there = f"the clip has {frames} frames (0 to {frames - 1})"
+        return InputError(f"{self.path}: frame {self._start} is past the end, {there}; start earlier")
 
 
 class Capture:
     """A video file opened by OpenCV, which decodes one frame after the other. Not thread-safe.
 
-    `next` is the number of the frame that `grab` goes to. Of the frame grabbed last, `position` is its time as OpenCV
-    gives it, and `time` counts from the first frame; both in seconds. `claimed` is the number of frames that the
-    container claims. After a seek to a keyframe, the frames before the number `key` may be damaged.
+    `next` is the number of the frame that `grab` goes to. `position` is the time of the frame grabbed last as OpenCV
+    gives it, `time` counts from the first frame; both in s. `claimed` is the number of frames that the container
+    claims. After a seek to a keyframe, the frames before the number `key` may be damaged.
     """
 
     def __init__(self, path: Path):
@@ -105,11 +97,8 @@ class Capture:
         self.period = float(1 / self.fps)
         count = self._opencv.get(cv2.CAP_PROP_FRAME_COUNT)
         self.claimed = int(count) if math.isfinite(count) and 1 <= count < 1e9 else None
-
-    @property
-    def is_text(self) -> bool:
-        """ffmpeg draws the text of .txt files."""
-        return int(self._opencv.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi")
+        # ffmpeg draws the text of .txt files
+        self.is_text = int(self._opencv.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi")
 
     def grab(self) -> bool:
         """Decode the next frame; False at the end."""
@@ -139,11 +128,8 @@ class Capture:
 
 
 def following(time: float, elapsed: float, period: float) -> float:
-    """The time in s of the frame that follows one at `time`, and is `elapsed` after the first by its own stamp.
-
-    The last frames of some AVI and MPEG files have no stamp, others one that is not later: they follow after `period`.
-    """
-    step = elapsed - time
+    """The time in s of the frame that follows one at `time`, and is `elapsed` after the first by its own stamp."""
+    step = elapsed - time  # the last frames of some AVI and MPEG files have no stamp, or one that is not later
     return time + (step if step > 0 else period)
 
 
@@ -171,8 +157,7 @@ class VideoSource(Source):
 
     def _frames(self) -> Iterator[Frame]:
         capture, start, stop = self._capture, self._start, self._stop
-        shape = (self.size[1], self.size[0], 3)
-        index, time = 0, 0.0
+        shape, index, time = (self.size[1], self.size[0], 3), 0, 0.0
         while stop is None or index < stop:
             image = None  # free the last one before the next is decoded
             with self._lock:
@@ -187,10 +172,8 @@ class VideoSource(Source):
             if index >= start:
                 if image is None or image.shape != shape:
                     what = "cannot be decoded" if image is None else f"is {image.shape[1]}x{image.shape[0]}"
-                    self._cut(
-                        f"{self.path}: frame {index} {what}, those before are {shape[1]}x{shape[0]}; "
-                        f"stopped after {index} frames, convert the clip to one size"
-                    )
+                    what = f"{self.path}: frame {index} {what}, those before are {shape[1]}x{shape[0]}"
+                    self._cut(f"{what}; stopped after {index} frames, convert the clip to one size")
                     return
                 yield Frame(index, time, image)
             index += 1
@@ -198,8 +181,7 @@ class VideoSource(Source):
             return
         if index <= start:
             raise self._past_end(index)
-        if self.variable is None:
-            self.variable = False
+        self.variable = bool(self.variable)
         self._judge_end(index, time, capture.period)
 
     def _judge_end(self, frames: int, last_s: float, period: float) -> None:
@@ -215,18 +197,16 @@ class VideoSource(Source):
             return
         early = end_s < claimed_s - max(1.0, 0.03 * claimed_s)
         if damage or early or video_s > last_s + max(0.5, 5 * period):
-            of = f" of about {claimed} ({last_s + period:.1f} of {max(claimed_s, claimed * period):.1f} s)"
-            self._cut(
-                f"{self.path}: cut short or damaged{f' ({damage})' if damage else ''}: {frames} frames"
-                f"{of if claimed > frames else ''} could be read; {_AGAIN} for the rest"
-            )
+            seconds = f"({last_s + period:.1f} of {max(claimed_s, claimed * period):.1f} s)"
+            read = f"{frames} frames{f' of about {claimed} {seconds}' if claimed > frames else ''} could be read"
+            why = f" ({damage})" if damage else ""
+            self._cut(f"{self.path}: cut short or damaged{why}: {read}; {_AGAIN} for the rest")
 
 
 class FolderSource(Source):
     """The images of a folder in natural order (2.jpg before 10.jpg), at a constant rate.
 
     `files` are all of them; those to be read must be of one size, which is checked from their headers beforehand.
-    `images.read` says what becomes of 16 bits, transparency and orientation.
     """
 
     def __init__(self, path: Path, files: Sequence[Path], fps: Fraction, start: int, stop: int | None):
@@ -241,10 +221,8 @@ class FolderSource(Source):
         for file in read[1:]:
             size = images.header_size(file)
             if size is not None and size != self.size:
-                raise InputError(
-                    f"{file}: {size[0]}x{size[1]} pixels, but {read[0].name} has {width}x{height}; "
-                    "a folder must hold frames of one size"
-                )
+                first = f"{read[0].name} has {width}x{height}; a folder must hold frames of one size"
+                raise InputError(f"{file}: {size[0]}x{size[1]} pixels, but {first}")
 
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
@@ -291,20 +269,18 @@ def _check_file(path: Path) -> None:
     """Raise InputError for what can be told without looking for a video in it."""
     try:
         str(path).encode()
-    except UnicodeEncodeError:  # OpenCV would end the process over it
-        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
-    try:
         if not path.exists():
-            hint = "; a pipe cannot be read, save the clip to a file" if str(path) == "-" else "; check the name"
-            raise InputError(f"{path}: no such file or folder{hint}")
+            hint = "a pipe cannot be read, save the clip to a file" if str(path) == "-" else "check the name"
+            raise InputError(f"{path}: no such file or folder; {hint}")
         if not path.is_file():
             raise InputError(f"{path}: neither a file nor a folder; save the clip to a file")
         with path.open("rb") as file:
-            empty = not file.read(1)
+            if not file.read(1):
+                raise InputError(f"{path}: the file is empty; {_AGAIN}")
+    except UnicodeEncodeError:  # OpenCV would end the process over it
+        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
     except OSError as error:
         raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
-    if empty:
-        raise InputError(f"{path}: the file is empty; {_AGAIN}")
     if path.suffix.lower() in images.SUFFIXES:
         raise InputError(f"{path}: a single image; give a video or the folder that holds the frames")
 
@@ -316,15 +292,15 @@ def _why_not(path: Path) -> InputError:
     except (OSError, RuntimeError):
         return InputError(f"{path}: no video that can be decoded; convert it to MP4 (H.264)")
     # ffmpeg guesses MP4 from the name alone, so that any text called .mp4 lacks its moov
-    if "moov atom not found" in messages and "low score" not in messages:
-        return InputError(
-            f"{path}: the index of this MP4 (moov) is missing, its recording or download was cut off; {_AGAIN}"
-        )
     video = video.replace("ansi", "")
-    if video and not ffmpeg.ending(path)[-1]:
-        return InputError(f"{path}: the video cannot be decoded; convert it to MP4 (H.264)")
-    if audio and not video:
-        return InputError(f"{path}: holds sound but no video; give a video")
-    if video or ffmpeg.container(path) in ("mp4", "avi", "matroska"):
-        return InputError(f"{path}: cut short or damaged before its first frame; {_AGAIN}")
-    return InputError(f"{path}: not a video; give a video file or a folder of images")
+    if "moov atom not found" in messages and "low score" not in messages:
+        why = f"the index of this MP4 (moov) is missing, its recording or download was cut off; {_AGAIN}"
+    elif video and not ffmpeg.ending(path)[-1]:
+        why = "the video cannot be decoded; convert it to MP4 (H.264)"
+    elif audio and not video:
+        why = "holds sound but no video; give a video"
+    elif video or ffmpeg.container(path) in ("mp4", "avi", "matroska"):
+        why = f"cut short or damaged before its first frame; {_AGAIN}"
+    else:
+        why = "not a video; give a video file or a folder of images"
+    return InputError(f"{path}: {why}")

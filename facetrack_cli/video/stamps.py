@@ -27,7 +27,6 @@ from facetrack_cli.video.source import Capture, following
 
 CHECKED = 24  # so many frames from the start must agree with the stamps
 _REORDERED = 64  # no codec shows a frame so many packets before or after its turn
-_NO_TIME = -(2**63)
 # harmless: what is said of a stream that begins in the middle, and of a file whose end is missing
 _CUT = re.compile(r"partial file|ended prematurely")
 _HARMLESS = re.compile(rf"non-existing [SP]PS|no frame!|message repeated|{_CUT.pattern}")
@@ -39,9 +38,9 @@ _FILTERS = {codec: f"{codec.removesuffix('video')}_metadata" for codec in ("h264
 class Stamps:
     """Of each frame, in the order of showing: `times` (T,) and `positions` (T,), in s, as `Capture` gives them.
 
-    `keys` (M,) are the frames at which decoding can begin, `entries` (M,) the position to seek to for each of them.
-    `indexed`: the container has an index of its keys, so that seeking to an entry or slightly later arrives at it; else
-    only seeking to slightly earlier does, and decoding starts before the key.
+    `keys` (M,) are the frames at which decoding can begin, `entries` (M,) the positions to seek to for them. `indexed`:
+    the container has an index of its keys, so that seeking to an entry or slightly later arrives at it; else only
+    seeking to slightly earlier does, and decoding starts before the key.
     """
 
     times: Array
@@ -63,7 +62,7 @@ def read_stamps(path: Path, stop: threading.Event) -> Stamps | None:
     capture.release()
     source = ("-v", "error", "-copyts", "-i", ffmpeg.source_argument(path), "-map", "0:v:0")
     decoded = ffmpeg.Listing(*source, "-frames:v", "1", "-fps_mode", "passthrough", "-enc_time_base", "demux")
-    first = next((packet.pts * decoded.ticks[0] for packet in decoded if packet.pts is not None), None)
+    first = next((packet.pts * decoded.ticks[0] for packet in decoded if packet.pts != ffmpeg.NO_TIME), None)
     copied = (*source, "-copyinkf", "-c", "copy")
     filtered = ("-bsf:v", _FILTERS[codec]) if codec in _FILTERS else ()
     listing = ffmpeg.Listing(*copied, *filtered)
@@ -100,7 +99,7 @@ def _packets(listing: ffmpeg.Listing, stop: threading.Event) -> Whole | None:
             raise InterruptedError
         if packet.new_header and values:
             return None
-        values.extend(_NO_TIME if value is None else value for value in (packet.pts, packet.dts, packet.flags))
+        values.extend((packet.pts, packet.dts, packet.flags))
     return np.array(values, np.int64).reshape(-1, 3)
 
 
@@ -112,12 +111,10 @@ def _shown(pipe: IO[bytes], codec: str, stop: threading.Event) -> Mask:
         if stop.is_set():
             raise InterruptedError
         data = pipe.read(int.from_bytes(header[:4], "little"))
-        if not data:
-            shown.append(False)
-        elif codec == "vp8":
-            shown.append(bool(data[0] & 0x10))
+        if codec == "vp8" or not data:
+            shown.append(bool(data and data[0] & 0x10))
         else:  # several in one packet, one of which is shown; one that was decoded before; one that is shown
-            shown.append(data[-1] & 0xE0 == 0xC0 or bool(data[0] & 0x08) or bool(data[0] & 0x02))
+            shown.append(data[-1] & 0xE0 == 0xC0 or bool(data[0] & 0x0A))
     return np.frombuffer(bytes(shown), bool)
 
 
@@ -131,7 +128,7 @@ def _stamps(
     pts, _, flags = packets.T
     kept = (flags & ffmpeg.DISCARD) == 0  # what an edit list hides is decoded, but not shown
     start = first / tick
-    if start.denominator != 1 or _NO_TIME in pts[kept] or (flags[:-1] & ffmpeg.CORRUPT).any():
+    if start.denominator != 1 or ffmpeg.NO_TIME in pts[kept] or (flags[:-1] & ffmpeg.CORRUPT).any():
         return None
     shown = packets[kept & (pts >= int(start))]  # frames before it lack what they are predicted from
     order = np.argsort(shown[:, 0], kind="stable")

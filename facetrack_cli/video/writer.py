@@ -33,34 +33,22 @@ _TICK_S = 1e-6  # of the pipe to the encoder
 class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     """Writes BGR frames of `size` (width, height) to an MP4 at `path`, which appears there when `close` is called.
 
-    `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from the time of the first frame written to
-    the end of the last one. Odd sizes are padded by one black line or column, which H.264 requires. With
-    `replace=False` the finished file stays `beside` its path. `warnings` (one line each) says what could not be kept,
-    `published` whether the file is at `path`. Raises OutputError when the file cannot be written.
+    `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from the first frame written to the end of
+    the last. Odd sizes are padded by one black line or column, which H.264 requires. With `replace=False` the finished
+    file stays `beside` its path. `warnings` (one line each) says what could not be kept, `published` whether the file
+    is at `path`. Raises OutputError when the file cannot be written.
     """
 
     def __init__(
-        self,
-        path: Path,
-        size: tuple[int, int],
-        fps: Fraction,
-        *,
-        audio_from: Path | None = None,
-        replace: bool = True,
+        self, path: Path, size: tuple[int, int], fps: Fraction, *, audio_from: Path | None = None, replace: bool = True
     ):
-        self.path = path
-        self.size = size
-        self.warnings: list[str] = []
-        self.published = False
-        self._fps = fps
+        self.path, self.size, self.warnings = path, size, list[str]()
+        self._fps, self._audio_from, self._replace = fps, audio_from, replace
         # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 1/90000 s
         self._timescale = fps.numerator * -(-90000 // fps.numerator)
-        self._audio_from = audio_from
-        self._replace = replace
-        self._frames = 0
         self._first_s = 0.0
-        self._first_tick = self._last_tick = 0
-        self._closed = False
+        self._frames = self._first_tick = self._last_tick = 0
+        self.published = self._closed = False
         try:
             beside(path).open("wb").close()
         except OSError as error:
@@ -70,7 +58,10 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         except (OSError, RuntimeError) as error:
             discard(path)
             raise OutputError(f"{path}: ffmpeg cannot be started ({reason(error)})") from error
-        _widen(self._pipe)
+        with contextlib.suppress(ImportError, AttributeError, OSError):  # a larger pipe: fewer context switches a frame
+            import fcntl
+
+            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[attr-defined,unused-ignore]
 
     def write(self, image: Image, time_s: float) -> None:
         """Append one (H, W, 3) uint8 BGR frame, shown from `time_s` on the source's clock; times must not fall."""
@@ -80,14 +71,13 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         if image.shape != (height, width, 3) or image.dtype != np.uint8:
             raise ValueError(f"frame is {image.dtype} {image.shape}, the video takes uint8 {(height, width, 3)}")
         tick = self._tick(time_s)
-        if self._frames == 0:
-            self._first_s, self._first_tick = time_s, tick
-        else:
-            tick = max(tick, self._last_tick + 1)
-        elapsed = (tick - self._first_tick) / self._timescale
         try:
             if self._frames == 0:
+                self._first_s, self._first_tick = time_s, tick
                 self._pipe.write(_matroska_head(width, height, self._fps))
+            else:
+                tick = max(tick, self._last_tick + 1)
+            elapsed = (tick - self._first_tick) / self._timescale
             self._pipe.write(_matroska_block(round(elapsed / _TICK_S), image.nbytes))
             self._pipe.write(np.ascontiguousarray(image).reshape(-1).data)
         except OSError as error:
@@ -97,10 +87,9 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
 
     def close(self) -> None:
         """Finish the file and put it at `path`; closing again does nothing. Without any frame there is no file."""
-        if self._closed:
-            return
         if self._frames == 0:
             self.discard()
+        if self._closed:
             return
         self._closed = True
         try:
@@ -131,7 +120,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             self._drop()
 
     def __exit__(self, *_: object) -> None:
-        self.close()  # what was written until an interruption is worth keeping, too
+        self.close()  # what was written until an interruption is kept too
 
     @property
     def _target(self) -> Path:
@@ -162,8 +151,8 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         return [*command, *self._as_mp4(self._target)]
 
     def _as_mp4(self, path: Path) -> list[str]:
-        timescale = ["-video_track_timescale", str(self._timescale)]
-        return [*timescale, "-movflags", "+faststart", "-f", "mp4", ffmpeg.source_argument(path)]
+        options = ["-video_track_timescale", str(self._timescale), "-movflags", "+faststart", "-f", "mp4"]
+        return [*options, ffmpeg.source_argument(path)]
 
     def _add_audio(self) -> None:
         """Add the source's sound to the video just written; without it, a warning."""
@@ -223,40 +212,28 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             discard(self.path)
 
 
-def _widen(pipe: IO[bytes]) -> None:
-    """A larger pipe, where the system has such: fewer context switches for each frame."""
-    with contextlib.suppress(ImportError, AttributeError, OSError):
-        import fcntl
-
-        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[attr-defined,unused-ignore]
-
-
 # Just enough of Matroska (RFC 9559) for one track of uncompressed BGR frames, each with a time
 
 
-def _element(identity: str, data: bytes) -> bytes:
+def _element(identity: str, value: bytes | int) -> bytes:
+    data = value.to_bytes(8, "big") if isinstance(value, int) else value
     return bytes.fromhex(identity) + (len(data) | 1 << 56).to_bytes(8, "big") + data
 
 
-def _number(identity: str, value: int) -> bytes:
-    return _element(identity, value.to_bytes(8, "big"))
-
-
 def _matroska_head(width: int, height: int, fps: Fraction) -> bytes:
-    ebml = _element("4282", b"matroska") + _number("4287", 4) + _number("4285", 2)
-    info = _number("2AD7B1", round(_TICK_S * 1e9)) + _element("4D80", b"facetrack") + _element("5741", b"facetrack")
-    video = _number("B0", width) + _number("BA", height) + _element("2EB524", b"BGR\x18")
-    track = _number("D7", 1) + _number("73C5", 1) + _number("83", 1) + _number("9C", 0)
-    track += _number("23E383", round(10**9 / fps))  # without it, the last frame would last no time and not be shown
+    ebml = _element("4282", b"matroska") + _element("4287", 4) + _element("4285", 2)
+    info = _element("2AD7B1", round(_TICK_S * 1e9)) + _element("4D80", b"facetrack") + _element("5741", b"facetrack")
+    video = _element("B0", width) + _element("BA", height) + _element("2EB524", b"BGR\x18")
+    track = _element("D7", 1) + _element("73C5", 1) + _element("83", 1) + _element("9C", 0)
+    track += _element("23E383", round(10**9 / fps))  # without it, the last frame would last no time and not be shown
     track += _element("86", b"V_UNCOMPRESSED") + _element("E0", video)
     segment = bytes.fromhex("18538067") + b"\x01" + b"\xff" * 7  # of unknown length: it ends with the pipe
-    return (
-        _element("1A45DFA3", ebml) + segment + _element("1549A966", info) + _element("1654AE6B", _element("AE", track))
-    )
+    tracks = _element("1654AE6B", _element("AE", track))
+    return _element("1A45DFA3", ebml) + segment + _element("1549A966", info) + tracks
 
 
 def _matroska_block(ticks: int, size: int) -> bytes:
     """All that goes before the `size` bytes of one frame: a cluster of its own, since only clusters hold long times."""
-    time = _number("E7", ticks)
+    time = _element("E7", ticks)
     block = b"\xa3" + (size + 4 | 1 << 56).to_bytes(8, "big") + b"\x81\x00\x00\x80"
     return bytes.fromhex("1F43B675") + (len(time) + len(block) + size | 1 << 56).to_bytes(8, "big") + time + block

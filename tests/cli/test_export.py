@@ -14,9 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.cli.app import cli
-from facetrack_cli.trajectory.formats.boxes import read_got10k, read_otb
-from facetrack_cli.trajectory.formats.mot import read_mot
-from facetrack_cli.trajectory.formats.vot import read_vot
+from facetrack_cli.trajectory.formats.boxes import read_got10k, read_mot, read_otb, read_vot
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part

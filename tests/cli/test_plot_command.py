@@ -93,7 +93,7 @@ def test_every_form_by_its_ending(capsys, run, form):
     data = path.read_bytes()
     if form == "svg":
         assert ET.fromstring(data).tag.endswith("svg")
-    assert command.FORMS == ("png", "svg", "pdf")
+    assert FIGURES == ("png", "svg", "pdf")
     assert data[:5] == {"png": b"\x89PNG\r", "svg": b"<?xml", "pdf": b"%PDF-"}[form]
 
 

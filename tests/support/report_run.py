@@ -8,7 +8,7 @@ import numpy as np
 
 from facetrack_cli.core.files import FileSink
 from facetrack_cli.core.types import Frame
-from facetrack_cli.trajectory.writers import Footer, JsonWriter
+from facetrack_cli.trajectory.writers import WRITERS, Footer
 from tests.support.media import SIZE
 from tests.support.results import part, result, target
 
@@ -28,7 +28,7 @@ def write_run(
         "seed": 3,
         "init": {"from": "haar", "frame": start, "targets": {t: {"points": {"a": [9, 44]}} for t in targets}},
     }
-    writer = JsonWriter(FileSink(out / "trajectory.json"), header)
+    writer = WRITERS["json"](FileSink(out / "trajectory.json"), header)
     still = np.zeros((1, 1, 3), np.uint8)
     for index in range(start, start + frames):
         found = []

@@ -29,12 +29,9 @@ from facetrack_cli.report.events import Clock, key_frames, tell
 from facetrack_cli.report.html import Image
 from facetrack_cli.report.page import Plot
 from facetrack_cli.tracking.start import read_init
-from facetrack_cli.trajectory.formats.boxes import write_otb
-from facetrack_cli.trajectory.formats.coco import write_coco
-from facetrack_cli.trajectory.formats.dlc import write_dlc
+from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.eaf import spans_of
-from facetrack_cli.trajectory.formats.mot import write_mot
-from facetrack_cli.trajectory.formats.vot import write_vot
+from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import enclose

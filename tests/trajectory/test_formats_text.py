@@ -10,10 +10,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.trajectory.formats.boxes import read_boxes, read_got10k, read_otb, write_got10k, write_otb
-from facetrack_cli.trajectory.formats.mot import read_mot, write_mot
+from facetrack_cli.trajectory.formats.boxes import (
+    read_boxes,
+    read_got10k,
+    read_mot,
+    read_otb,
+    read_vot,
+    write_got10k,
+    write_mot,
+    write_otb,
+    write_vot,
+)
 from facetrack_cli.trajectory.formats.pts import read_pts
-from facetrack_cli.trajectory.formats.vot import read_vot, write_vot
 from facetrack_cli.trajectory.trajectory import Trajectory, one_part
 
 here = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)

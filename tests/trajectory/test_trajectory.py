@@ -92,7 +92,7 @@ def test_two_rows_of_a_frame_target_and_part_are_refused(frames: list[int]) -> N
 
 
 def test_a_column_that_there_is_not_is_no_column() -> None:
-    with pytest.raises(TypeError, match="a trajectory has no colour, z"):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
         one_part("face", "nose", [1], colour=[1], z=[2])
 
 

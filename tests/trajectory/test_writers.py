@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink
+from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink, beside
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, FrameResult, Trajectory, one_part
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, as_written, csv_frames
@@ -270,7 +270,7 @@ def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("room", [3000, 70_000, 200_000])
 def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, room: int) -> None:
     def small(self: FileSink) -> BinaryIO:
-        return Disk(room, self.temporary)
+        return Disk(room, beside(self.path))
 
     monkeypatch.setattr(FileSink, "_open", small)
     path = tmp_path / f"t.{form}"

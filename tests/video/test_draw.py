@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult
+from facetrack_cli.video.overlay.marks import Font, Sprite, plain, stamp
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.overlay.status_bar import StatusBar, summary
-from facetrack_cli.video.overlay.text import Font, Sprite, plain, stamp
 from tests.support import results
 from tests.support.results import target
 

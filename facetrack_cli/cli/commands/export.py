@@ -121,8 +121,7 @@ class Export:
 
         import numpy as np
 
-        from facetrack_cli.trajectory.formats import boxes as plain
-        from facetrack_cli.trajectory.formats import coco, dlc, eaf, mot, vot
+        from facetrack_cli.trajectory.formats import boxes, eaf, keypoints
         from facetrack_cli.trajectory.header import said
         from facetrack_cli.trajectory.select import enclose
 
@@ -130,19 +129,19 @@ class Export:
             raise InputError("no row has a place, x and y; there is nothing to export")
         if self.to == "dlc":
             recipe = said(table, "recipe", "name")
-            return dlc.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack")
+            return keypoints.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack")
         if self.to == "eaf":
             clip = self._clip(table)
             return eaf.write_eaf(table, clip, path.parent if path else Path.cwd(), written=datetime.now())
         if self.to == "coco":
             size, file_name = self._frames(table)
-            return coco.write_coco(table, size, file_name, around=self.box or "windows")
+            return keypoints.write_coco(table, size, file_name, around=self.box or "windows")
         if self.to in ONE_TARGET and len(table.targets) > 1:
             raise UsageError(f"{self.to} holds one target; choose with --target among {', '.join(table.targets)}")
-        boxes = [enclose(table.of_target(target), self.box or "windows") for target in table.targets]
+        chosen = [enclose(table.of_target(target), self.box or "windows") for target in table.targets]
         if self.to == "mot":
-            return mot.write_mot(boxes)
-        return {"otb": plain.write_otb, "got10k": plain.write_got10k, "vot": vot.write_vot}[self.to](boxes[0])
+            return boxes.write_mot(chosen)
+        return {"otb": boxes.write_otb, "got10k": boxes.write_got10k, "vot": boxes.write_vot}[self.to](chosen[0])
 
     def _clip(self, table: Trajectory) -> Path:
         """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, StrictBool, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError, InputError
-from facetrack_cli.core.spans import spans
+from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Correction, Mask
 from facetrack_cli.editor.history import Fixer, merged
 from facetrack_cli.editor.save import keep, save
@@ -22,7 +22,7 @@ from facetrack_cli.editor.web.session import Answer, RefusedError, Report, Route
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.tracking.start import PARTS
 from facetrack_cli.trajectory.diagnostics import outlines
-from facetrack_cli.trajectory.start import FrameNumber
+from facetrack_cli.trajectory.header import FrameNumber
 from facetrack_cli.trajectory.trajectory import Trajectory, by_frame
 from facetrack_cli.video.seek import Frames
 

@@ -22,7 +22,7 @@ from facetrack_cli.tracking.start import PARTS, box_start, name_targets
 from facetrack_cli.tracking.start.haar import NotHereError, find_faces
 from facetrack_cli.tracking.start.init_file import NAME, TARGET
 from facetrack_cli.tracking.start.points import place
-from facetrack_cli.trajectory.start import FrameNumber, Pixels, Side
+from facetrack_cli.trajectory.header import FrameNumber, Pixels, Side
 from facetrack_cli.video.seek import Cache, Frames
 
 CACHE_BYTES: Final = 64 << 20

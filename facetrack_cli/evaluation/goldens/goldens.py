@@ -32,7 +32,7 @@ from facetrack_cli.core.types import Array, Start
 from facetrack_cli.evaluation.goldens import bands
 from facetrack_cli.evaluation.goldens.bands import QUANTITIES, Name, Statistic, names
 from facetrack_cli.evaluation.goldens.permutation_test import median_of_runs
-from facetrack_cli.trajectory.start import StartRecord, TargetRecord, to_record
+from facetrack_cli.trajectory.header import StartRecord, TargetRecord, to_record
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.images import listing
 

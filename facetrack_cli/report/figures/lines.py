@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.spans import spans, union
+from facetrack_cli.core.numbers import spans, union
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.report.figures.style import COLOURS, DASHES, INK, STATUS, clean, line_style
 from facetrack_cli.trajectory.trajectory import Trajectory

@@ -1,140 +1,244 @@
-"""Boxes as plain text: CSV with the header frame,x,y,w,h; OTB and GOT-10k, one box a line without frame numbers.
+"""Boxes as plain text: a CSV of ours, and the texts of OTB, GOT-10k, VOT and MOTChallenge.
 
-- `boxes`: frames and pixels from 0; x, y are the left and top edges. Columns in any order, others are passed over.
+- `boxes`: CSV with the header frame,x,y,w,h; frames and pixels from 0; x, y are the left and top edges. Columns in any
+  order, others are passed over.
 - `otb`: left, top, width, height with comma, tab or blanks between them. Pixels are counted from 1, as in Matlab, and
   1 is subtracted. Line 1 is the first frame. A line of zeros or nan: the target is absent.
 - `got10k`: the same, also from 1 ("All coordinate values are 1-based", its author in got-10k/toolkit#6). Absent is also
   a box without width or height, four times -1, and what `absence.label` marks if it lies beside. Where `cover.label`
   beside it is 0, nothing of the target can be seen: hidden. Its toolkit leaves such frames out of every measure.
+- `vot`: a region a line, values between commas, pixels from 0, as vot-toolkit reads, writes and draws it. Line 1 is
+  frame 0. Four values are a rectangle; eight are the corners of a polygon, kept as `corners`: its x, y, w, h are the
+  axis-aligned bounding box, width = right - left, as in the toolkit, its angle is not known. `m...` is a mask in run
+  lengths; masks are not read. One value is a code. In truth, 0 ("unknown") and regions of nan say that the
+  target is absent. A file with a code 1 is a result: 1 is the frame where the tracker was set on the target, whose box
+  is not repeated (status init, no place); 2 is a failure (lost, no place); 0 is a frame that was not tracked, and has
+  no row; regions are tracked.
+- `mot`: MOTChallenge, frame, id, left, top, width, height, and what follows; frames, ids and pixels from 1. Truth
+  (motchallenge.net/instructions; MOT16 and later) has `flag, class, visibility`, nine values; results and MOT15 truth
+  `conf, x, y, z`, ten values, -1 where not known. Files that end after height or conf are read too. Ids become the
+  targets "1", "2", ..., each with the part "box". A flag of 0 says that the row is not to be considered: it is left
+  out, as if the frame were not annotated. A visibility of 0 is "hidden", anything above "visible". If every conf of ten
+  values is 0 or 1 it is taken for the flag, else for a confidence, and then all rows count, as the benchmark has it.
+
+Writers write lost rows too: they are the tracker's estimate.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Texts, Whole
-from facetrack_cli.trajectory.formats.lines import (
-    FROM_ONE,
-    Line,
-    boxes,
-    decimal,
-    lines_by_frame,
-    lines_with_frame,
-    no_frame_twice,
-    numbers,
-    read_text,
-    whole,
-)
+from facetrack_cli.core.types import Array, Mask, Texts
+from facetrack_cli.trajectory.formats.lines import FROM_ONE, Lines, delimiter
+from facetrack_cli.trajectory.reader import MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-LTWH = "left,top,width,height"
 BOX_COLUMNS = ("frame", "x", "y", "w", "h")
+LTWH = "left,top,width,height"
+REGION = f"{LTWH} or x1,y1,...,x4,y4"
+UNKNOWN, INIT, FAILURE = 0, 1, 2
+MOST_LINES = 10**7  # four days of video
+MOT_COLUMNS = {
+    6: f"frame,id,{LTWH}",
+    7: f"frame,id,{LTWH},conf",
+    9: f"frame,id,{LTWH},flag,class,visibility",
+    10: f"frame,id,{LTWH},conf,x,y,z",
+}
 
 
 def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
     """CSV with the header frame,x,y,w,h: frames from 0, the left and top edges in pixels from 0."""
-    header, *lines = lines_with_frame(read_text(path))
-    names = [name.strip().strip('"').lower() for name in header.text.split(",")]
-    if {"target", "part"} <= set(names):
-        raise InputError(
-            f"{path}:{header.number}: has the columns target and part, and with them x, y are centres; "
-            "read it as facetrack's own table"
-        )
-    missing = [name for name in BOX_COLUMNS if name not in names]
-    if missing:
-        raise InputError(
-            f"{path}:{header.number}: the header has no column {', '.join(missing)}; it should read frame,x,y,w,h"
-        )
-    if not lines:
+    lines = Lines.with_frame(path)
+    names = [name.strip().strip('"').lower() for name in lines.texts[0].split(",")]
+    centres = "has the columns target and part, and with them x, y are centres; read it as facetrack's own table"
+    lines.refuse([{"target", "part"} <= set(names)], centres)
+    missing = ", ".join(name for name in BOX_COLUMNS if name not in names)
+    lines.refuse([bool(missing)], f"the header has no column {missing}; it should read frame,x,y,w,h")
+    if len(lines) == 1:
         raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
-    values = numbers(path, lines, len(names), ",".join(names), [names.index(name) for name in BOX_COLUMNS])
-    frame = whole(path, lines, values[:, 0], "frame", 0)
-    no_frame_twice(path, lines, frame[:, None], "frame")
-    return _read(path, boxes(path, lines, frame + shift, values[:, 1:]), "boxes: frame,x,y,w,h, all from 0")
+    lines = lines.take(slice(1, None))
+    values = lines.numbers(len(names), ",".join(names), [names.index(name) for name in BOX_COLUMNS])
+    frame = lines.whole(values[:, 0], "frame", 0)
+    lines.refuse_twice(frame[:, None], "frame")
+    return lines.boxes(frame + shift, values[:, 1:], header={"read_as": "boxes: frame,x,y,w,h, all from 0"})
 
 
 def read_otb(path: Path, *, shift: int = 0) -> Trajectory:
-    """OTB text: a box a line, pixels from 1; line i, from 0, is frame i + `shift`."""
-    lines = lines_by_frame(path, read_text(path))
-    found = boxes(path, lines, _frames(lines, shift), _from_one(path, lines))
-    return _read(path, found, f"OTB text: {LTWH} a line, pixels from 1 (--truth-format vot: from 0)")
+    """OTB text; line i, from 0, is frame i + `shift`."""
+    lines = Lines.by_frame(path)
+    header = {"read_as": f"OTB text: {LTWH} a line, pixels from 1 (--truth-format vot: from 0)"}
+    return lines.boxes(np.arange(len(lines)) + shift, lines.numbers(4, LTWH) - FROM_ONE, header=header)
 
 
 def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
-    """GOT-10k text: a box a line, pixels from 1, with absence.label and cover.label where they lie beside it."""
-    lines = lines_by_frame(path, read_text(path))
-    absence, cover = (_labels(path.parent / f"{name}.label", path, len(lines)) for name in ("absence", "cover"))
+    """GOT-10k text, with absence.label and cover.label where they lie beside it."""
+    lines = Lines.by_frame(path)
     status: Texts = np.full(len(lines), "visible", dtype="<U8")
-    if cover is not None:
-        status[cover == 0] = "hidden"
-    if absence is not None:
-        status[absence != 0] = "absent"
-    ltwh = _from_one(path, lines)
-    found = boxes(path, lines, _frames(lines, shift), ltwh, status=status, no_area_is_absent=True)
-    used = " and ".join(
-        f"{name}.label" for name, there in (("absence", absence), ("cover", cover)) if there is not None
+    used: list[str] = []
+    for name in ("cover", "absence"):  # what is absent is so whatever covers it
+        file = path.with_name(f"{name}.label")
+        if not file.is_file():
+            continue
+        labels = Lines.by_frame(file).numbers(1, "one number")[:, 0]
+        if len(labels) != len(lines):
+            why = "they belong to different clips: move one away"
+            raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; {why}")
+        status = np.where(labels != 0, "absent", status) if name == "absence" else np.where(labels, status, "hidden")
+        used.insert(0, file.name)
+    with_labels = f", with {' and '.join(used)}" if used else ""
+    header = {"read_as": f"GOT-10k text: {LTWH} a line, pixels from 1{with_labels}"}
+    ltwh, frame = lines.numbers(4, LTWH) - FROM_ONE, np.arange(len(lines)) + shift
+    return lines.boxes(frame, ltwh, status=status, no_area_is_absent=True, header=header)
+
+
+def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
+    """VOT truth or results; line i, counted from 0, is frame i + `shift`.
+
+    Raises InputError, with the line, for masks, polygons of other than four corners, and what is no region at all.
+    """
+    lines = Lines.by_frame(path)
+    between = delimiter(next((text for text in lines.texts if "," in text), ""))
+    shapes = np.array([len(text.split(between)) for text in lines.texts], dtype=np.int64)
+    masks = [text[0] in "mM" for text in lines.texts]
+    lines.refuse(masks, "a mask; masks are not read: give the regions as rectangles or polygons")
+    others = (shapes > 4) & (shapes % 2 == 0) & (shapes != 8)
+    of_corners = "a polygon of {} corners; polygons of four corners and rectangles are read"
+    lines.refuse(others, lambda row: of_corners.format(shapes[row] // 2))
+    lines.refuse(~np.isin(shapes, (1, 4, 8)), lambda row: f"{shapes[row]} values; a line holds {REGION}")
+    t = len(lines)
+    codes, ltwh, polygons = np.full(t, np.nan), np.full((t, 4), np.nan), np.full((t, 8), np.nan)
+    for values in (codes[:, None], ltwh, polygons):
+        if (rows := np.flatnonzero(shapes == values.shape[1])).size:
+            values[rows] = lines.take(rows).numbers(values.shape[1], REGION)
+    code = "{:.15g} is no code of VOT; 0 is unknown, 1 the start, 2 a failure"
+    lines.refuse(~np.isin(codes, (UNKNOWN, INIT, FAILURE)) & ~np.isnan(codes), lambda row: code.format(codes[row]))
+    codes[(shapes == 1) & np.isnan(codes)] = UNKNOWN
+    half = np.isnan(polygons).any(axis=1) & ~np.isnan(polygons).all(axis=1)
+    lines.refuse(half, "nan in a polygon; give all eight numbers, or eight times nan")
+    with np.errstate(invalid="ignore"):
+        far = (np.abs(polygons) > MAX_PIXELS).any(axis=1)
+    lines.refuse(far, "the polygon is farther out than any picture; correct it")
+    corners = polygons.reshape(-1, 4, 2)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    ltwh = np.where((shapes == 8)[:, None], np.concatenate([low, high - low], axis=1), ltwh)
+    result = bool((codes == INIT).any())
+    if not result:
+        lines.refuse(codes == FAILURE, "the code 2, a failure, in a file without a 1, where a track begins")
+    kept = np.flatnonzero(codes != UNKNOWN) if result else np.arange(t)
+    header = {"read_as": f"VOT {'result' if result else 'text'}: pixels from 0"}
+    found = lines.take(kept).boxes(kept + shift, ltwh[kept], header=header)
+    unknown, outline = np.isnan(found.x), np.where(np.isnan(found.x)[:, None, None], np.nan, corners[kept])
+    status = np.select([codes[kept] == INIT, unknown], ["init", "lost"], "tracked") if result else found.status
+    return replace(found, status=status, corners=None if np.isnan(outline).all() else outline)
+
+
+def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Trajectory:
+    """A series for each id. `results` says that column 7 is a confidence (True) or a flag (False); None: look.
+
+    Raises InputError, with the line, for what is no MOTChallenge text, and for two rows of one frame and id.
+    """
+    lines = Lines.with_frame(path)
+    count = len(lines.texts[0].split(delimiter(lines.texts[0])))
+    known = f"{count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}"
+    lines.refuse([count not in MOT_COLUMNS], known)
+    values = lines.numbers(count, MOT_COLUMNS[count])
+    frame, ident = lines.whole(values[:, 0], "frame", 1), lines.whole(values[:, 1], "id", 1)
+    lines.refuse_twice(np.stack([frame, ident], axis=1), "frame and id")
+    seventh = values[:, 6] if count > 6 else np.full(len(lines), np.nan)
+    if results is None:
+        results = count != 9 and not np.isin(seventh, (0, 1)).all()
+    kept: Mask = np.full(len(lines), True) if results else seventh != 0
+    if not kept.any():
+        raise InputError(f"{path}: every row has the flag 0, not to be considered; there is nothing in it to measure")
+    confidence = np.where(results & (seventh >= 0) & (seventh <= 1), seventh, np.nan)
+    hidden = values[:, 8] == 0 if count == 9 and not results else np.full(len(lines), False)
+    idents, which = np.unique(ident[kept], return_inverse=True)
+    left_out = f", {np.count_nonzero(~kept)} rows of flag 0 left out" if not kept.all() else ""
+    return lines.take(kept).boxes(
+        frame[kept] - 1 + shift,
+        values[kept, 2:6] - FROM_ONE,
+        names=list(map(str, idents.tolist())),
+        which=which,
+        status=np.where(hidden, "hidden", "visible")[kept],
+        confidence=confidence[kept],
+        header={"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"},
     )
-    return _read(path, found, f"GOT-10k text: {LTWH} a line, pixels from 1{', with ' if used else ''}{used}")
 
 
 def write_otb(one: Trajectory) -> str:
     """A box a line, pixels from 1, at most 4 decimals: `read_otb` with the first frame as `shift` gives it back.
 
     The format has no frame numbers: line 1 is the series' first frame, as in OTB's own files of clips that begin late
-    (David at frame 300). A place that is not known is nan,nan,nan,nan. Lost rows are written: they are the estimate.
-    Raises InputError for a gap between frames, or a row with a place and no size.
+    (David at frame 300). A place that is not known is nan,nan,nan,nan. Raises InputError for a gap between frames, or a
+    row with a place and no size.
     """
-    gaps = np.flatnonzero(np.diff(one.frame) != 1)
-    if gaps.size:
-        at = gaps[0]
-        raise InputError(
-            f"{one.name}: no row between frames {one.frame[at]} and {one.frame[at + 1]}, and a format without "
-            "frame numbers has no room for a gap; export to mot or vot"
-        )
-    return "".join(",".join([decimal(v) for v in box]) + "\n" for box in (known_boxes(one) + FROM_ONE).tolist())
+    if (gaps := np.flatnonzero(np.diff(one.frame) != 1)).size:
+        between = f"no row between frames {one.frame[gaps[0]]} and {one.frame[gaps[0] + 1]}"
+        why = "a format without frame numbers has no room for a gap; export to mot or vot"
+        raise InputError(f"{one.name}: {between}, and {why}")
+    return "".join(",".join(map(_decimal, box)) + "\n" for box in (_known_boxes(one) + FROM_ONE).tolist())
 
 
-def write_got10k(one: Trajectory) -> str:
-    """As `write_otb`: both count pixels from 1 and keep a box a line. The toolkit wants it as `<clip>_001.txt`."""
-    return write_otb(one)
+write_got10k = write_otb
+"""Both count pixels from 1 and keep a box a line. The toolkit wants it as `<clip>_001.txt`."""
 
 
-def known_boxes(one: Trajectory) -> Array:
+def write_vot(one: Trajectory) -> str:
+    """A result of vot-toolkit from frame 0 on: 1 in the first frame of the series, then a region a line, 4 decimals.
+
+    Frames before the first and in gaps are 0, a place that is not known is 2. Rows with corners are polygons.
+    `read_vot` gives all rows back but for the place in the first frame. Raises InputError for a row with a place and no
+    size, and for a frame below 0.
+    """
+    first, last = int(one.frame[0]), int(one.frame[-1])
+    if first < 0:
+        raise InputError(f"{one.name}: frame {first} is before the clip's first; VOT text begins at frame 0")
+    if last >= MOST_LINES:
+        raise InputError(f"{one.name}: frame {last} is too far on for VOT text, which has a line a frame")
+    lines = ["0"] * (last + 1)
+    corners = np.full((len(one), 8), np.nan) if one.corners is None else one.corners.reshape(-1, 8)
+    for frame, box, polygon in zip(one.frame.tolist(), _known_boxes(one).tolist(), corners.tolist(), strict=True):
+        region = polygon if polygon[0] == polygon[0] else box  # nan is not equal to itself
+        lines[frame] = ",".join(map(_decimal, region)) if region[0] == region[0] else "2"
+    lines[first] = "1"
+    return "\n".join(lines) + "\n"
+
+
+def write_mot(chosen: Sequence[Trajectory]) -> str:
+    """Results of MOTChallenge, sorted by frame: ten values a row, at most 4 decimals; conf is -1 where not known.
+
+    A series is an id: its target's name if all are numbers and differ, else 1, 2, ... in their order. Rows without a
+    place are left out, which is how the format says that nothing was found. `read_mot(..., results=True)` gives the
+    rest back. Raises InputError for a row with a place and no size.
+    """
+    idents = [int(one.target) if one.target.isascii() and one.target.isdigit() else 0 for one in chosen]
+    if 0 in idents or len(set(idents)) < len(idents):
+        idents = list(range(1, len(chosen) + 1))
+    rows: list[tuple[int, int, str]] = []
+    for ident, one in zip(idents, chosen, strict=True):
+        boxes = (_known_boxes(one) + FROM_ONE).tolist()
+        for frame, conf, ltwh in zip(one.frame.tolist(), one.confidence.tolist(), boxes, strict=True):
+            if ltwh[0] == ltwh[0]:  # not nan
+                known = _decimal(conf) if conf == conf else "-1"
+                rows.append((frame + 1, ident, f"{','.join(map(_decimal, ltwh))},{known},-1,-1,-1\n"))
+    return "".join(f"{frame},{ident},{rest}" for frame, ident, rest in sorted(rows))
+
+
+def _known_boxes(one: Trajectory) -> Array:
     """(T, 4) left, top, width, height from 0; nan where the place is not known. InputError for a place without size."""
     found = one.boxes
-    sizeless = np.flatnonzero(np.isnan(found).any(axis=1) & ~np.isnan(one.x))
-    if sizeless.size:
-        raise InputError(
-            f"{one.name}: frame {one.frame[sizeless[0]]} has no w and h, and these formats hold boxes; "
-            "export points to coco or dlc"
-        )
+    if (sizeless := np.flatnonzero(np.isnan(found).any(axis=1) & ~np.isnan(one.x))).size:
+        why = "has no w and h, and these formats hold boxes; export points to coco or dlc"
+        raise InputError(f"{one.name}: frame {one.frame[sizeless[0]]} {why}")
     return found
 
 
-def _from_one(path: Path, lines: list[Line]) -> Array:
-    ltwh: Array = numbers(path, lines, 4, LTWH) - FROM_ONE
-    return ltwh
-
-
-def _frames(lines: list[Line], shift: int) -> Whole:
-    return np.arange(len(lines), dtype=np.int64) + shift
-
-
-def _labels(path: Path, boxes_file: Path, rows: int) -> Array | None:
-    if not path.is_file():
-        return None
-    found = numbers(path, lines_by_frame(path, read_text(path)), 1, "one number")[:, 0]
-    if len(found) != rows:
-        raise InputError(
-            f"{path}: has {len(found)} lines, {boxes_file.name} beside it {rows}; "
-            "they belong to different clips: move one away"
-        )
-    return found
-
-
-def _read(path: Path, found: Trajectory, read_as: str) -> Trajectory:
-    return replace(found, path=path, header={"read_as": read_as})
+def _decimal(value: float) -> str:
+    """At most 4 decimals, as many as the centres of a CSV need: it has 3, and half a width makes a fourth."""
+    text = f"{value:.4f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text

@@ -3,7 +3,7 @@
 For each target: `lost@face`, whose annotations name the parts that are lost (a new one begins where others are);
 `absent@face`, the same of those that corrections call absent, if there are any; and, as far as its parts can tell,
 `horizontal@face`, `vertical@face`, `tilt@face`, `size@face`, `nods@face`, `still@face`: motion in the picture plane,
-see `motion.py`. Their values are controlled vocabularies, described in the file.
+see `head_motion.py`. Their values are controlled vocabularies, described in the file.
 
 Times are those of the frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as
 it is, not percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
@@ -11,6 +11,7 @@ it is, not percent-encoded: ELAN writes it so, and takes what follows `file:` fo
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import uuid
@@ -23,18 +24,17 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.formats.head_motion import head_motion, kinds_of
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 SCHEMA = "http://www.mpi.nl/tools/elan/EAFv3.0.xsd"
 MIME = {
-    ".mp4": "video/mp4",
+    **{f".{kind}": f"video/{kind}" for kind in ("mp4", "mpeg", "webm")},
     ".m4v": "video/mp4",
     ".mpg": "video/mpeg",
-    ".mpeg": "video/mpeg",
     ".mov": "video/quicktime",
-    ".webm": "video/webm",
     ".avi": "video/x-msvideo",
     ".mkv": "video/x-matroska",
 }
@@ -50,10 +50,7 @@ CONSTRAINTS = {
 VOCABULARIES = {
     "horizontal": {"left": "moves to the left of the picture", "right": "moves to the right of the picture"},
     "vertical": {"up": "moves up in the picture", "down": "moves down in the picture"},
-    "tilt": {
-        "clockwise": "turns clockwise in the picture plane",
-        "counterclockwise": "turns counterclockwise in the picture plane",
-    },
+    "tilt": {label: f"turns {label} in the picture plane" for label in ("clockwise", "counterclockwise")},
     "size": {"approach": "grows in the picture", "recede": "shrinks in the picture"},
     "nods": {"nod": "swings up and down, three times or more", "shake": "swings left and right, three times or more"},
     "still": {"still": "none of the motions of the other tiers for a second or more"},
@@ -67,47 +64,32 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
     Raises InputError when rows have no time, or times that do not increase from frame to frame.
     """
     begin, end = _times(table)
-    tiers = [tier for target in table.targets for tier in _tiers(target, table.of_target(target))]
-    root = ET.Element(
-        "ANNOTATION_DOCUMENT",
-        {
-            "AUTHOR": "facetrack",
-            "DATE": written.astimezone().isoformat(timespec="seconds"),
-            "FORMAT": "3.0",
-            "VERSION": "3.0",
-            "xmlns:xsi": XSI,
-            "xsi:noNamespaceSchemaLocation": SCHEMA,
-        },
-    )
-    spans = [
-        [(begin[first], end[last], text) for first, last, text in rows if end[last] > begin[first]]
-        for _, _, rows in tiers
+    tiers = [
+        (kind, target, [(begin[first], end[last], text) for first, last, text in found if end[last] > begin[first]])
+        for name in table.targets
+        for kind, target, found in _tiers(name, table.of_target(name))
     ]
-    _header(root, media, folder, sum(map(len, spans)))
+    about = {"AUTHOR": "facetrack", "DATE": written.astimezone().isoformat(timespec="seconds")}
+    schema = {"FORMAT": "3.0", "VERSION": "3.0", "xmlns:xsi": XSI, "xsi:noNamespaceSchemaLocation": SCHEMA}
+    root = ET.Element("ANNOTATION_DOCUMENT", {**about, **schema})
+    _header(root, media, folder, sum(len(spans) for *_, spans in tiers))
     # every annotation has two slots of its own, as ELAN makes them; slots stand in the order of their times
-    times = sorted((time, n) for n, time in enumerate(t for rows in spans for a, b, _ in rows for t in (a, b)))
+    times = sorted((time, n) for n, time in enumerate(t for *_, spans in tiers for a, b, _ in spans for t in (a, b)))
     order = ET.SubElement(root, "TIME_ORDER")
     slots: dict[int, str] = {}
     for place, (time, n) in enumerate(times, 1):
         slots[n] = f"ts{place}"
         ET.SubElement(order, "TIME_SLOT", TIME_SLOT_ID=f"ts{place}", TIME_VALUE=str(time))
     count = 0
-    for (kind, target, _), rows in zip(tiers, spans, strict=True):
+    for kind, target, spans in tiers:
         about = {"LINGUISTIC_TYPE_REF": kind, "TIER_ID": _clean(f"{kind}@{target}"), "ANNOTATOR": "facetrack"}
         tier = ET.SubElement(root, "TIER", {**about, "PARTICIPANT": _clean(target)})
-        for _, _, text in rows:
+        for _, _, text in spans:
             count += 1
             entry = {"CVE_REF": _entry(kind, text)} if kind in VOCABULARIES else {}
-            one = ET.SubElement(
-                ET.SubElement(tier, "ANNOTATION"),
-                "ALIGNABLE_ANNOTATION",
-                {
-                    "ANNOTATION_ID": f"a{count}",
-                    **entry,
-                    "TIME_SLOT_REF1": slots[2 * count - 2],
-                    "TIME_SLOT_REF2": slots[2 * count - 1],
-                },
-            )
+            ends = {"TIME_SLOT_REF1": slots[2 * count - 2], "TIME_SLOT_REF2": slots[2 * count - 1]}
+            own = {"ANNOTATION_ID": f"a{count}", **entry, **ends}
+            one = ET.SubElement(ET.SubElement(tier, "ANNOTATION"), "ALIGNABLE_ANNOTATION", own)
             ET.SubElement(one, "ANNOTATION_VALUE").text = _clean(text)
     _types(root, list(dict.fromkeys(kind for kind, _, _ in tiers)))
     ET.indent(root, "    ")
@@ -115,22 +97,19 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
 
 
 def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[int, int, str]]:
-    """First and last frame, and the names of the parts lost in them, for one target; split where other parts are.
+    """First and last frame of spans in which parts of a target have a `status`, with the names of those parts.
 
-    The same of any other `status`, as absent.
+    A span ends where other parts have it, and at frames that have no row.
     """
-    frames = np.unique(np.concatenate([part.frame for part in parts]))
-    lost = np.zeros((len(frames), len(parts)), dtype=bool)
-    for k, part in enumerate(parts):
-        lost[np.searchsorted(frames, part.frame), k] = part.status == status
-    names = [", ".join(part.part for part, gone in zip(parts, row, strict=True) if gone) for row in lost.tolist()]
-    # frames that the table passes over are in no span
-    breaks = np.concatenate([[0], np.cumsum(np.diff(frames) != 1)]).tolist()
+    frames, columns = aligned(parts, "status")
+    those = (columns["status"] == status).tolist()
+    names = [", ".join(part.part for part, is_one in zip(parts, row, strict=True) if is_one) for row in those]
+    breaks = np.cumsum(np.diff(frames, prepend=frames[:1]) > 1).tolist()
     found = []
     for (_, text), rows in groupby(zip(breaks, names, frames.tolist(), strict=True), key=lambda row: row[:2]):
         members = [frame for _, _, frame in rows]
         if text:
-            found.append((members[0], members[-1], status if text == "box" else text))
+            found.append((members[0], members[-1], status if text == BOX else text))
     return found
 
 
@@ -145,41 +124,30 @@ def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str,
         yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
 
 
-def _times(table: Trajectory) -> tuple[dict[int, int], dict[int, int]]:
+def _times(table: Trajectory) -> list[dict[int, int]]:
     """When each frame begins and when the next one does, in milliseconds, by frame."""
     frames, time_s = table.frames, table.times
-    unknown = np.flatnonzero(~np.isfinite(time_s))
-    if unknown.size:
-        raise InputError(f"frame {frames[unknown[0]]} has no time_s, and annotations need times; fill that column")
-    back = np.flatnonzero(np.diff(time_s) <= 0)
-    if back.size:
-        raise InputError(
-            f"frame {frames[back[0] + 1]} is at {time_s[back[0] + 1]:g} s, not after frame {frames[back[0]]} at "
-            f"{time_s[back[0]]:g} s; correct time_s"
-        )
+    if (unknown := frames[~np.isfinite(time_s)]).size:
+        raise InputError(f"frame {unknown[0]} has no time_s, and annotations need times; fill that column")
+    if (back := np.flatnonzero(np.diff(time_s) <= 0)).size:
+        (one, other), (first, second) = frames[back[0] :][:2], time_s[back[0] :][:2]
+        raise InputError(f"frame {other} is at {second:g} s, not after frame {one} at {first:g} s; correct time_s")
     steps = np.diff(time_s) / np.diff(frames)
     usual = float(np.median(steps)) if steps.size else FRAME_S
     after = np.append(time_s[1:], time_s[-1] + usual)
-    apart = np.append(np.diff(frames) > 1, False)
-    after = np.where(apart, np.minimum(after, time_s + usual), after)
+    after = np.where(np.append(np.diff(frames) > 1, False), np.minimum(after, time_s + usual), after)
     milliseconds = [np.rint(np.maximum(t, 0) * 1000).astype(np.int64).tolist() for t in (time_s, after)]
-    return dict(zip(frames.tolist(), milliseconds[0], strict=True)), dict(
-        zip(frames.tolist(), milliseconds[1], strict=True)
-    )
+    return [dict(zip(frames.tolist(), those, strict=True)) for those in milliseconds]
 
 
 def _header(root: ET.Element, media: Path, folder: Path, annotations: int) -> None:
     header = ET.SubElement(root, "HEADER", MEDIA_FILE="", TIME_UNITS="milliseconds")
     whole = Path(os.path.normpath(media.absolute())).as_posix()  # a link keeps the name that the user knows it by
-    about = {
-        "MEDIA_URL": "file:///" + _clean(whole.lstrip("/")),
-        "MIME_TYPE": MIME.get(media.suffix.lower(), "video/*"),
-    }
-    try:
+    mime = MIME.get(media.suffix.lower(), "video/*")
+    about = {"MEDIA_URL": "file:///" + _clean(whole.lstrip("/")), "MIME_TYPE": mime}
+    with contextlib.suppress(ValueError):  # another drive of Windows: no way leads there
         relative = Path(os.path.relpath(whole, folder)).as_posix()
         about["RELATIVE_MEDIA_URL"] = _clean(relative if relative.startswith("../") else f"./{relative}")
-    except ValueError:  # another drive of Windows: no way leads there
-        pass
     ET.SubElement(header, "MEDIA_DESCRIPTOR", about)
     urn = uuid.uuid5(uuid.NAMESPACE_URL, f"{about['MEDIA_URL']} {annotations} {root.get('DATE')}")
     ET.SubElement(header, "PROPERTY", NAME="URN").text = f"urn:nl-mpi-tools-elan-eaf:{urn}"
@@ -209,9 +177,6 @@ def _entry(kind: str, label: str) -> str:
     return f"cveid_{kind}_{label}"
 
 
-_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-
-
 def _clean(text: str) -> str:
     """Text without the characters that XML 1.0 has no way to write."""
-    return _NO_XML.sub("\ufffd", text)
+    return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "\ufffd", text)

@@ -1,14 +1,10 @@
 """Head motion as spans of frames, as far as tracked points or a box can tell it: motion in the picture plane.
 
-A turn of the head and a step aside look alike here: both move the face to the left or right of the picture.
-
-    for span in head_motion([table.find("face", "nose"), ...]):
-        span.kind, span.label, span.first, span.last      # "vertical", "down", frames 120..131
+A turn of the head and a step aside look alike here: both move the face to the left or right of the image.
 
 Three signals are read off a target's parts that are not lost: its place (the median of its points), its angle and the
-logarithm of its size (medians over the pairs of points); of a box its centre, its angle if the file has one, and the
-root of its area. A part that gets lost or is found again makes no step in them. Lengths are in units of the target's
-size, times in seconds, whatever the frame rate, which may vary.
+logarithm of its size (medians over the pairs of points); of a box its centre, its angle if known, and the root of its
+area. A part that gets lost or is found again makes no step in them. Lengths are in units of the target's size.
 
 | kind | label | begins above, lasts while above, for a change of at least | smoothed over |
 |---|---|---|---|
@@ -29,37 +25,31 @@ which the target is lost. The size of points that belong to a mouth also changes
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.spans import spans
+from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory, aligned, joined
 
 LIGHT_S = 0.04  # smoothing of swings: a nod of 6 Hz keeps a third of its height
-
-
 GAP_S = 0.25  # a pause between rows that ends a stretch
-
-
 NOISE, KEPT = 4.0, 0.5  # deviations of noise that a threshold stands above; what of it stays from frame to frame
-
-
 SWING, SWINGS, SWING_S, ACROSS = 0.03, 3, (0.05, 0.6), 1.5
-
-
-STILL_S = 1.0
-
-
-LEAST_S = 0.2
-
-
+STILL_S, LEAST_S = 1.0, 0.2
 POINTS_TO_FACE = 2.0
 """The size of a target of points, in largest distances between two: nose and mouth, or eyes and mouth, span about half
 a face, so that the thresholds mean about the same for points and for a face's box."""
+# kind: labels of a falling and a rising signal (y points down, angles turn clockwise in the image)
+LABELS = {
+    "horizontal": ("left", "right"),
+    "vertical": ("up", "down"),
+    "tilt": ("counterclockwise", "clockwise"),
+    "size": ("recede", "approach"),
+}
+KINDS = (*LABELS, "nods", "still")
 
 
 class Rate(NamedTuple):
@@ -71,22 +61,7 @@ class Rate(NamedTuple):
     smooth_s: float
 
 
-MOVE = Rate(0.15, 0.07, 0.05, 0.12)
-
-
-TILT = Rate(12.0, 5.0, 5.0, 0.2)
-
-
-SIZE = Rate(0.15, 0.07, 0.15, 0.3)
-
-
-# kind: labels of a falling and a rising signal (y points down, angles turn clockwise in the picture)
-LABELS = {
-    "horizontal": ("left", "right"),
-    "vertical": ("up", "down"),
-    "tilt": ("counterclockwise", "clockwise"),
-    "size": ("recede", "approach"),
-}
+MOVE, TILT, SIZE = Rate(0.15, 0.07, 0.05, 0.12), Rate(12.0, 5.0, 5.0, 0.2), Rate(0.15, 0.07, 0.15, 0.3)
 
 
 class Span(NamedTuple):
@@ -98,8 +73,7 @@ class Span(NamedTuple):
     last: int
 
 
-@dataclass(frozen=True)
-class Pose:
+class Pose(NamedTuple):
     """How a target stands in each of T frames; (T,) each, nan where it is lost.
 
     x, y in units of its size, angle in degrees (None: cannot be told), size as a logarithm (None: cannot be told).
@@ -116,21 +90,18 @@ class Pose:
 
 
 def head_motion(parts: Sequence[Trajectory]) -> list[Span]:
-    """The motion of one target, given the series of its parts; kinds in the table's order, spans in order of time.
+    """The motion of one target, given the series of its parts; kinds in the order of KINDS, spans in order of time.
 
     Spans of one kind do not overlap. `time_s` of the rows must be known and increase.
     """
-    pose = read_pose(parts)
+    pose = _pose(parts)
     found = [span for stretch in _stretches(pose) for span in _spans(pose, stretch)]
     return sorted(found, key=lambda span: (KINDS.index(span.kind), span.first))
 
 
-KINDS = (*LABELS, "nods", "still")
-
-
 def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
     """The kinds that can be told of a target with these parts at all: a single point has neither angle nor size."""
-    pose = read_pose(parts)
+    pose = _pose(parts)
     missing = {kind for kind, signal in (("tilt", pose.angle), ("size", pose.size)) if signal is None}
     return tuple(kind for kind in KINDS if kind not in missing)
 
@@ -138,40 +109,27 @@ def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
 # --- from parts to one pose --------------------------------------------------------------------------------------
 
 
-def read_pose(parts: Sequence[Trajectory]) -> Pose:
+def _pose(parts: Sequence[Trajectory]) -> Pose:
     """The signals of one target from its parts, which may have rows in different frames."""
-    frame = np.unique(np.concatenate([part.frame for part in parts]))
-    shape = len(frame), len(parts)
-    xy, side, angle = np.full((*shape, 2), np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
-    time_s = np.full(len(frame), np.nan)
-    for k, part in enumerate(parts):
-        rows = np.searchsorted(frame, part.frame)
-        time_s[rows] = np.where(np.isfinite(part.time_s), part.time_s, time_s[rows])
-        seen = part.status != "lost"
-        xy[rows, k] = np.where(seen[:, None], np.stack([part.x, part.y], axis=1), np.nan)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            side[rows, k] = np.where(seen & (part.w > 0) & (part.h > 0), 0.5 * np.log(part.w * part.h), np.nan)
-        angle[rows, k] = np.where(seen, part.angle, np.nan)
-    good = np.isfinite(xy).all(axis=2)
+    frame, columns = aligned(parts, "x", "y", "w", "h", "angle", "status")
+    seen = columns.pop("status") != "lost"
+    x, y, w, h, angle = (np.where(seen, values, np.nan) for values in columns.values())
+    with np.errstate(invalid="ignore", divide="ignore"):
+        side = np.where((w > 0) & (h > 0), 0.5 * np.log(w * h), np.nan)
     if len(parts) == 1:
-        size = side if np.isfinite(side).any() and np.nanmax(side) > np.nanmin(side) else None
+        sized = np.isfinite(side).any()
+        size = side if sized and np.nanmax(side) > np.nanmin(side) else None
         turn = np.exp(1j * np.radians(angle)) if np.isfinite(angle).any() else None
-        unit = float(np.exp(np.nanmedian(side))) if np.isfinite(side).any() else np.nan
+        unit = float(np.exp(np.nanmedian(side))) if sized else np.nan
     else:
-        size, turn, unit = _of_pairs(xy)
+        size, turn, unit = _of_pairs(np.stack([x, y], axis=2))
     if not unit > 0:  # nothing tells how large it is
         unit = np.nan
-    x, begins = _follow(xy[:, :, 0], good)
-    y, _ = _follow(xy[:, :, 1], good)
-    return Pose(
-        frame,
-        time_s,
-        x / unit,
-        y / unit,
-        None if turn is None else _follow_angle(turn),
-        None if size is None else _follow(size, np.isfinite(size))[0],
-        begins,
-    )
+    good = np.isfinite(x) & np.isfinite(y)
+    (x, begins), (y, _) = _follow(x, good), _follow(y, good)
+    turned = None if turn is None else _follow_angle(turn)
+    sizes = None if size is None else _follow(size, np.isfinite(size))[0]
+    return Pose(frame, joined(parts).times, x / unit, y / unit, turned, sizes, begins)
 
 
 def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
@@ -185,8 +143,7 @@ def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
     length = np.hypot(apart[..., 0], apart[..., 1])
     typical = _nanmedian(length, axis=0)
     largest = float(np.nanmax(typical)) if np.isfinite(typical).any() else np.nan
-    # directions between points close together are mostly noise
-    far = typical >= 0.5 * largest
+    far = typical >= 0.5 * largest  # directions between points close together are mostly noise
     apart, length = np.nan_to_num(apart[:, far]), np.where(length[:, far] > 0, length[:, far], np.nan)
     turn = np.exp(1j * np.arctan2(apart[..., 1], apart[..., 0]))
     return np.log(length), np.where(np.isfinite(length), turn, np.nan), POINTS_TO_FACE * largest
@@ -214,8 +171,7 @@ def _follow(values: Array, good: Mask) -> tuple[Array, Mask]:
 def _follow_angle(turn: Array) -> Array:
     """As `_follow`, of directions (T, M) as unit complex numbers, in degrees."""
     usual = np.nansum(turn, axis=0)
-    usual = np.where(np.abs(usual) > 0, usual, 1.0)
-    departure = np.degrees(np.angle(turn / usual))
+    departure = np.degrees(np.angle(turn / np.where(np.abs(usual) > 0, usual, 1.0)))
     return _follow(departure, np.isfinite(departure))[0]
 
 
@@ -303,7 +259,9 @@ def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
             quick[n] = SWING_S[0] <= (b - a) * dt <= SWING_S[1] and abs(light[b] - light[a]) >= ACROSS * width
         for a, b in spans(quick):
             if b - a >= SWINGS:
-                found.append((_leaves(light, turns[a], turns[a + 1]), _reaches(light, turns[b - 1], turns[b]), label))
+                # from the last place near the first turning point to the first place near the last one
+                first, last = (_near(light, turns[i], turns[j]) for i, j in ((a, a + 1), (b, b - 1)))
+                found.append((int(first.max()), int(last.min()), label))
     after = 0
     for begin, end, label in sorted(found):
         # the last swing of one may still be going on in the first of the other
@@ -324,27 +282,20 @@ def _turning_points(signal: Array, least: float) -> list[int]:
             low = i
         if up is not False and signal[high] - value >= least:
             turns.append(high)
-            up, low = False, i
-            high = i
+            up, low, high = False, i, i
         elif up is not True and value - signal[low] >= least:
             turns.append(low)
-            up, high = True, i
-            low = i
+            up, low, high = True, i, i
     if up is not None:  # the last swing ends where it got farthest
         turns.append(high if up else low)
     return turns
 
 
-def _leaves(signal: Array, a: int, b: int) -> int:
-    """Where between two turning points the swing begins: at the last place within a fifth of its height of `a`."""
-    near = np.abs(signal[a : b + 1] - signal[a]) <= 0.2 * abs(signal[b] - signal[a])
-    return a + int(np.flatnonzero(near)[-1])
-
-
-def _reaches(signal: Array, a: int, b: int) -> int:
-    """Where between two turning points the swing ends: at the first place within a fifth of its height of `b`."""
-    near = np.abs(signal[a : b + 1] - signal[b]) <= 0.2 * abs(signal[b] - signal[a])
-    return a + int(np.flatnonzero(near)[0])
+def _near(signal: Array, turn: int, other: int) -> Whole:
+    """The places between two turning points where the signal is within a fifth of the swing's height of the first."""
+    first = min(turn, other)
+    swing = signal[first : max(turn, other) + 1]
+    return first + np.flatnonzero(np.abs(swing - signal[turn]) <= 0.2 * abs(signal[other] - signal[turn]))
 
 
 def _kernel(sigma: float) -> Array:
@@ -366,8 +317,8 @@ def _noise(signal: Array) -> float:
     Of the noise of particles about half stays from one frame to the next: of such noise of unit variance, second
     differences have the variance 6 - 8 KEPT + 2 KEPT^2.
     """
-    second = np.diff(signal, n=2)
-    return float(np.median(np.abs(second)) / 0.6745 / np.sqrt(6 - 8 * KEPT + 2 * KEPT**2)) if second.size else 0.0
+    second = np.abs(np.diff(signal, n=2))
+    return float(np.median(second) / 0.6745 / np.sqrt(6 - 8 * KEPT + 2 * KEPT**2)) if second.size else 0.0
 
 
 def _left_by(kernel: Array) -> float:

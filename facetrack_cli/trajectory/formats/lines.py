@@ -5,25 +5,20 @@ Every reader of this folder builds on these: one message a fault, with the file,
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.core.types import Array, Texts, Whole
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, refuse_pipe
-from facetrack_cli.trajectory.trajectory import Trajectory, one_part
+from facetrack_cli.trajectory.trajectory import Trajectory, build
 
 FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # what boxes (..., 4) that are counted from 1 have too much
-
-
-class Line(NamedTuple):
-    """A line and its number in the file, counted from 1."""
-
-    number: int
-    text: str
 
 
 def read_text(path: Path) -> str:
@@ -54,144 +49,128 @@ def read_text(path: Path) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def lines_by_frame(path: Path, text: str) -> list[Line]:
-    """The lines of a file in which line i is frame i: a blank one in the middle is an error, at the end it is not."""
-    lines = [line.strip() for line in text.rstrip().split("\n")]
-    for number, line in enumerate(lines, 1):
-        if not line:
-            raise InputError(
-                f"{path}:{number}: is blank, and every line is a frame here; write nan,nan,nan,nan for a frame without"
-            )
-    return [Line(number, line) for number, line in enumerate(lines, 1)]
-
-
-def lines_with_frame(text: str) -> list[Line]:
-    """The lines of a file whose lines name their frame: blank ones are passed over."""
-    return [Line(number, line.strip()) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
-
-
 def delimiter(line: str) -> str | None:
     """What stands between the numbers: a comma where there is one, else tabs or blanks (None, as for str.split)."""
     return "," if "," in line else None
 
 
-def numbers(path: Path, lines: Iterable[Line], columns: int, wanted: str, use: list[int] | None = None) -> Array:
-    """(T, columns), or (T, len(use)): the numbers of lines that have all `columns` of them; an empty cell is nan.
+@dataclass(frozen=True)
+class Lines:
+    """T lines of the file `path`, without blanks at their ends, and their `places` in it, counted from 1."""
 
-    `wanted` says what a line should hold. Raises InputError with the line for anything else.
-    """
-    found: list[list[float]] = []
-    between: str | None = None
-    for at, (number, text) in enumerate(lines):
-        if at == 0:
-            between = delimiter(text)
-        cells = text.split(between)
-        try:
-            if len(cells) != columns or "_" in text:  # float() would take 1_0 for 10
-                raise ValueError
-            found.append([float(cell) for cell in (cells if use is None else [cells[i] for i in use])])
-        except ValueError:
-            found.append(_carefully(f"{path}:{number}", cells, columns, wanted, use))
-    values = np.array(found, dtype=np.float64).reshape(len(found), -1)
-    if np.isinf(values).any():
-        row = np.flatnonzero(np.isinf(values).any(axis=1))[0]
-        raise InputError(f"{path}:{list(lines)[row].number}: inf is no number to measure with; write nan if not known")
-    return values
+    path: Path
+    texts: list[str]
+    places: list[int]
 
+    @classmethod
+    def by_frame(cls, path: Path) -> Lines:
+        """Those of a file in which line i is frame i: a blank one in the middle is an error, at the end it is not."""
+        texts = [text.strip() for text in read_text(path).rstrip().split("\n")]
+        found = cls(path, texts, list(range(1, len(texts) + 1)))
+        found.refuse([not t for t in texts], "is blank, and each line is a frame; for none write nan,nan,nan,nan")
+        return found
 
-def _carefully(place: str, cells: list[str], columns: int, wanted: str, use: list[int] | None) -> list[float]:
-    """The numbers of a line of which float() refused one: empty cells are nan, anything else is an error."""
-    for cell in (cell.strip() for cell in cells):
-        if len(cell.split()) > 1 or ";" in cell:
-            raise InputError(
-                f"{place}: {cell!r} is no number; write numbers with a point and one kind of comma, tab or blank "
-                f"between them, as in {wanted}"
-            )
-    if len(cells) != columns:
-        there = f"{len(cells)} value{'s' if len(cells) > 1 else ''}"
-        raise InputError(f"{place}: {there} instead of {columns}; a line holds {wanted}")
-    values = []
-    for cell in (cells[i].strip() for i in (use or range(columns))):
-        try:
-            if "_" in cell:
-                raise ValueError
-            values.append(float(cell) if cell else np.nan)
-        except ValueError:
-            raise InputError(f"{place}: {cell!r} is no number; a line holds {wanted}") from None
-    return values
+    @classmethod
+    def with_frame(cls, path: Path) -> Lines:
+        """Those of a file whose lines name their frame: blank ones are passed over."""
+        texts = [text.strip() for text in read_text(path).split("\n")]
+        return cls(path, list(filter(None, texts)), [place for place, text in enumerate(texts, 1) if text])
 
+    def __len__(self) -> int:
+        return len(self.texts)
 
-def whole(path: Path, lines: list[Line], values: Array, name: str, least: int, most: int = MAX_FRAME) -> Whole:
-    """A column as whole numbers from `least` on. Raises InputError with the line of the first that is none."""
-    with np.errstate(invalid="ignore"):
-        wrong = np.flatnonzero(~((values >= least) & (values <= most) & (values == np.floor(values))))
-    if wrong.size:
-        row = wrong[0]
-        raise InputError(
-            f"{path}:{lines[row].number}: {name} {values[row]:.15g} is no whole number from {least} up; correct it"
-        )
-    return values.astype(np.int64)
+    def take(self, rows: Any) -> Lines:
+        """These rows: indices, a mask or a slice."""
+        at = np.arange(len(self))[rows].tolist()
+        return Lines(self.path, [self.texts[i] for i in at], [self.places[i] for i in at])
 
+    def refuse(self, wrong: ArrayLike, why: str | Callable[[int], str]) -> None:
+        """Raises InputError for the first line that is `wrong` (T,); `why` may depend on its index."""
+        if (rows := np.flatnonzero(wrong)).size:
+            message = why if isinstance(why, str) else why(int(rows[0]))
+            raise InputError(f"{self.path}:{self.places[rows[0]]}: {message}")
 
-def no_frame_twice(path: Path, lines: list[Line], keys: Whole, what: str) -> None:
-    """Raises InputError if two rows of `keys` (T, C) are the same; `what` names the columns."""
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    wrong = np.flatnonzero(first[inverse.reshape(-1)] != np.arange(len(keys)))
-    if wrong.size:
-        row = wrong[0]
-        earlier = lines[first[inverse.reshape(-1)[row]]].number
-        raise InputError(f"{path}:{lines[row].number}: the same {what} as in line {earlier}; keep one of them")
+    def numbers(self, columns: int, wanted: str, use: Sequence[int] | None = None) -> Array:
+        """(T, columns), or (T, len(use)): the numbers of lines that have all `columns` of them; an empty cell is nan.
 
+        `wanted` says what a line should hold. Raises InputError with the line for anything else.
+        """
+        use = use or range(columns)
+        found: list[list[float]] = []
+        for at, text in enumerate(self.texts):
+            cells = text.split(delimiter(self.texts[0]))
+            try:
+                if len(cells) != columns or "_" in text:  # float() would take 1_0 for 10
+                    raise ValueError
+                found.append([float(cells[i]) for i in use])
+            except ValueError:
+                found.append(self._carefully(at, cells, columns, wanted, use))
+        values = np.array(found, dtype=np.float64).reshape(len(found), -1)
+        self.refuse(np.isinf(values).any(axis=1), "inf is no number to measure with; write nan if not known")
+        return values
 
-def boxes(
-    path: Path,
-    lines: list[Line],
-    frame: Whole,
-    ltwh: Array,
-    *,
-    target: str = "",
-    status: np.ndarray[tuple[int], np.dtype[np.str_]] | None = None,
-    no_area_is_absent: bool = False,
-    **columns: Array | None,
-) -> Trajectory:
-    """One series of boxes (T, 4) left, top, width, height from 0. A row of nan, or without width and height, is absent.
+    def _carefully(self, at: int, cells: list[str], columns: int, wanted: str, use: Sequence[int]) -> list[float]:
+        """The numbers of a line of which float() refused one: empty cells are nan, anything else is an error."""
+        place, cells = f"{self.path}:{self.places[at]}", [cell.strip() for cell in cells]
+        if wrong := [cell for cell in cells if len(cell.split()) > 1 or ";" in cell]:
+            why = "write numbers with a point and one kind of comma, tab or blank between them"
+            raise InputError(f"{place}: {wrong[0]!r} is no number; {why}, as in {wanted}")
+        if len(cells) != columns:
+            there = f"{len(cells)} value{'s' if len(cells) > 1 else ''}"
+            raise InputError(f"{place}: {there} instead of {columns}; a line holds {wanted}")
+        for cell in (cells[i] for i in use):
+            try:
+                float(cell.replace("_", "?") or "nan")
+            except ValueError:
+                raise InputError(f"{place}: {cell!r} is no number; a line holds {wanted}") from None
+        return [float(cells[i] or "nan") for i in use]
 
-    `status` (T,) may say hidden or absent already; rows that it calls absent may hold any box, which is not kept.
-    Raises InputError with the line for a box that is half nan, of a negative size, without area, or beyond any picture.
-    """
-    said = np.full(len(frame), "visible", dtype="<U8") if status is None else status.astype("<U8")
-    unknown = np.isnan(ltwh)
-    absent = (said == "absent") | unknown.all(axis=1) | (ltwh[:, 2:] == 0).all(axis=1)
-    if no_area_is_absent:
-        absent |= (ltwh[:, 2:] == 0).any(axis=1) | (ltwh == [-2, -2, -1, -1]).all(axis=1)
-    with np.errstate(invalid="ignore"):
-        for wrong, why in (
-            (unknown.any(axis=1), "nan in a box that is known by half; give all four numbers, or four times nan"),
-            ((ltwh[:, 2:] < 0).any(axis=1), "the box has a negative size; a box is left, top, width, height"),
-            ((ltwh[:, 2:] == 0).any(axis=1), "the box has no area; four zeros say that there is none"),
-            ((np.abs(ltwh) > MAX_PIXELS).any(axis=1), "the box is farther out than any picture; correct it"),
-        ):
-            rows = np.flatnonzero(wrong & ~absent)
-            if rows.size:
-                raise InputError(f"{path}:{lines[rows[0]].number}: {why}")
-    known = np.where(absent[:, None], np.nan, ltwh)
-    return one_part(
-        target,
-        "box",
-        frame,
-        x=known[:, 0] + (known[:, 2] - 1) / 2,
-        y=known[:, 1] + (known[:, 3] - 1) / 2,
-        w=known[:, 2],
-        h=known[:, 3],
-        status=np.where(absent, "absent", said),
-        **columns,
-    )
+    def whole(self, values: Array, name: str, least: int) -> Whole:
+        """A column (T,) as whole numbers from `least` on."""
+        with np.errstate(invalid="ignore"):
+            fine = (values >= least) & (values <= MAX_FRAME) & (values == np.floor(values))
+        self.refuse(~fine, lambda row: f"{name} {values[row]:.15g} is no whole number from {least} up; correct it")
+        return values.astype(np.int64)
 
+    def refuse_twice(self, keys: Whole, what: str) -> None:
+        """Raises InputError if two rows of `keys` (T, C) are the same; `what` names the columns."""
+        _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        earlier = first[inverse.reshape(-1)]
+        why = f"the same {what} as in line {{}}; keep one of them"
+        self.refuse(earlier != np.arange(len(keys)), lambda row: why.format(self.places[earlier[row]]))
 
-def decimal(value: float) -> str:
-    """A number as the writers of this folder give it: at most 4 decimals, as many as the centres of a CSV need.
+    def boxes(
+        self,
+        frame: Whole,
+        ltwh: Array,
+        *,
+        names: Sequence[str] = ("",),
+        which: Whole | None = None,
+        status: Texts | None = None,
+        no_area_is_absent: bool = False,
+        **others: Any,
+    ) -> Trajectory:
+        """The boxes (T, 4) of these lines, left, top, width, height from 0; `which` (T,) are indices of target `names`.
 
-    The CSV has 3; half a width makes a fourth. What is not known is nan.
-    """
-    text = f"{value:.4f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
+        A row of nan, or without width and height, is absent. `status` (T,) may say hidden or absent already; rows that
+        it calls absent may hold any box, which is not kept. Raises InputError with the line for a box that is half nan,
+        of a negative size, without area, or beyond any image.
+        """
+        said = np.full(len(frame), "visible", dtype="<U8") if status is None else status.astype("<U8")
+        unknown, empty = np.isnan(ltwh), ltwh[:, 2:] == 0
+        absent = (said == "absent") | unknown.all(axis=1) | empty.all(axis=1)
+        if no_area_is_absent:
+            absent |= empty.any(axis=1) | (ltwh == [-2, -2, -1, -1]).all(axis=1)
+        with np.errstate(invalid="ignore"):
+            for wrong, why in (
+                (unknown, "nan in a box that is known by half; give all four numbers, or four times nan"),
+                (ltwh[:, 2:] < 0, "the box has a negative size; a box is left, top, width, height"),
+                (empty, "the box has no area; four zeros say that there is none"),
+                (np.abs(ltwh) > MAX_PIXELS, "the box is farther out than any picture; correct it"),
+            ):
+                self.refuse(wrong.any(axis=1) & ~absent, why)
+        left, top, w, h = np.where(absent[:, None], np.nan, ltwh).T
+        place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h}
+        which = np.zeros(len(frame), np.int64) if which is None else which
+        pairs = [(name, "box") for name in names]
+        return build(pairs, which, frame, **place, status=np.where(absent, "absent", said), path=self.path, **others)

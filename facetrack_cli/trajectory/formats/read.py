@@ -1,37 +1,26 @@
 """Truth files and the results of others, of any kind that is read here, known by their shape or by name.
 
-    truth = read_truth(Path("groundtruth_rect.txt"))
-    truth.header["read_as"]         # "OTB text: left,top,width,height a line, pixels from 1 ..."
-    theirs = read_results(Path("MIL.txt"))
-
 Frames and pixels of the table are counted from 0 whatever the file's own counting is.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.trajectory.formats.boxes import BOX_COLUMNS, read_boxes, read_got10k, read_otb
-from facetrack_cli.trajectory.formats.lines import delimiter, lines_with_frame, read_text
-from facetrack_cli.trajectory.formats.mot import read_mot
+from facetrack_cli.trajectory.formats import boxes
+from facetrack_cli.trajectory.formats.boxes import BOX_COLUMNS, LTWH, MOT_COLUMNS
+from facetrack_cli.trajectory.formats.lines import Lines, delimiter
 from facetrack_cli.trajectory.formats.pts import read_pts
-from facetrack_cli.trajectory.formats.vot import read_vot
 from facetrack_cli.trajectory.reader import MAX_FRAME, REQUIRED, read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
-
-FORMATS: Final = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
-
-
-class _Reader(Protocol):
-    def __call__(self, path: Path, *, shift: int = 0) -> Trajectory: ...
 
 
 def _read_facetrack(path: Path, *, shift: int = 0) -> Trajectory:
@@ -40,23 +29,23 @@ def _read_facetrack(path: Path, *, shift: int = 0) -> Trajectory:
     return replace(table, frame=table.frame + shift, diagnostics={}, header=header)
 
 
-_READERS: Final[dict[str, _Reader]] = {
+_READERS: Final[dict[str, Callable[..., Trajectory]]] = {
     "facetrack": _read_facetrack,
-    "boxes": read_boxes,
-    "otb": read_otb,
-    "got10k": read_got10k,
-    "mot": read_mot,
-    "vot": read_vot,
+    "boxes": boxes.read_boxes,
+    "otb": boxes.read_otb,
+    "got10k": boxes.read_got10k,
+    "mot": boxes.read_mot,
+    "vot": boxes.read_vot,
     "pts": read_pts,
 }
+FORMATS: Final = ("auto", *_READERS)
 
 
 def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Trajectory:
     """The truth in a file or folder, read as `form`, one of FORMATS; `auto` goes by the shape.
 
-    `shift` is added to every frame number. Of the table, `header["read_as"]` says in words how it was read, and
-    `header["shift"]` is the shift. Raises InputError, one line with file and line, for a file that is broken or of no
-    known shape; UsageError for a shift that no clip is long enough for.
+    `shift` is added to every frame number. `header["read_as"]` says how it was read, `header["shift"]` is the shift.
+    Raises InputError for a file that is broken or of no known shape, UsageError for a shift beyond any clip.
     """
     path = Path(path)
     if abs(shift) > MAX_FRAME:
@@ -74,7 +63,6 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
     """A trajectory of ours, or what another tracker wrote: a file in one of FORMATS, read as `form` or by its shape.
 
     Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
-    Raises InputError as `read_truth` does.
     """
     with _looking_at(path):
         shape = form
@@ -85,8 +73,8 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
                 shape = "facetrack"  # whose reader says what a trajectory is
         if shape == "facetrack":
             return read_trajectory(path)
-        # its seventh column is a confidence, also where all are 0 or 1
-        table = read_mot(path, results=True) if shape == "mot" else _READERS[shape](path)
+        # the seventh column of MOT results is a confidence, also where all are 0 or 1
+        table = _READERS[shape](path, **({"results": True} if shape == "mot" else {}))
     read_as = str(table.header["read_as"]).replace("--truth-format", "--format")
     status = np.where(np.isin(table.status, ("visible", "hidden", "absent")), "", table.status)
     return replace(table, status=status, header={**table.header, "read_as": read_as})
@@ -114,39 +102,45 @@ def _rather(path: Path, form: str) -> str:
 def recognise(path: Path) -> tuple[Path, str]:
     """The file to read, inside of `path` if that is a folder, and which of FORMATS it has."""
     if path.is_dir():
-        return _inside(path)
-    if path.suffix.lower() == ".pts":
-        return path, "pts"
-    lines = lines_with_frame(read_text(path))
-    first = lines[0].text
-    place = f"{path}:{lines[0].number}"
-    if first.startswith("{"):
-        return path, "facetrack"
-    if first.lower().startswith("version:"):
-        return path, "pts"
-    cells = [cell.strip() for cell in first.split(delimiter(first))]
-    if _is_mask(cells[0]):
-        return path, "vot"
-    if not all(map(_is_number, cells)):
-        return path, _by_header(place, first)
-    return path, _by_count(path, place, cells, any(line.text in ("0", "1", "2") for line in lines))
-
-
-def _inside(folder: Path) -> tuple[Path, str]:
-    if any((folder / f"trajectory.{suffix}").is_file() for suffix in ("json", "csv", "jsonl")):
-        return folder, "facetrack"
-    if any(folder.glob("*.pts")) or any((folder / "annot").glob("*.pts")):
-        return folder, "pts"
-    named = ("gt/gt.txt", "groundtruth_rect.txt", "groundtruth.txt", "groundtruth.csv")
-    for file in (folder / name for name in named):
-        if file.is_file():
+        if any((path / f"trajectory.{suffix}").is_file() for suffix in ("json", "csv", "jsonl")):
+            return path, "facetrack"
+        if any(path.glob("*.pts")) or any(path.glob("annot/*.pts")):
+            return path, "pts"
+        named = ("gt/gt.txt", "groundtruth_rect.txt", "groundtruth.txt", "groundtruth.csv")
+        if (file := next((path / name for name in named if (path / name).is_file()), None)) is not None:
             return recognise(file)
-    raise InputError(
-        f"{folder}: is a folder without trajectory.csv, {', '.join(named)} or .pts files; name the truth file"
-    )
+        files = f"trajectory.csv, {', '.join(named)} or .pts files"
+        raise InputError(f"{path}: is a folder without {files}; name the truth file")
+    return path, "pts" if path.suffix.lower() == ".pts" else _shape(Lines.with_frame(path))
 
 
-def _by_header(place: str, first: str) -> str:
+def _shape(lines: Lines) -> str:
+    first = lines.texts[0]
+    place = f"{lines.path}:{lines.places[0]}"
+    if first.startswith("{"):
+        return "facetrack"
+    if first.lower().startswith("version:"):
+        return "pts"
+    cells = [cell.strip() for cell in first.split(delimiter(first))]
+    count = len(cells)
+    if cells[0][:1] in ("m", "M") and _is_number(cells[0][1:]):  # a mask
+        return "vot"
+    if not all(map(_is_number, cells)):
+        return _shape_of_header(place, first)
+    if count in (1, 8) or (count == 4 and not {"0", "1", "2"}.isdisjoint(lines.texts)):
+        return "vot"
+    if count == 4:
+        labels = (lines.path.with_name(f"{name}.label") for name in ("absence", "cover"))
+        return "got10k" if any(file.is_file() for file in labels) else "otb"
+    if count == 5:
+        raise InputError(f"{place}: five numbers a line; put the header {','.join(BOX_COLUMNS)} on top")
+    if count in MOT_COLUMNS and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
+        return "mot"
+    remedy = f"name its kind by --truth-format: {', '.join(FORMATS[1:])}"
+    raise InputError(f"{place}: {count} values a line are no truth that is known here; {remedy}")
+
+
+def _shape_of_header(place: str, first: str) -> str:
     names = {name.strip().lower() for name in next(csv.reader([first]))}
     for mark, word in ((";", "semicolons"), ("\t", "tabs")):
         columns = [name.strip().lower() for name in first.split(mark)]
@@ -157,30 +151,11 @@ def _by_header(place: str, first: str) -> str:
     if set(BOX_COLUMNS) <= names:
         return "boxes"
     if first[0].isdigit():
-        raise InputError(
-            f"{place}: {first[:60]!r} are no numbers between commas, tabs or blanks; write decimals with a point"
-        )
-    raise InputError(
-        f"{place}: {first[:60]!r} begins no truth file that is known here; a header reads {','.join(REQUIRED)} for "
-        f"points or {','.join(BOX_COLUMNS)} for boxes, without a header a line is left,top,width,height"
-    )
-
-
-def _by_count(path: Path, place: str, cells: list[str], codes_follow: bool) -> str:
-    count = len(cells)
-    if count in (1, 8) or (count == 4 and codes_follow):
-        return "vot"
-    if count == 4:
-        labelled = any((path.parent / f"{name}.label").is_file() for name in ("absence", "cover"))
-        return "got10k" if labelled else "otb"
-    if count == 5:
-        raise InputError(f"{place}: five numbers a line; put the header {','.join(BOX_COLUMNS)} on top")
-    if count in (6, 7, 9, 10) and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
-        return "mot"
-    raise InputError(
-        f"{place}: {count} values a line are no truth that is known here; name its kind by --truth-format: "
-        f"{', '.join(FORMATS[1:])}"
-    )
+        why = "are no numbers between commas, tabs or blanks; write decimals with a point"
+        raise InputError(f"{place}: {first[:60]!r} {why}")
+    headers = f"a header reads {','.join(REQUIRED)} for points or {','.join(BOX_COLUMNS)} for boxes"
+    why = f"begins no truth file that is known here; {headers}, without a header a line is {LTWH}"
+    raise InputError(f"{place}: {first[:60]!r} {why}")
 
 
 def _is_number(cell: str) -> bool:
@@ -189,7 +164,3 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _is_mask(cell: str) -> bool:
-    return cell[:1] in ("m", "M") and _is_number(cell[1:])

@@ -1,12 +1,20 @@
-"""The colours and strokes that windows, trails and the status bar are drawn with.
+"""The colours, strokes and letters that windows, trails and the status bar are drawn with.
 
 Status shows by form as well as by colour: a dot where tracked, a cross where lost, a hollow diamond at the start, a
 filled one where a correction gave it, a dash for what is absent.
+
+Small text stays legible: `cv2.putText` at 8 px is a smear, since its strokes fall where they will between two pixels.
+Here Hershey glyphs are drawn four times too large at every quarter of a pixel and averaged down, and the crispest is
+kept, so a line of text is a concatenation of ready glyphs.
 """
 
 from __future__ import annotations
 
+import math
+import unicodedata
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -17,7 +25,6 @@ from facetrack_cli.trajectory.trajectory import Status
 
 Colour = tuple[int, int, int]  # blue, green, red
 Points = NDArray[np.int32]
-
 # one a target: after Okabe and Ito, told apart by most colour-blind people, lightened to stand out from video
 PALETTE: tuple[Colour, ...] = (
     (255, 205, 80),  # sky blue
@@ -29,11 +36,14 @@ PALETTE: tuple[Colour, ...] = (
 )
 LOST: Colour = (25, 110, 255)  # vermilion
 WHITE: Colour = (255, 255, 255)
-
 _SHIFT = 4  # cv2's fixed point: sixteenths of a pixel
 _CROSS = np.array([[(-1, -1), (1, 1)], [(-1, 1), (1, -1)]])
 _DASH = np.array([[(-1, 0), (1, 0)]])
 _DIAMOND = 1.2 * np.array([[(0, -1), (1, 0), (0, 1), (-1, 0), (0, -1)]])
+_FINER = 4
+_FACE = cv2.FONT_HERSHEY_SIMPLEX
+_HERSHEY_CAP = 21  # units from baseline to the top of a capital
+_KEPT = 256
 
 
 def fixed(points: Array) -> Points:
@@ -66,22 +76,117 @@ def dashes(corners: Array, pitch: float) -> Array:
 
 def mark(
     image: Image,
-    x: float,
-    y: float,
+    at: tuple[float, float],
     status: Status,
     colour: tuple[float, ...],
     size: float,
     line: int,
-    *,
-    by_hand: bool = False,
+    by_hand: bool,
 ) -> None:
     """The sign of `status` at (x, y), about `size` pixels to each side, with lines `line` wide, in place."""
     if status == "tracked":
-        one = 1 << _SHIFT
-        cv2.circle(image, (round(x * one), round(y * one)), round(size * one), colour, -1, cv2.LINE_AA, _SHIFT)
+        x, y, radius = (round(value * (1 << _SHIFT)) for value in (*at, size))
+        cv2.circle(image, (x, y), radius, colour, -1, cv2.LINE_AA, _SHIFT)
     else:
         shape = {"lost": _CROSS, "absent": _DASH}.get(status, _DIAMOND)
-        strokes = list(fixed(size * shape + (x, y)))
+        strokes = list(fixed(size * shape + at))
         if by_hand and status == "init":
             cv2.fillPoly(image, strokes, colour, cv2.LINE_AA, _SHIFT)
         polylines(image, strokes, colour, line)
+
+
+class Sprite(NamedTuple):
+    """A picture to lay over another: its colours times opacity, and 255 minus opacity; (h, w, 3) uint8 each."""
+
+    ink: Image
+    keep: Image
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self.ink.shape[1], self.ink.shape[0]
+
+
+def stamp(image: Image, sprite: Sprite, left: int, top: int) -> None:
+    """Lay `sprite` over `image` (h, w, 3) in place, its corner at (left, top); what falls outside is cut off."""
+    x0, y0 = max(left, 0), max(top, 0)
+    x1, y1 = min(left + sprite.ink.shape[1], image.shape[1]), min(top + sprite.ink.shape[0], image.shape[0])
+    if x0 >= x1 or y0 >= y1:
+        return
+    under = image[y0:y1, x0:x1]
+    part = np.s_[y0 - top : y1 - top, x0 - left : x1 - left]
+    cv2.multiply(under, sprite.keep[part], under, 1 / 255)
+    cv2.add(under, sprite.ink[part], under)
+
+
+def plain(text: str) -> str:
+    """`text` in the characters that the Hershey fonts have: accents dropped, the rest as question marks."""
+    if text.isascii() and text.isprintable():
+        return text
+    bare = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    return "".join(c if c.isascii() and c.isprintable() else "?" for c in bare)
+
+
+class Font:
+    """One size of type: capitals and digits are `cap` pixels high, and all digits equally wide.
+
+    A line of text is `height` pixels high, with the tops of its capitals at row `top`.
+    """
+
+    def __init__(self, cap: int) -> None:
+        self.cap = cap
+        self.top = math.ceil(0.2 * cap)
+        self.height = self.top + cap + math.ceil(0.4 * cap)
+        self.sprite = lru_cache(_KEPT)(self._render)
+        self._glyph = lru_cache(None)(self._draw_glyph)
+
+    def width(self, text: str) -> int:
+        """The width of `text` in pixels."""
+        return sum(self._glyph(c).shape[1] for c in plain(text))
+
+    def mask(self, text: str) -> Image:
+        """The opacity of `text`, (height, width) uint8."""
+        glyphs = [self._glyph(c) for c in plain(text)]
+        return np.concatenate(glyphs, axis=1) if glyphs else np.zeros((self.height, 1), np.uint8)
+
+    def passing(self, text: str) -> Sprite:
+        """White text that will be another in the next frame, and so is not kept."""
+        mask = self.mask(text)
+        return Sprite(_grey(mask), _grey(cv2.bitwise_not(mask)))
+
+    def _render(self, text: str, colour: Colour, halo: int = 0) -> Sprite:
+        """Text in `colour` (blue, green, red), with a dark rim of `halo` pixels which widens it on all sides."""
+        mask = np.pad(self.mask(text), halo)
+        rim = mask
+        if halo:
+            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * halo + 1, 2 * halo + 1))
+            rim = np.maximum(mask, (0.85 * cv2.dilate(mask, disc)).astype(np.uint8))
+        ink = np.round(mask[..., None] * (np.array(colour) / 255)).astype(np.uint8)
+        return Sprite(ink, _grey(cv2.bitwise_not(rim)))
+
+    def _draw_glyph(self, char: str) -> Image:
+        stroke = max(1, round(_FINER * max(1.1, 0.12 * self.cap)))
+        scale = (self.cap * _FINER - stroke) / _HERSHEY_CAP
+        (wide, _), _ = cv2.getTextSize(char, _FACE, scale, stroke)
+        # Hershey sets widely; below 10 px each pixel between letters is needed
+        advance = max(2, round(wide / _FINER - max(0.0, 0.08 * (self.cap - 9))))
+        if char == " ":
+            advance = max(3, round(0.45 * self.cap))
+        baseline = (self.top + self.cap) * _FINER - (stroke + 1) // 2
+        margin = self.cap
+        best, sharpest = np.zeros((self.height, advance), np.uint8), -1.0
+        for shift in range(_FINER):
+            canvas = np.zeros((self.height * _FINER, (advance + 2 * margin) * _FINER), np.uint8)
+            at = (margin * _FINER + shift, baseline)
+            cv2.putText(canvas, char, at, _FACE, scale, 255, stroke, cv2.LINE_AA)
+            small = cv2.resize(canvas, (advance + 2 * margin, self.height), interpolation=cv2.INTER_AREA)
+            glyph = small[:, margin : margin + advance].astype(np.float32) / 255
+            sharpness = float(np.square(glyph).sum())
+            if sharpness > sharpest:
+                # light text on dark looks thinner than it is: lift the half tones
+                best, sharpest = np.round(255 * glyph**0.8).astype(np.uint8), sharpness
+        return best
+
+
+def _grey(mask: Image | cv2.typing.MatLike) -> Image:
+    return np.asarray(cv2.cvtColor(mask, cv2.COLOR_GRAY2BGR), np.uint8)

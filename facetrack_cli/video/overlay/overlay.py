@@ -1,8 +1,7 @@
 """A tracker's result drawn over its frame: windows, trails, spread of the particles, status.
 
-Status shows by form as well as by colour: a tracked part has a solid window and a dot, a lost one a dashed window and a
-cross, one at its start a solid window and a diamond, which is filled where a correction gave it. Absent parts are not
-drawn. Each target has its own colour, of those that most colour-blind people tell apart; vermilion means lost.
+A tracked part has a solid window and a dot, a lost one a dashed window and a cross in vermilion, one at its start a
+solid window and a diamond. Absent parts are not drawn. Each target has a colour of its own.
 """
 
 from __future__ import annotations
@@ -18,11 +17,21 @@ import numpy as np
 
 from facetrack_cli.core.types import BOX, Array, Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
-from facetrack_cli.video.overlay.insets import Insets, Shown
-from facetrack_cli.video.overlay.labels import Labels, Shape
-from facetrack_cli.video.overlay.marks import LOST, PALETTE, WHITE, Colour, Points, dashes, fixed, ink, mark, polylines
+from facetrack_cli.video.overlay.labels import Insets, Labels, Shape, Shown
+from facetrack_cli.video.overlay.marks import (
+    LOST,
+    PALETTE,
+    WHITE,
+    Colour,
+    Font,
+    Points,
+    dashes,
+    fixed,
+    ink,
+    mark,
+    polylines,
+)
 from facetrack_cli.video.overlay.status_bar import StatusBar
-from facetrack_cli.video.overlay.text import Font
 
 _FADES = 4  # steps of opacity along a trail
 _SAMPLES = 32  # of the past, at most, for a trail
@@ -83,7 +92,9 @@ class Overlay:
             if shape.parts:
                 self._cloud(image, shape)
                 self._lines(image, shape, trail)
-        self._forget({shape.target for shape in shapes})
+        names = {shape.target for shape in shapes}
+        self._past = {name: past for name, past in self._past.items() if name in names}
+        self._weights = {key: weight for key, weight in self._weights.items() if key[0] in names}
         self._labels.draw(image, shapes, taken)
         if self._bar:
             self._bar.draw(image, result)
@@ -112,9 +123,8 @@ class Overlay:
         parts = tuple(every.names[i][1] for i in rows.which.tolist())
         sizes = np.stack([rows.w, rows.h], axis=1)
         lost: Mask = rows.status == "lost"
-        return Shape(
-            every.target, rows, parts, cloud, target.insets, table[:, :2], sizes, corners, bounds, lost, colour
-        )
+        centres = table[:, :2]
+        return Shape(every.target, rows, parts, cloud, target.insets, centres, sizes, corners, bounds, lost, colour)
 
     def _remember(self, shape: Shape, now: float) -> list[_Past]:
         """The target's past and its present, oldest first."""
@@ -133,20 +143,12 @@ class Overlay:
             past.append(present)
         return trail
 
-    def _forget(self, names: set[str]) -> None:
-        for name in [n for n in self._past if n not in names]:
-            del self._past[name]
-        for key in [key for key in self._weights if key[0] not in names]:
-            del self._weights[key]
-
-    # particles, then lines over them
-
     def _cloud(self, image: Image, shape: Shape) -> None:
         """Faint dots at the particles, evenly thinned out."""
         cloud = shape.cloud
         if cloud.ndim != 3 or not len(cloud):
             return
-        shown = (_side(shape) >= _ROOM * self._line)[: cloud.shape[1]]
+        shown = (shape.side >= _ROOM * self._line)[: cloud.shape[1]]
         if not shown.any():
             return
         width, height = self.size
@@ -195,11 +197,11 @@ class Overlay:
                 polylines(layer, [windows[k]], ink(tint, 1), weight, closed=True)
         statuses, by_hand = shape.rows.status.tolist(), shape.rows.by_hand.tolist()
         for k in order:
-            status, tint, size, (x, y) = statuses[k], tints[k], signs[k], middles[k]
+            status, size, at = statuses[k], signs[k], middles[k]
             if size:
                 if status == "tracked":  # a ring of shade, or the dot would merge with the trail that ends in it
-                    mark(layer, x, y, status, ink((0, 0, 0), 0.8), size + line, line)
-                mark(layer, x, y, status, ink(tint, 1), size, line, by_hand=by_hand[k])
+                    mark(layer, at, status, ink((0, 0, 0), 0.8), size + line, line, False)
+                mark(layer, at, status, ink(tints[k], 1), size, line, by_hand[k])
         cover = cv2.extractChannel(layer, 3)
         dark = cv2.dilate(cover, np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
         keep = cv2.bitwise_not(cv2.max(cover, cv2.convertScaleAbs(dark, None, _RIM)))
@@ -220,11 +222,9 @@ class Overlay:
             if end <= start:
                 continue
             opacity = 0.3 + 0.65 * b / (_FADES - 1)
-            gaps = lost[:, start + 1 : end + 1]
-            whole: list[Points] = []
-            broken: list[Points] = []
-            for path, gone, any_gone in zip(paths, gaps, [bool(g.any()) for g in gaps], strict=True):
-                if not any_gone:
+            whole, broken = list[Points](), list[Points]()
+            for path, gone in zip(paths, lost[:, start + 1 : end + 1], strict=True):
+                if not gone.any():
                     whole.append(path[start : end + 1])
                     continue
                 for i, is_lost in enumerate(gone.tolist(), start + 1):
@@ -244,7 +244,7 @@ class Overlay:
 
     def _signs(self, shape: Shape) -> list[float]:
         """The size of each part's mark in pixels; 0 is none, in windows of a few pixels."""
-        side = _side(shape)
+        side = shape.side
         share = np.where(shape.lost & (side >= _SMALL * self._line), 0.3, 0.2)
         large = np.maximum(2 * self._line, share * np.minimum(side, 40 * self._line))
         dots = np.where(side >= _ROOM * self._line, 1.25 * self._line, 0.0)
@@ -256,7 +256,7 @@ class Overlay:
         rows = shape.rows
         sx, sy = (np.minimum(np.nan_to_num(std, posinf=0.0), self._reach) for std in (rows.std_x, rows.std_y))
         # in a small window the dots say as much, with less clutter
-        least = np.where(_side(shape) < _SMALL * self._line, 1.25 * shape.sizes.max(axis=1), 4 * self._line)
+        least = np.where(shape.side < _SMALL * self._line, 1.25 * shape.sizes.max(axis=1), 4 * self._line)
         whose = np.flatnonzero(2 * np.maximum(sx, sy) >= least)
         sx, sy, xy = sx[whose], sy[whose], np.nan_to_num(rows.cov_xy[whose])
         spread = sx * sy > 1e-12
@@ -267,9 +267,3 @@ class Overlay:
         roots[:, 1, 1] = 2 * np.sqrt(1 - lean * lean) * sy
         rings: Array = _CIRCLE @ roots + shape.centres[whose, None]
         return rings, whose.tolist()
-
-
-def _side(shape: Shape) -> Array:
-    """(K,) the shorter side of each window."""
-    shorter: Array = shape.sizes.min(axis=1)
-    return shorter

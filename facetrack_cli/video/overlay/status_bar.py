@@ -11,18 +11,11 @@ import numpy as np
 from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.types import Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, Status, Trajectory
-from facetrack_cli.video.overlay.marks import PALETTE, WHITE, Colour, mark
-from facetrack_cli.video.overlay.text import Font, stamp
+from facetrack_cli.video.overlay.marks import PALETTE, WHITE, Colour, Font, mark, stamp
 
 _QUIET: Colour = (190, 190, 190)
-
-
 _TROUGH: Colour = (130, 130, 130)
-
-
 LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the strip
-
-
 # what stands in the bar beside the status; the last goes first where it is narrow
 _ITEMS = ("frame", "gauge", "clock", "title", "percent", "scale", "particles")
 
@@ -32,10 +25,7 @@ class StatusBar:
 
     def __init__(self, width: int, cap: int, line: int, title: str = "") -> None:
         self.height = round(1.9 * cap)
-        self._width = width
-        self._line = line
-        self._title = title
-        self._font = Font(cap)
+        self._width, self._line, self._title, self._font = width, line, title, Font(cap)
 
     def draw(self, image: Image, result: FrameResult) -> None:
         """Darken the top `height` rows of `image` (H, W, 3) and write on them, in place."""
@@ -60,7 +50,10 @@ class StatusBar:
         shown, saying, spare = self._fit(sayings, room, self._width - 2 * gap - icon)
         if not sure:  # 0 % would be a lie of a tracker that does not say
             shown = tuple(item for item in shown if item not in ("gauge", "percent"))
-        title = self._title if "title" in shown else self._cut_title(spare - gap)
+        title = self._title
+        if "title" not in shown:  # its beginning, as far as it says something
+            length = next((n for n in range(len(title), 7, -1) if font.width(title[:n] + "..") <= spare - gap), 0)
+            title = title[:length] + ".." if length else ""
         row, middle = (self.height - cap) // 2 - font.top, (self.height - cap) // 2 + (cap - 1) / 2
         left, right = gap, self._width - gap
         for item in ("frame", "clock"):
@@ -69,7 +62,7 @@ class StatusBar:
                 left += room[item]
         sign = LOST_TEXT if status == "lost" else _QUIET if status == "absent" else PALETTE[0]
         by_hand = bool(rows.by_hand.any())
-        mark(strip, left + 0.4 * cap, middle, status, sign, 0.37 * cap, self._line, by_hand=by_hand)
+        mark(strip, (left + 0.4 * cap, middle), status, sign, 0.37 * cap, self._line, by_hand)
         stamp(strip, font.sprite(saying, LOST_TEXT if status == "lost" else WHITE), left + icon, row)
         if "gauge" in shown:
             top, bottom = (self.height - cap) // 2, (self.height - cap) // 2 + cap - 1
@@ -78,16 +71,11 @@ class StatusBar:
             if end > full:
                 cv2.rectangle(strip, (full, top), (end - 1, bottom), PALETTE[0], -1)
             right = full - gap
-        if "percent" in shown:
-            percent = f"{mean:.0%}"
-            stamp(strip, font.sprite(percent, WHITE), right - font.width(percent), row)
-            right -= room["percent"]
-        if title:
-            stamp(strip, font.sprite(title, _QUIET), right - font.width(title), row)
-            right -= font.width(title) + gap
-        for item, text in adapted.items():
-            if item in shown:
-                stamp(strip, font.sprite(text, _QUIET), right - font.width(text), row)
+        room["title"] = font.width(title) + gap
+        for item, text in {"percent": f"{mean:.0%}", "title": title, **adapted}.items():
+            if text and (item in shown or item == "title"):
+                colour = WHITE if item == "percent" else _QUIET
+                stamp(strip, font.sprite(text, colour), right - font.width(text), row)
                 right -= room[item]
 
     def _fit(self, sayings: Sequence[str], room: dict[str, int], width: int) -> tuple[tuple[str, ...], str, int]:
@@ -101,19 +89,9 @@ class StatusBar:
                         return items[:n], saying, left
         return (), "", 0
 
-    def _cut_title(self, room: int) -> str:
-        """The title's beginning, as far as it says something in `room` pixels."""
-        length = len(self._title)
-        while length > 7 and self._font.width(self._title[:length] + "..") > room:
-            length -= 1
-        return self._title[:length] + ".." if length > 7 else ""
-
 
 def adaptation(rows: Trajectory) -> dict[str, str]:
-    """`scale`, and `particles` where their number follows the noise, of a single target that adapts; else nothing.
-
-    Each is about as wide in every frame.
-    """
+    """`scale`, and `particles` where their number follows the noise, of a single target that adapts; else nothing."""
     found = rows.diagnostics.get(rows.target) if len(rows.targets) == 1 else None
     scale, noise = (math.nan, math.nan) if found is None else (float(found.get(name)[0]) for name in ("scale", "noise"))
     if not math.isfinite(scale):
@@ -124,10 +102,7 @@ def adaptation(rows: Trajectory) -> dict[str, str]:
 
 
 def summary(rows: Trajectory) -> tuple[Status, list[str]]:
-    """The status of all together, and ways to say it, from the longest to the shortest.
-
-    What is absent is said beside it, and has no say in it unless all is.
-    """
+    """The status of all that is not absent, and ways to say it, from the longest to the shortest."""
     if not len(rows):
         return "lost", ["no target", "none"]
     absent, lost = (int(np.sum(rows.status == status)) for status in ("absent", "lost"))
@@ -152,16 +127,13 @@ def summary(rows: Trajectory) -> tuple[Status, list[str]]:
 
 def _named(rows: Trajectory, those: Mask) -> list[str]:
     """The names of `those` rows (R,); a target where it is all of its parts."""
+    pairs = [rows.names[i] for i in rows.which.tolist()]
+    chosen = [pair for pair, is_one in zip(pairs, those.tolist(), strict=True) if is_one]
     names = []
     for target in rows.targets:
-        chosen = [(part, bool(those[i])) for i, (name, part) in enumerate(_names(rows)) if name == target]
-        parts = [part for part, is_one in chosen if is_one]
-        if parts and len(parts) == len(chosen):
+        parts = [part for name, part in chosen if name == target]
+        if parts and len(parts) == sum(name == target for name, _ in pairs):
             names.append(target)
         else:
             names += [f"{target}/{part}" if len(rows.targets) > 1 else part for part in parts]
     return names
-
-
-def _names(rows: Trajectory) -> list[tuple[str, str]]:
-    return [rows.names[i] for i in rows.which.tolist()]

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.spans import spans, union
+from facetrack_cli.core.numbers import spans, union
 
 MASKS = st.lists(st.tuples(st.booleans(), st.booleans()), max_size=12)
 
