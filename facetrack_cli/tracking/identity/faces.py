@@ -1,7 +1,6 @@
-"""Faces for a gallery: each is read as the tracker reads one that begins in the same box, with some cut off the mark.
+"""Faces for a gallery: each is read as the tracker reads one that begins in the same box.
 
-Nothing is random: copies and counter-examples follow a fixed sequence that fills the range evenly, so that equal input
-gives an equal gallery.
+Copies and counter-examples follow a fixed sequence that fills the range evenly: equal input gives an equal gallery.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ LEAST_NEGATIVES: Final = 240
 
 
 class Faces(NamedTuple):
-    """What was read. d = rows * columns; every patch of zero mean and unit variance.
+    """What was read: `patches` (n, d) of zero mean and unit variance, of `persons` (n,) by name.
 
-    `patches` (n, d) float32, of `persons` (n,) by name; of each of `images` (n,) first the face as it was found, then
-    its copies, cut a little off. `negatives` (k, d) are cut so far off that no face is in its place. `used` and
-    `skipped` are images and frames for each person, `proportion` is the median of the boxes' width over height.
+    Of each of `images` (n,) first comes the face, then its copies, cut a little off; `negatives` (k, d) show no face in
+    its place. `used` and `skipped` are images and frames for each person, `proportion` is the median of the boxes'
+    width over height.
     """
 
     patches: Rows
@@ -45,10 +44,10 @@ class Faces(NamedTuple):
 def read_faces(
     people: Sequence[Person], reading: Reading, warn: Warn, advance: Callable[[int], None] = lambda done: None
 ) -> Faces:
-    """The faces of all persons. What shows none is passed over with a warning.
+    """The faces of all persons; what shows none is skipped with a warning.
 
     `advance` is called with the number of images and frames looked at so far. Raises InputError for an init file that
-    cannot be meant, and for a person of whom nothing is left.
+    does not fit, and for a person of whom nothing is left.
     """
     around = max(NEGATIVES, math.ceil(LEAST_NEGATIVES / count(people, reading)))
     used, skipped = ({person.name: 0 for person in people} for _ in range(2))
@@ -70,22 +69,18 @@ def read_faces(
                 name, where = seen.setdefault(patches[0].tobytes(), (person.name, at))
                 why = "" if where == at else f"the same face as {where}"
                 why += "" if name == person.name else f", which is {name}"
-                if not patches[0].any():
-                    why = "nothing to see in the face's box"
+                why = why if patches[0].any() else "nothing to see in the face's box"
+                (skipped if why else used)[person.name] += 1
                 if why:
                     warn(f"{at}: {why}; skipped")
-                    skipped[person.name] += 1
                     continue
-                used[person.name] += 1
                 patches, negatives = (rows[rows.any(axis=1)] for rows in (patches, negatives))
                 persons += [person.name] * len(patches)
                 images += [number] * len(patches)
                 found.append((patches, negatives, box[2] / box[3]))
         if not used[person.name]:
-            raise InputError(
-                f"{person.folder}: no face of {person.name} was found; give its box in an init file beside an image, "
-                "add another image, or remove the folder"
-            )
+            remedy = "give its box in an init file beside an image, add another image, or remove the folder"
+            raise InputError(f"{person.folder}: no face of {person.name} was found; {remedy}")
     all_patches, all_negatives, proportions = zip(*found, strict=True)
     every, off_mark = np.concatenate(all_patches), np.concatenate(all_negatives)
     return Faces(every, tuple(persons), tuple(images), off_mark, used, skipped, float(np.median(proportions)))

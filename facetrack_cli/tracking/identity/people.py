@@ -1,8 +1,7 @@
 """Who is in a folder of folders, and which face in each image is meant.
 
-One folder for each person, with the person's name; in it images, videos, and folders of a video's frames. In an image
-or clip with an init file beside it the face is there; of another image the largest face is taken, of another clip that
-of some frames.
+One folder for each person, with the person's name; in it images, videos, and folders of a video's frames. An init file
+beside one says where the face is; of another image the largest face is taken, of another clip that of some frames.
 """
 
 from __future__ import annotations
@@ -66,9 +65,8 @@ def find_people(folder: Path, warn: Warn) -> list[Person]:
     folders = [one for one in entries if one.is_dir()]
     beside = [one for one in entries if not one.is_dir() and one.suffix.lower() not in PASSED_OVER]
     if not folders and beside:
-        raise InputError(
-            f"{folder}: has images but no folders; make one for each person, as in {folder / 'anna' / beside[0].name}"
-        )
+        example = folder / "anna" / beside[0].name
+        raise InputError(f"{folder}: has images but no folders; make one for each person, as in {example}")
     if not folders:
         raise InputError(f"{folder}: is empty; put a folder of images in it for each person")
     if beside:
@@ -97,10 +95,9 @@ def count(people: Sequence[Person], reading: Reading) -> int:
 def _entries(folder: Path) -> list[Path]:
     """What is in a folder and not hidden, in natural order."""
     try:
-        if not folder.exists():
-            raise InputError(f"{folder}: no such folder; name one that has a folder for each person")
         if not folder.is_dir():
-            raise InputError(f"{folder}: is no folder; name one that has a folder for each person")
+            what = "is no folder" if folder.exists() else "no such folder"
+            raise InputError(f"{folder}: {what}; name one that has a folder for each person")
         found = [one for one in folder.iterdir() if not one.name.startswith(".")]
     except OSError as e:
         raise InputError(f"{folder}: {reason(e)}; check the name and the permissions") from e
@@ -122,9 +119,6 @@ def _person(folder: Path, warn: Warn) -> Person:
     if not items:
         raise InputError(f"{folder}: no image or video in it; add one of {name}, or remove the folder")
     return Person(name, folder, tuple(items))
-
-
-# --- faces ---------------------------------------------------------------------------------------------------------
 
 
 def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
@@ -197,10 +191,8 @@ def _read_start(item: Item, path: Path, reading: Reading) -> Start:
     """The one face of an init file, checked as far as it can be without the image."""
     start = read_init(path)
     if len(start.targets) > 1:
-        raise InputError(
-            f"{path}: has {len(start.targets)} targets, {', '.join(start.targets)}; leave the face of "
-            f"{item.path.parent.name} alone"
-        )
+        has = f"has {len(start.targets)} targets, {', '.join(start.targets)}"
+        raise InputError(f"{path}: {has}; leave the face of {item.path.parent.name} alone")
     [(name, target)] = start.targets.items()
     if target.box is None:
         raise InputError(f"{path}: has no box of {name}; add box: [left, top, width, height]")
@@ -209,11 +201,9 @@ def _read_start(item: Item, path: Path, reading: Reading) -> Start:
         raise InputError(f"{path}: starts at frame {start.frame}, but {item.path.name} is an image; write frame: 0")
     end = math.inf if reading.stop is None else reading.stop
     if not item.is_image and not reading.start <= start.frame < end:
-        upto = "the end" if reading.stop is None else f"{reading.stop - 1}"
-        raise InputError(
-            f"{path}: starts at frame {start.frame}, and only frames {reading.start} to {upto} are to be used; "
-            "choose one of these, or change --start and --stop"
-        )
+        used = f"{reading.start} to {'the end' if reading.stop is None else reading.stop - 1}"
+        remedy = "choose one of these, or change --start and --stop"
+        raise InputError(f"{path}: starts at frame {start.frame}, and only frames {used} are to be used; {remedy}")
     return replace(start, origin=str(path))
 
 

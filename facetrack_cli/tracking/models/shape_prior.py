@@ -31,8 +31,8 @@ from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array
 from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.points import Parzen
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
+from facetrack_cli.tracking.models.spaces import Context
 
 KIND = Kind("facetrack-shape-prior", 1, "shape prior", "facetrack prior fit")
 DEFAULT = "mouth_prior.npz"
@@ -42,8 +42,7 @@ DEFAULT = "mouth_prior.npz"
 class ShapePrior:
     """Training shapes h_j, (M, K, 2): displacements since the first frame, relative to the part `stable`.
 
-    Their unit is the distance of the two parts named by `scale` in the first frame (the mouth's width); the stable
-    part's own displacement is zero in every shape. Raises ValueError for anything else.
+    Their unit is the distance of the two parts named by `scale` in the first frame. Raises ValueError for what is none.
     """
 
     parts: tuple[str, ...]
@@ -70,15 +69,8 @@ class ShapePrior:
 
     def save(self, path: Path) -> None:
         """Writes an .npz of plain arrays, whole or not at all; equal priors give equal bytes. Raises OutputError."""
-        KIND.write(
-            path,
-            {
-                "parts": np.array(self.parts),
-                "stable": np.array(self.stable),
-                "scale": np.array(self.scale),
-                "shapes": np.ascontiguousarray(self.shapes, "<f8"),
-            },
-        )
+        names = {name: np.array(getattr(self, name)) for name in ("parts", "stable", "scale")}
+        KIND.write(path, {**names, "shapes": np.ascontiguousarray(self.shapes, "<f8")})
 
     def spacing(self) -> float:
         """Mean distance of a shape to its nearest neighbour, in units of the scale; 0 for a single shape."""
@@ -100,12 +92,11 @@ def load_prior(path: Path) -> ShapePrior:
 
 
 def _made(stored: Stored) -> ShapePrior:
-    parts, scale = stored.texts("parts"), stored.texts("scale")
-    if len(scale) != 2:
-        raise ValueError(f"scale names {len(scale)} parts where 2 belong")
-    return ShapePrior(
-        parts, np.asarray(stored.reals("shapes", 3), np.float64), stored.text("stable"), (scale[0], scale[1])
-    )
+    first, *others = stored.texts("scale")
+    if len(others) != 1:
+        raise ValueError(f"scale names {1 + len(others)} parts where 2 belong")
+    shapes = np.asarray(stored.reals("shapes", 3), np.float64)
+    return ShapePrior(stored.texts("parts"), shapes, stored.text("stable"), (first, others[0]))
 
 
 def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> BoundPrior:
@@ -117,26 +108,21 @@ def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) ->
     strange = [name for name in parts if name not in prior.parts]
     absent = [name for name in prior.parts if name not in parts]
     if strange or absent:
-        said = [f"the shape prior knows {', '.join(prior.parts)}"]
-        said += [f"not {', '.join(strange)}"] if strange else []
-        said += [f"and the recipe does not track {', '.join(absent)}"] if absent else []
-        raise RecipeError(" ".join(said) + "; fit a prior with `facetrack prior fit --parts` or change the parts")
-    first = np.array(first, np.float64)
+        said = f"the shape prior knows {', '.join(prior.parts)}"
+        said += f" not {', '.join(strange)}" if strange else ""
+        said += f" and the recipe does not track {', '.join(absent)}" if absent else ""
+        raise RecipeError(f"{said}; fit a prior with `facetrack prior fit --parts` or change the parts")
+    first, parts = np.array(first, np.float64), tuple(parts)
     if first.shape != (len(parts), 2) or not np.isfinite(first).all():
-        raise InputError(
-            f"the first frame gives no finite position for each of {', '.join(parts)}; complete the init file"
-        )
-    left, right = (first[list(parts).index(name)] for name in prior.scale)
+        named = ", ".join(parts)
+        raise InputError(f"the first frame gives no finite position for each of {named}; complete the init file")
+    left, right = (first[parts.index(name)] for name in prior.scale)
     length = float(np.hypot(*(right - left)))
     if not length > 0.0:
-        raise InputError(
-            f"{prior.scale[0]} and {prior.scale[1]} are at the same place in the first frame, "
-            "so the shape prior has no scale; move them apart in the init file"
-        )
-    order = [prior.parts.index(name) for name in parts]
-    return BoundPrior(
-        tuple(parts), prior.shapes[:, order], first, list(parts).index(prior.stable), length, float(sigma)
-    )
+        remedy = "so the shape prior has no scale; move them apart in the init file"
+        raise InputError(f"{' and '.join(prior.scale)} are at the same place in the first frame, {remedy}")
+    shapes = prior.shapes[:, [prior.parts.index(name) for name in parts]]
+    return BoundPrior(parts, shapes, first, parts.index(prior.stable), length, float(sigma))
 
 
 def build(settings: Parzen, context: Context) -> BoundPrior:
@@ -171,8 +157,6 @@ class BoundPrior:
       sum_k |r_jk - x_n|^2 splits into (K - 1) |x_n - mean_k r_jk|^2 + sum_k |r_jk - mean_k r_jk|^2: mean of the r_jk,
       standard deviation sigma L0 / sqrt(K - 1), and a weight from the second sum, which is the squared distance between
       x and h_j after the means over the other parts are taken off both.
-
-    So the normalised conditional of any part is density(with the part) / density(of the other parts) / (2 pi sd^2).
     """
 
     def __init__(
@@ -182,10 +166,8 @@ class BoundPrior:
         self._shapes, self._stable, self._width = shapes, stable, sigma * length
         self._moving = [k for k in range(len(parts)) if k != stable]
         self._all = self._table(self._moving, stable)
-        self._without = [
-            self._table([k for k in self._moving if k != part], stable if part != stable else -1)
-            for part in range(len(parts))
-        ]
+        others = ([k for k in self._moving if k != part] for part in range(len(parts)))
+        self._without = [self._table(rest, -1 if k == stable else stable) for k, rest in enumerate(others)]
 
     def _table(self, parts: list[int], stable: int) -> _Table:
         h = self._shapes[:, parts] / self.sigma
@@ -199,19 +181,11 @@ class BoundPrior:
         return _Table(np.array(parts, np.int64), stable, padded, bias)
 
     def _log_sum(self, table: _Table, x: Array) -> Array:
-        x = np.ascontiguousarray(x, np.float64)
-        return np.asarray(
-            log_parzen(x, table.parts, self.first, table.stable, self._width, table.h, table.bias), np.float64
-        )
-
-    def _spread(self, part: int) -> float:
-        return self._width / math.sqrt(len(self._moving)) if part == self._stable else self._width
+        x, t = np.ascontiguousarray(x, np.float64), table
+        return np.asarray(log_parzen(x, t.parts, self.first, t.stable, self._width, t.h, t.bias), np.float64)
 
     def log_density(self, x: Array) -> Array:
-        """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, and finite for any x within 1e100.
-
-        Right to about 1e-5 near the shapes, and to 1e-6 of its value far from them.
-        """
+        """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, right to 1e-5, or 1e-6 of large ones."""
         return self._log_sum(self._all, x) - math.log(len(self._shapes))
 
     def propose(self, rng: np.random.Generator, x: Array, part: int) -> Array:
@@ -220,9 +194,10 @@ class BoundPrior:
         u, noise = rng.random(len(x)), rng.standard_normal((len(x), 2))
         table = self._without[part]
         chosen = pick_shape(x, table.parts, self.first, table.stable, self._width, table.h, table.bias, u)
+        spread = self._width
         if part == self._stable:
-            h = self._shapes[chosen]
-            centre = (x - self.first - self.length * h)[:, self._moving].mean(1)
+            centre = (x - self.first - self.length * self._shapes[chosen])[:, self._moving].mean(1)
+            spread /= math.sqrt(len(self._moving))
         else:
             centre = x[:, self._stable] - self.first[self._stable] + self.length * self._shapes[chosen, part]
-        return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
+        return np.asarray(self.first[part] + centre + spread * noise, np.float64)

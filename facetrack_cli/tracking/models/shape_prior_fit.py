@@ -1,16 +1,16 @@
-"""A shape prior from annotated clips: truth files, or trajectories that somebody has checked.
+"""A shape prior from annotated clips: ground truth, or trajectories that somebody has checked.
 
 In every file, each target's first frame in which all parts are seen is its neutral one; every such frame gives one
-training shape, registered to it as in section 3.3 (see priors.py). Of many, as few are kept as cover them all: farthest
-point first, so that a clip which is neutral for a minute and smiles for a second keeps the smile.
+training shape, registered to it as in section 3.3 (`shape_prior.py`). Of many, those are kept that are far from each
+other, so that a clip which is neutral for a minute and smiles for a second keeps the smile.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,7 @@ LEAST_DISTANCE = 0.01  # mouth widths; a shape nearer than this to one that is k
 NARROWEST = 0.05  # mouth widths; a narrower kernel would punish a tracker's own noise
 
 
-@dataclass(frozen=True, slots=True)
-class FileReport:
+class FileReport(NamedTuple):
     """What one file gave: frames in it, and those of them in which every part is seen."""
 
     path: Path
@@ -38,8 +37,7 @@ class FileReport:
         return self.frames - self.used
 
 
-@dataclass(frozen=True, slots=True)
-class Fit:
+class Fit(NamedTuple):
     """The prior, what each file gave to it, and the kernel's standard deviation that suits it, in mouth widths."""
 
     prior: ShapePrior
@@ -56,9 +54,8 @@ def fit_prior(
 ) -> Fit:
     """A prior of `parts` (all that the first file has, if None) from truth or trajectory files.
 
-    Rows that are hidden, absent, lost or without a position do not count as seen. The suggested sigma is the mean
-    distance of a shape to its nearest neighbour, 0.05 at least. The same files give the same prior. Raises UsageError
-    for part names that cannot go together, InputError for a file that cannot be used.
+    Rows that are hidden, absent, lost or without a position do not count as seen. Raises UsageError for part names that
+    cannot go together, InputError for a file that cannot be used.
     """
     if not paths:
         raise UsageError("no truth file is named; give one or more, such as clip.truth.csv")
@@ -73,23 +70,17 @@ def fit_prior(
     for name in (stable, *scale):
         if name not in names:
             where = "among the parts that are asked for" if parts is not None else f"in {paths[0]}"
-            raise UsageError(
-                f"there is no part {name} {where} ({', '.join(names)}); name another with --stable or --scale"
-            )
-    shapes: list[Array] = []
-    files: list[FileReport] = []
-    for path, table in zip(paths, tables, strict=True):
-        report, found = _shapes_of(path, table, names, stable, scale)
-        files.append(report)
-        shapes.append(found)
-    every = np.concatenate(shapes)
+            known = ", ".join(names)
+            raise UsageError(f"there is no part {name} {where} ({known}); name another with --stable or --scale")
+    found = [_shapes_of(path, table, names, stable, scale) for path, table in zip(paths, tables, strict=True)]
+    every = np.concatenate([shapes for _, shapes in found])
     kept = every[_spread_out(every.reshape(len(every), -1), max_shapes)]
     prior = ShapePrior(names, kept, stable, scale)
-    return Fit(prior, tuple(files), suggested_sigma(prior))
+    return Fit(prior, tuple(report for report, _ in found), suggested_sigma(prior))
 
 
 def suggested_sigma(prior: ShapePrior) -> float:
-    """A kernel's standard deviation that joins the shapes of a prior to one density, in mouth widths."""
+    """A kernel's standard deviation, in mouth widths: the mean distance of a shape to its nearest neighbour."""
     return max(prior.spacing(), NARROWEST)
 
 
@@ -100,11 +91,8 @@ def _parts_of(trajectory: Trajectory) -> tuple[str, ...]:
 def _shapes_of(
     path: Path, trajectory: Trajectory, names: tuple[str, ...], stable: str, scale: tuple[str, str]
 ) -> tuple[FileReport, Array]:
-    missing = [name for name in names if name not in _parts_of(trajectory)]
-    if missing:
-        raise InputError(
-            f"{path}: there is no part {', '.join(missing)}; annotate it, or name the parts to learn with --parts"
-        )
+    if missing := ", ".join(name for name in names if name not in _parts_of(trajectory)):
+        raise InputError(f"{path}: there is no part {missing}; annotate it, or name the parts to learn with --parts")
     shapes: list[Array] = []
     total = 0
     for target in trajectory.targets:
@@ -117,24 +105,18 @@ def _shapes_of(
         left, right = (first[names.index(name)] for name in scale)
         length = math.hypot(*(right - left))
         if length < 1.0:
-            raise InputError(
-                f"{path}: frame {frames[seen][0]}: {scale[0]} and {scale[1]} of {target} are {length:.2f} pixels "
-                "apart, which gives no scale; correct them"
-            )
+            apart = f"are {length:.2f} pixels apart, which gives no scale; correct them"
+            raise InputError(f"{path}: frame {frames[seen][0]}: {scale[0]} and {scale[1]} of {target} {apart}")
         moved = points[seen] - first
         shapes.append((moved - moved[:, [names.index(stable)]]) / length)
     if not shapes:
-        raise InputError(
-            f"{path}: none of its {total} frames shows all of {', '.join(names)}; "
-            "annotate one, or name the parts to learn with --parts"
-        )
+        remedy = "annotate one, or name the parts to learn with --parts"
+        raise InputError(f"{path}: none of its {total} frames shows all of {', '.join(names)}; {remedy}")
     found = np.concatenate(shapes)
     far = np.abs(found).max(axis=(1, 2))
     if far.max() > 10.0:
-        raise InputError(
-            f"{path}: a part moves {far.max():.0f} times the distance of {scale[0]} and {scale[1]} away from {stable}; "
-            "correct that row, or name another --scale"
-        )
+        moves = f"moves {far.max():.0f} times the distance of {scale[0]} and {scale[1]} away from {stable}"
+        raise InputError(f"{path}: a part {moves}; correct that row, or name another --scale")
     return FileReport(path, total, len(found)), found
 
 

@@ -28,26 +28,20 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Particles, factor_for
 from facetrack_cli.recipe import skin as sections
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import patches
 from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
 from facetrack_cli.tracking.models.skin_colour import learn_skin, note
+from facetrack_cli.tracking.models.spaces import Context
 
-# what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
-LEAST_NCC = 0.01
-# a start with hardly more skin within than around cannot scale a distance
-LEAST_RHO = 0.05
-# pixels whose sum, each up to 255, an int32 holds
-MOST_EXACT = 2**23
+LEAST_NCC = 0.01  # what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
+LEAST_RHO = 0.05  # a start with hardly more skin within than around cannot scale a distance
+MOST_EXACT = 2**23  # pixels whose sum, each up to 255, an int32 holds
 
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """`table` (256, 256) uint8, 255 p at [Cb, Cr]; `rho` of the start; `k`, what v is compared with.
-
-    `notes`: what the user should know of the start, a line each.
-    """
+    """`table` (256, 256) uint8, 255 p at [Cb, Cr]; `rho` of the start; `k`, what v is compared with; notes on it."""
 
     table: NDArray[np.uint8] | None
     template: matching.Template | None
@@ -68,10 +62,7 @@ class SkinNcc:
         return cls(settings, context.placed.size)
 
     def init(self, frame: Frame, x0: Array) -> Learned:
-        """The skin's colour and the template of the box at x0 (1, 6).
-
-        Raises InputError if nothing of the box is in the frame.
-        """
+        """The skin's colour and the template of the box at x0 (1, 6). InputError if nothing of it is in the frame."""
         notes, table, template = [], None, None
         skin, ncc, k = self.settings.skin, self.settings.ncc, self.settings.k
         if skin is not None:
@@ -95,10 +86,9 @@ class SkinNcc:
         return np.asarray((off * off / (-2.0 * self.settings.sigma**2))[:, None])
 
     def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
-        """How far boxes x (N, 1, 6) are from the start's -> (N, 1), 0..1, the mean over the cues.
+        """(N, 1), 0..1, of boxes x (N, 1, 6): the mean over the cues.
 
-        Skin: 0 where rho is that of the start or less, 1 where there is no more skin within than around. Template: 1
-        less the zero-mean NCC, at most 1.
+        Skin: 0 where rho is that of the start or less, 1 where it is 0 or more. Template: 1 less the zero-mean NCC.
         """
         found = []
         if self.settings.skin is not None:
@@ -108,7 +98,6 @@ class SkinNcc:
         return np.asarray(np.mean(found, axis=0)[:, None])
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
-        """The template adapts, if it is to; skin stays as it is."""
         if self.settings.ncc is None or learned.template is None:
             return learned
         return replace(learned, template=matching.adapted(learned.template, self.settings.ncc, frame, state))
