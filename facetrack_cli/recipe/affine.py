@@ -95,10 +95,9 @@ class AffineWalk(Motion):
 
     def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
         if (self.velocity or self.noise) and not isinstance(whole.likelihood, PatchLikelihood):
-            message = (
-                f'likelihood type "{whole.likelihood.type}" does not compare patches; write velocity: null, noise: null'
-            )
-            yield Refusal(("motion", "velocity" if self.velocity else "noise"), message)
+            message = f'likelihood type "{whole.likelihood.type}" does not compare patches'
+            key = "velocity" if self.velocity else "noise"
+            yield Refusal(("motion", key), f"{message}; write velocity: null, noise: null")
         if self.velocity is None:
             return
         n, where = whole.filter.most(whole)

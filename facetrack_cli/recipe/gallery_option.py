@@ -26,10 +26,9 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
     if file is None:
         for recipe in recipes:
             if wants_gallery(recipe):
-                raise UsageError(
-                    f"--gallery is missing: {recipe.name} says who somebody is, of the people of a gallery; give "
-                    f"--gallery FILE, {MADE_BY}, or name one in the recipe, in recognition.gallery"
-                )
+                remedy = f"give --gallery FILE, {MADE_BY}, or name one in the recipe, in recognition.gallery"
+                who = f"{recipe.name} says who somebody is, of the people of a gallery"
+                raise UsageError(f"--gallery is missing: {who}; {remedy}")
         return list(recipes)
     check_file(file)
     recognising = any(_recognising(one) for one in recipes)

@@ -69,16 +69,8 @@ class ParticleFilter(Section):
         return self.target.points
 
     @property
-    def particles(self) -> int:
-        return self.filter.particles
-
-    @property
     def hypotheses(self) -> int:
         return self.filter.particles * max(len(self.points), 1)
-
-    @property
-    def judges(self) -> bool:
-        return self.likelihood.judges
 
     @property
     def components(self) -> dict[str, Component]:
@@ -165,7 +157,7 @@ class Recipe(Section):
     @property
     def particles(self) -> int | None:
         """Number of particles, None for a tracker without."""
-        return sum(one.particles for one in self.filters.values()) or None
+        return sum(one.filter.particles for one in self.filters.values()) or None
 
     @property
     def random(self) -> bool:
@@ -175,7 +167,7 @@ class Recipe(Section):
     @property
     def judges(self) -> bool:
         """Whether it may call a part lost."""
-        return not self.filters or any(one.judges for one in self.filters.values())
+        return not self.filters or any(one.likelihood.judges for one in self.filters.values())
 
     def error(self, key: str, message: str) -> RecipeError:
         """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""

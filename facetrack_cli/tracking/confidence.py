@@ -24,10 +24,9 @@ from facetrack_cli.trajectory.trajectory import Status
 
 
 class Measures(Protocol):
-    """A likelihood that can say how badly a part matches what the first frame showed."""
+    """A likelihood that says how badly parts x (N, K, D) match what the first frame showed: (N, K), 0 is perfect."""
 
-    def distances(self, learned: Any, frame: Frame, x: Array) -> Array:
-        """(N, K) of x (N, K, D): 0 for a perfect match."""
+    def distances(self, learned: Any, frame: Frame, x: Array) -> Array: ...
 
 
 @dataclass(frozen=True)

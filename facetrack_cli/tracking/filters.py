@@ -43,26 +43,18 @@ class Ahead(NamedTuple):
 
 
 class FrameModel(Protocol):
-    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently."""
+    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently.
 
-    def propagate(self, rng: Generator, x: Array) -> Array:
-        """(N, K, D) drawn from p(x_t | x_{t-1} = x)."""
-
-    def log_transition(self, x: Array, parents: Array) -> Array:
-        """(N, M, K): log p(x_t | x_{t-1}) of each part."""
-
-    def log_likelihood(self, x: Array, parents: Array) -> Array:
-        """(N, K): log p(y | x) of each part."""
-
-    def log_prior(self, x: Array) -> Array:
-        """(N,): log p(x) of the shape, up to a constant; zeros without a prior."""
+    `ahead` is where the target is expected; `propagate` takes its shift and noise into account.
+    """
 
     @property
-    def ahead(self) -> Ahead:
-        """Where the target is expected; `propagate` takes its shift and noise into account."""
-
-    def propose_part(self, rng: Generator, x: Array, part: int) -> Array:
-        """(N, D): part `part` drawn from the shape prior given the other parts of each particle."""
+    def ahead(self) -> Ahead: ...
+    def propagate(self, rng: Generator, x: Array) -> Array: ...  # (N, K, D) drawn from p(x_t | x_{t-1} = x)
+    def log_transition(self, x: Array, parents: Array) -> Array: ...  # (N, M, K): log p(x_t | x_{t-1}) of each part
+    def log_likelihood(self, x: Array, parents: Array) -> Array: ...  # (N, K): log p(y | x) of each part
+    def log_prior(self, x: Array) -> Array: ...  # (N,): log p(x) of the shape, up to a constant; zeros without a prior
+    def propose_part(self, rng: Generator, x: Array, part: int) -> Array: ...  # (N, D): from the prior given the others
 
 
 # in place of log 0, so that a ratio of two zeros is 1 and not a NaN: where nothing is likely, nothing is preferred

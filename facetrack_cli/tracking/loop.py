@@ -19,26 +19,25 @@ from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 
 
 class Target(Protocol):
-    """One target of a recipe, ready to track. `state` is a value that the loop keeps for it from frame to frame."""
+    """One target of a recipe, ready to track. `state` is a value that the loop keeps for it from frame to frame.
+
+    Results have a row of each of `parts`; `windows` are width and height in pixels of what a part is compared by, if
+    there is such a window. `begin` and `advance` return state and result after the first frame, and after one more, of
+    which the other targets explain `covers`. `cover` is what of the frame the target explains, or, `ahead`, is expected
+    to explain of the next one; None if it does not say.
+    """
 
     @property
     def name(self) -> str: ...
     @property
-    def parts(self) -> tuple[str, ...]:
-        """What its results have a row of."""
-
+    def parts(self) -> tuple[str, ...]: ...
     @property
-    def windows(self) -> Mapping[str, tuple[float, float]]:
-        """Width and height in pixels of the window that each part is compared by, of those that have one."""
-
-    def begin(self, rng: Generator, frame: Frame) -> tuple[Any, TargetResult]:
-        """The state and the result after the first frame."""
-
-    def advance(self, rng: Generator, state: Any, frame: Frame, covers: Sequence[Cover]) -> tuple[Any, TargetResult]:
-        """The state and the result after one more frame; `covers`: what the other targets explain."""
-
-    def cover(self, state: Any, *, ahead: bool) -> Cover | None:
-        """What of the frame it explains, or, `ahead`, is expected to in the next frame; None if it does not say."""
+    def windows(self) -> Mapping[str, tuple[float, float]]: ...
+    def begin(self, rng: Generator, frame: Frame) -> tuple[Any, TargetResult]: ...
+    def advance(
+        self, rng: Generator, state: Any, frame: Frame, covers: Sequence[Cover]
+    ) -> tuple[Any, TargetResult]: ...
+    def cover(self, state: Any, *, ahead: bool) -> Cover | None: ...
 
 
 Tracker: TypeAlias = tuple[Target, ...]

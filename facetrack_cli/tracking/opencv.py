@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, ClassVar, Final, TypeAlias
 
 import cv2
 import numpy as np
@@ -33,10 +33,8 @@ def find(tracker: str) -> Callable[[], Any] | None:
 def check(tracker: str) -> None:
     """RecipeError if this build of OpenCV has no such tracker."""
     if find(tracker) is None:
-        raise RecipeError(
-            f"the installed OpenCV {cv2.__version__} has no {tracker.upper()} tracker; pip uninstall "
-            "opencv-python-headless, then pip install 'opencv-contrib-python-headless<5'"
-        )
+        remedy = "pip uninstall opencv-python-headless, then pip install 'opencv-contrib-python-headless<5'"
+        raise RecipeError(f"the installed OpenCV {cv2.__version__} has no {tracker.upper()} tracker; {remedy}")
 
 
 @dataclass(frozen=True)
@@ -47,14 +45,8 @@ class OpenCvTarget:
     box: Box
     tracker: str
     origin: str
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        return (BOX,)
-
-    @property
-    def windows(self) -> Mapping[str, tuple[float, float]]:
-        return {}
+    parts: ClassVar = (BOX,)
+    windows: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
     def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
         """Raises InputError for a box too small, or too large, for this tracker."""
@@ -66,10 +58,9 @@ class OpenCvTarget:
         try:
             tracker.init(frame.bgr, box)
         except cv2.error as e:
-            raise InputError(
-                f"{self.origin}: OpenCV's {self.tracker.upper()} cannot begin with the box {list(box)} of {self.name} "
-                f"({e.err}); give one that leaves some of the picture around it"
-            ) from None
+            cannot = f"OpenCV's {self.tracker.upper()} cannot begin with the box {list(box)} of {self.name} ({e.err})"
+            remedy = "give one that leaves some of the picture around it"
+            raise InputError(f"{self.origin}: {cannot}; {remedy}") from None
         return (tracker, box), self._result(frame, box, "init")
 
     def advance(self, rng: Generator, state: State, frame: Frame, covers: object = ()) -> tuple[State, TargetResult]:
@@ -78,8 +69,7 @@ class OpenCvTarget:
             found, box = tracker.update(frame.bgr)
         except cv2.error:  # as MIL does where no place is left to look at
             found, box = False, last
-        # one that has lost its target reports an empty box
-        if not found or box[2] < 1 or box[3] < 1:
+        if not found or box[2] < 1 or box[3] < 1:  # one that has lost its target reports an empty box
             return state, self._result(frame, last, "lost")
         return (tracker, box), self._result(frame, box, "tracked")
 
@@ -93,10 +83,8 @@ class OpenCvTarget:
         x, y, w, h = (round(side) for side in self.box)
         left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width - 1), min(y + h, height - 1)
         if right - left < LEAST or bottom - top < LEAST:
-            raise InputError(
-                f"{self.origin}: the box of {self.name} covers less than {LEAST}x{LEAST} pixels of the picture; "
-                "give a larger one"
-            )
+            small = f"covers less than {LEAST}x{LEAST} pixels of the picture"
+            raise InputError(f"{self.origin}: the box of {self.name} {small}; give a larger one")
         return left, top, right - left, bottom - top
 
     def _result(self, frame: Frame, box: Box, status: Status) -> TargetResult:

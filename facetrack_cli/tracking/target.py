@@ -29,16 +29,16 @@ Names: TypeAlias = Sequence[str]
 
 
 class Likelihood(Measures, Protocol):
-    """An observation model; what it has learned of a clip so far is a value that it returns and is given back."""
+    """An observation model; what it has learned of a clip so far is a value that it returns and is given back.
 
-    def init(self, frame: Frame, x0: Array) -> Any:
-        """What is learned from the first frame with the parts at x0 (K, D); its `notes`, if any, are for the user."""
+    `init`: from the first frame with the parts at x0 (K, D); if it has `notes`, they are lines for the user. `score`:
+    (N, K), log p(y | x) of each part, x and parents (N, K, D). `learn`: for the next frame, after one with the estimate
+    `state` (K, D).
+    """
 
-    def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array:
-        """(N, K): log p(y | x) of each part, x and parents (N, K, D)."""
-
-    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any:
-        """What is known after a frame with the estimate `state` (K, D), for the next one."""
+    def init(self, frame: Frame, x0: Array) -> Any: ...
+    def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array: ...
+    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any: ...
 
 
 @runtime_checkable
@@ -54,14 +54,9 @@ class Reports(Protocol):
 class Adapts(Protocol):
     """A likelihood that says how far patches are from what is known, for the velocity prediction."""
 
-    def error(self, learned: Any, patches: Any) -> Array:
-        """(N,): phi(y, a_t) of patches y (N, d)."""
-
-    def expected(self, learned: Any) -> Any:
-        """(d,): the patch that the model expects, its mean."""
-
-    def insets(self, learned: Any) -> tuple[tuple[str, Image], ...]:
-        """Small grey images of what is known, each with its name."""
+    def error(self, learned: Any, patches: Any) -> Array: ...  # (N,): phi(y, a_t) of patches y (N, d)
+    def expected(self, learned: Any) -> Any: ...  # (d,): the mean patch
+    def insets(self, learned: Any) -> tuple[tuple[str, Image], ...]: ...  # small grey images, each with its name
 
 
 @runtime_checkable

@@ -43,9 +43,8 @@ def _targets(recipe: Recipe, start: Start) -> Tracker:
             opencv.check(recipe.tracker)
         except RecipeError as e:
             raise recipe.error("tracker", str(e)) from None
-        return tuple(
-            opencv.OpenCvTarget(name, box_of(start, name), recipe.tracker, start.origin) for name in start.targets
-        )
+        kind, origin = recipe.tracker, start.origin
+        return tuple(opencv.OpenCvTarget(name, box_of(start, name), kind, origin) for name in start.targets)
     missing = [name for name in recipe.followed if name not in start.targets]
     if missing:
         raise InputError(f"{start.origin}: has no {', '.join(missing)}, which the recipe follows; add a box of each")
@@ -66,12 +65,12 @@ def _target(recipe: Recipe, key: str, name: str, start: Start, exclusion: Exclus
         parts=given.points or (BOX,),
         space=placed.space,
         x0=placed.x0,
-        particles=given.particles,
+        particles=given.filter.particles,
         motion=given.motion.build(context),
         likelihood=(given.recognition or given.likelihood).build(context),
         prior=None if given.prior is None else given.prior.build(context),
         step=given.filter.build(context),
-        confidence=given.confidence if given.judges else None,
+        confidence=given.confidence if given.likelihood.judges else None,
         exclusion=exclusion,
         scatter=placed.scatter,
         best=given.target.best,
@@ -135,12 +134,9 @@ def _check(one: Correction, target: Target, start: Start, origin: str, *, points
     """InputError if it speaks of parts that nobody knows, or lacks the box of what is followed as a box."""
     spoken = [*one.given.points, *one.kept, *(() if one.absent is True else one.absent)]
     known = {*target.parts, *start.targets[one.target].points}
-    unknown = [part for part in spoken if part not in known]
-    if unknown:
-        raise InputError(
-            f"{origin}: has {', '.join(unknown)}, which is no part that is followed; "
-            f"these are {', '.join(target.parts)}: correct the name"
-        )
+    if unknown := ", ".join(part for part in spoken if part not in known):
+        these = f"these are {', '.join(target.parts)}: correct the name"
+        raise InputError(f"{origin}: has {unknown}, which is no part that is followed; {these}")
     hidden = one.hidden(target.parts)
     if not points and not hidden and one.given.box is None:
         raise InputError(f"{origin}: has no box, which the recipe follows; add one, as in box: [x, y, w, h]")

@@ -182,20 +182,13 @@ def load_gallery(path: Path) -> Gallery:
 
 
 def _from_arrays(stored: Stored) -> Gallery:
-    def space(name: str) -> Subspace:
-        mean, vectors, values = (
-            stored.reals(f"{name}_{one}", d) for one, d in (("mean", 1), ("vectors", 2), ("values", 1))
-        )
-        return Subspace(mean, vectors, values, stored.number(f"{name}_rho"))
-
-    frontal, intra, extra = map(space, _SPACES)
-    rows, *cols = stored.whole("shape")
-    if len(cols) != 1:
+    found: dict[str, Any] = {name: stored.texts(name) for name in ("names", "notes")}
+    found |= {name: stored.whole(name) for name in ("shape", "counts")}
+    numbers = ("threshold", "errors", "most_frontal", *(["proportion"] if "proportion" in stored else []))
+    found |= {name: stored.number(name) for name in numbers}
+    if len(found["shape"]) != 2:
         raise ValueError("shape is not two numbers")
-    shape, calibration = (rows, cols[0]), stored.reals("calibration", 1).tolist()
-    return Gallery(
-        stored.texts("names"), stored.reals("faces", 2), shape, frontal, intra, extra,
-        tuple(calibration), stored.number("threshold"), stored.number("errors"), stored.whole("counts"),
-        stored.number("most_frontal"), stored.texts("notes"),
-        stored.number("proportion") if "proportion" in stored else None,
-    )  # fmt: skip
+    for name in _SPACES:
+        mean, vectors = stored.reals(f"{name}_mean", 1), stored.reals(f"{name}_vectors", 2)
+        found[name] = Subspace(mean, vectors, stored.reals(f"{name}_values", 1), stored.number(f"{name}_rho"))
+    return Gallery(faces=stored.reals("faces", 2), calibration=tuple(stored.reals("calibration", 1).tolist()), **found)

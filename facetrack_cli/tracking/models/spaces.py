@@ -43,23 +43,23 @@ class Outline(NamedTuple):
 
 
 class Space(Protocol):
-    """What a state is in the image. Its first two coordinates are the centre of the part, in pixels."""
+    """What a state is in the image. Its first two coordinates are the centre of the part, in pixels.
+
+    `windows` (K, 2): width and height in pixels of each part. `at` (1, D): the state, at rest, of a target that fills a
+    box at any time. `outline`: of the one part that is no upright box.
+    """
 
     diagnostics: ClassVar[tuple[Diagnostic, ...]] = ()
 
     def diagnose(self, estimated: Estimate) -> Mapping[str, Any]:
-        """The value of each of `diagnostics` by its name."""
         return {}
 
-    def windows(self, estimated: Estimate) -> Array:
-        """(K, 2): width and height in pixels of each part."""
+    def windows(self, estimated: Estimate) -> Array: ...
 
     def outline(self, estimated: Estimate) -> Outline | None:
-        """Of the one part that is no upright box; None where all are."""
         return None
 
     def at(self, box: Box) -> Array:
-        """(1, D): the state, at rest, of a target that fills `box` at any time."""
         raise TypeError("points are not placed by a box")
 
 

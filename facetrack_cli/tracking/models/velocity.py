@@ -141,4 +141,4 @@ def affine_walk(settings: affine.AffineWalk, context: Context) -> AffineWalk:
     walk = settings, settings.sigma.pixels(placed.unit), placed.scale
     if settings.velocity is None and settings.noise is None:
         return AffineWalk(*walk)
-    return PredictedWalk(*walk, patches_of(context), context.settings.particles)
+    return PredictedWalk(*walk, patches_of(context), context.settings.filter.particles)

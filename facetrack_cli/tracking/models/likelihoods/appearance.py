@@ -116,11 +116,9 @@ class Appearance:
         if not y.any():
             return learned
         (rate, log), settings = learned.terms, self.settings
-        m, mu, sigma, moments = kernel.update(
-            y, learned.m, learned.mu, learned.sigma, learned.moments, rate, log,
-            learned.outlier / OUTLIER_RANGE, learned.laplace,
-            settings.alpha, settings.least_sigma, settings.least_mixing,
-        )  # fmt: skip
+        old, outside = (learned.m, learned.mu, learned.sigma, learned.moments), learned.outlier / OUTLIER_RANGE
+        rates = settings.alpha, settings.least_sigma, settings.least_mixing
+        m, mu, sigma, moments = kernel.update(y, *old, rate, log, outside, learned.laplace, *rates)
         return Mixture(m, mu, sigma, moments, np.array(state), learned.laplace, learned.outlier)
 
     def error(self, learned: Mixture, patches: NDArray[np.float32]) -> Array:

@@ -84,10 +84,9 @@ class ColourRatio:
         extent = windows.extent(x, learned.reach)
         for g in learned.groups:
             image, left, top = frame.reduced(g.factor, extent)
-            windows.colour_ratio_distances(
-                windows.flat(image), g.ratios, g.offsets, g.sides, g.parts, x, left, top, g.factor,
-                LEAST_MEAN, robust, scale, out,
-            )  # fmt: skip
+            template = g.ratios, g.offsets, g.sides, g.parts
+            at = x, left, top, g.factor
+            windows.colour_ratio_distances(windows.flat(image), *template, *at, LEAST_MEAN, robust, scale, out)
         return out
 
     def learn(self, learned: Templates, frame: Frame, state: Array, particles: Particles) -> Templates:

@@ -83,10 +83,9 @@ class Correlation:
         outside = OUTSIDE**2 if distance == "l2" else OUTSIDE
         if distance == "saturated_l1":
             outside = min(outside, saturation)
-        patches.patch_distances(
-            now, now_view, before, before_view, learned.factor, here, there, self.size, *self.settings.grid,
-            patches.DISTANCES[distance], saturation, outside, out[:, 0],
-        )  # fmt: skip
+        images, boxes = (now, now_view, before, before_view, learned.factor), (here, there, self.size)
+        kind = patches.DISTANCES[distance], saturation, outside
+        patches.patch_distances(*images, *boxes, *self.settings.grid, *kind, out[:, 0])
         return out
 
     def learn(self, learned: Previous, frame: Frame, state: Array, particles: Particles) -> Previous:

@@ -130,13 +130,12 @@ class Histogram:
         return int(np.ceil(self.settings.least_saturation * 255)), int(np.ceil(self.settings.least_value * 255))
 
     def _need_colours(self, frame: Frame, hsv: Image) -> None:
-        saturated, light = self._has_hue(hsv)
-        share = float(np.mean(saturated & light))
+        (saturated, light), whole = self._has_hue(hsv), self._has_hue(_hsv(frame.bgr))
+        share, dark = float(np.mean(saturated & light)), float(np.mean(~light))
         if share >= LEAST_COLOURED:
             return
-        whole = np.logical_and(*self._has_hue(_hsv(frame.bgr)))
-        what = "the box shows no colours" if np.mean(whole) >= LEAST_COLOURED else "this clip is grey, or too dark"
-        dark = float(np.mean(~light))
+        grey = np.mean(whole[0] & whole[1]) < LEAST_COLOURED
+        what = "this clip is grey, or too dark" if grey else "the box shows no colours"
         remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
         if np.mean(saturated & ~light) >= LEAST_COLOURED and dark > 0.5:
             remedy += ", or a lower likelihood.histogram.least_value"

@@ -103,9 +103,8 @@ class Recognition:
         told, log_w = told[heavy], particles.log_w[heavy]
         each = told - logsumexp(told, axis=1)[:, None]
         log_beta = normalise(np.maximum(logsumexp(log_w[:, None] + each, axis=0), _NEVER))
-        return replace(
-            learned, appearance=self.appearance.learn(learned.appearance, frame, state, particles), log_beta=log_beta
-        )
+        appearance = self.appearance.learn(learned.appearance, frame, state, particles)
+        return replace(learned, appearance=appearance, log_beta=log_beta)
 
     def error(self, learned: Recognised, patches: Any) -> Array:
         return self.appearance.error(learned.appearance, patches)

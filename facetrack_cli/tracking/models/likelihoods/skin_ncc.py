@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -113,11 +114,8 @@ class SkinNcc:
         image, left, top = frame.reduced(factor, extent)
         # of the whole frame, or of what another asked for, no more than the boxes cover
         height, width = image.shape[:2]
-        x0, y0 = (
-            min(int(low - at) // factor, n - 1)
-            for low, at, n in zip(extent[:2], (left, top), (width, height), strict=True)
-        )
-        x1, y1 = (int(high - at) // factor + 2 for high, at in zip(extent[2:], (left, top), strict=True))
+        x0, y0 = min(int(extent[0] - left) // factor, width - 1), min(int(extent[1] - top) // factor, height - 1)
+        x1, y1 = int(extent[2] - left) // factor + 2, int(extent[3] - top) // factor + 2
         shown = kernel.skin_map(image[y0:y1, x0:x1], learned.table)
         integral = cv2.integral(shown, sdepth=cv2.CV_32S if shown.size <= MOST_EXACT else cv2.CV_64F)
         inner, outer, area = kernel.nested(x, w, h, factor, left + x0 * factor, top + y0 * factor)
@@ -128,13 +126,11 @@ class SkinNcc:
     def _values(self, learned: Learned, frame: Frame, x: Array) -> Array:
         """v of boxes x (N, 1, 6) -> (N,)."""
         ncc, cost = self.settings.ncc, self.settings.cost
-        rho = self.rho(learned, frame, x) if self.settings.skin is not None else None
+        rho: Any = 1.0 if self.settings.skin is None else self.rho(learned, frame, x)
+        shifted = 1.0 + rho if cost == "shifted" else rho
         if ncc is None or learned.template is None:
-            assert rho is not None
-            return 1.0 + rho if cost == "shifted" else rho
-        keep, remove = matching.correlate(learned.template, frame, x)
-        match = keep if ncc.mean == "keep" else remove
-        if rho is None or cost == "product":
-            good = np.maximum(match, 0.0) ** ncc.exponent
-            return good if rho is None else rho * good
-        return (1.0 + rho if cost == "shifted" else rho) / np.maximum(match, LEAST_NCC) ** ncc.exponent
+            return np.asarray(shifted)
+        match = matching.correlate(learned.template, frame, x)[0 if ncc.mean == "keep" else 1]
+        if self.settings.skin is None or cost == "product":
+            return np.asarray(rho * np.maximum(match, 0.0) ** ncc.exponent)
+        return np.asarray(shifted / np.maximum(match, LEAST_NCC) ** ncc.exponent)
