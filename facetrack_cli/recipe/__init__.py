@@ -8,18 +8,5 @@ from facetrack_cli.recipe.model import Recipe, register
 from facetrack_cli.recipe.sections import Filter, Likelihood, Motion, Prior, Refusal, Section, Target
 from facetrack_cli.recipe.units import Length, LengthPerPart
 
-__all__ = [
-    "Filter",
-    "Length",
-    "LengthPerPart",
-    "Likelihood",
-    "Motion",
-    "Prior",
-    "Recipe",
-    "Refusal",
-    "Section",
-    "Target",
-    "check_recipe",
-    "load_recipe",
-    "register",
-]
+__all__ = ["Filter", "Length", "LengthPerPart", "Likelihood", "Motion", "Prior", "Refusal", "Section", "Target"]
+__all__ += ["Recipe", "check_recipe", "load_recipe", "register"]

@@ -16,7 +16,7 @@ from facetrack_cli.recipe.sections import Component, Likelihood, Motion, Refusal
 from facetrack_cli.recipe.units import Length
 
 if TYPE_CHECKING:
-    from facetrack_cli.recipe.particle_filter import ParticleFilter
+    from facetrack_cli.recipe.model import ParticleFilter
 
 MOST_POINTS = 100_000_000  # particles times points of a template: some gigabytes
 MOST_COMPARED = 2_000  # particles that are compared with each other: memory grows with their square
@@ -28,8 +28,7 @@ Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
 class Affine(Scaled):
     """A face under affine maps: place, and what became of the box of the first frame (section 4)."""
 
-    engine = "facetrack_cli.tracking.models.spaces:place_affine"
-
+    engine = "facetrack_cli.tracking.models.spaces:place_box"
     type: Literal["affine"]
     """A box that moves, turns, stretches and shears."""
     estimate: Literal["map", "mean"] = "map"
@@ -79,7 +78,6 @@ class AffineWalk(Motion):
 
     engine = "facetrack_cli.tracking.models.velocity:affine_walk"
     goes_with = ("affine",)
-
     type: Literal["affine_walk"]
     """Noise on the parameters of an affine map, around a predicted place."""
     sigma: Length
@@ -97,10 +95,9 @@ class AffineWalk(Motion):
 
     def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
         if (self.velocity or self.noise) and not isinstance(whole.likelihood, PatchLikelihood):
-            message = (
-                f'likelihood type "{whole.likelihood.type}" does not compare patches; write velocity: null, noise: null'
-            )
-            yield Refusal(("motion", "velocity" if self.velocity else "noise"), message)
+            message = f'likelihood type "{whole.likelihood.type}" does not compare patches'
+            key = "velocity" if self.velocity else "noise"
+            yield Refusal(("motion", key), f"{message}; write velocity: null, noise: null")
         if self.velocity is None:
             return
         n, where = whole.filter.most(whole)
@@ -144,7 +141,6 @@ class Appearance(PatchLikelihood):
 
     engine = "facetrack_cli.tracking.models.likelihoods.appearance:Appearance.build"
     goes_with = ("affine",)
-
     type: Literal["appearance"]
     """What the face looked like in the last frame, all along, and at the start."""
     mixing: Components

@@ -37,10 +37,9 @@ def find_recipe(name_or_path: str) -> Path:
     if wanted in shipped:
         return shipped[wanted]
     near = suggest(path.name.removesuffix(".yaml"), list(shipped), "")
-    hint = f"{near} " if near.startswith("did") else ""
+    hint = f"{near} " if near.startswith("did") else "give a file or a name; "
     what = "a folder, not a recipe" if folder else "neither a file nor a shipped recipe"
-    names = ", ".join(shipped)
-    raise RecipeError(f'"{name_or_path}" is {what}; {hint or "give a file or a name; "}shipped are {names}')
+    raise RecipeError(f'"{name_or_path}" is {what}; {hint}shipped are {", ".join(shipped)}')
 
 
 def read_recipe(path: Path) -> str:
@@ -70,17 +69,16 @@ def read_file(path: Path) -> Source:
 
 
 def find_file(recipe: Recipe, name: str, key: str = "") -> Path:
-    node = None
-    if recipe._root is not None and key:
-        node, _, exact = locate(recipe._root, tuple(key.split(".")))
-        node = node if exact else None
-    elif recipe._root is not None:
-        node = next((n for _, n in recipe._root.walk() if n.value == name), None)
-    said_in = [] if node is None else [node.span.source.folder]  # of --set: the working directory
-    folders = [*said_in, recipe.path.parent, shipped_folder()]
+    span, root = Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1), recipe._root
+    if root is not None and key:
+        node, _, exact = locate(root, tuple(key.split(".")))
+        span = node.span if exact else span
+    elif root is not None:
+        span = next((node.span for _, node in root.walk() if node.value == name), span)
+    # that of --set is the working directory
+    folders = list(dict.fromkeys([span.source.folder, recipe.path.parent, shipped_folder()]))
     for folder in folders:
         if (folder / name).is_file():
             return folder / name
-    sought = " and ".join(str(folder) for folder in dict.fromkeys(folders))
-    span = node.span if node is not None else Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1)
+    sought = " and ".join(map(str, folders))
     raise YamlProblems([Problem(span, f'there is no file "{name}" in {sought}; correct the name, or put it there')])

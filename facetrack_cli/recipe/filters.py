@@ -15,7 +15,7 @@ from facetrack_cli.recipe.affine import MOST_COMPARED, AffineWalk
 from facetrack_cli.recipe.sections import Filter, Refusal, Steps
 
 if TYPE_CHECKING:
-    from facetrack_cli.recipe.particle_filter import ParticleFilter
+    from facetrack_cli.recipe.model import ParticleFilter
 
 
 class Resampled(Filter):
@@ -32,7 +32,6 @@ class Sir(Resampled):
 
     engine = "facetrack_cli.tracking.filters:sir"
     goes_with = ("points", "region", "cloud", "affine")
-
     type: Literal["sir"]
     """Sampling/importance resampling over the joint state."""
 
@@ -42,7 +41,6 @@ class Auxiliary(Resampled):
 
     engine = "facetrack_cli.tracking.filters:auxiliary"
     goes_with = ("points", "region", "cloud", "affine")
-
     type: Literal["auxiliary"]
     """Auxiliary particle filter over the joint state."""
 
@@ -52,7 +50,6 @@ class Factorized(Resampled):
 
     engine = "facetrack_cli.tracking.filters:factorized"
     goes_with = ("points",)  # it resamples parts apart, and the other targets are one part
-
     type: Literal["factorized"]
     """The product of the parts' posteriors as proposal, then reweighted."""
     reweight: Literal["prior", "transition"] = "prior"
@@ -61,21 +58,20 @@ class Factorized(Resampled):
     """Share of a part's sub-particles that is proposed from the prior given the other parts; as published 0."""
 
     def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
-        by_prior = self.reweight == "prior"
+        by_prior, key, message = self.reweight == "prior", "", ""
         if not by_prior and self.particles > MOST_COMPARED:
-            compares = "reweight: transition compares every two particles"
-            yield Refusal(
-                ("filter", "particles"), f"{compares}; give {MOST_COMPARED:,} at most, not {self.particles:,}"
-            )
+            key, most = "particles", f"give {MOST_COMPARED:,} at most, not {self.particles:,}"
+            message = f"reweight: transition compares every two particles; {most}"
         elif by_prior and whole.prior is None:
-            remedy = "add a prior section, or write reweight: transition"
-            yield Refusal(("filter", "reweight"), f"filter.reweight: prior needs a prior; {remedy}")
+            key, remedy = "reweight", "add a prior section, or write reweight: transition"
+            message = f"filter.reweight: prior needs a prior; {remedy}"
         elif self.from_prior > 0 and whole.prior is None:
-            message = "filter.from_prior above 0 needs a prior; add a prior section, or write 0"
-            yield Refusal(("filter", "from_prior"), message)
+            key, message = "from_prior", "filter.from_prior above 0 needs a prior; add a prior section, or write 0"
         elif self.from_prior > 0 and not by_prior:
-            message = "filter.from_prior above 0 goes with reweight: prior; eq. 7 knows the motion model alone"
-            yield Refusal(("filter", "from_prior"), message)
+            key, remedy = "from_prior", "eq. 7 knows the motion model alone"
+            message = f"filter.from_prior above 0 goes with reweight: prior; {remedy}"
+        if key:
+            yield Refusal(("filter", key), message)
 
 
 class Independent(Resampled):
@@ -85,7 +81,6 @@ class Independent(Resampled):
     goes_with = ("points",)
     reweight: ClassVar[str] = "none"
     from_prior: ClassVar[float] = 0.0
-
     type: Literal["independent"]
     """An auxiliary particle filter for each part on its own."""
 
@@ -100,7 +95,6 @@ class Adaptive(Filter):
 
     engine = "facetrack_cli.tracking.filters:adaptive"
     goes_with = ("affine",)
-
     type: Literal["adaptive"]
     """Particles around the one place that is predicted."""
     particles: Annotated[int, Field(ge=1)]

@@ -11,37 +11,47 @@ from pydantic import ValidationError
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.yaml_tree import Node, Source, Span, printable
 from facetrack_cli.recipe.affine import Affine
-from facetrack_cli.recipe.model import Recipe, filters
+from facetrack_cli.recipe.messages import locate
+from facetrack_cli.recipe.model import Recipe, above
 
 MADE_BY = "as facetrack gallery fit writes it"
 
 
 def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
-    """The recipes, those that recognise with the gallery's people; if none does, all that can.
+    """The recipes, those that recognise with the gallery's people; if none does, all of affine targets.
 
-    A recipe recognises if it has a section `recognition`; those of affine targets can. Without a file each must have a
-    gallery of its own. Raises UsageError where there is nobody to recognise, or nothing that recognises, and InputError
-    where there is no such file.
+    A recipe recognises if it has a section `recognition`. Without a file each must have a gallery of its own. Raises
+    UsageError where there is nobody to recognise, or nothing that recognises, and InputError for no such file.
     """
-    recognising = [one for one in recipes if any(given.recognition is not None for _, given in filters(one))]
     if file is None:
-        for recipe in recognising:
+        for recipe in recipes:
             if wants_gallery(recipe):
-                raise UsageError(
-                    f"--gallery is missing: {recipe.name} says who somebody is, of the people of a gallery; give "
-                    f"--gallery FILE, {MADE_BY}, or name one in the recipe, in recognition.gallery"
-                )
+                remedy = f"give --gallery FILE, {MADE_BY}, or name one in the recipe, in recognition.gallery"
+                who = f"{recipe.name} says who somebody is, of the people of a gallery"
+                raise UsageError(f"--gallery is missing: {who}; {remedy}")
         return list(recipes)
     check_file(file)
-    able = recognising or [one for one in recipes if any(isinstance(g.target, Affine) for _, g in filters(one))]
-    if not able:
-        raise UsageError(f"--gallery: {_why_not(recipes)}; take adaptive_recognition, or leave --gallery out")
-    return [put(one, file) if any(one is other for other in able) else one for one in recipes]
+    recognising = any(_recognising(one) for one in recipes)
+    if not recognising and not any(_affine(one) for one in recipes):
+        types = sorted({given.target.type for given in recipes[0].filters.values()})
+        follows = " and ".join(one if one == "points" else f"a {one}" for one in types)
+        what = f"{recipes[0].name} follows {follows}" if types else f"{recipes[0].name} is one of OpenCV's own trackers"
+        remedy = "take adaptive_recognition, or leave --gallery out"
+        raise UsageError(f"--gallery: {what}, and people are recognised by affine targets alone; {remedy}")
+    return [put(one, file) if (_recognising if recognising else _affine)(one) else one for one in recipes]
+
+
+def _recognising(recipe: Recipe) -> list[str]:
+    return [name for name, given in recipe.filters.items() if given.recognition is not None]
+
+
+def _affine(recipe: Recipe) -> list[str]:
+    return [name for name, given in recipe.filters.items() if isinstance(given.target, Affine)]
 
 
 def wants_gallery(recipe: Recipe) -> bool:
     """Whether it recognises and does not say whom."""
-    return any(given.recognition is not None and given.recognition.gallery is None for _, given in filters(recipe))
+    return any(given.recognition and given.recognition.gallery is None for given in recipe.filters.values())
 
 
 def check_file(file: str) -> None:
@@ -66,15 +76,10 @@ def check_file(file: str) -> None:
 def put(recipe: Recipe, file: str) -> Recipe:
     """The recipe with this gallery in place of its own: where it recognises, else wherever it can."""
     assert recipe._root is not None
-    affine = [(above, given) for above, given in filters(recipe) if isinstance(given.target, Affine)]
-    own = [above for above, given in affine if given.recognition is not None]
     span = Span(Source(f"--gallery {printable(file)}", "", Path(), is_file=False), 0, 0, 1)
     root = deepcopy(recipe._root)
-    for above in own or [above for above, _ in affine]:
-        node = root
-        for key in filter(None, above.split(".")):
-            assert isinstance(node.value, dict)
-            node = node.value[key]
+    for name in _recognising(recipe) or _affine(recipe):
+        node, _, _ = locate(root, tuple(above(name).split(".")[:-1]))
         assert isinstance(node.value, dict)
         section = node.value.get("recognition")
         if section is None or section.value is None:
@@ -85,10 +90,3 @@ def put(recipe: Recipe, file: str) -> Recipe:
         return type(recipe).model_validate(root.plain(), context={"path": recipe.path, "root": root})
     except ValidationError as e:  # it was a recipe before
         raise AssertionError(str(e)) from e
-
-
-def _why_not(recipes: Sequence[Recipe]) -> str:
-    types = sorted({given.target.type for _, given in filters(recipes[0])})
-    follows = " and ".join(one if one == "points" else f"a {one}" for one in types)
-    what = f"follows {follows}" if types else "is one of OpenCV's own trackers"
-    return f"{recipes[0].name} {what}, and people are recognised by affine targets alone"

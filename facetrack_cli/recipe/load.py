@@ -1,10 +1,8 @@
 """A recipe: everything a tracker is made of, as a checked, frozen value read from YAML.
 
-The kinds of recipe (`model.py`) and their sections, in the files beside it, are the format.
-
-    recipe = load_recipe("factorized", ["filter.particles=200"])
-    recipe.filter.particles         # 200
-    recipe.motion.sigma.of("nose")  # Length(value=0.1, px=False)
+recipe = load_recipe("factorized", ["filter.particles=200"])
+recipe.filter.particles         # 200
+recipe.motion.sigma.of("nose")  # Length(value=0.1, px=False)
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from pydantic import ValidationError
 from facetrack_cli.core.yaml_tree import Node, Problem, Span, YamlProblems, assign, parse
 from facetrack_cli.recipe.files import find_file, find_recipe, read_file
 from facetrack_cli.recipe.messages import problems
-from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, error_of, filters
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, error_of
 from facetrack_cli.recipe.sections import suggest
 
 
@@ -41,10 +39,10 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
     """Everything that is wrong with a recipe; also that the files it names are there."""
     try:
         recipe = _load(find_recipe(name_or_path), overrides)
-        for above, one in filters(recipe):
+        for name, one in recipe.filters.items():
             for section, given in one.components.items():
                 for key, file in given.files.items():
-                    find_file(recipe, file, f"{above}{section}.{key}")
+                    find_file(recipe, file, f"{above(name)}{section}.{key}")
     except YamlProblems as refused:
         return list(refused.problems)
     return []
@@ -71,11 +69,10 @@ def _load(path: Path, overrides: Sequence[str]) -> Recipe:
 def _kind(root: Node) -> type[Recipe]:
     """The model of a recipe by its `type`: a particle filter where none is given."""
     keys = root.value if isinstance(root.value, dict) else {}
-    given = keys.get("type")
-    if "targets" in keys and "target" not in keys and (given is None or given.value == "particle_filter"):
-        node = keys["targets"] if given is None else given
+    given, targets = keys.get("type"), keys.get("targets")
+    if targets and "target" not in keys and (given is None or given.value == "particle_filter"):
         message = '"targets" is a key of several particle filters; write type: particle_filters'
-        raise YamlProblems([Problem((node.key or node.span) if given is None else node.span, message)])
+        raise YamlProblems([Problem(given.span if given else targets.key or targets.span, message)])
     if given is None:
         return ParticleRecipe
     name = given.value if isinstance(given.value, str) else ""

@@ -13,16 +13,12 @@ from facetrack_cli.core.yaml_tree import Node, Problem, Span
 from facetrack_cli.recipe.sections import Steps, suggest, type_of, variants
 
 _WANTED = {
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
+    **dict.fromkeys(("int_type", "int_from_float"), "a whole number"),
+    **dict.fromkeys(("model_type", "model_attributes_type", "dict_type"), "a mapping of keys"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
     "float_type": "a number",
     "string_type": "a text",
     "bool_type": "true or false",
-    "model_type": "a mapping of keys",
-    "model_attributes_type": "a mapping of keys",
-    "dict_type": "a mapping of keys",
-    "list_type": "a list",
-    "tuple_type": "a list",
 }
 _BOUNDS = {
     "greater_than": ("gt", "greater than {}"),
@@ -85,35 +81,31 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
     if kind == "refused":
         for refusal in context["refusals"]:
             node, _, _ = locate(root, (*path, *refusal.path))
-            at_key = refusal.at_key and node.key is not None
-            yield Problem(node.key or node.span if at_key else _value_span(node), refusal.message)
+            yield Problem(node.key if refusal.at_key and node.key else _value_span(node), refusal.message)
         return
     node, keys, _ = locate(root, path)
-    where = _dotted(keys)
+    where, at = _dotted(keys), node.key or node.span
+    known = [type_of(member) for member in _models_at(model, tuple(keys))] if kind.startswith("union") else []
     if kind == "too_short" and _length(node) >= context["min_length"]:
         return  # pydantic does not count items that are wrong themselves
     if kind == "missing" and isinstance(path[-1], int):
         return  # the list as a whole has a message
     if kind == "missing":
         section = f'"{where}"' if where else "the recipe"
-        yield Problem(node.key or node.span, f'{section} lacks the key "{path[-1]}"; add it')
+        yield Problem(at, f'{section} lacks the key "{path[-1]}"; add it')
     elif kind == "extra_forbidden":
-        yield Problem(node.key or node.span, _unknown_key(str(path[-1]), path, model, root))
+        yield Problem(at, _unknown_key(str(path[-1]), path, model, root))
     elif kind == "union_tag_not_found":
-        known = [type_of(member) for member in _models_at(model, tuple(keys))]
-        yield Problem(node.key or node.span, f'"{where}" lacks the key "type"; it is one of: {", ".join(known)}')
+        yield Problem(at, f'"{where}" lacks the key "type"; it is one of: {", ".join(known)}')
     elif kind == "union_tag_invalid":
-        wrong = str(context.get("tag"))
-        place = node.value["type"].span if isinstance(node.value, dict) else node.span
-        given = node.value["type"].value if isinstance(node.value, dict) else None
-        known = [type_of(member) for member in _models_at(model, tuple(keys))]
-        if isinstance(given, str):
-            yield Problem(place, f'unknown {where} type "{wrong}"; {suggest(wrong, known, "it is one of")}')
-        else:
-            yield Problem(place, f"{where}.type cannot be {_shown(given)}; it is one of: {', '.join(known)}")
+        given = node.value["type"] if isinstance(node.value, dict) else Node(node.span, None)
+        message = f"{where}.type cannot be {_shown(given.value)}; it is one of: {', '.join(known)}"
+        if isinstance(given.value, str):
+            message = f'unknown {where} type "{given.value}"; {suggest(given.value, known, "it is one of")}'
+        yield Problem(given.span, message)
     elif path[-1] == "[key]":  # how pydantic calls the name itself in a mapping from any name
         rule = _NAMES if kind == "string_pattern_mismatch" else f"give {context['max_length']} characters at most"
-        yield Problem(node.key or node.span, f'"{keys[-1]}" cannot be one of {_dotted(keys[:-1])}; {rule}')
+        yield Problem(at, f'"{keys[-1]}" cannot be one of {_dotted(keys[:-1])}; {rule}')
     else:
         yield Problem(_value_span(node), f"{where or 'the recipe'} {_must(details, node)}")
 
@@ -213,10 +205,6 @@ def _shown(value: Any) -> str:
     if isinstance(value, str):
         short = value if len(value) <= 40 else value[:40] + "..."
         return f'the text "{" ".join(short.split())}"'
-    if value is None:
-        return "empty (null)"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, dict):
-        return "a mapping"
-    return "a list" if isinstance(value, list) else str(value)
+    if value is None or isinstance(value, bool):
+        return "empty (null)" if value is None else str(value).lower()
+    return "a mapping" if isinstance(value, dict) else "a list" if isinstance(value, list) else str(value)

@@ -10,13 +10,102 @@ from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError
 
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.yaml_tree import Node, Problem
+from facetrack_cli.recipe.affine import Recognition
 from facetrack_cli.recipe.messages import locate
-from facetrack_cli.recipe.particle_filter import MOST_HYPOTHESES, ParticleFilter
-from facetrack_cli.recipe.sections import Kind, Refusal, Section, add
+from facetrack_cli.recipe.sections import (
+    Component,
+    Filter,
+    Kind,
+    Likelihood,
+    Motion,
+    Prior,
+    Refusal,
+    Section,
+    Target,
+    add,
+    registered,
+    type_of,
+)  # fmt: skip
 from facetrack_cli.recipe.skin import Exclusion, SkinCloud
 
 S = TypeVar("S", bound=Kind)
+MOST_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
 TargetName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
+
+
+class Confidence(Section):
+    """When a part counts as lost."""
+
+    lost_below: Annotated[float, Field(ge=0, le=1)] = 0.3
+    """A part is lost while its confidence stays below this, 0..1."""
+    patience: Annotated[int, Field(ge=1)] = 3
+    """For so many frames in a row it must be below, for the part to be lost."""
+    memory: Annotated[int, Field(ge=1)] | None = 50
+    """Frames over which it is learned how well a part matches when it is there; null: the first frame says so."""
+    beside: Annotated[float, Field(ge=0, le=1)] = 0.5
+    """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""
+
+
+class ParticleFilter(Section):
+    """A particle filter for one target."""
+
+    target: Target
+    """What is tracked: the state alpha."""
+    motion: Motion
+    """How it moves from frame to frame: the transition density p(alpha_i | alpha^-)."""
+    likelihood: Likelihood
+    """How a part looks: the observation model p(y | alpha_i)."""
+    filter: Filter
+    """How the particles are proposed, weighted and resampled."""
+    prior: Prior | None = None
+    """Which shapes are likely: p(alpha); null for none."""
+    recognition: Recognition | None = None
+    """Who it is, of an affine target; null: there is no recognition."""
+    confidence: Confidence = Confidence()
+    """When a part counts as lost, and when as found again."""
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        return self.target.points
+
+    @property
+    def hypotheses(self) -> int:
+        return self.filter.particles * max(len(self.points), 1)
+
+    @property
+    def components(self) -> dict[str, Component]:
+        """What the tracker is built from, by key, but for what is not given."""
+        found = {key: getattr(self, key) for key in ("target", *_KINDS)}
+        return {key: one for key, one in found.items() if one is not None}
+
+    def mistakes(self) -> Iterable[Refusal]:
+        given = self.components
+        strangers = [self._mismatch(key, given[key]) for key in _KINDS if key in given and not self._fits(given[key])]
+        if strangers:
+            yield from strangers
+            return
+        for one in given.values():
+            yield from one.mismatches(self)
+        if self.hypotheses > MOST_HYPOTHESES:
+            message = f"particles times parts is {self.hypotheses:,}; no more than {MOST_HYPOTHESES:,} fit into memory"
+            yield Refusal(("filter", "particles"), message)
+
+    def _fits(self, given: Component | type[Component]) -> bool:
+        return self.target.type in given.goes_with
+
+    def _mismatch(self, key: str, given: Component) -> Refusal:
+        """What is said of a section that does not go with the type of the target."""
+        said = f'does not go with target type "{self.target.type}"'
+        if not isinstance(given, Kind):
+            return Refusal((key,), f"{key} {said}; remove it, or follow an affine target")
+        fitting = [name for name, one in registered(_KINDS[key]).items() if self._fits(one)]
+        message = f'{key} type "{given.type}" {said}; write {" or ".join(fitting) or "null"}'
+        return Refusal((key, "type"), message)
+
+
+_KINDS: Mapping[str, type[Any]] = {
+    one.__name__.lower(): one for one in (Likelihood, Motion, Filter, Prior, Recognition)
+}
 
 
 class Recipe(Section):
@@ -46,6 +135,11 @@ class Recipe(Section):
         return self._path.stem
 
     @property
+    def filters(self) -> Mapping[str, ParticleFilter]:
+        """Its particle filters by target, in their order; a filter of whatever targets there are has an empty name."""
+        return {}
+
+    @property
     def points(self) -> tuple[str, ...]:
         """The points that a start must place in every target; none for a tracker that begins with a box."""
         return ()
@@ -53,7 +147,7 @@ class Recipe(Section):
     @property
     def followed(self) -> tuple[str, ...]:
         """The names of its targets, the one whose face is looked for first; none for a tracker of whatever there is."""
-        return ()
+        return tuple(filter(None, self.filters))
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -63,7 +157,7 @@ class Recipe(Section):
     @property
     def particles(self) -> int | None:
         """Number of particles, None for a tracker without."""
-        return None
+        return sum(one.filter.particles for one in self.filters.values()) or None
 
     @property
     def random(self) -> bool:
@@ -73,7 +167,7 @@ class Recipe(Section):
     @property
     def judges(self) -> bool:
         """Whether it may call a part lost."""
-        return True
+        return not self.filters or any(one.likelihood.judges for one in self.filters.values())
 
     def error(self, key: str, message: str) -> RecipeError:
         """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
@@ -102,6 +196,10 @@ class ParticleRecipe(ParticleFilter, Recipe):
     type: Literal["particle_filter"] = "particle_filter"
     """A particle filter; may be left out."""
 
+    @property
+    def filters(self) -> Mapping[str, ParticleFilter]:
+        return {"": self}
+
 
 class ParticlesRecipe(Recipe):
     """Several targets, each followed by a particle filter of its own, with or without mutual exclusion."""
@@ -117,25 +215,12 @@ class ParticlesRecipe(Recipe):
     """How targets exclude each other; null: each is followed independently."""
 
     @property
-    def followed(self) -> tuple[str, ...]:
-        return tuple(self.filters)
-
-    @property
     def left_out(self) -> tuple[str, ...]:
         return tuple(name for name, one in self.targets.items() if one is None)
 
     @property
     def filters(self) -> Mapping[str, ParticleFilter]:
-        """Those that are there, in their order; the first is the one whose face is looked for."""
         return {name: one for name, one in self.targets.items() if one is not None}
-
-    @property
-    def particles(self) -> int:
-        return sum(one.particles for one in self.filters.values())
-
-    @property
-    def judges(self) -> bool:
-        return any(one.judges for one in self.filters.values())
 
     def mistakes(self) -> Iterable[Refusal]:
         names = list(self.filters)
@@ -159,19 +244,14 @@ class ParticlesRecipe(Recipe):
             yield Refusal(("targets",), message)
 
 
-KINDS: Mapping[str, type[Recipe]] = {
-    "particle_filter": ParticleRecipe,
-    "particle_filters": ParticlesRecipe,
-    "opencv": OpenCvRecipe,
-}
+KINDS: Mapping[str, type[Recipe]] = {type_of(one): one for one in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)}
 
 
 def register(section: type[S]) -> type[S]:
     """Make a section from outside of this package known, so that recipes can name it by its `type`; a decorator too.
 
-    It is derived from `Likelihood`, `Motion`, `Filter`, `Prior` or `Target`. A package names its sections as entry
-    points of the group `facetrack.sections` in place of this. Raises TypeError for what is no section, ValueError for a
-    `type` that is taken.
+    A package names its sections as entry points of the group `facetrack.sections` in place of this. Raises TypeError
+    for what is no `Likelihood`, `Motion`, `Filter`, `Prior` or `Target`, ValueError for a `type` that is taken.
     """
     add(section)
     rebuild()
@@ -184,11 +264,9 @@ def rebuild() -> None:
         model.model_rebuild(force=True)
 
 
-def filters(recipe: Recipe) -> Sequence[tuple[str, ParticleFilter]]:
-    """The particle filters of a recipe, each with what stands before its keys: nothing, or as in `targets.face.`."""
-    if isinstance(recipe, ParticlesRecipe):
-        return [(f"targets.{name}.", one) for name, one in recipe.filters.items()]
-    return [("", recipe)] if isinstance(recipe, ParticleRecipe) else []
+def above(name: str) -> str:
+    """What stands before the keys of the particle filter of this name: nothing, or as in `targets.face.`."""
+    return f"targets.{name}." if name else ""
 
 
 def to_dict(recipe: Recipe) -> dict[str, Any]:

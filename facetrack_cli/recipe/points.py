@@ -15,7 +15,7 @@ from facetrack_cli.recipe.sections import Likelihood, Motion, Prior, Refusal, Ta
 from facetrack_cli.recipe.units import Length, LengthPerPart, WindowPerPart
 
 if TYPE_CHECKING:
-    from facetrack_cli.recipe.particle_filter import ParticleFilter
+    from facetrack_cli.recipe.model import ParticleFilter
 
 PartName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 BOX = "box"  # the one part of a target that is followed as a box
@@ -25,7 +25,6 @@ class Points(Target):
     """Named points of a face, each the centre of a window (section 3.1: alpha = <alpha_1 ... alpha_N>)."""
 
     engine = "facetrack_cli.tracking.models.spaces:place_points"
-
     type: Literal["points"]
     """Points, each tracked by the image around it."""
     parts: Annotated[tuple[PartName, ...], Field(strict=False, min_length=1, max_length=100)]
@@ -57,7 +56,6 @@ class RandomWalk(Motion):
 
     engine = "facetrack_cli.tracking.models.motion:random_walk"
     goes_with = ("points", "region", "cloud")
-
     type: Literal["random_walk"]
     """Each part stays where it was, up to noise."""
     sigma: LengthPerPart
@@ -77,7 +75,6 @@ class ColourRatio(Likelihood):
 
     engine = "facetrack_cli.tracking.models.likelihoods.colour_ratio:ColourRatio.build"
     goes_with = ("points",)
-
     type: Literal["colour_ratio"]
     """Difference of colours that does not change with the intensity of the light."""
     robust: Literal["l1", "huber", "tukey", "geman_mcclure"] = "l1"
@@ -103,7 +100,6 @@ class Parzen(Prior):
 
     engine = "facetrack_cli.tracking.models.shape_prior:build"
     goes_with = ("points",)
-
     type: Literal["parzen"]
     """Parzen density over training shapes."""
     file: Annotated[str, Field(min_length=1)]

@@ -40,8 +40,7 @@ class Scaled(Target):
 class Region(Scaled):
     """A region of the frame: an upright box that moves and changes its size (section 3.2)."""
 
-    engine = "facetrack_cli.tracking.models.spaces:place_region"
-
+    engine = "facetrack_cli.tracking.models.spaces:place_box"
     type: Literal["region"]
     """A box that moves and changes its size."""
     scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.25, 4.0)
@@ -91,7 +90,6 @@ class FirstOrder(Motion):
 
     engine = "facetrack_cli.tracking.models.motion:first_order"
     goes_with = ("region", "cloud")
-
     type: Literal["first_order"]
     """Linear dynamics of place, scale and their speeds."""
     position: PositionDynamics
@@ -104,7 +102,6 @@ class Contour(Component):
     """Edges along the normals of the ellipse in the box (eq. 11)."""
 
     engine = "facetrack_cli.tracking.models.likelihoods.contour:Contour.build"
-
     normals: Annotated[int, Field(ge=4, le=360)] = 32
     """L, the number of normals along which edges are looked for."""
     sigma: Length
@@ -129,7 +126,6 @@ class Histogram(Component):
     """Histograms of hue and saturation in sub-regions of the box (section 3.3)."""
 
     engine = "facetrack_cli.tracking.models.likelihoods.histogram:Histogram.build"
-
     hue_bins: Annotated[int, Field(ge=1, le=64)]
     """N_h."""
     saturation_bins: Annotated[int, Field(ge=1, le=64)]
@@ -152,7 +148,6 @@ class Correlation(Component):
     """Grey values of the box against those of its parent in the previous frame (eq. 12 and 13)."""
 
     engine = "facetrack_cli.tracking.models.likelihoods.correlation:Correlation.build"
-
     grid: Annotated[tuple[Count, Count], Field(strict=False)] = (16, 16)
     """[columns, rows] of the reference grid on which both are sampled."""
     region: Annotated[float, Field(gt=0, le=1)] = 1.0
@@ -176,7 +171,6 @@ class Product(Likelihood):
 
     engine = "facetrack_cli.tracking.models.likelihoods.product:Product.build"
     goes_with = ("region",)
-
     type: Literal["product"]
     """The product of what is given of contour, histogram and correlation."""
     contour: Contour | None = None

@@ -1,8 +1,7 @@
 """What the sections of a recipe are made from, and the registry of those that a recipe names by `type`.
 
-A section declares each setting once: its default, bounds, unit and, in the docstring below it, what it means and where
-the paper has it. What computes with it is its engine, which keeps the section. No numerics are imported here: an engine
-is named by a text and imported when it is built.
+A section declares each setting once: default, bounds, unit and, in the docstring below it, meaning and place in the
+paper. Its engine computes with it. No numerics are imported here: an engine is imported when it is built.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from facetrack_cli.core.errors import RecipeError
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from facetrack_cli.recipe.particle_filter import ParticleFilter
+    from facetrack_cli.recipe.model import ParticleFilter
 
 Steps: TypeAlias = tuple[str | int, ...]
 # the modules beside this one that hold sections, in the order in which types are listed
@@ -48,13 +47,9 @@ def suggest(wrong: str, known: Sequence[str], otherwise: str) -> str:
 class Section(BaseModel):
     """A part of a recipe: frozen, without unknown keys, its fields described by the docstrings below them."""
 
+    # built when the first recipe is read, when all types of sections are known
     model_config = ConfigDict(
-        frozen=True,
-        extra="forbid",
-        strict=True,
-        allow_inf_nan=False,
-        use_attribute_docstrings=True,
-        defer_build=True,  # until the first recipe is read, when all types of sections are known
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True, defer_build=True
     )
 
     def mistakes(self) -> Iterable[Refusal]:
@@ -72,7 +67,7 @@ class Component(Section):
     """A section from which a part of the tracker is built."""
 
     engine: ClassVar[str]
-    """What builds it, as `module:name`: a callable that takes the section and a `tracking.build.context.Context`."""
+    """What builds it, as `module:name`: a callable that takes the section and a `tracking.models.spaces.Context`."""
     goes_with: ClassVar[tuple[str, ...]] = ()
     """The types of target that it goes with."""
 
@@ -162,20 +157,21 @@ _types: dict[type[Kind], dict[str, type[Kind]]] = {}
 
 def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
     """The types of a kind, as `Filter`, by what recipes call them. Raises RecipeError for an entry point that fails."""
-    if not _types:
-        _types.update({one: {} for one in KINDS})
-        for family in FAMILIES:
-            for section in vars(import_module(f"facetrack_cli.recipe.{family}")).values():
-                if isinstance(section, type) and issubclass(section, Kind) and type_of(section):
-                    add(section)
-        for point in metadata.entry_points(group=GROUP):
-            try:
-                add(point.load())
-            except Exception as e:
-                _types.clear()
-                where = f"the entry point {point.name} = {point.value} of {point.dist.name if point.dist else '?'}"
-                said = " ".join(str(e).split()) or type(e).__name__
-                raise RecipeError(f"{where} brings no section: {said}; correct or uninstall that package") from e
+    if _types:
+        return _types[kind]
+    _types.update({one: {} for one in KINDS})
+    for family in FAMILIES:
+        for section in vars(import_module(f"facetrack_cli.recipe.{family}")).values():
+            if isinstance(section, type) and issubclass(section, Kind) and type_of(section):
+                add(section)
+    for point in metadata.entry_points(group=GROUP):
+        try:
+            add(point.load())
+        except Exception as e:
+            _types.clear()
+            where = f"the entry point {point.name} = {point.value} of {point.dist.name if point.dist else '?'}"
+            said = " ".join(str(e).split()) or type(e).__name__
+            raise RecipeError(f"{where} brings no section: {said}; correct or uninstall that package") from e
     return _types[kind]
 
 

@@ -50,7 +50,6 @@ class SkinNcc(Likelihood):
 
     engine = "facetrack_cli.tracking.models.likelihoods.skin_ncc:SkinNcc.build"
     goes_with = ("region",)
-
     type: Literal["skin_ncc"]
     """A face by what is given of skin and ncc, or by both together."""
     skin: Skin | None = None
@@ -76,7 +75,6 @@ class SkinCloud(Likelihood):
 
     engine = "facetrack_cli.tracking.models.likelihoods.skin_cloud:SkinCloud.build"
     goes_with = ("cloud",)
-
     type: Literal["skin"]
     """The probability that a pixel is skin."""
     learn_from: str | None = None
@@ -92,9 +90,8 @@ class SkinCloud(Likelihood):
 class Cloud(Target):
     """A cloud of pixels, whose mean is the target's place and whose spread is its size (Gianni et al. 2007)."""
 
-    engine = "facetrack_cli.tracking.models.spaces:place_cloud"
+    engine = "facetrack_cli.tracking.models.spaces:place_box"
     relearns = False  # colours are learned in the first frame alone
-
     type: Literal["cloud"]
     """A cloud in which each particle is a pixel."""
 

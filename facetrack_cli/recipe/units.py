@@ -41,18 +41,15 @@ class Length:
             given = given.written()
         if cls.least == 0 and isinstance(given, int | float) and given == 0 and not isinstance(given, bool):
             return cls(0.0)
+        length = cls(math.nan)
         if isinstance(given, str) and re.fullmatch(_NUMBER + " ?px", given):
             length = cls(float(given.removesuffix("px")), px=True)
         elif isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e300:
             length = cls(float(given))
-        else:
-            length = cls(math.nan)
         if not SHORTEST <= length.value <= LONGEST:  # also nan
+            units = "a number in units of the target's size, or pixels as in 12px"
             bound = "a length above 0" if cls.least else "0 or a length"
-            hint = (
-                f"must be {bound} (and no more than a million): "
-                "a number in units of the target's size, or pixels as in 12px"
-            )
+            hint = f"must be {bound} (and no more than a million): {units}"
             raise PydanticCustomError("length", hint)  # type: ignore[arg-type, unused-ignore]
         return length
 
@@ -66,12 +63,8 @@ class Length:
     def __get_pydantic_json_schema__(
         cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        units = {
-            "type": "number",
-            "minimum": cls.least,
-            "maximum": LONGEST,
-            "description": "In units of the target's size at the start.",
-        }
+        said = "In units of the target's size at the start."
+        units = {"type": "number", "minimum": cls.least, "maximum": LONGEST, "description": said}
         pixels = {"type": "string", "pattern": f"^{_NUMBER} ?px$", "description": "In pixels, as in 12px."}
         return {"title": cls.__name__, "anyOf": [units, pixels]}
 
@@ -112,21 +105,14 @@ class PerPart(
     def refusals(self, path: Steps, parts: Sequence[str]) -> list[Refusal]:
         if not isinstance(self.root, dict):
             return []
-        where = ".".join(map(str, path))
-        known = [*parts, "default"]
-        found = [
-            Refusal(
-                (*path, name),
-                f'"{name}" in {where} is no part of the target; {suggest(name, known, "there are")}',
-                True,
-            )
-            for name in self.root
-            if name not in known
-        ]
+        where, known, found = ".".join(map(str, path)), [*parts, "default"], []
+        for name in self.root:
+            if name not in known:
+                message = f'"{name}" in {where} is no part of the target; {suggest(name, known, "there are")}'
+                found.append(Refusal((*path, name), message, True))
         lacking = [] if "default" in self.root else [part for part in parts if part not in self.root]
         if lacking:
-            message = f'{where} has no value for {", ".join(lacking)}; add each, or a "default"'
-            found.append(Refusal(path, message))
+            found.append(Refusal(path, f'{where} has no value for {", ".join(lacking)}; add each, or a "default"'))
         return found
 
 

@@ -2,36 +2,31 @@
 
 The window at the estimate is compared with the template, and the distance d is placed between two levels of this clip:
 
-    good_i    what the part itself shows: the running mean of d at the estimate over `memory` frames in which the part
-              was not in doubt. It begins as the median of d over a ring of windows in the first frame that are off by
-              1/13 of the window's size (one pixel, for a window of 13), and without a memory it stays that
-    bad_i     what is not the part: the quantile `beside` of d over a ring of windows off by the whole window's size in
-              the first frame, or d of a blank window if that is less. The estimate is the best place of a search, so a
-              part that ran off sits on a window that matches better than most: a lower quantile is stricter
+    good_i    the running mean of d at the estimate over `memory` frames in which the part was not in doubt. It begins
+              as the median of d over a ring of windows in the first frame that are off by 1/13 of the window's size
+    bad_i     the quantile `beside` of d over a ring of windows off by the whole window's size in the first frame, or d
+              of a blank window if that is less. A lower quantile is stricter
     confidence = clip((bad - d) / (bad - good), 0, 1), and 0 for a part that looks like all that is around it
 
-A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, and `tracked` again as soon
-as it rises above.
+A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, `tracked` once it is above.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.recipe.particle_filter import Confidence
+from facetrack_cli.core.types import Array, Frame, Mask, Whole
+from facetrack_cli.recipe.model import Confidence
 from facetrack_cli.trajectory.trajectory import Status
 
 
 class Measures(Protocol):
-    """A likelihood that can say how badly a part matches what the first frame showed."""
+    """A likelihood that says how badly parts x (N, K, D) match what the first frame showed: (N, K), 0 is perfect."""
 
-    def distances(self, learned: Any, frame: Frame, x: Array) -> Array:
-        """(N, K) of x (N, K, D): 0 for a perfect match."""
+    def distances(self, learned: Any, frame: Frame, x: Array) -> Array: ...
 
 
 @dataclass(frozen=True)
@@ -41,7 +36,7 @@ class Judgement:
     good: Array
     bad: Array
     confidence: Array
-    below: np.ndarray[tuple[int], np.dtype[np.int64]]
+    below: Whole
     status: tuple[Status, ...]
 
 
@@ -55,8 +50,7 @@ def begin(settings: Confidence, measure: Measures, learned: Any, frame: Frame, x
     beside = np.quantile(measure.distances(learned, frame, x0 + ring), settings.beside, axis=0)
     blank = Frame(frame.index, frame.time_s, np.full_like(frame.bgr, 128))
     bad = np.minimum(beside, measure.distances(learned, blank, x0[None])[0])
-    init: Status = "init"
-    return Judgement(near, bad, np.ones(k), np.zeros(k, np.int64), (init,) * k)
+    return Judgement(near, bad, np.ones(k), np.zeros(k, np.int64), tuple(["init"] * k))
 
 
 def judge(settings: Confidence, last: Judgement, distance: Array) -> Judgement:
@@ -68,13 +62,13 @@ def judge(settings: Confidence, last: Judgement, distance: Array) -> Judgement:
     good = last.good
     if settings.memory is not None:
         good = np.where(doubtful, good, good + (distance - good) / settings.memory)
-    status = tuple(_status(v) for v in below >= settings.patience)
+    status = tuple(np.where(below >= settings.patience, "lost", "tracked").tolist())
     return Judgement(good, last.bad, confidence, below, status)
 
 
 def resume(
-    settings: Confidence, first: Judgement, anew: NDArray[np.bool_], measure: Measures, learned: Any, frame: Frame,
-    x0: Array, windows: Array,
+    settings: Confidence, first: Judgement, anew: Mask, measure: Measures, learned: Any, frame: Frame, x0: Array,
+    windows: Array,
 ) -> Judgement:  # fmt: skip
     """The judgement where a target begins anew at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
 
@@ -86,14 +80,5 @@ def resume(
     if not anew.any():
         return kept
     begun = begin(settings, measure, learned, frame, x0, windows)
-    return Judgement(
-        np.where(anew, begun.good, kept.good),
-        np.where(anew, begun.bad, kept.bad),
-        np.where(anew, begun.confidence, kept.confidence),
-        np.where(anew, begun.below, kept.below),
-        tuple(b if now else k for now, b, k in zip(anew, begun.status, kept.status, strict=True)),
-    )
-
-
-def _status(lost: bool) -> Status:
-    return "lost" if lost else "tracked"
+    mixed = {one.name: np.where(anew, getattr(begun, one.name), getattr(kept, one.name)) for one in fields(kept)}
+    return Judgement(**{**mixed, "status": tuple(mixed["status"].tolist())})

@@ -1,15 +1,13 @@
-"""Corrections along the clip: a target that begins anew wherever somebody put it right, and what of it is not there.
+"""Corrections along the clip: a target that begins anew in each frame in which somebody corrected it.
 
-At the frame of a correction a target begins anew, as it did in the first frame: its particles stand together, and its
-random numbers are of their own stream, (seed, target, frame). Parts that are given stand where the correction says;
-those that are kept, or not spoken of, stand where they were, rounded as in the CSV. What follows depends on the first
-frame, on the correction, and on the pictures from there on, and on nothing that was tracked before. So a part of a run
-can be tracked anew without the rest (`Resumed`), and gives the very rows that a whole run would.
+There its particles stand together, as in the first frame, and its random numbers are of their own stream, (seed,
+target, frame). Parts that are given stand where the correction says; those that are kept, or not spoken of, stand where
+they were, rounded as in the CSV. What follows depends on the first frame, the correction, and the images from there on,
+and on nothing that was tracked before, so that `Resumed` tracks a part of a run with the rows of the whole run.
 
-What is given is learned anew: a box, or those of the points that somebody put right; the others keep what the first
-frame taught. A correction's `learn` says otherwise: false learns nothing, true all that is there, points that are kept
-and the size of the face too. What is absent has rows without a place until a later correction gives it. All of this is
-ours; the papers begin once.
+What is given is learned anew, a box or points; the others keep what the first frame taught. A correction's `learn` says
+otherwise: false learns nothing, true all that is there, with points that are kept and the size of the face. What is
+absent has rows without a place until a later correction gives it. None of this is in the papers.
 """
 
 from __future__ import annotations
@@ -20,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
 from facetrack_cli.core.types import BOX, Correction, Frame, Mask, TargetStart
 from facetrack_cli.tracking.exclusion import Cover
@@ -31,11 +30,10 @@ STREAM: Final = 2**31  # keeps the streams of corrections apart from those of ta
 
 
 class Anew(NamedTuple):
-    """How a target begins anew, as `build.py` knows it.
+    """How a target begins anew: whether it is placed by `points`, and whether all of it is learned if nothing is said.
 
-    `points`: whether it is placed by points; `learn`: whether all of it is learned anew, if nothing is said. `place`
-    finds the points that are not absent in a box given alone. `build` makes the target that learns what it looks like
-    in a frame where it is as given.
+    `place` finds the points that are not absent in a box given alone. `build` makes the target that learns what it
+    looks like in a frame where it is as given.
     """
 
     points: bool
@@ -55,7 +53,7 @@ class State:
     streams: np.random.SeedSequence
     target: Target
     inner: Any
-    rng: np.random.Generator | None = None
+    rng: Generator | None = None
 
 
 @dataclass(frozen=True)
@@ -78,21 +76,24 @@ class CorrectedTarget:
     def windows(self) -> Mapping[str, tuple[float, float]]:
         return self.target.windows
 
-    def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[State, TargetResult]:
+    def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
         streams = rng.bit_generator.seed_seq
         assert isinstance(streams, np.random.SeedSequence)
         inner, result = self.target.begin(rng, frame)
         return State(inner, streams, self.target, inner), result
 
     def advance(
-        self, rng: np.random.Generator, state: State, frame: Frame, covers: Sequence[Cover]
+        self, rng: Generator, state: State, frame: Frame, covers: Sequence[Cover]
     ) -> tuple[State, TargetResult]:
         correction = self.corrections.get(frame.index)
-        if correction is not None:
-            if not self.complete(correction):
-                correction = self._completed(correction, state, self._go_on(rng, state, frame, covers)[1])
+        if correction is not None and is_complete(correction, self.parts):
             return self.correct(state, frame, correction)
-        return self._go_on(rng, state, frame, covers)
+        if state.inner is None:
+            after, result = state, self._absent(frame)
+        else:
+            inner, result = state.target.advance(state.rng or rng, state.inner, frame, covers)
+            after = replace(state, inner=inner)
+        return (after, result) if correction is None else self.correct(state, frame, completed(correction, result.rows))
 
     def resumed(self, first: Frame) -> Resumed:
         """The same from a correction on, of a run whose first frame is `first`."""
@@ -100,10 +101,6 @@ class CorrectedTarget:
 
     def cover(self, state: State, *, ahead: bool) -> Cover | None:
         return None if state.inner is None else state.target.cover(state.inner, ahead=ahead)
-
-    def complete(self, correction: Correction) -> bool:
-        """Whether it says of every part where it is, or that it is not to be seen."""
-        return is_complete(correction, self.parts)
 
     def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
         """The state after `frame`, in which a `complete` correction says where the target is."""
@@ -115,7 +112,8 @@ class CorrectedTarget:
             given = self.anew.place(frame, correction)
         by_hand = tuple(part for part in self.parts if part in given.points or not self.anew.points)
         if self.anew.points:
-            given = TargetStart(points={**correction.kept, **given.points}, windows=self._windows)
+            # a part is compared by as much of the image as at the start
+            given = TargetStart(points={**correction.kept, **given.points}, windows=self.windows)
         streams = state.streams
         key = (*streams.spawn_key, STREAM, frame.index)
         rng = np.random.default_rng(np.random.SeedSequence(streams.entropy, spawn_key=key))
@@ -133,29 +131,11 @@ class CorrectedTarget:
         result = _with_status(result, np.isin(self.parts, by_hand), "init", confidence=1.0)
         return replace(state, target=target, inner=inner, rng=rng), _marked(result, (*by_hand, *absent))
 
-    @property
-    def _windows(self) -> Mapping[str, tuple[float, float]]:
-        """Of points, those of the start: a part is compared by as much of the picture as before."""
-        return self.target.windows if self.anew.points else {}
-
-    def _go_on(
-        self, rng: np.random.Generator, state: State, frame: Frame, covers: Sequence[Cover]
-    ) -> tuple[State, TargetResult]:
-        if state.inner is None:
-            return state, self._absent(frame)
-        inner, result = state.target.advance(state.rng or rng, state.inner, frame, covers)
-        return replace(state, inner=inner), result
-
-    def _completed(self, correction: Correction, state: State, tracked: TargetResult) -> Correction:
-        """With the parts that it does not speak of where they are tracked, or absent as they were."""
-        return completed(correction, tracked.rows)
-
     def _absent(self, frame: Frame) -> TargetResult:
         """The result while nothing of the target is visible."""
-        k = len(self.parts)
-        names = [(self.name, part) for part in self.parts]
-        times = np.full(k, frame.time_s)
-        rows = build(names, np.arange(k), np.full(k, frame.index), time_s=times, status=["absent"] * k)
+        k, names = len(self.parts), [(self.name, part) for part in self.parts]
+        frames, times = np.full(k, frame.index), np.full(k, frame.time_s)
+        rows = build(names, np.arange(k), frames, time_s=times, status=["absent"] * k)
         return TargetResult(rows, np.zeros((0, k, 2)))
 
 
@@ -173,8 +153,7 @@ def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
 def completed(correction: Correction, rows: Trajectory) -> Correction:
     """With the parts that it does not speak of where `rows`, those of its target in its frame, have them.
 
-    They keep their place, with the digits of the CSV, so that a run that is read back goes on as it did; what is
-    absent there stays absent.
+    They keep their place, with the digits of the CSV, as in a run that is read back; what is absent stays absent.
     """
     parts = [part for _, part in rows.names]
     if is_complete(correction, parts):
@@ -182,12 +161,11 @@ def completed(correction: Correction, rows: Trajectory) -> Correction:
     assert correction.absent is not True
     kept, absent = dict(correction.kept), list(correction.absent)
     for (_, part), x, y in zip(rows.names, rows.x.tolist(), rows.y.tolist(), strict=True):
-        if part in correction.given.points or part in kept or part in absent:
-            continue
-        if math.isnan(x) or math.isnan(y):
-            absent.append(part)
-        else:
-            kept[part] = round(x, DECIMALS["x"]), round(y, DECIMALS["y"])
+        if part not in correction.given.points and part not in kept and part not in absent:
+            if math.isnan(x) or math.isnan(y):
+                absent.append(part)
+            else:
+                kept[part] = round(x, DECIMALS["x"]), round(y, DECIMALS["y"])
     return replace(correction, kept=kept, absent=all_or(absent, parts))
 
 
@@ -212,18 +190,17 @@ def _marked(result: TargetResult, by_hand: Sequence[str]) -> TargetResult:
 
 @dataclass(frozen=True)
 class Resumed(CorrectedTarget):
-    """A corrected target from one of its corrections on; `first` is the first frame of the whole run.
+    """A corrected target from one of its corrections on, a complete one; `first` is the first frame of the whole run.
 
-    Its `begin`, with the frame of that correction, gives the rows that the whole run has there, and `advance` those
-    that follow; the correction must be complete. It keeps its place among the tracker's targets, by which its random
-    numbers are drawn.
+    `begin`, with the frame of that correction, and `advance` give the rows of the whole run. It must keep its place
+    among the tracker's targets, by which its random numbers are drawn.
     """
 
     first: Frame
 
-    def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[State, TargetResult]:
+    def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
         correction = self.corrections[frame.index]
-        if not self.complete(correction):
+        if not is_complete(correction, self.parts):
             raise ValueError(f"the correction of {self.name} at frame {frame.index} does not tell of all its parts")
         state, _ = super().begin(rng, self.first)
         return self.correct(state, frame, correction)

@@ -1,14 +1,12 @@
-"""Mutual exclusion of targets: what one explains, the others should not.
+"""Mutual exclusion of targets: what one explains, the others should not (Gianni, Collet & Dalle 2007).
 
-After the exclusion principle as Gianni, Collet & Dalle (2007) use it for a head and two hands, in the words of Gonzalez
-& Collet, section 3: particles are penalised when the objects are close, so that two filters do not track the same skin.
-The papers print no formula. Chosen is, for a particle at x and the other targets j, each an ellipse:
+Particles are penalised when the objects are close, so that two filters do not track the same skin (Gonzalez & Collet,
+section 3). The papers print no formula. Chosen is, for a particle at x and the other targets j, each an ellipse:
 
     p(y | x) <- p(y | x) * prod_j (1 - strength * exp(-(d_j(x) / reach)^4 / 2))
 
-with d_j the distance from the centre of j in half axes of its ellipse, 1 on its outline. The fourth power makes the
-ellipse nearly evenly forbidden, and what is outside of it nearly free. A target that has nowhere else to go stays:
-where all its particles are penalised alike, none is.
+with d_j the distance from the centre of j in half axes of its ellipse, 1 on its outline. By the fourth power the whole
+ellipse is penalised and little outside of it. Where all particles of a target are penalised alike, none is.
 """
 
 from __future__ import annotations

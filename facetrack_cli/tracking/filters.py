@@ -20,9 +20,8 @@ from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Info, Particles
+from facetrack_cli.core.types import Array, Info, Mask, Particles, Whole
 from facetrack_cli.recipe import filters
 from facetrack_cli.tracking.resampling import SCHEMES, effective_sample_size, logsumexp, normalise, uniform
 
@@ -44,43 +43,30 @@ class Ahead(NamedTuple):
 
 
 class FrameModel(Protocol):
-    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently."""
+    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently.
 
-    def propagate(self, rng: Generator, x: Array) -> Array:
-        """(N, K, D) drawn from p(x_t | x_{t-1} = x)."""
-
-    def log_transition(self, x: Array, parents: Array) -> Array:
-        """(N, M, K): log p(x_t | x_{t-1}) of each part."""
-
-    def log_likelihood(self, x: Array, parents: Array) -> Array:
-        """(N, K): log p(y | x) of each part."""
-
-    def log_prior(self, x: Array) -> Array:
-        """(N,): log p(x) of the shape, up to a constant; zeros without a prior."""
+    `ahead` is where the target is expected; `propagate` takes its shift and noise into account.
+    """
 
     @property
-    def ahead(self) -> Ahead:
-        """Where the target is expected; `propagate` takes its shift and noise into account."""
-
-    def propose_part(self, rng: Generator, x: Array, part: int) -> Array:
-        """(N, D): part `part` drawn from the shape prior given the other parts of each particle."""
+    def ahead(self) -> Ahead: ...
+    def propagate(self, rng: Generator, x: Array) -> Array: ...  # (N, K, D) drawn from p(x_t | x_{t-1} = x)
+    def log_transition(self, x: Array, parents: Array) -> Array: ...  # (N, M, K): log p(x_t | x_{t-1}) of each part
+    def log_likelihood(self, x: Array, parents: Array) -> Array: ...  # (N, K): log p(y | x) of each part
+    def log_prior(self, x: Array) -> Array: ...  # (N,): log p(x) of the shape, up to a constant; zeros without a prior
+    def propose_part(self, rng: Generator, x: Array, part: int) -> Array: ...  # (N, D): from the prior given the others
 
 
 # in place of log 0, so that a ratio of two zeros is 1 and not a NaN: where nothing is likely, nothing is preferred
 LEAST = -1e30
-
 Stepped: TypeAlias = tuple[Particles, Info]
 Step: TypeAlias = Callable[[Generator, Particles, FrameModel], Stepped]
 
 
 def sir(settings: filters.Sir, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
-    """Sampling/importance resampling over the joint state (section 2): resample, propagate, weigh by the likelihood.
-
-    With a shape prior in the model, p(y|s)p(s) is the observation, as in `auxiliary`.
-    """
+    """Sampling/importance resampling over the joint state (section 2), p(y|s)p(s) as the observation."""
     parents = particles.x[SCHEMES[settings.resampling](rng, particles.log_w, len(particles.x))]
-    x = model.propagate(rng, parents)
-    return _weighted(model, x, parents)
+    return _weighted(model, model.propagate(rng, parents), parents)
 
 
 def auxiliary(settings: filters.Auxiliary, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
@@ -92,8 +78,7 @@ def auxiliary(settings: filters.Auxiliary, rng: Generator, particles: Particles,
     log_lambda = _log_observation(model, mu, particles.x)
     chosen = SCHEMES[settings.resampling](rng, normalise(particles.log_w + log_lambda), len(mu))
     parents = particles.x[chosen]
-    x = model.propagate(rng, parents)
-    return _weighted(model, x, parents, log_lambda[chosen])
+    return _weighted(model, model.propagate(rng, parents), parents, log_lambda[chosen])
 
 
 def factorized(
@@ -109,14 +94,13 @@ def factorized(
     - `transition`: eq. 7, the ratio of predictive densities estimated from the particles themselves;
     - `none`, of `independent`: 1. That is N independent auxiliary filters, the paper's first baseline.
 
-    With `from_prior` (beyond the paper) a part can come back from afar: the transition of a part is then the mixture of
-    both, the label of the component belongs to the auxiliary variable, and the weights of steps 3 and 5 hold as they
-    are.
+    With `from_prior` (beyond the paper) the transition of a part is the mixture of both; the label of the component
+    belongs to the auxiliary variable, and the weights of steps 3 and 5 hold as they are.
     """
     n, k, _ = particles.x.shape
     resample, columns = SCHEMES[settings.resampling], np.arange(k)
     jumps = rng.random((n, k)) < settings.from_prior if settings.from_prior > 0 else None
-    mu = _move(rng, particles.x, model, particles.x, jumps)
+    mu = _move(rng, particles.x, model, particles.x, jumps, np.repeat(np.arange(n)[:, None], k, axis=1))
     log_lambda = np.maximum(model.log_likelihood(mu, particles.x), LEAST)
     chosen = resample(rng, normalise(particles.log_w[:, None] + log_lambda), n)
     parents = particles.x[chosen, columns]
@@ -139,14 +123,7 @@ def _log_ratio(x: Array, previous: Particles, model: FrameModel) -> Array:
     return np.asarray(joint - marginals.sum(axis=1))
 
 
-def _move(
-    rng: Generator,
-    x: Array,
-    model: FrameModel,
-    whole: Array,
-    jumps: NDArray[np.bool_] | None,
-    chosen: NDArray[np.int64] | None = None,
-) -> Array:
+def _move(rng: Generator, x: Array, model: FrameModel, whole: Array, jumps: Mask | None, chosen: Whole) -> Array:
     """x (N, K, D) moved by the transition, or by the prior where `jumps` (N, K); `whole` are the parents entire."""
     moved = model.propagate(rng, x)
     if jumps is None:
@@ -154,7 +131,7 @@ def _move(
     for i in range(x.shape[1]):
         rows = np.flatnonzero(jumps[:, i])
         if rows.size:
-            moved[rows, i] = model.propose_part(rng, whole[rows if chosen is None else chosen[rows, i]], i)
+            moved[rows, i] = model.propose_part(rng, whole[chosen[rows, i]], i)
     return moved
 
 
@@ -177,8 +154,7 @@ def number(settings: filters.Adaptive, ahead: Ahead) -> int:
         J_t = J_0 (eta + d)  if the entropy of the identity rose,  J_0 (eta - d)  if it did not,
 
     and J_0 eta where nobody is recognised; never below `least`. Eq. 17 prints (-1)^I[H_{t-1} < H_{t-2}], which adds d
-    if the entropy stayed the same; the text says "otherwise we deduct", which is what is taken: a posterior that has
-    settled needs no more particles.
+    if the entropy stayed the same; taken is the text, "otherwise we deduct".
     """
     if not settings.adapt:
         return settings.particles

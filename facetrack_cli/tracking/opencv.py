@@ -1,8 +1,7 @@
-"""OpenCV's own trackers of a box, wrapped to stand beside ours: MIL, CSRT, KCF and MOSSE.
+"""OpenCV's own trackers of a box, to compare with: MIL, CSRT, KCF and MOSSE, with their default parameters.
 
-They are here to be compared with, as OpenCV ships them, with its default parameters. What they do not tell (spread,
-confidence) is left out. A tracker that says itself that it has lost the target is `lost`, and the box stays where it
-was; MIL and CSRT hardly ever say so. OpenCV takes boxes over whole pixels, so a start is rounded.
+What they do not report (spread, confidence) is left out. Where a tracker reports that it has lost the target, the part
+is `lost` and the box stays; MIL and CSRT hardly ever do. OpenCV takes boxes over whole pixels, so a start is rounded.
 """
 
 from __future__ import annotations
@@ -10,46 +9,32 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import BOX, Box, Frame
 from facetrack_cli.trajectory.trajectory import Status, TargetResult, one_part
 
-FACTORIES: Final = {
-    "mil": "TrackerMIL_create",
-    "csrt": "TrackerCSRT_create",
-    "kcf": "TrackerKCF_create",
-    "mosse": "legacy.TrackerMOSSE_create",
-}
 LEAST: Final = 6  # pixels: MIL looks for ever for features in a box of 4x4
-NO_CLOUD: Final = np.zeros((0, 1, 2))
+State: TypeAlias = "tuple[Any, tuple[int, int, int, int]]"  # OpenCV's tracker, and the last box
 
 
 def find(tracker: str) -> Callable[[], Any] | None:
     """What makes a tracker of that name, None where this build of OpenCV has none."""
-    found: Any = cv2
-    for name in FACTORIES[tracker].split("."):
-        found = getattr(found, name, None)
-    return found  # type: ignore[no-any-return]
+    module: Any = getattr(cv2, "legacy", None) if tracker == "mosse" else cv2
+    return getattr(module, f"Tracker{tracker.upper()}_create", None)
 
 
 def check(tracker: str) -> None:
     """RecipeError if this build of OpenCV has no such tracker."""
     if find(tracker) is None:
-        raise RecipeError(
-            f"the installed OpenCV {cv2.__version__} has no {tracker.upper()} tracker; pip uninstall "
-            "opencv-python-headless, then pip install 'opencv-contrib-python-headless<5'"
-        )
-
-
-class _State(NamedTuple):
-    tracker: Any
-    box: tuple[int, int, int, int]
+        remedy = "pip uninstall opencv-python-headless, then pip install 'opencv-contrib-python-headless<5'"
+        raise RecipeError(f"the installed OpenCV {cv2.__version__} has no {tracker.upper()} tracker; {remedy}")
 
 
 @dataclass(frozen=True)
@@ -60,16 +45,10 @@ class OpenCvTarget:
     box: Box
     tracker: str
     origin: str
+    parts: ClassVar = (BOX,)
+    windows: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
-    @property
-    def parts(self) -> tuple[str, ...]:
-        return (BOX,)
-
-    @property
-    def windows(self) -> Mapping[str, tuple[float, float]]:
-        return {}
-
-    def begin(self, rng: np.random.Generator, frame: Frame) -> tuple[_State, TargetResult]:
+    def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
         """Raises InputError for a box too small, or too large, for this tracker."""
         create = find(self.tracker)
         assert create is not None
@@ -79,45 +58,40 @@ class OpenCvTarget:
         try:
             tracker.init(frame.bgr, box)
         except cv2.error as e:
-            raise InputError(
-                f"{self.origin}: OpenCV's {self.tracker.upper()} cannot begin with the box {list(box)} of {self.name} "
-                f"({e.err}); give one that leaves some of the picture around it"
-            ) from None
-        return _State(tracker, box), self._result(frame, box, "init")
+            cannot = f"OpenCV's {self.tracker.upper()} cannot begin with the box {list(box)} of {self.name} ({e.err})"
+            remedy = "give one that leaves some of the picture around it"
+            raise InputError(f"{self.origin}: {cannot}; {remedy}") from None
+        return (tracker, box), self._result(frame, box, "init")
 
-    def advance(
-        self, rng: np.random.Generator, state: _State, frame: Frame, covers: object = ()
-    ) -> tuple[_State, TargetResult]:
+    def advance(self, rng: Generator, state: State, frame: Frame, covers: object = ()) -> tuple[State, TargetResult]:
+        tracker, last = state
         try:
-            found, box = state.tracker.update(frame.bgr)
+            found, box = tracker.update(frame.bgr)
         except cv2.error:  # as MIL does where no place is left to look at
-            found, box = False, state.box
-        # one that has lost its target reports an empty box
-        if not found or box[2] < 1 or box[3] < 1:
-            return state, self._result(frame, state.box, "lost")
-        return _State(state.tracker, box), self._result(frame, box, "tracked")
+            found, box = False, last
+        if not found or box[2] < 1 or box[3] < 1:  # one that has lost its target reports an empty box
+            return state, self._result(frame, last, "lost")
+        return (tracker, box), self._result(frame, box, "tracked")
 
-    def cover(self, state: _State, *, ahead: bool) -> None:
+    def cover(self, state: State, *, ahead: bool) -> None:
         """OpenCV's trackers know nothing of each other."""
 
     def _whole(self, frame: Frame) -> tuple[int, int, int, int]:
-        """The start's box over whole pixels, inside the picture and off its right and lower edge."""
+        """The start's box over whole pixels, inside the frame and off its right and lower edge."""
         width, height = frame.size
         # corner and size each on their own: a square stays one
         x, y, w, h = (round(side) for side in self.box)
         left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width - 1), min(y + h, height - 1)
         if right - left < LEAST or bottom - top < LEAST:
-            raise InputError(
-                f"{self.origin}: the box of {self.name} covers less than {LEAST}x{LEAST} pixels of the picture; "
-                "give a larger one"
-            )
+            small = f"covers less than {LEAST}x{LEAST} pixels of the picture"
+            raise InputError(f"{self.origin}: the box of {self.name} {small}; give a larger one")
         return left, top, right - left, bottom - top
 
     def _result(self, frame: Frame, box: Box, status: Status) -> TargetResult:
         x, y = centre(box)
         place = {"x": [x], "y": [y], "w": [box[2]], "h": [box[3]]}
         rows = one_part(self.name, BOX, [frame.index], time_s=[frame.time_s], status=[status], **place)
-        return TargetResult(rows, NO_CLOUD)
+        return TargetResult(rows, np.zeros((0, 1, 2)))
 
 
 def _seed(seed: int) -> None:

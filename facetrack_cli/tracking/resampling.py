@@ -1,8 +1,7 @@
 """Resampling schemes, the effective sample size, and arithmetic on log weights.
 
 Every scheme takes the generator, normalised log weights (N,), or (N, K) for K populations side by side, and a number of
-draws M; it returns M indices (M,) or (M, K) int64, in ascending order, each below N and never of a particle whose
-weight is zero. Expected counts are M * w for them all.
+draws M; it returns M indices (M,) or (M, K), in ascending order, never of weight zero. Expected counts are M * w.
 """
 
 from __future__ import annotations
@@ -11,13 +10,11 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.tracking.kernels.resampling import invert_cdf
 
-Indices: TypeAlias = NDArray[np.int64]
-Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Indices]
+Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Whole]
 
 
 def logsumexp(a: Array, axis: int = 0) -> Array:
@@ -25,8 +22,7 @@ def logsumexp(a: Array, axis: int = 0) -> Array:
     top = np.max(a, axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):
-        total = np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top
-    return np.asarray(total.squeeze(axis))
+        return np.asarray((np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top).squeeze(axis))
 
 
 def normalise(log_w: Array) -> Array:
@@ -53,27 +49,27 @@ def uniform(n: int) -> Array:
     return np.full(n, -np.log(n))
 
 
-def _invert(w: Array, points: Array) -> Indices:
+def _invert(w: Array, points: Array) -> Whole:
     """`invert_cdf` for one population (N,) or several (N, K)."""
     return np.asarray(invert_cdf(w.reshape(len(w), -1), points.reshape(len(points), -1)).reshape(points.shape))
 
 
-def systematic(rng: np.random.Generator, log_w: Array, m: int) -> Indices:
+def systematic(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
     """One uniform offset, M evenly spaced points: the least noisy, each count is floor or ceil of M * w."""
     return _invert(np.exp(log_w), np.add.outer(np.arange(m), rng.random(log_w.shape[1:])) / m)
 
 
-def stratified(rng: np.random.Generator, log_w: Array, m: int) -> Indices:
+def stratified(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
     """One uniform point in each of M equal strata."""
     return _invert(np.exp(log_w), (np.arange(m) + rng.random((*log_w.shape[1:], m))).T / m)
 
 
-def multinomial(rng: np.random.Generator, log_w: Array, m: int) -> Indices:
+def multinomial(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
     """M independent draws, as the papers' algorithms are written."""
     return _invert(np.exp(log_w), np.sort(rng.random((m, *log_w.shape[1:])), axis=0))
 
 
-def residual(rng: np.random.Generator, log_w: Array, m: int) -> Indices:
+def residual(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
     """floor(M * w) copies of each, and the remainder drawn systematically from what is left over."""
     if log_w.ndim > 1:
         return np.stack([residual(rng, column, m) for column in log_w.T], axis=1)
@@ -88,9 +84,4 @@ def residual(rng: np.random.Generator, log_w: Array, m: int) -> Indices:
     return np.sort(np.concatenate([fixed, drawn]))
 
 
-SCHEMES: dict[str, Resampling] = {
-    "systematic": systematic,
-    "stratified": stratified,
-    "multinomial": multinomial,
-    "residual": residual,
-}
+SCHEMES: dict[str, Resampling] = {one.__name__: one for one in (systematic, stratified, multinomial, residual)}

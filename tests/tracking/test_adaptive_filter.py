@@ -18,7 +18,7 @@ from facetrack_cli.tracking.models.patches import Patches
 from facetrack_cli.tracking.models.spaces import AffineSpace, estimate
 from facetrack_cli.tracking.models.velocity import eta
 from facetrack_cli.tracking.resampling import uniform
-from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.tracking.target import Bound, ParticleTarget
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
 from tests.support.parts import adaptive, affine_walk, appearance, predicted
 from tests.support.results import parts_of
@@ -265,7 +265,7 @@ def test_what_is_predicted_is_where_the_picture_went(best):
 def test_without_a_motion_that_predicts_nothing_is_predicted():
     still = target(motion=WALK, step=partial(filters.adaptive, adaptive(100, entropy=0.0)))
     (first, second), results = followed(still, 2)
-    ahead = still.predict(first, frame(PICTURE))
+    ahead = Bound(still, first, frame(PICTURE)).ahead
     np.testing.assert_array_equal(ahead.state, first.estimated.state)
     assert not ahead.shift.any() and ahead.noise == 1.0 and second.flow is None
     assert parts_of(results[1])[0].particles == 100 and "error" not in reported(results[1])

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.npz import Kind
-from facetrack_cli.tracking.identity.fit import equal_errors, fit_gallery, fit_logistic
+from facetrack_cli.tracking.identity.fit import Samples, equal_errors, fit_gallery, fit_logistic, off_the_mark, stand_in
 from facetrack_cli.tracking.identity.gallery import NONE, Gallery, load_gallery, logistic
-from facetrack_cli.tracking.identity.samples import Samples, off_the_mark, stand_in
 from facetrack_cli.tracking.identity.subspaces import LEAST_RHO, Moments, Subspace, common_basis, fit_subspace, folds_by
 from tests.twins import gallery as naive_gallery
 

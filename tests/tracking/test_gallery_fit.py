@@ -10,8 +10,18 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.identity.faces import SHIFT, STRETCH, TURN, moved, near, off, read_faces
-from facetrack_cli.tracking.identity.people import Reading, count, find_people
+from facetrack_cli.tracking.identity.people import (
+    SHIFT,
+    STRETCH,
+    TURN,
+    Reading,
+    count,
+    find_people,
+    moved,
+    near,
+    off,
+    read_faces,
+)
 from facetrack_cli.tracking.models.patches import Patches
 from facetrack_cli.tracking.start.haar import find_faces
 from tests.support.gallery_faces import face_of, people_folder

@@ -15,8 +15,7 @@ from facetrack_cli.core.errors import InputError, OutputError, RecipeError, Usag
 from facetrack_cli.report.figures.shape_prior import prior_figure
 from facetrack_cli.report.figures.style import COLOURS, FAINT, render
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
-from facetrack_cli.tracking.models.shape_prior import ShapePrior, bind, default_prior_path, load_prior
-from facetrack_cli.tracking.models.shape_prior_fit import fit_prior
+from facetrack_cli.tracking.models.shape_prior import ShapePrior, bind, default_prior_path, fit_prior, load_prior
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.twins import shape as naive_shape

@@ -277,7 +277,7 @@ def test_a_box_partly_outside_is_learned_from_what_is_inside():
     model = learn_skin(cut, (FACE[0] - 80, *FACE[1:]))
     np.testing.assert_allclose(model.mean, learn_skin(frame, FACE).mean, atol=1)
     for box in ((-9, 0, 5, 5), (170, 0, 5, 5), (0, 150, 5, 5), (0, -9, 3, 3), (float("nan"), 0, 5, 5)):
-        with pytest.raises(InputError, match="is not in the picture of 170x150"):
+        with pytest.raises(InputError, match="is not in the image of 170x150"):
             learn_skin(frame, box)
 
 

@@ -150,7 +150,7 @@ def test_nothing_wild_is_an_error_or_no_number(shape, level, options, start, num
 def test_a_start_outside_of_the_picture_is_refused():
     for cues in ({}, {"skin": None}, {"ncc": None}):
         for place in ((-30, 50), (50, 1000), (np.nan, 50)):
-            with pytest.raises(InputError, match=r"not in the picture|outside the picture"):
+            with pytest.raises(InputError, match=r"not in the image|outside the picture"):
                 learned(scene(), place, **cues)
         assert learned(scene(), (-10, 5), **cues)[1].k is not None
     with pytest.raises(ValueError, match="neither skin nor ncc"):

@@ -84,9 +84,8 @@ class Fit:
 
         from facetrack_cli.core.files import check_new
         from facetrack_cli.runs.progress import progress
-        from facetrack_cli.tracking.identity.faces import read_faces
         from facetrack_cli.tracking.identity.fit import fit_gallery
-        from facetrack_cli.tracking.identity.people import Reading, count, find_people
+        from facetrack_cli.tracking.identity.people import Reading, count, find_people, read_faces
 
         start, stop, out = self.start, self.stop, self.out
         if stop is not None and stop <= start:

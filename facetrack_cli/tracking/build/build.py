@@ -2,96 +2,146 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from facetrack_cli.core.errors import InputError, RecipeError
-from facetrack_cli.core.types import BOX, Start
+from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
 from facetrack_cli.recipe.affine import PatchLikelihood
-from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRecipe, Recipe, filters
-from facetrack_cli.recipe.particle_filter import ParticleFilter
+from facetrack_cli.recipe.model import OpenCvRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.recipe.skin import Exclusion
-from facetrack_cli.tracking.build.context import Context
-from facetrack_cli.tracking.build.corrections import corrected
-from facetrack_cli.tracking.loop import Tracker
+from facetrack_cli.tracking import opencv
+from facetrack_cli.tracking.corrected import Anew, CorrectedTarget, is_complete
+from facetrack_cli.tracking.loop import Target, Tracker
 from facetrack_cli.tracking.models.likelihoods.recognition import find_gallery
-from facetrack_cli.tracking.opencv import OpenCvTarget
-from facetrack_cli.tracking.opencv import check as check_opencv
-from facetrack_cli.tracking.start.checks import box_of, check_start, check_windows
+from facetrack_cli.tracking.models.spaces import Context
+from facetrack_cli.tracking.start.checks import box_of, check_size, check_start, check_windows
+from facetrack_cli.tracking.start.haar import PARTS, box_start
+from facetrack_cli.tracking.start.init_file import TARGET as FACE
 from facetrack_cli.tracking.target import ParticleTarget
 
 
 def build_tracker(recipe: Recipe, start: Start) -> Tracker:
     """The tracker of a recipe for a clip that begins at `start`, whose every point lies in the frame.
 
-    Targets that the start has corrections of are corrected along the clip. Raises InputError where the start, or one of
-    its corrections, lacks what the recipe needs, RecipeError where parts do not fit each other.
+    Raises InputError where the start, or one of its corrections, lacks what the recipe needs, RecipeError where parts
+    do not fit each other.
     """
-    return tuple(corrected(recipe, start, target, _targets) for target in _targets(recipe, start))
+    return tuple(_corrected(recipe, start, target) for target in _targets(recipe, start))
 
 
 def check_gallery(recipe: Recipe) -> None:
     """Raises what `build_tracker` would, of the galleries of a recipe alone, before any clip is opened."""
-    for above, given in filters(recipe):
+    for name, given in recipe.filters.items():
         if given.recognition is not None and isinstance(given.likelihood, PatchLikelihood):
             columns, rows = given.likelihood.template
-            find_gallery(given.recognition, (rows, columns), recipe, above)
+            find_gallery(given.recognition, (rows, columns), recipe, above(name))
 
 
 def _targets(recipe: Recipe, start: Start) -> Tracker:
     if isinstance(recipe, OpenCvRecipe):
-        return _opencv(recipe, start)
-    if isinstance(recipe, ParticlesRecipe):
-        return _several(recipe, start)
-    assert isinstance(recipe, ParticleRecipe)
-    return tuple(_target(recipe, recipe, "", name, start) for name in start.targets)
-
-
-def _several(recipe: ParticlesRecipe, start: Start) -> Tracker:
-    missing = [name for name in recipe.filters if name not in start.targets]
+        try:
+            opencv.check(recipe.tracker)
+        except RecipeError as e:
+            raise recipe.error("tracker", str(e)) from None
+        kind, origin = recipe.tracker, start.origin
+        return tuple(opencv.OpenCvTarget(name, box_of(start, name), kind, origin) for name in start.targets)
+    missing = [name for name in recipe.followed if name not in start.targets]
     if missing:
         raise InputError(f"{start.origin}: has no {', '.join(missing)}, which the recipe follows; add a box of each")
-    first = recipe.exclusion.first if recipe.exclusion is not None else ()
+    exclusion = recipe.exclusion if isinstance(recipe, ParticlesRecipe) else None
     return tuple(
-        _target(given, recipe, f"targets.{name}.", name, start, None if name in first else recipe.exclusion)
-        for name, given in recipe.filters.items()
+        _target(recipe, key, name, start, None if exclusion and name in exclusion.first else exclusion)
+        for key in recipe.filters
+        for name in ([key] if key else start.targets)
     )
 
 
-def _target(
-    given: ParticleFilter, recipe: Recipe, above: str, name: str, start: Start, exclusion: Exclusion | None = None
-) -> ParticleTarget:
+def _target(recipe: Recipe, key: str, name: str, start: Start, exclusion: Exclusion | None) -> ParticleTarget:
+    given = recipe.filters[key]
     placed = given.target.place(start, name)
-    context = Context(recipe, above, given, start, name, placed)
+    context = Context(recipe, above(key), given, start, name, placed)
     return ParticleTarget(
         name=name,
         parts=given.points or (BOX,),
         space=placed.space,
         x0=placed.x0,
-        particles=given.particles,
+        particles=given.filter.particles,
         motion=given.motion.build(context),
         likelihood=(given.recognition or given.likelihood).build(context),
         prior=None if given.prior is None else given.prior.build(context),
         step=given.filter.build(context),
-        confidence=given.confidence if given.judges else None,
+        confidence=given.confidence if given.likelihood.judges else None,
         exclusion=exclusion,
         scatter=placed.scatter,
         best=given.target.best,
     )
 
 
-def _opencv(recipe: OpenCvRecipe, start: Start) -> Tracker:
-    try:
-        check_opencv(recipe.tracker)
-    except RecipeError as e:
-        raise recipe.error("tracker", str(e)) from None
-    return tuple(OpenCvTarget(name, box_of(start, name), recipe.tracker, start.origin) for name in start.targets)
-
-
 def tracker_for(recipe: Recipe, start: Start, size: tuple[int, int]) -> Tracker:
-    """The tracker of a recipe for a clip of this (width, height) that begins at `start`.
+    """As `build_tracker`, for a clip of this (width, height).
 
-    Raises InputError or RecipeError where the start does not fit the clip or lacks what the recipe needs, or a window
-    is larger than the image.
+    Raises InputError or RecipeError where the start does not fit the clip, or a window is larger than the image, too.
     """
     check_start(start, size, recipe.points)
     tracker = build_tracker(recipe, start)
     check_windows(recipe, tracker, size, start.origin)
     return tracker
+
+
+def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
+    """The target with the corrections that the start has of it, if any; InputError for one that it cannot follow."""
+    corrections = [one for one in start.corrections if one.target == target.name]
+    if not corrections:
+        return target
+    given = recipe.filters.get(target.name, recipe.filters.get(""))
+    kind = None if given is None else given.target  # None of OpenCV's trackers
+    points = kind is not None and bool(kind.points)
+    learns = not points and (kind is None or kind.relearns)
+    absent: set[str] = set()
+    for one in corrections:
+        origin = f"{start.origin}: the correction of {one.target} at frame {one.frame}"
+        # what a correction leaves open stays absent
+        still = () if is_complete(one, target.parts) else absent - {*one.given.points, *one.kept}
+        absent = {*one.hidden(target.parts), *still}
+        _check(one, target, start, origin, points=points)
+        if len(absent) == len(target.parts):
+            continue
+        if one.learn and points and absent:
+            raise InputError(f"{origin}: {', '.join(sorted(absent))} cannot be learned while absent; leave learn out")
+        if one.learn is False and kind is None:
+            raise InputError(f"{origin}: OpenCV's trackers begin anew in any case; leave learn out")
+        if one.learn and not learns and not points:
+            raise InputError(f"{origin}: colours are learned in the first frame alone; leave learn out")
+
+    def place(frame: Frame, one: Correction) -> TargetStart:
+        assert one.given.box is not None
+        said_in = f"{start.origin}: the correction of {one.target} at frame {frame.index}"
+        seen = [part for part in target.parts if part not in one.hidden(target.parts)]
+        return box_start(frame, one.given.box, seen, clip=said_in).targets[FACE]
+
+    def build(frame: Frame, given: TargetStart) -> Target:
+        # a single point is measured by the box of the start
+        box = start.targets[target.name].box if points and given.box is None else given.box
+        given = replace(given, box=box)
+        known = replace(start, frame=frame.index, targets={**start.targets, target.name: given})
+        [anew] = [one for one in _targets(recipe, known) if one.name == target.name]
+        return anew
+
+    return CorrectedTarget(target, {one.frame: one for one in corrections}, Anew(points, learns, place, build))
+
+
+def _check(one: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
+    """InputError if it speaks of parts that nobody knows, or lacks the box of what is followed as a box."""
+    spoken = [*one.given.points, *one.kept, *(() if one.absent is True else one.absent)]
+    known = {*target.parts, *start.targets[one.target].points}
+    if unknown := ", ".join(part for part in spoken if part not in known):
+        these = f"these are {', '.join(target.parts)}: correct the name"
+        raise InputError(f"{origin}: has {unknown}, which is no part that is followed; {these}")
+    hidden = one.hidden(target.parts)
+    if not points and not hidden and one.given.box is None:
+        raise InputError(f"{origin}: has no box, which the recipe follows; add one, as in box: [x, y, w, h]")
+    strange = [part for part in target.parts if part not in PARTS and part not in hidden]
+    if points and one.given.box is not None and not one.given.points and strange:
+        raise InputError(f"{origin}: no cascade can place {', '.join(strange)} in its box; give points: in place of it")
+    if not points and one.given.box is not None:
+        check_size(start.origin, f"{one.target} at frame {one.frame}", one.given.box)

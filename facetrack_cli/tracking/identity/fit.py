@@ -1,25 +1,30 @@
 """A gallery learned from images: its three spaces, p_f and the threshold of "none of them" (see `gallery.py`).
 
-Persons are held out in folds, and everything that is a scale, rho, p_f and the threshold, is learned from those whom
-the spaces have not seen. Differences between persons, of which there are as many as patches times persons, are never
-written out: sums tell their moments.
+Persons are held out in folds, and every scale, rho, p_f and the threshold, is learned from those whom the spaces have
+not seen.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.tracking.identity.gallery import Gallery, logistic, name_problem
-from facetrack_cli.tracking.identity.samples import Indices, Samples, off_the_mark
-from facetrack_cli.tracking.identity.subspaces import Fitted, common_basis, fit_moments, fit_subspace, folds_by
+from facetrack_cli.tracking.identity.subspaces import Fitted, Moments, common_basis, fit_moments, fit_subspace, folds_by
 
+Indices: TypeAlias = NDArray[np.intp]
+# of a patch: right, down (shares of its sides), degrees, size
+_OFF = ((0.3, 0, 0, 1), (-0.3, 0, 0, 1), (0, 0.3, 0, 1), (0, -0.3, 0, 1), (0, 0, 40, 1), (0, 0, -40, 1), (0, 0, 0, 0.6))
 MOST_ERRORS = 0.25  # beyond them the user is warned; half is chance
+_CHANGES = "how {} with light, expression and pose cannot be learned from it"
 
 
 def fit_gallery(
@@ -33,11 +38,10 @@ def fit_gallery(
 ) -> Gallery:
     """The gallery of patches (n, d), zero mean and unit variance, each of a person; persons in order of their names.
 
-    `images` (n,) says which image a patch was cut from: the first of each is the image, all further ones are copies of
-    it that were cut a little off. Without it each patch is an image. `negatives` (m, d): patches cut off the mark
-    (displaced, turned, scaled); without them they are made of the patches. `proportion` is the width of the faces'
-    boxes over their height.
-    Raises InputError for fewer than two persons, and where no two patches are of one person.
+    `images` (n,): the image of each patch, whose first is the image itself, the others copies cut a little off; without
+    it each patch is an image. `negatives` (m, d) are displaced, turned, scaled; without them they are made of the
+    patches. `proportion`: the boxes' width over their height. Raises InputError for fewer than two persons, and where
+    no two patches are of one person.
     """
     x = np.asarray(patches, np.float64)
     if x.ndim != 2 or x.shape[1] != shape[0] * shape[1] or len(x) != len(persons):
@@ -47,20 +51,16 @@ def fit_gallery(
             raise InputError(f"{problem}; give the folder another name")
     names, who = np.unique(np.array(persons, str), return_inverse=True)
     if len(names) < 2:
-        raise InputError(
-            f"a gallery of {len(names)} person{'' if len(names) == 1 else 's'} tells nobody apart: how people differ "
-            "is learned from two or more; add another person"
-        )
+        people = f"{len(names)} person{'' if len(names) == 1 else 's'}"
+        remedy = "how people differ is learned from two or more; add another person"
+        raise InputError(f"a gallery of {people} tells nobody apart: {remedy}")
     of = np.unique(np.arange(len(x)) if images is None else np.asarray(images), return_inverse=True)[1]
     basis = common_basis(x)
     samples = Samples(x, who, of, basis)
     own, own_of = samples.to_own()
     if not len(own):
-        raise InputError(
-            "there is one image of each person, and how one face changes with light, expression and pose cannot be "
-            "learned from it; add a second image of somebody, or copies that are cut a little off"
-        )
-
+        remedy = "add a second image of somebody, or copies that are cut a little off"
+        raise InputError(f"there is one image of each person, and {_CHANGES.format('one face changes')}; {remedy}")
     # persons that are held out together; where that leaves nothing to learn from, images are
     folds = folds_by(who)
     fold = np.argmax(folds, axis=0)
@@ -71,7 +71,6 @@ def fit_gallery(
     if not able:
         intra = Fitted(intra.whole, (intra.whole,) * len(folds))
     extra = _fit_others(samples, folds)
-
     wrong = off_the_mark(x[samples.first], shape) if negatives is None else np.asarray(negatives, np.float64)
     right_q = np.concatenate([space.log_density(x[mask]) for space, mask in zip(frontal.without, folds, strict=True)])
     wrong_q = np.mean([space.log_density(wrong) for space in frontal.without], axis=0)
@@ -88,11 +87,10 @@ def _fit_others(samples: Samples, folds: Sequence[Mask]) -> Fitted:
     """The space of differences to others; of what a fold (n,) holds out, neither patches nor faces are used."""
     everybody, anyone = np.ones(len(samples.x), bool), np.ones(len(samples.faces), bool)
     able = len(anyone) > 2  # without one of two nobody is left to differ from
-    without = (
-        [samples.to_others(~mask, np.bincount(samples.who, mask) == 0) for mask in folds]
-        if able
-        else [samples.to_others(~mask, anyone) for mask in folds_by(samples.of)]
-    )
+    held = [(mask, np.bincount(samples.who, mask) == 0) for mask in folds]
+    if not able:
+        held = [(mask, anyone) for mask in folds_by(samples.of)]
+    without = [samples.to_others(~mask, others) for mask, others in held]
     whole = samples.to_others(everybody, anyone)
     fitted = fit_moments(whole, without, samples.x.shape[1], centred=True, basis=samples.basis)
     return fitted if able else Fitted(fitted.whole, (fitted.whole,) * len(folds))
@@ -101,9 +99,7 @@ def _fit_others(samples: Samples, folds: Sequence[Mask]) -> Fitted:
 def _genuine_and_strangers(
     intra: Fitted, extra: Fitted, samples: Samples, own: Array, fold: Indices, own_of: Indices
 ) -> tuple[Array, Array]:
-    """Log ratios (eq. 16) by spaces that have not seen the person: of patches to their person (m,), and the largest to
-    another one (n,).
-    """
+    """Log ratios (eq. 16) by spaces that have not seen the person: to it (m,), and the largest to another (n,)."""
     genuine, best = np.empty(len(own)), np.empty(len(samples.x))
     faces = samples.faces
     for k, (within, between) in enumerate(zip(intra.without, extra.without, strict=True)):
@@ -123,27 +119,19 @@ def _notes(names: Sequence[str], counts: Sequence[int], errors: float) -> tuple[
     single = [name for name, count in zip(names, counts, strict=True) if count == 1]
     if single:
         each, their = (" each", "their faces change") if len(single) > 1 else ("", "this face changes")
-        found.append(
-            f"{', '.join(single)}: one image{each}: how {their} with light, expression and pose cannot be learned from "
-            "it; add further images"
-        )
+        found.append(f"{', '.join(single)}: one image{each}: {_CHANGES.format(their)}; add further images")
     if errors > MOST_ERRORS:
-        found.append(
-            f"by these images people are hardly told apart: {100 * errors:.0f} % of either error for somebody who is "
-            "not among those learned from; look whether each is in one folder alone, and add people and images"
-        )
+        share = f"{100 * errors:.0f} % of either error for somebody who is not among those learned from"
+        remedy = "look whether each is in one folder alone, and add people and images"
+        found.append(f"by these images people are hardly told apart: {share}; {remedy}")
     return tuple(found)
-
-
-# --- from scores to probabilities and thresholds -------------------------------------------------------------------
 
 
 def fit_logistic(positive: Array, negative: Array) -> tuple[float, float]:
     """Slope (never below 0) and offset of the probability of being positive, both classes equally frequent.
 
-    Platt (1999) with his targets, (n + 1) / (n + 2) and 1 / (n + 2), by which classes that do not overlap have a finite
-    slope. A score that says nothing has slope 0 and probability 1/2. By Newton's method, its steps halved where they
-    do not help (Lin, Lin & Weng 2007).
+    Platt (1999) with his targets, (n + 1) / (n + 2) and 1 / (n + 2), by Newton's method with steps halved where they do
+    not help (Lin, Lin & Weng 2007). A score that says nothing has slope 0 and probability 1/2.
     """
     score = np.concatenate([positive, negative])
     # in units of the middle of both classes, since densities of negatives have no lower bound
@@ -171,10 +159,8 @@ def fit_logistic(positive: Array, negative: Array) -> tuple[float, float]:
         a = a - size * step
         if np.abs(size * step).max() < 1e-9:
             break
-    if a[0] <= 0.0:
-        return 0.0, 0.0
     slope = float(a[0] / unit)
-    return slope, float(a[1] - slope * centre)
+    return (slope, float(a[1] - slope * centre)) if a[0] > 0.0 else (0.0, 0.0)
 
 
 def equal_errors(genuine: Array, impostor: Array) -> tuple[float, float]:
@@ -187,5 +173,90 @@ def equal_errors(genuine: Array, impostor: Array) -> tuple[float, float]:
     # the middle of all thresholds that serve as well
     best = np.flatnonzero(gap <= gap.min() + 1e-12)
     k = best[len(best) // 2]
-    threshold = (at[best[0]] + at[best[-1]]) / 2 if len(best) > 1 else at[k]
-    return float(threshold), float((missed[k] + passed[k]) / 2)
+    return float((at[best[0]] + at[best[-1]]) / 2), float((missed[k] + passed[k]) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Patches `x` (n, d), the person `who` (n,) and the image `of` (n,) of each, counted from 0.
+
+    The first patch of an image is the image itself, others are copies cut a little off. `basis`: as in `Moments`.
+    """
+
+    x: Array
+    who: Indices
+    of: Indices
+    basis: Array | None = None
+
+    @property
+    def first(self) -> Mask:
+        """(n,): the images themselves."""
+        mask = np.zeros(len(self.x), bool)
+        mask[np.unique(self.of, return_index=True)[1]] = True
+        return mask
+
+    @cached_property
+    def faces(self) -> Array:
+        """(P, d): what stands for each person."""
+        first = self.first
+        return np.stack([stand_in(self.x[first & (self.who == p)]) for p in range(self.who.max() + 1)])
+
+    def to_own(self) -> tuple[Array, Indices]:
+        """Differences of patches to the mean face of the other images of their person, or of copies to the only image,
+        and which patch each is of.
+        """
+        rows, index, first = [], [], self.first
+        for k in range(self.of.max() + 1):
+            mine = np.flatnonzero(self.of == k)
+            others = first & (self.who == self.who[mine[0]]) & (self.of != k)
+            stands = stand_in(self.x[others]) if others.any() else self.x[mine[0]]
+            mine = mine if others.any() else mine[1:]
+            rows.append(self.x[mine] - stands)
+            index.append(mine)
+        return np.concatenate(rows), np.concatenate(index)
+
+    def to_others(self, patches: Mask, persons: Mask) -> Moments:
+        """Moments, from sums, of the differences of these patches (n,) to the faces of others of these persons (P,)."""
+        coordinates, squares, face_coordinates, face_squares, products_of_both = self._sums
+        z, who, faces = coordinates[patches], self.who[patches], face_coordinates[persons]
+        known = persons[who][:, None]
+        apart = np.where(known, face_coordinates[who], 0.0)  # a patch is not compared with its own person
+        number = persons.sum() - known[:, 0]
+        asked = len(z) - np.bincount(who, minlength=len(persons))[persons]
+        cross = z.T @ (faces.sum(0) - apart)
+        products = (z.T * number) @ z - cross - cross.T + (faces.T * asked) @ faces
+        along = products_of_both[patches]
+        between = (along @ persons).sum() - along[np.arange(len(z)), who][known[:, 0]].sum()
+        square = number @ squares[patches] - 2.0 * between + asked @ face_squares[persons]
+        return Moments(int(number.sum()), number @ z - asked @ faces, products, max(float(square), 0.0))
+
+    @cached_property
+    def _sums(self) -> tuple[Array, ...]:
+        """Coordinates (n, r) and squared lengths (n,) of patches, the same of faces, and their products (n, P)."""
+        of_each = []
+        for rows in (self.x, self.faces):
+            of_each += [rows if self.basis is None else rows @ self.basis.T, np.einsum("nd,nd->n", rows, rows)]
+        return (*of_each, self.x @ self.faces.T)
+
+
+def stand_in(images: Array) -> Array:
+    """(d,): what stands for a person, the mean of the images (k, d), of unit variance again."""
+    mean = images.mean(0)
+    spread = float(mean.std())
+    if len(images) == 1 or spread < 1e-6:
+        return np.asarray(images[0])
+    return np.asarray((mean - mean.mean()) / spread)
+
+
+def off_the_mark(x: Array, shape: tuple[int, int]) -> Array:
+    """Patches (m, d): each of x (n, d) displaced, turned and made smaller, where the border is repeated."""
+    rows, cols = shape
+    out = []
+    for patch in x.astype(np.float32).reshape(-1, rows, cols):
+        for dx, dy, angle, size in _OFF:
+            m = cv2.getRotationMatrix2D(((cols - 1) / 2, (rows - 1) / 2), angle, size)
+            m[:, 2] += np.array([dx * cols, dy * rows])
+            moved = cv2.warpAffine(patch, m, (cols, rows), borderMode=cv2.BORDER_REPLICATE).astype(np.float64)
+            spread = float(moved.std())
+            out.append(((moved - moved.mean()) / spread if spread > 1e-6 else 0.0 * moved).ravel())
+    return np.array(out)

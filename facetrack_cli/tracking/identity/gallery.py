@@ -9,14 +9,10 @@ Three probabilistic subspaces (eq. 14, `subspaces.py`) over patches y of zero me
 What we take the paper to mean, and what is ours:
 
 - Eq. 15 is a density and enters eq. 5 as a probability: a logistic function of log Q, fitted to frontal faces of
-  persons that the subspace has not seen, and to patches cut off the mark. With `most` at 1/2 no frame decides alone:
-  of ten persons, one frame makes nobody more probable than .55, and two that agree .93.
-- Eq. 16 is a ratio of densities, of which only ratios between identities matter: it enters normalised over them, for
-  each patch.
+  persons that the subspace has not seen, and to patches cut off the mark. With `most` at 1/2 no frame decides alone.
+- Eq. 16 is a ratio of densities: it enters normalised over the identities, for each patch.
 - I_n is one image in the paper. Of several it is their mean, brought back to unit variance, and a difference is that
-  of an image to the mean of the other images of its person, or to that of another person. Of two images that is their
-  difference, as published. The mean names as many patches correctly as the most typical image or the mean of the
-  densities over all images do, and costs the least.
+  of an image to the mean of the other images of its person, or to that of another person.
 - "none of them" is one more identity, whose log ratio is a threshold: that at which as many images of the gallery
   would be taken for nobody, by spaces that have not seen their person, as strangers for somebody.
 """
@@ -27,7 +23,7 @@ import unicodedata
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +37,7 @@ NONE: Final = "none"  # what the posterior calls nobody of the gallery
 MOST_FRONTAL: Final = 0.5
 KIND: Final = Kind("facetrack-gallery", 1, "gallery", "facetrack gallery fit")
 _SPACES = ("frontal", "intra", "extra")
+_FIELDS: Final = {"mean": "<f4", "vectors": "<f4", "values": "<f8", "rho": "<f8"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +45,8 @@ class Gallery:
     """Who is known, and how faces differ. P persons, patches of d = rows * cols points, flattened by rows.
 
     `faces` (P, d) are the I_n. `calibration` is (a, b) of p_f and `most_frontal` its upper bound; `threshold` the log
-    ratio of "none of them", and `errors` the share of either error there, on the gallery. `counts` (P,) are the
-    images of each person, `notes` lines for the user. `proportion` is the width of a face's box over its height, None
-    where that is not known. Raises ValueError for anything else.
+    ratio of "none of them", and `errors` the share of either error there. `counts` (P,) are the images of each person,
+    `proportion` is the width of a face's box over its height, if known. Raises ValueError for what is no gallery.
     """
 
     names: tuple[str, ...]
@@ -93,17 +89,15 @@ class Gallery:
             raise ValueError("p_f would not be a probability that grows with the density")
 
     def log_scores(self, patches: Rows, *, sharpness: float = 1.0, none: bool = False) -> tuple[Array, Array]:
-        """p_f (N,) and log p_n (N, P) of patches (N, d), the latter with logsumexp 0 over the identities.
+        """p_f (N,), 0 of a patch of zeros, and log p_n (N, P) of patches (N, d), with logsumexp 0 over the identities.
 
-        With `none` a column more, of nobody. `sharpness` multiplies the log of eq. 16 (1 as published). A patch of
-        zeros, where there was nothing to see, has p_f 0.
+        With `none` a column more, of nobody. `sharpness` multiplies the log of eq. 16 (1 as published).
         """
         ratios = self._ratios
         y = np.asarray(patches, np.float32)
         seen = np.einsum("nd,nd->n", y, y).astype(np.float64)
         projected = (y @ (ratios.all if none else ratios.all[:, : ratios.needed])).astype(np.float64)
-        p, s = len(self.names), len(self.frontal.values)
-        space = self.frontal
+        space, p, s = self.frontal, len(self.names), len(self.frontal.values)
         q = projected[:, p + 1 : p + 1 + s] - ratios.q_mean
         error = np.maximum(seen - 2.0 * projected[:, p] + ratios.mean_square - (q**2).sum(1), 0.0)
         log_q = space.log_constant - 0.5 * ((q**2) @ (1.0 / space.values) + (s < space.d) * error / space.rho)
@@ -118,7 +112,22 @@ class Gallery:
 
     @cached_property
     def _ratios(self) -> _Ratios:
-        return _Ratios.of(self)
+        faces, mean = self.faces.astype(np.float64), self.frontal.mean.astype(np.float64)
+        linear, constant = np.zeros_like(faces), np.zeros(len(faces))
+        roots, signs, isotropic = [], [], 0.0
+        for space, sign in ((self.intra, 1.0), (self.extra, -1.0)):
+            v, plain, weight = space.precision
+            centred = faces + space.mean
+            pulled = plain * centred + (centred @ v.T * weight) @ v
+            linear += sign * pulled
+            constant += sign * (space.log_constant - 0.5 * (centred * pulled).sum(1))
+            roots.append(v * np.sqrt(np.abs(weight))[:, None])
+            signs.append(-0.5 * sign * np.sign(weight))
+            isotropic -= 0.5 * sign * plain
+        columns = np.concatenate([linear, mean[None], self.frontal.vectors, *roots])
+        every, needed = np.ascontiguousarray(columns.T, np.float32), len(faces) + 1 + len(self.frontal.values)
+        q_mean, square = self.frontal.vectors @ mean, float(mean @ mean)
+        return _Ratios(every, needed, constant, np.concatenate(signs), isotropic, q_mean, square)
 
     def save(self, path: Path) -> None:
         """Writes an .npz of plain arrays, whole or not at all; equal galleries give equal bytes. Raises OutputError."""
@@ -131,20 +140,17 @@ class Gallery:
             arrays["proportion"] = np.array(self.proportion, "<f8")
         for name in _SPACES:
             space: Subspace = getattr(self, name)
-            arrays[f"{name}_mean"] = np.ascontiguousarray(space.mean, "<f4")
-            arrays[f"{name}_vectors"] = np.ascontiguousarray(space.vectors, "<f4")
-            arrays[f"{name}_values"] = np.ascontiguousarray(space.values, "<f8")
-            arrays[f"{name}_rho"] = np.array(space.rho, "<f8")
+            for field, kind in _FIELDS.items():
+                arrays[f"{name}_{field}"] = np.array(getattr(space, field), kind, order="C")
         KIND.write(path, arrays)
 
 
-@dataclass(frozen=True, eq=False)
-class _Ratios:
+class _Ratios(NamedTuple):
     """Eq. 16 multiplied out, so that a patch takes part in one product of matrices only.
 
-    log Q(y - I) is quadratic in y: what is linear in it is a column for each identity, and what is quadratic is the
-    same for all of them. Columns of `all`: P of the identities, the mean of frontal faces, its s_f directions, and
-    those of the other spaces, each times the root of its weight; `needed` is the number of columns without these.
+    log Q(y - I) is quadratic in y: the linear term is a column for each identity, the quadratic one the same for all.
+    Columns of `all`: P of the identities, the mean of frontal faces, its s_f directions, and those of the other spaces,
+    each times the root of its weight; `needed` is the number of columns without these.
     """
 
     all: Rows
@@ -154,31 +160,6 @@ class _Ratios:
     isotropic: float
     q_mean: Array
     mean_square: float
-
-    @staticmethod
-    def of(gallery: Gallery) -> _Ratios:
-        faces, mean = gallery.faces.astype(np.float64), gallery.frontal.mean.astype(np.float64)
-        linear, constant = np.zeros_like(faces), np.zeros(len(faces))
-        roots, signs, isotropic = [], [], 0.0
-        for space, sign in ((gallery.intra, 1.0), (gallery.extra, -1.0)):
-            v, plain, weight = space.precision
-            centred = faces + space.mean
-            pulled = plain * centred + (centred @ v.T * weight) @ v
-            linear += sign * pulled
-            constant += sign * (space.log_constant - 0.5 * (centred * pulled).sum(1))
-            roots.append(v * np.sqrt(np.abs(weight))[:, None])
-            signs.append(-0.5 * sign * np.sign(weight))
-            isotropic -= 0.5 * sign * plain
-        columns = np.concatenate([linear, mean[None], gallery.frontal.vectors, *roots])
-        return _Ratios(
-            np.ascontiguousarray(columns.T, np.float32),
-            len(faces) + 1 + len(gallery.frontal.values),
-            constant,
-            np.concatenate(signs),
-            isotropic,
-            gallery.frontal.vectors @ mean,
-            float(mean @ mean),
-        )
 
 
 def logistic(score: Array, slope: float, offset: float) -> Array:
@@ -201,22 +182,13 @@ def load_gallery(path: Path) -> Gallery:
 
 
 def _from_arrays(stored: Stored) -> Gallery:
-    frontal, intra, extra = (
-        Subspace(
-            stored.reals(f"{name}_mean", 1),
-            stored.reals(f"{name}_vectors", 2),
-            stored.reals(f"{name}_values", 1),
-            stored.number(f"{name}_rho"),
-        )
-        for name in _SPACES
-    )
-    rows, *cols = stored.whole("shape")
-    if len(cols) != 1:
+    found: dict[str, Any] = {name: stored.texts(name) for name in ("names", "notes")}
+    found |= {name: stored.whole(name) for name in ("shape", "counts")}
+    numbers = ("threshold", "errors", "most_frontal", *(["proportion"] if "proportion" in stored else []))
+    found |= {name: stored.number(name) for name in numbers}
+    if len(found["shape"]) != 2:
         raise ValueError("shape is not two numbers")
-    shape, calibration = (rows, cols[0]), stored.reals("calibration", 1).tolist()
-    return Gallery(
-        stored.texts("names"), stored.reals("faces", 2), shape, frontal, intra, extra,
-        tuple(calibration), stored.number("threshold"), stored.number("errors"), stored.whole("counts"),
-        stored.number("most_frontal"), stored.texts("notes"),
-        stored.number("proportion") if "proportion" in stored else None,
-    )  # fmt: skip
+    for name in _SPACES:
+        mean, vectors = stored.reals(f"{name}_mean", 1), stored.reals(f"{name}_vectors", 2)
+        found[name] = Subspace(mean, vectors, stored.reals(f"{name}_values", 1), stored.number(f"{name}_rho"))
+    return Gallery(faces=stored.reals("faces", 2), calibration=tuple(stored.reals("calibration", 1).tolist()), **found)

@@ -1,8 +1,10 @@
-"""Who is in a folder of folders, and which face in each image is meant.
+"""Who is in a folder of folders, which face in each image is meant, and the faces for a gallery.
 
-One folder for each person, with the person's name; in it images, videos, and folders of a video's frames. In an image
-or clip with an init file beside it the face is there; of another image the largest face is taken, of another clip that
-of some frames.
+One folder for each person, with the person's name; in it images, videos, and folders of a video's frames. An init file
+beside one says where the face is; of another image the largest face is taken, of another clip that of some frames.
+
+A face is read as the tracker reads one that begins in the same box. Copies and counter-examples follow a fixed sequence
+that fills the range evenly: equal input gives an equal gallery.
 """
 
 from __future__ import annotations
@@ -14,10 +16,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
+import numpy as np
+
 from facetrack_cli.core.errors import InputError, reason
-from facetrack_cli.core.types import Box, Frame, Start
+from facetrack_cli.core.types import Array, Box, Frame, Start, Whole
 from facetrack_cli.core.yaml_tree import printable
 from facetrack_cli.tracking.identity.gallery import name_problem
+from facetrack_cli.tracking.identity.subspaces import Rows
+from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.models.spaces import affine_state_of_box
 from facetrack_cli.tracking.start.checks import check_size, check_start
 from facetrack_cli.tracking.start.haar import find_faces
 from facetrack_cli.tracking.start.init_file import SUFFIXES as INIT_SUFFIXES
@@ -25,6 +32,9 @@ from facetrack_cli.tracking.start.init_file import default_path, find_init, read
 from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source
 
+SHIFT, STRETCH, TURN = 0.03, 0.05, 3.0  # most of a copy: of the box's sides, of its size, degrees
+NEGATIVES: Final = 6  # counter-examples that are cut around each face; more where faces are few
+LEAST_NEGATIVES: Final = 240
 PASSED_OVER: Final = frozenset((*INIT_SUFFIXES, ".csv", ".txt", ".md", ".npz"))  # what may lie beside images
 Warn: TypeAlias = Callable[[str], None]
 Look: TypeAlias = "tuple[Frame | None, Box | None]"  # what cannot be read, or shows no face, is None
@@ -66,9 +76,8 @@ def find_people(folder: Path, warn: Warn) -> list[Person]:
     folders = [one for one in entries if one.is_dir()]
     beside = [one for one in entries if not one.is_dir() and one.suffix.lower() not in PASSED_OVER]
     if not folders and beside:
-        raise InputError(
-            f"{folder}: has images but no folders; make one for each person, as in {folder / 'anna' / beside[0].name}"
-        )
+        example = folder / "anna" / beside[0].name
+        raise InputError(f"{folder}: has images but no folders; make one for each person, as in {example}")
     if not folders:
         raise InputError(f"{folder}: is empty; put a folder of images in it for each person")
     if beside:
@@ -97,10 +106,9 @@ def count(people: Sequence[Person], reading: Reading) -> int:
 def _entries(folder: Path) -> list[Path]:
     """What is in a folder and not hidden, in natural order."""
     try:
-        if not folder.exists():
-            raise InputError(f"{folder}: no such folder; name one that has a folder for each person")
         if not folder.is_dir():
-            raise InputError(f"{folder}: is no folder; name one that has a folder for each person")
+            what = "is no folder" if folder.exists() else "no such folder"
+            raise InputError(f"{folder}: {what}; name one that has a folder for each person")
         found = [one for one in folder.iterdir() if not one.name.startswith(".")]
     except OSError as e:
         raise InputError(f"{folder}: {reason(e)}; check the name and the permissions") from e
@@ -124,20 +132,16 @@ def _person(folder: Path, warn: Warn) -> Person:
     return Person(name, folder, tuple(items))
 
 
-# --- faces ---------------------------------------------------------------------------------------------------------
-
-
 def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
     """The frames of an item, each with the box of its face."""
     start = None if item.init is None else _read_start(item, item.init, reading)
     if item.is_image:
         try:
             frame = Frame(0, 0.0, images.read(item.path))
+            yield frame, _in_image(item, frame, warn) if start is None else _given(start, frame)
         except images.UnreadableError as e:
             warn(f"{item.path}: {e.why}; skipped")
             yield None, None
-            return
-        yield frame, _in_image(item, frame, warn) if start is None else _given(start, frame)
     elif start is None:
         yield from _in_clip(item, reading, warn)
     else:
@@ -170,8 +174,7 @@ def _in_clip(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
             for frame in source:
                 if frame.index not in wanted:
                     continue
-                found = find_faces(frame.bgr)
-                looked += 1
+                found, looked = find_faces(frame.bgr), looked + 1
                 if not found:
                     without.append(frame.index)
                 yield frame, found[0] if found else None
@@ -197,10 +200,8 @@ def _read_start(item: Item, path: Path, reading: Reading) -> Start:
     """The one face of an init file, checked as far as it can be without the image."""
     start = read_init(path)
     if len(start.targets) > 1:
-        raise InputError(
-            f"{path}: has {len(start.targets)} targets, {', '.join(start.targets)}; leave the face of "
-            f"{item.path.parent.name} alone"
-        )
+        has = f"has {len(start.targets)} targets, {', '.join(start.targets)}"
+        raise InputError(f"{path}: {has}; leave the face of {item.path.parent.name} alone")
     [(name, target)] = start.targets.items()
     if target.box is None:
         raise InputError(f"{path}: has no box of {name}; add box: [left, top, width, height]")
@@ -209,11 +210,9 @@ def _read_start(item: Item, path: Path, reading: Reading) -> Start:
         raise InputError(f"{path}: starts at frame {start.frame}, but {item.path.name} is an image; write frame: 0")
     end = math.inf if reading.stop is None else reading.stop
     if not item.is_image and not reading.start <= start.frame < end:
-        upto = "the end" if reading.stop is None else f"{reading.stop - 1}"
-        raise InputError(
-            f"{path}: starts at frame {start.frame}, and only frames {reading.start} to {upto} are to be used; "
-            "choose one of these, or change --start and --stop"
-        )
+        used = f"{reading.start} to {'the end' if reading.stop is None else reading.stop - 1}"
+        remedy = "choose one of these, or change --start and --stop"
+        raise InputError(f"{path}: starts at frame {start.frame}, and only frames {used} are to be used; {remedy}")
     return replace(start, origin=str(path))
 
 
@@ -222,3 +221,118 @@ def _given(start: Start, frame: Frame) -> Box:
     box = next(iter(start.targets.values())).box
     assert box is not None
     return box
+
+
+class Faces(NamedTuple):
+    """What was read: `patches` (n, d) of zero mean and unit variance, of `persons` (n,) by name.
+
+    Of each of `images` (n,) first comes the face, then its copies, cut a little off; `negatives` (k, d) show no face in
+    its place. `used` and `skipped` are images and frames for each person, `proportion` is the median of the boxes'
+    width over height.
+    """
+
+    patches: Rows
+    persons: tuple[str, ...]
+    images: tuple[int, ...]
+    negatives: Rows
+    used: dict[str, int]
+    skipped: dict[str, int]
+    proportion: float
+
+
+def read_faces(
+    people: Sequence[Person], reading: Reading, warn: Warn, advance: Callable[[int], None] = lambda done: None
+) -> Faces:
+    """The faces of all persons; what shows none is skipped with a warning.
+
+    `advance` is called with the number of images and frames looked at so far. Raises InputError for an init file that
+    does not fit, and for a person of whom nothing is left.
+    """
+    around = max(NEGATIVES, math.ceil(LEAST_NEGATIVES / count(people, reading)))
+    used, skipped = ({person.name: 0 for person in people} for _ in range(2))
+    persons: list[str] = []
+    images: list[int] = []
+    found: list[tuple[Rows, Rows, float]] = []  # patches, negatives and proportion of each face
+    seen: dict[bytes, tuple[str, str]] = {}
+    looked = 0
+    for person in people:
+        for item in person.items:
+            for frame, box in faces_of(item, reading, warn):
+                looked += 1
+                advance(looked)
+                if frame is None or box is None:
+                    skipped[person.name] += 1
+                    continue
+                number, at = len(found), item.place(frame)
+                patches, negatives = _cut(frame, box, reading, number, around)
+                name, where = seen.setdefault(patches[0].tobytes(), (person.name, at))
+                why = "" if where == at else f"the same face as {where}"
+                why += "" if name == person.name else f", which is {name}"
+                why = why if patches[0].any() else "nothing to see in the face's box"
+                (skipped if why else used)[person.name] += 1
+                if why:
+                    warn(f"{at}: {why}; skipped")
+                    continue
+                patches, negatives = (rows[rows.any(axis=1)] for rows in (patches, negatives))
+                persons += [person.name] * len(patches)
+                images += [number] * len(patches)
+                found.append((patches, negatives, box[2] / box[3]))
+        if not used[person.name]:
+            remedy = "give its box in an init file beside an image, add another image, or remove the folder"
+            raise InputError(f"{person.folder}: no face of {person.name} was found; {remedy}")
+    all_patches, all_negatives, proportions = zip(*found, strict=True)
+    every, off_mark = np.concatenate(all_patches), np.concatenate(all_negatives)
+    return Faces(every, tuple(persons), tuple(images), off_mark, used, skipped, float(np.median(proportions)))
+
+
+def _cut(frame: Frame, box: Box, reading: Reading, number: int, around: int) -> tuple[Rows, Rows]:
+    """The patches of the face in the box and of its copies, and those of so many places `around` it."""
+    patches, copies = Patches(size=(box[2], box[3]), shape=reading.shape), reading.jitter
+    [x] = affine_state_of_box(*box)
+    ways = near(number * copies, copies), off(number * around, around)
+    every = np.concatenate([x[None], *(moved(x, box, way) for way in ways)])[:, None]
+    read = patches.read(frame, every, patches.factor(every[0]))
+    return read[: 1 + copies], read[1 + copies :]
+
+
+def near(first: int, number: int) -> Array:
+    """(number, 4) ways to draw a face's box a little off: right, down (box sides), log of size, turn (radians)."""
+    u = 2.0 * _even(first, number) - 1.0
+    return u * [SHIFT, SHIFT, math.log1p(STRETCH), math.radians(TURN)]
+
+
+def off(first: int, number: int) -> Array:
+    """(number, 4) as `near`, in which no face is in its place: half beside it, or too large, small, turned."""
+    u = _even(first, number)
+    kind = (first + np.arange(number)) % NEGATIVES
+    side, far = 2.0 * np.pi * u[:, 0], 0.2 + 0.5 * u[:, 1]
+    ways = np.stack([far * np.cos(side), far * np.sin(side), 0.4 * (u[:, 2] - 0.5), 0.5 * (u[:, 3] - 0.5)], axis=1)
+    at_place = 0.1 * (2.0 * u[:, :2] - 1.0)
+    turn = np.where(u[:, 3] < 0.5, -1.0, 1.0) * np.radians(30.0 + 150.0 * np.abs(2.0 * u[:, 3] - 1.0))
+    for number_of_kind, size in ((3, 0.4 + 0.5 * u[:, 2]), (4, -0.4 - 0.6 * u[:, 2]), (5, 0.2 * (u[:, 2] - 0.5))):
+        these = kind == number_of_kind
+        ways[these, :2], ways[these, 2] = at_place[these], size[these]
+        ways[these, 3] = turn[these] if number_of_kind == 5 else 0.2 * (u[these, 3] - 0.5)
+    return ways
+
+
+def moved(x: Array, box: Box, ways: Array) -> Array:
+    """States (n, 6) of the face at x (6,), which fills the box, after each of the `ways` (n, 4)."""
+    size, turn = np.exp(ways[:, 2]), ways[:, 3]
+    cos, sin = size * np.cos(turn), size * np.sin(turn)
+    return np.stack([x[0] + ways[:, 0] * box[2], x[1] + ways[:, 1] * box[3], cos, -sin, sin, cos], axis=1)
+
+
+def _even(first: int, number: int) -> Array:
+    """(number, 4) points in [0, 1) of a sequence that fills it evenly, however many are taken (Halton)."""
+    return np.stack([_mirrored(first + 1 + np.arange(number), base) for base in (2, 3, 5, 7)], axis=1)
+
+
+def _mirrored(n: Whole, base: int) -> Array:
+    """The digits of n in a base, read backwards behind the point."""
+    found, digit = np.zeros(len(n)), 1.0
+    while n.any():
+        digit /= base
+        found += digit * (n % base)
+        n = n // base
+    return found

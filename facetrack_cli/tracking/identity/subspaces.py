@@ -7,14 +7,12 @@ A Gaussian whose covariance has s principal directions e_i with variances lambda
 with q_i = e_i' (x - mean) and err^2 = |x - mean|^2 - sum_i q_i^2. Two slips of the print: rho is the mean of the d - s
 eigenvalues that are left (not of d - q), and err^2 is measured after the mean is removed, as q_i is.
 
-The eigenvalues that are left, of n images, are less than what a new image leaves over: by (n - 1 - s) / (n - 1) where
-all are independent, and by far more where they are frames of a few clips. So rho is what maximises the density of
-images held out: the mean of err^2 / (d - s) of each, reconstructed from those of other people. With many people both
-are the same; where nothing is held out, rho is as printed.
+The eigenvalues that are left are less than what a new image leaves over, by far where the images are frames of a few
+clips. So rho is what maximises the density of images held out: the mean of err^2 / (d - s) of each, reconstructed from
+those of other people. Where nothing is held out, rho is as printed.
 
-Of many rows only their moments are kept, in the coordinates of a basis (`Moments`). Up to MOST_DIRECTIONS of them it
-spans all rows; beyond, the largest directions of the patches. Of the other directions the lengths of the rows tell the
-variance, which is all that eq. 14 asks of them.
+Of many rows only their moments are kept, in the coordinates of a basis (`Moments`): of up to MOST_DIRECTIONS rows it
+spans all, of more the largest directions. Of the other directions the lengths of the rows tell the variance.
 """
 
 from __future__ import annotations
@@ -40,10 +38,7 @@ MOST_ROWS = 1500  # from which a basis is found
 
 @dataclass(frozen=True, eq=False)
 class Subspace:
-    """Mean (d,), orthonormal rows `vectors` (s, d) with variances `values` (s,), and `rho` in all other directions.
-
-    Raises ValueError for what is no such density.
-    """
+    """Mean (d,), orthonormal rows `vectors` (s, d) with variances `values` (s,), and `rho` in all other directions."""
 
     mean: Rows
     vectors: Rows
@@ -89,12 +84,9 @@ class Subspace:
         v, plain, weight = self.precision
         faces = faces + self.mean
         a, b = y @ v.T, faces @ v.T
-        lengths, those = (
-            plain * np.einsum("nd,nd->n", rows, rows) + (q**2) @ weight for rows, q in ((y, a), (faces, b))
-        )
-        return np.asarray(
-            self.log_constant - 0.5 * (lengths[:, None] + those - 2.0 * (plain * (y @ faces.T) + (a * weight) @ b.T))
-        )
+        here, there = (plain * np.einsum("nd,nd->n", rows, rows) + (q**2) @ weight for rows, q in ((y, a), (faces, b)))
+        square = here[:, None] + there - 2.0 * (plain * (y @ faces.T) + (a * weight) @ b.T)
+        return np.asarray(self.log_constant - 0.5 * square)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,10 +99,7 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Of `count` rows: the sum (r,) of their coordinates and that of their products (r, r), and of squared lengths.
-
-    The lengths are those of the whole rows, also of what has no coordinate in the basis.
-    """
+    """Of `count` rows: sums of coordinates (r,) and of their products (r, r), and of squared lengths of whole rows."""
 
     count: int
     total: Array
@@ -129,10 +118,7 @@ class Moments:
 
 
 def common_basis(x: Array, most: int = MOST_DIRECTIONS) -> Array | None:
-    """Orthonormal rows (r, d), r at most `most`: the largest directions of rows x (n, d); None for all directions.
-
-    Of more than MOST_ROWS rows of as many points so many are asked, evenly spread.
-    """
+    """Orthonormal rows (r, d), r at most `most`: the largest directions of rows x (n, d); None for all directions."""
     n, d = x.shape
     if d <= most:
         return None
@@ -157,9 +143,8 @@ def fit_subspace(
     """The subspace of rows x (n, d): as many components as hold `energy` of the variance, at most half of the rank.
 
     `folds[k]` (n,) is true for the rows that are held out together; a fold of no row or of all of them holds nothing
-    out. `centred`: the mean is 0 by construction, and is not estimated. All subspaces have the same rho. `basis`
-    (r, d), orthonormal, of a space that the rows are in or nearly so, saves time where r is far below d. Raises
-    ValueError without rows.
+    out. `centred`: the mean is 0 by construction. All subspaces have the same rho. `basis` (r, d), orthonormal, of a
+    space that the rows are nearly in, saves time. Raises ValueError without rows.
     """
     rows: Array = np.asarray(x, np.float64)
     z: Array = rows if basis is None else rows @ basis.T

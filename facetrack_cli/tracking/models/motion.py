@@ -9,8 +9,8 @@ import numpy as np
 
 from facetrack_cli.core.types import BOX, Array
 from facetrack_cli.recipe import affine, points, regions
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels.affine import diffuse
+from facetrack_cli.tracking.models.spaces import Context
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class FirstOrder:
     """Linear dynamics of values and speeds, c_k = A c_{k-1} + B w_k, w_k ~ N(0, I) (Odobez et al. 2003, section 3.2).
 
     The state (x, y, s, and the speed of each) falls into pairs c = (value, speed), which move independently: x and y
-    by `position` (A, B), s by `scale`; A is (2, 2), B (2, M) with M sources of noise. `least` and `most` bound s, since
-    linear dynamics would lead to boxes of no or of negative size: there it stops, and its speed becomes 0.
+    by `position` (A, B), s by `scale`; A is (2, 2), B (2, M) with M sources of noise. At its bounds `least` and `most`,
+    s stops, and its speed becomes 0.
     """
 
     position: tuple[Array, Array]
@@ -63,8 +63,7 @@ class FirstOrder:
                 for source in range(b.shape[1]):
                     moved[..., i + 3 * row] += b[row, source] * noise[..., source]
         s = moved[..., 2]
-        beyond = (s < self.least) | (s > self.most)
-        moved[..., 5] = np.where(beyond, 0.0, moved[..., 5])
+        moved[..., 5] = np.where((s < self.least) | (s > self.most), 0.0, moved[..., 5])
         moved[..., 2] = np.clip(s, self.least, self.most)
         return moved
 
@@ -78,8 +77,7 @@ class FirstOrder:
     def log_transition(self, x: Array, parents: Array) -> Array:
         """log p(x_n | parents_m) of each part: x (N, K, 6), parents (M, K, 6) -> (N, M, K).
 
-        The bounds of s are left out. Where B has fewer sources of noise than c has numbers, the density is that on the
-        line that the noise spans, and -inf beside it.
+        The bounds of s are left out. Where B has one source of noise, the density is that on its line, -inf beside it.
         """
         total = np.zeros((len(x), len(parents), x.shape[1]))
         for i, (a, b) in enumerate((self.position, self.position, self.scale)):
@@ -93,9 +91,8 @@ class AffineWalk:
     """Gaussian noise on the parameters of an affine map, theta_t = theta_{t-1} + u_t (Zhou et al. 2003, eq. 1).
 
     The state is (x, y, a1, a2, a3, a4), `sigma` the standard deviation of x and y in pixels. The paper leaves u_0 open;
-    faces keep their shape more than their size, so turn, stretch and shear have noise of their own. If all of the
-    deformation have the same, it is that of each of a1 to a4. `scale` bounds the scale, [least, most]: a deformation
-    beyond is brought back to it.
+    here scale, turn, and stretch and shear have noise of their own: if they have the same, it is that of each of a1 to
+    a4. `scale` bounds the scale, [least, most].
     """
 
     settings: affine.AffineWalk
@@ -103,11 +100,8 @@ class AffineWalk:
     scale: tuple[float, float]
 
     @cached_property
-    def _noise(self) -> Array:
-        """(6, 6): from standard noise to that of the state."""
-        return _AFFINE * self._sigma()
-
     def _sigma(self) -> Array:
+        """(6,): standard deviations of x, y, scale, turn, stretch and shear."""
         deform, turn, shear = self.settings.deform, self.settings.turn, self.settings.shear
         turn, shear = (deform if one is None else one for one in (turn, shear))
         return np.array([self.sigma, self.sigma, deform, turn, shear, shear])
@@ -116,7 +110,7 @@ class AffineWalk:
         """x (N, 1, 6) moved by one frame: by the `shift` (1, 6), nu_t, and `noise`, r_t / r_0, times the noise."""
         moved = np.zeros((1, 6)) if shift is None else shift
         u = rng.standard_normal(x.shape)
-        return np.asarray(diffuse(x[:, 0], u[:, 0], self._noise, moved[0], noise, *self.scale))[:, None]
+        return np.asarray(diffuse(x[:, 0], u[:, 0], _AFFINE * self._sigma, moved[0], noise, *self.scale))[:, None]
 
     def expect(self, x: Array) -> Array:
         """The mean of p(x_t | x_{t-1} = x), (N, 1, 6); the bounds of the scale are left out."""
@@ -124,7 +118,7 @@ class AffineWalk:
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         """log p(x_n | parents_m): x (N, 1, 6), parents (M, 1, 6) -> (N, M, 1); the bounds are left out."""
-        return _log_normal((x[:, None] - parents[None]) @ _AFFINE, np.diag(self._sigma() ** 2))
+        return _log_normal((x[:, None] - parents[None]) @ _AFFINE, np.diag(self._sigma**2))
 
 
 # from noise of (x, y, scale, turn, stretch, shear) to that of (x, y, a1, a2, a3, a4); orthogonal

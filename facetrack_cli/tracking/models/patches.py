@@ -5,8 +5,8 @@ start, of which it is the identity. Point (i, j) of a template of rows x cols is
 
     (cx, cy) + [[a1, a2], [a3, a4]] (w ((j + .5) / cols - .5), h ((i + .5) / rows - .5))
 
-A patch has mean 0 and variance 1, which takes gain and offset of the light out of it. Points beyond the frame are
-left out of mean and variance and are 0. A patch that is flat, or with less than half of it in the frame, is all 0.
+A patch has mean 0 and variance 1. Points beyond the frame are left out of both and are 0. A patch that is flat, or with
+less than half of it in the frame, is all 0.
 """
 
 from __future__ import annotations
@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, factor_for
 from facetrack_cli.recipe.affine import PatchLikelihood
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import affine
+from facetrack_cli.tracking.models.spaces import Context
 
-# a face of 13 times 256 pixels or more is read with gaps
-MOST_FACTOR = 256
+MOST_FACTOR = 256  # a face of 13 times 256 pixels or more is read with gaps
 
 
 @dataclass(frozen=True)
@@ -39,10 +38,10 @@ class Patches:
         return self.shape[0] * self.shape[1]
 
     def factor(self, state: Array) -> int:
-        """By what to reduce the frame for patches around `state` (1, 6): a power of two.
+        """By what to reduce the frame for patches around `state` (1, 6), a power of two; 1 for no numbers.
 
-        The template's points then lie between 1 and 2 pixels apart, along that side where they are closer, so that
-        the blur is about the same at every scale. 1 if they are closer than that already, or for no numbers.
+        The template's points then lie between 1 and 2 pixels apart, or less, along that side where they are closer, so
+        that the blur is about the same at every scale.
         """
         _, _, a1, a2, a3, a4 = state[0].tolist()
         rows, cols = self.shape
@@ -50,20 +49,17 @@ class Patches:
         return factor_for(min(step, 2.0 * MOST_FACTOR), 2.0) if step > 2.0 else 1
 
     def read(self, frame: Frame, x: Array, factor: int) -> NDArray[np.float32]:
-        """Patches (N, d) of x (N, 1, 6), flattened by rows, from the frame in grey reduced by `factor`.
+        """Patches (N, d) of x (N, 1, 6), flattened by rows, from the frame in grey reduced by `factor`; read-only.
 
-        The frame remembers the last few answers: of a single state by its values, of more by the array x itself, which
-        must not change then. They are read-only.
+        The frame remembers the last few: of one state by its values, of more by the array x, which must not change.
         """
         key = self, factor, x.tobytes() if x.size == 6 else id(x)
-        known = frame.remembered(key)
-        if known is not None:
+        if (known := frame.remembered(key)) is not None:
             return known
         states = np.ascontiguousarray(x.reshape(-1, 6))
         (w, h), (width, height) = self.size, frame.size
         extent = affine.boxes_extent(states, w, h, width, height)
-        # between its border and the centre of its first block, a box is read from the block before too; after a single
-        # state mostly come particles around it
+        # a box is read from the block before its first one too; after a single state mostly come particles around it
         more = float(factor) if len(states) > 1 else factor + 0.15 * max(extent[2] - extent[0], extent[3] - extent[1])
         grey, left, top = frame.grey(factor, (extent[0] - more, extent[1] - more, extent[2] + more, extent[3] + more))
         patches: NDArray[np.float32] = affine.read_patches(

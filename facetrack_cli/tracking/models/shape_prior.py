@@ -14,6 +14,10 @@ What is left out is constant: as a density in pixels of the K - 1 other parts gi
 -(K - 1) log(2 pi (sigma L0)^2).
 
 The printed eq. 11 writes d(q(s_k)), h_j; the text below it names d(q(s_k), h_j), and that is what is taken.
+
+A prior is fitted to annotated clips: ground truth, or trajectories that somebody has checked. In every file, each
+target's first frame in which all parts are seen is its neutral one; every such frame gives one training shape. Of many,
+those are kept that are far from each other, so that a clip which smiles for a second keeps the smile.
 """
 
 from __future__ import annotations
@@ -22,28 +26,32 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.core.errors import InputError, RecipeError, UsageError
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.points import Parzen
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
+from facetrack_cli.tracking.models.spaces import Context
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 KIND = Kind("facetrack-shape-prior", 1, "shape prior", "facetrack prior fit")
 DEFAULT = "mouth_prior.npz"
+SEEN = ("visible", "init", "tracked", "")
+LEAST_DISTANCE = 0.01  # mouth widths; a shape nearer than this to one that is kept adds nothing
+NARROWEST = 0.05  # mouth widths; a narrower kernel would punish a tracker's own noise
 
 
 @dataclass(frozen=True, eq=False)
 class ShapePrior:
     """Training shapes h_j, (M, K, 2): displacements since the first frame, relative to the part `stable`.
 
-    Their unit is the distance of the two parts named by `scale` in the first frame (the mouth's width); the stable
-    part's own displacement is zero in every shape. Raises ValueError for anything else.
+    Their unit is the distance of the two parts named by `scale` in the first frame. Raises ValueError for what is none.
     """
 
     parts: tuple[str, ...]
@@ -70,15 +78,8 @@ class ShapePrior:
 
     def save(self, path: Path) -> None:
         """Writes an .npz of plain arrays, whole or not at all; equal priors give equal bytes. Raises OutputError."""
-        KIND.write(
-            path,
-            {
-                "parts": np.array(self.parts),
-                "stable": np.array(self.stable),
-                "scale": np.array(self.scale),
-                "shapes": np.ascontiguousarray(self.shapes, "<f8"),
-            },
-        )
+        names = {name: np.array(getattr(self, name)) for name in ("parts", "stable", "scale")}
+        KIND.write(path, {**names, "shapes": np.ascontiguousarray(self.shapes, "<f8")})
 
     def spacing(self) -> float:
         """Mean distance of a shape to its nearest neighbour, in units of the scale; 0 for a single shape."""
@@ -100,12 +101,11 @@ def load_prior(path: Path) -> ShapePrior:
 
 
 def _made(stored: Stored) -> ShapePrior:
-    parts, scale = stored.texts("parts"), stored.texts("scale")
-    if len(scale) != 2:
-        raise ValueError(f"scale names {len(scale)} parts where 2 belong")
-    return ShapePrior(
-        parts, np.asarray(stored.reals("shapes", 3), np.float64), stored.text("stable"), (scale[0], scale[1])
-    )
+    first, *others = stored.texts("scale")
+    if len(others) != 1:
+        raise ValueError(f"scale names {1 + len(others)} parts where 2 belong")
+    shapes = np.asarray(stored.reals("shapes", 3), np.float64)
+    return ShapePrior(stored.texts("parts"), shapes, stored.text("stable"), (first, others[0]))
 
 
 def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> BoundPrior:
@@ -117,26 +117,21 @@ def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) ->
     strange = [name for name in parts if name not in prior.parts]
     absent = [name for name in prior.parts if name not in parts]
     if strange or absent:
-        said = [f"the shape prior knows {', '.join(prior.parts)}"]
-        said += [f"not {', '.join(strange)}"] if strange else []
-        said += [f"and the recipe does not track {', '.join(absent)}"] if absent else []
-        raise RecipeError(" ".join(said) + "; fit a prior with `facetrack prior fit --parts` or change the parts")
-    first = np.array(first, np.float64)
+        said = f"the shape prior knows {', '.join(prior.parts)}"
+        said += f" not {', '.join(strange)}" if strange else ""
+        said += f" and the recipe does not track {', '.join(absent)}" if absent else ""
+        raise RecipeError(f"{said}; fit a prior with `facetrack prior fit --parts` or change the parts")
+    first, parts = np.array(first, np.float64), tuple(parts)
     if first.shape != (len(parts), 2) or not np.isfinite(first).all():
-        raise InputError(
-            f"the first frame gives no finite position for each of {', '.join(parts)}; complete the init file"
-        )
-    left, right = (first[list(parts).index(name)] for name in prior.scale)
+        named = ", ".join(parts)
+        raise InputError(f"the first frame gives no finite position for each of {named}; complete the init file")
+    left, right = (first[parts.index(name)] for name in prior.scale)
     length = float(np.hypot(*(right - left)))
     if not length > 0.0:
-        raise InputError(
-            f"{prior.scale[0]} and {prior.scale[1]} are at the same place in the first frame, "
-            "so the shape prior has no scale; move them apart in the init file"
-        )
-    order = [prior.parts.index(name) for name in parts]
-    return BoundPrior(
-        tuple(parts), prior.shapes[:, order], first, list(parts).index(prior.stable), length, float(sigma)
-    )
+        remedy = "so the shape prior has no scale; move them apart in the init file"
+        raise InputError(f"{' and '.join(prior.scale)} are at the same place in the first frame, {remedy}")
+    shapes = prior.shapes[:, [prior.parts.index(name) for name in parts]]
+    return BoundPrior(parts, shapes, first, parts.index(prior.stable), length, float(sigma))
 
 
 def build(settings: Parzen, context: Context) -> BoundPrior:
@@ -150,16 +145,6 @@ def build(settings: Parzen, context: Context) -> BoundPrior:
         raise InputError(f"{context.start.origin}: {e}") from None
 
 
-@dataclass(frozen=True, eq=False)
-class _Table:
-    """What the kernels need to compare hypotheses with all shapes over some of the parts."""
-
-    parts: NDArray[np.int64]
-    stable: int
-    h: NDArray[np.float32]
-    bias: NDArray[np.float32]
-
-
 class BoundPrior:
     """A prior registered to one track; made by `bind`. x is (N, K, 2) in pixels; lengths are pixels throughout.
 
@@ -171,8 +156,6 @@ class BoundPrior:
       sum_k |r_jk - x_n|^2 splits into (K - 1) |x_n - mean_k r_jk|^2 + sum_k |r_jk - mean_k r_jk|^2: mean of the r_jk,
       standard deviation sigma L0 / sqrt(K - 1), and a weight from the second sum, which is the squared distance between
       x and h_j after the means over the other parts are taken off both.
-
-    So the normalised conditional of any part is density(with the part) / density(of the other parts) / (2 pi sd^2).
     """
 
     def __init__(
@@ -182,12 +165,11 @@ class BoundPrior:
         self._shapes, self._stable, self._width = shapes, stable, sigma * length
         self._moving = [k for k in range(len(parts)) if k != stable]
         self._all = self._table(self._moving, stable)
-        self._without = [
-            self._table([k for k in self._moving if k != part], stable if part != stable else -1)
-            for part in range(len(parts))
-        ]
+        others = ([k for k in self._moving if k != part] for part in range(len(parts)))
+        self._without = [self._table(rest, -1 if k == stable else stable) for k, rest in enumerate(others)]
 
-    def _table(self, parts: list[int], stable: int) -> _Table:
+    def _table(self, parts: list[int], stable: int) -> tuple[Any, ...]:
+        """What the kernels need to compare hypotheses with all shapes over some of the parts."""
         h = self._shapes[:, parts] / self.sigma
         if stable < 0:
             h = h - h.mean(1, keepdims=True)
@@ -196,33 +178,145 @@ class BoundPrior:
         bias[: len(h)] = -0.5 * (flat**2).sum(0)
         # in rows: along columns the kernels would not vectorise
         padded = np.ascontiguousarray(np.pad(flat, ((0, 0), (0, len(bias) - len(h)))))
-        return _Table(np.array(parts, np.int64), stable, padded, bias)
+        return np.array(parts, np.int64), self.first, stable, self._width, padded, bias
 
-    def _log_sum(self, table: _Table, x: Array) -> Array:
-        x = np.ascontiguousarray(x, np.float64)
-        return np.asarray(
-            log_parzen(x, table.parts, self.first, table.stable, self._width, table.h, table.bias), np.float64
-        )
+    def _log_sum(self, table: tuple[Any, ...], x: Array) -> Array:
+        return np.asarray(log_parzen(np.ascontiguousarray(x, np.float64), *table), np.float64)
 
     def _spread(self, part: int) -> float:
         return self._width / math.sqrt(len(self._moving)) if part == self._stable else self._width
 
     def log_density(self, x: Array) -> Array:
-        """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, and finite for any x within 1e100.
-
-        Right to about 1e-5 near the shapes, and to 1e-6 of its value far from them.
-        """
+        """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, right to 1e-5, or 1e-6 of large ones."""
         return self._log_sum(self._all, x) - math.log(len(self._shapes))
 
     def propose(self, rng: np.random.Generator, x: Array, part: int) -> Array:
         """(N, 2): part `part` drawn from the prior given the other parts of each particle; x[:, part] is not read."""
         x = np.ascontiguousarray(x, np.float64)
         u, noise = rng.random(len(x)), rng.standard_normal((len(x), 2))
-        table = self._without[part]
-        chosen = pick_shape(x, table.parts, self.first, table.stable, self._width, table.h, table.bias, u)
+        chosen = pick_shape(x, *self._without[part], u)
         if part == self._stable:
-            h = self._shapes[chosen]
-            centre = (x - self.first - self.length * h)[:, self._moving].mean(1)
+            centre = (x - self.first - self.length * self._shapes[chosen])[:, self._moving].mean(1)
         else:
             centre = x[:, self._stable] - self.first[self._stable] + self.length * self._shapes[chosen, part]
         return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
+
+
+class FileReport(NamedTuple):
+    """What one file gave: frames in it, and those of them in which every part is seen."""
+
+    path: Path
+    frames: int
+    used: int
+
+    @property
+    def skipped(self) -> int:
+        return self.frames - self.used
+
+
+class Fit(NamedTuple):
+    """The prior, what each file gave to it, and the kernel's standard deviation that suits it, in mouth widths."""
+
+    prior: ShapePrior
+    files: tuple[FileReport, ...]
+    sigma: float
+
+
+def fit_prior(
+    paths: Sequence[Path],
+    parts: Sequence[str] | None = None,
+    stable: str = "nose",
+    scale: tuple[str, str] = ("mouth_left", "mouth_right"),
+    max_shapes: int = 500,
+) -> Fit:
+    """A prior of `parts` (all that the first file has, if None) from truth or trajectory files.
+
+    Rows that are hidden, absent, lost or without a position do not count as seen. Raises UsageError for part names that
+    cannot go together, InputError for a file that cannot be used.
+    """
+    if not paths:
+        raise UsageError("no truth file is named; give one or more, such as clip.truth.csv")
+    if max_shapes < 1:
+        raise UsageError(f"at most {max_shapes} shapes leave no prior; keep 1 or more")
+    tables = [read_trajectory(path) for path in paths]
+    names = tuple(parts) if parts is not None else _parts_of(tables[0])
+    if len(set(names)) != len(names):
+        raise UsageError(f"a part is named twice among {', '.join(names)}")
+    if scale[0] == scale[1]:
+        raise UsageError(f"the scale is the distance of two parts, and both are {scale[0]}")
+    for name in (stable, *scale):
+        if name not in names:
+            where = "among the parts that are asked for" if parts is not None else f"in {paths[0]}"
+            known = ", ".join(names)
+            raise UsageError(f"there is no part {name} {where} ({known}); name another with --stable or --scale")
+    found = [_shapes_of(path, table, names, stable, scale) for path, table in zip(paths, tables, strict=True)]
+    every = np.concatenate([shapes for _, shapes in found])
+    kept = every[_spread_out(every.reshape(len(every), -1), max_shapes)]
+    prior = ShapePrior(names, kept, stable, scale)
+    return Fit(prior, tuple(report for report, _ in found), suggested_sigma(prior))
+
+
+def suggested_sigma(prior: ShapePrior) -> float:
+    """A kernel's standard deviation, in mouth widths: the mean distance of a shape to its nearest neighbour."""
+    return max(prior.spacing(), NARROWEST)
+
+
+def _parts_of(trajectory: Trajectory) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(part for _, part in trajectory.names))
+
+
+def _shapes_of(
+    path: Path, trajectory: Trajectory, names: tuple[str, ...], stable: str, scale: tuple[str, str]
+) -> tuple[FileReport, Array]:
+    if missing := ", ".join(name for name in names if name not in _parts_of(trajectory)):
+        raise InputError(f"{path}: there is no part {missing}; annotate it, or name the parts to learn with --parts")
+    shapes: list[Array] = []
+    total = 0
+    for target in trajectory.targets:
+        frames, points = _points(trajectory.of_target(target), names)
+        total += len(frames)
+        seen = np.isfinite(points).all(axis=(1, 2))
+        if not seen.any():
+            continue
+        first = points[seen][0]
+        left, right = (first[names.index(name)] for name in scale)
+        length = math.hypot(*(right - left))
+        if length < 1.0:
+            apart = f"are {length:.2f} pixels apart, which gives no scale; correct them"
+            raise InputError(f"{path}: frame {frames[seen][0]}: {scale[0]} and {scale[1]} of {target} {apart}")
+        moved = points[seen] - first
+        shapes.append((moved - moved[:, [names.index(stable)]]) / length)
+    if not shapes:
+        remedy = "annotate one, or name the parts to learn with --parts"
+        raise InputError(f"{path}: none of its {total} frames shows all of {', '.join(names)}; {remedy}")
+    found = np.concatenate(shapes)
+    far = np.abs(found).max(axis=(1, 2))
+    if far.max() > 10.0:
+        moves = f"moves {far.max():.0f} times the distance of {scale[0]} and {scale[1]} away from {stable}"
+        raise InputError(f"{path}: a part {moves}; correct that row, or name another --scale")
+    return FileReport(path, total, len(found)), found
+
+
+def _points(parts: Sequence[Trajectory], names: Sequence[str]) -> tuple[Whole, Array]:
+    """(T,) frames of a target and (T, names, 2) the places of its parts, nan where one is not seen."""
+    frames = np.unique(np.concatenate([one.frame for one in parts]))
+    points = np.full((len(frames), len(names), 2), np.nan)
+    for one in parts:
+        if one.part in names:
+            seen = np.isin(one.status, SEEN)
+            at = np.searchsorted(frames, one.frame[seen])
+            points[at, names.index(one.part)] = np.stack([one.x, one.y], axis=1)[seen]
+    return frames, points
+
+
+def _spread_out(flat: Array, most: int) -> list[int]:
+    """Indices, in order, of at most `most` rows: the first, then again and again the row farthest from all chosen."""
+    chosen = [0]
+    nearest = ((flat - flat[0]) ** 2).sum(1)
+    while len(chosen) < most:
+        index = int(nearest.argmax())
+        if nearest[index] < LEAST_DISTANCE**2:
+            break
+        chosen.append(index)
+        nearest = np.minimum(nearest, ((flat - flat[index]) ** 2).sum(1))
+    return sorted(chosen)

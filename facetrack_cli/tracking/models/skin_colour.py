@@ -4,17 +4,15 @@
     mu_S, Sigma_S: mean and covariance of their (Cb, Cr)                                                (eq. 4)
     p(c | skin) = exp(-(c - mu_S)' Sigma_S^-1 (c - mu_S) / 2)        without the factor that makes it a density
 
-so that p is 1 at the mean whatever the spread. Beyond the paper, the spread of Sigma_S is kept above a floor in every
-direction, or skin of one flat colour would be found nowhere else. And the rules know neither very dark nor very pale
-skin: when they pass too little of the ellipse in the box, all of that ellipse is the sample, and `note` says so.
-Corners do not count, since a warm wall behind a dark face passes there; nor do they teach the wall's colour.
+so that p is 1 at the mean. Beyond the paper, the spread of Sigma_S has a floor in every direction, or skin of one flat
+colour would be found nowhere else. And the rules know neither very dark nor very pale skin: when they pass too little
+of the ellipse in the box, all of it is the sample, and `note` says so. Corners do not count: there may be a warm wall.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -22,11 +20,9 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre
-from facetrack_cli.core.types import Array, Box, Frame, Image
+from facetrack_cli.core.types import Array, Box, Frame, Image, Mask
 from facetrack_cli.recipe.skin import LEAST_SHARE
 from facetrack_cli.tracking.kernels import skin as kernel
-
-Mask: TypeAlias = NDArray[np.bool_]
 
 # of (Cb, Cr) in any direction, in levels squared: less loses faces as the light changes, more lets in what is near
 LEAST_VARIANCE = 9.0
@@ -62,11 +58,10 @@ def kovac(bgr: Image) -> Mask:
 
 
 def learn_skin(frame: Frame, box: Box, *, least_share: float = LEAST_SHARE) -> SkinModel:
-    """The colour of the skin in a box (left, top, width, height; pixels), which may stick out of the frame.
+    """The colour of the skin in a box (pixels), which may stick out of the frame.
 
-    All of the ellipse in the box is the sample when less than `least_share` of it passes Kovac's rules: 0 never (if any
-    pixel passes), above 1 always. Raises InputError if nothing of the box is in the frame,
-    or hardly anything in it has a colour.
+    All of the ellipse in the box is the sample when less than `least_share` of it passes Kovac's rules. Raises
+    InputError if nothing of the box is in the frame, or hardly anything in it has a colour.
     """
     x0, y0, x1, y1 = _inside(frame, box)
     region = frame.bgr[y0:y1, x0:x1]
@@ -77,15 +72,16 @@ def learn_skin(frame: Frame, box: Box, *, least_share: float = LEAST_SHARE) -> S
     sample = colours[ellipse if fallback else passed]
     coloured = float((np.abs(sample - 128).max(axis=1) >= LEAST_CHROMA).mean())
     if coloured < LEAST_COLOURED:
-        raise InputError(
-            f"frame {frame.index}: only {coloured:.0%} of the face's box have a colour, so skin cannot be known by it; "
-            "take a recipe that does without, as ncc or contour_correlation"
-        )
+        share_of_box = f"only {coloured:.0%} of the face's box have a colour, so skin cannot be known by it"
+        remedy = "take a recipe that does without, as ncc or contour_correlation"
+        raise InputError(f"frame {frame.index}: {share_of_box}; {remedy}")
     mean = sample.mean(axis=0)
     off = sample - mean
     spread, axes = np.linalg.eigh(off.T @ off / len(sample))
     cov = (axes * np.maximum(spread, LEAST_VARIANCE)) @ axes.T
-    table = _table(mean, cov)
+    d = np.stack(np.meshgrid(np.arange(256.0) - mean[0], np.arange(256.0) - mean[1], indexing="ij"), axis=-1)
+    squared = np.einsum("...i,ij,...j", d, np.linalg.inv(cov), d)
+    table = np.asarray(np.rint(255 * np.exp(-squared / 2)), np.uint8)
     return SkinModel(mean, cov, table, share, fallback, _contrast(frame, box, table))
 
 
@@ -93,10 +89,8 @@ def note(model: SkinModel) -> str | None:
     """What the user should know of how the colour was learned, in one line; None if there is nothing."""
     said = []
     if model.fallback:
-        said.append(
-            f"Kovac's rules find skin in only {model.share:.0%} of the face, "
-            "so its colour was learned from all that its box shows"
-        )
+        little = f"Kovac's rules find skin in only {model.share:.0%} of the face"
+        said.append(f"{little}, so its colour was learned from all that its box shows")
     if model.contrast < LEAST_CONTRAST:
         said.append("what surrounds the face has nearly the same colour, so skin colour will hardly tell them apart")
     return "; ".join(said) or None
@@ -108,10 +102,8 @@ def _inside(frame: Frame, box: Box) -> tuple[int, int, int, int]:
     left, right = _span(box[0], box[2], width)
     top, bottom = _span(box[1], box[3], height)
     if right <= left or bottom <= top:
-        raise InputError(
-            f"frame {frame.index}: the box {','.join(f'{v:g}' for v in box)} is not in the picture of "
-            f"{width}x{height} pixels; give left, top, width and height in pixels of the frame"
-        )
+        where = f"the box {','.join(f'{v:g}' for v in box)} is not in the image of {width}x{height} pixels"
+        raise InputError(f"frame {frame.index}: {where}; give left, top, width and height in pixels of the frame")
     return left, top, right, bottom
 
 
@@ -127,7 +119,7 @@ def _ellipse(box: Box, x0: int, y0: int, region: Image) -> Mask:
 
 def _contrast(frame: Frame, box: Box, table: NDArray[np.uint8]) -> float:
     """Mean p in the box less that around it, of pixels in the frame; 1 where there is nothing around it."""
-    margin_x, margin_y = (math.sqrt(2) - 1) / 2 * box[2], (math.sqrt(2) - 1) / 2 * box[3]
+    margin_x, margin_y = ((math.sqrt(2) - 1) / 2 * side for side in box[2:])
     x0, y0, x1, y1 = _inside(frame, box)
     wide = (box[0] - margin_x, box[1] - margin_y, box[2] + 2 * margin_x, box[3] + 2 * margin_y)
     left, top, right, bottom = _inside(frame, wide)
@@ -143,10 +135,3 @@ def _span(start: float, length: float, count: int) -> tuple[int, int]:
     first = math.ceil(min(max(-1.0, start - 0.5), count))
     last = math.ceil(min(max(-1.0, start + length - 0.5), count))
     return max(first, 0), min(max(last, first + 1), count)
-
-
-def _table(mean: Array, cov: Array) -> NDArray[np.uint8]:
-    levels = np.arange(256.0)
-    d = np.stack(np.meshgrid(levels - mean[0], levels - mean[1], indexing="ij"), axis=-1)
-    squared = np.einsum("...i,ij,...j", d, np.linalg.inv(cov), d)
-    return np.asarray(np.rint(255 * np.exp(-squared / 2)), np.uint8)

@@ -13,16 +13,17 @@ AffineSpace   x, y, a1, a2, a3, a4       the box of the start, turned, scaled an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.geometry import centre, size_of_points
 from facetrack_cli.core.types import Array, Box, Particles, Start
 from facetrack_cli.recipe import affine, points, regions, skin
+from facetrack_cli.recipe.model import ParticleFilter, Recipe
 from facetrack_cli.tracking.start.checks import size_of_box, visible_box
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostic
 
@@ -44,24 +45,21 @@ class Outline(NamedTuple):
 class Space(Protocol):
     """What a state is in the image. Its first two coordinates are the centre of the part, in pixels.
 
-    `diagnostics` are declared by spaces that report more than image geometry, and `diagnose` gives their values.
+    `windows` (K, 2): width and height in pixels of each part. `at` (1, D): the state, at rest, of a target that fills a
+    box at any time. `outline`: of the one part that is no upright box.
     """
 
     diagnostics: ClassVar[tuple[Diagnostic, ...]] = ()
 
     def diagnose(self, estimated: Estimate) -> Mapping[str, Any]:
-        """The value of each diagnostic by its name."""
         return {}
 
-    def windows(self, estimated: Estimate) -> Array:
-        """(K, 2): width and height in pixels of each part."""
+    def windows(self, estimated: Estimate) -> Array: ...
 
     def outline(self, estimated: Estimate) -> Outline | None:
-        """Of the one part that is no upright box; None where all are."""
         return None
 
     def at(self, box: Box) -> Array:
-        """(1, D): the state, at rest, of a target that fills `box` at any time."""
         raise TypeError("points are not placed by a box")
 
 
@@ -93,10 +91,7 @@ class BoxSpace(Space):
 
 @dataclass(frozen=True)
 class CloudSpace(Space):
-    """A cloud in which each particle is a pixel: state (1, 2) = (x, y).
-
-    Its box has four standard deviations a side, which is exact of an ellipse evenly filled.
-    """
+    """A cloud in which each particle is a pixel: state (1, 2) = (x, y); its box has four standard deviations a side."""
 
     def windows(self, estimated: Estimate) -> Array:
         return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
@@ -109,8 +104,7 @@ class CloudSpace(Space):
 class AffineSpace(Space):
     """A box under affine maps: state (1, 6) = (x, y, a1, a2, a3, a4), [[a1, a2], [a3, a4]] from the start to now.
 
-    `size`: width, height in pixels at the start. Its sides are those of the parallelogram; its angle is the rotation
-    that is nearest to the deformation.
+    `size`: width, height in pixels at the start. Its angle is the rotation that is nearest to the deformation.
     """
 
     size: tuple[float, float]
@@ -134,19 +128,14 @@ class AffineSpace(Space):
         cx, cy, a1, a2, a3, a4 = estimated.state[0].tolist()
         # the border runs through the middle of the outermost pixels, as that of an upright box
         x, y = (max(side - 1, 1) / 2 for side in self.size)
-        right, down = (a1 * x, a3 * x), (a2 * y, a4 * y)
-        corners = [
-            (cx + i * right[0] + j * down[0], cy + i * right[1] + j * down[1])
-            for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-        ]
-        return Outline(math.degrees(math.atan2(a3 - a2, a1 + a4)), np.array(corners))
+        a1, a2, a3, a4, angle = a1 * x, a2 * y, a3 * x, a4 * y, math.degrees(math.atan2(a3 - a2, a1 + a4))
+        ways = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        return Outline(angle, np.array([(cx + i * a1 + j * a2, cy + i * a3 + j * a4) for i, j in ways]))
 
 
 def estimate(particles: Particles, *, best: bool = False) -> Estimate:
-    """Weighted mean of x (N, K, D), or the `best` particle; and covariance of its first two coordinates about the mean.
-
-    The best particle is the one of the greatest weight, the first of equals: the MAP estimate if all were drawn from
-    one place.
+    """Weighted mean of x (N, K, D), or the `best` particle, which has the greatest weight and is the first of equals;
+    and covariance of the first two coordinates about the mean.
     """
     w = np.exp(particles.log_w)
     mean = np.einsum("n,nkd->kd", w, particles.x)
@@ -155,10 +144,10 @@ def estimate(particles: Particles, *, best: bool = False) -> Estimate:
     return Estimate(particles.x[int(np.argmax(particles.log_w))] if best else mean, cov)
 
 
-def evenly(x0: Array, windows: Array) -> Estimate:
-    """The estimate of x0 (K, D) and `windows` (K, 2) at the start, with the covariance of evenly filled ellipses."""
+def evenly(x0: Array, windows: Array | None) -> Estimate:
+    """The estimate of x0 (K, D), with the covariance of evenly filled ellipses in `windows` (K, 2), or none."""
     cov = np.zeros((len(x0), 2, 2))
-    cov[:, [0, 1], [0, 1]] = (windows / 4.0) ** 2
+    cov[:, [0, 1], [0, 1]] = 0.0 if windows is None else (windows / 4.0) ** 2
     return Estimate(x0, cov)
 
 
@@ -199,6 +188,25 @@ class Placed:
         return w, h
 
 
+@dataclass(frozen=True)
+class Context:
+    """What the parts of one target of a recipe are built from, beside their own settings.
+
+    `settings` are all of the target's; `above` stands before their keys: nothing, or as in `targets.face.`.
+    """
+
+    recipe: Recipe
+    above: str
+    settings: ParticleFilter
+    start: Start
+    name: str
+    placed: Placed
+
+    def error(self, key: str, message: str) -> RecipeError:
+        """An error that points at a key of the target's settings, as in `prior.file`."""
+        return self.recipe.error(f"{self.above}{key}", message)
+
+
 def place_points(settings: points.Points, start: Start, name: str) -> Placed:
     """Points where the start has them; the unit is the largest distance of two, or the box's size around one."""
     placed, parts = start.targets[name], settings.parts
@@ -216,27 +224,11 @@ def place_points(settings: points.Points, start: Start, name: str) -> Placed:
     return Placed(PointSpace(windows), x0, windows, unit)
 
 
-def place_region(settings: regions.Region, start: Start, name: str) -> Placed:
-    return _place_box(start, name, BoxSpace, state_of_box, settings.scale)
-
-
-def place_affine(settings: affine.Affine, start: Start, name: str) -> Placed:
-    return _place_box(start, name, AffineSpace, affine_state_of_box, settings.scale)
-
-
-def place_cloud(settings: skin.Cloud, start: Start, name: str) -> Placed:
-    """Its particles begin all over the box."""
-    placed = _place_box(start, name, lambda _: CloudSpace(), state_of_box)
-    return replace(placed, scatter=placed.windows)
-
-
-def _place_box(
-    start: Start,
-    name: str,
-    space: Callable[[tuple[float, float]], Space],
-    state: Callable[..., Array],
-    scale: tuple[float, float] = (0.25, 4.0),
-) -> Placed:
-    """A target whose `state` fills its box; the unit is the mean side."""
+def place_box(settings: regions.Region | affine.Affine | skin.Cloud, start: Start, name: str) -> Placed:
+    """A target that fills its box, whose mean side is the unit; particles of a cloud begin all over it."""
     box = visible_box(start, name)
-    return Placed(space(box[2:]), state(*box), np.array([box[2:]]), size_of_box(start, name), scale)
+    windows, unit = np.array([box[2:]]), size_of_box(start, name)
+    if isinstance(settings, skin.Cloud):
+        return Placed(CloudSpace(), state_of_box(*box), windows, unit, (0.25, 4.0), windows)
+    space = AffineSpace(box[2:]) if isinstance(settings, affine.Affine) else BoxSpace(box[2:])
+    return Placed(space, space.at(box), windows, unit, settings.scale)

@@ -13,9 +13,8 @@ eps = phi(T{z_t; theta + nu}, a_t) settles; the best of the steps is kept, none 
 Adaptive noise (eq. 13). r_t / r_0 = eta(eps) = a + (b - a) tanh(eps / c): tight after a good prediction, wide after a
 bad one. phi is that of the likelihood, the mean squared distance from the appearance in its standard deviations.
 
-Beyond the paper: `samples` makes a step faster; with `towards: appearance` small errors do not add up from frame to
-frame; `search` first looks for the expected patch around, by normalised correlation, and begins there if the error is
-less.
+Beyond the paper: `samples` makes a step faster; with `towards: appearance` errors do not add up over frames; `search`
+first looks for the expected patch around, by normalised correlation, and begins there if the error is less.
 
 V and S come from the eigenvectors of Y^T Y (J x J), and B is never written out: -B D = -X V_q S_q^-2 V_q^T Y^T D.
 """
@@ -32,16 +31,15 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.recipe import affine
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.filters import Ahead
 from facetrack_cli.tracking.kernels.least_squares import differences, gain, mapped
 from facetrack_cli.tracking.models.motion import AffineWalk
 from facetrack_cli.tracking.models.patches import Patches, patches_of
+from facetrack_cli.tracking.models.spaces import Context
 from facetrack_cli.trajectory.diagnostics import ERROR, NOISE
 
 Rows: TypeAlias = NDArray[np.float32]
-# of the largest singular value: directions in which the patches differ by less are rounding
-RANK = 1e-3
+RANK = 1e-3  # of the largest singular value: directions in which the patches differ by less are rounding
 
 
 def eta(settings: affine.Noise | None, error: float) -> float:
@@ -65,7 +63,7 @@ class Flow:
 class PredictedWalk(AffineWalk):
     """A walk around the place that the frame predicts, with noise as large as the prediction is bad.
 
-    `particles` are drawn around the start, where there is no last frame to learn B from.
+    So many `particles` are drawn around the start, where there is no last frame to learn B from.
     """
 
     patches: Patches
@@ -99,10 +97,9 @@ class PredictedWalk(AffineWalk):
         patch = self.patches.read(frame, flow.state[None], factor)
         least = float(error(patch)[0])
         if (velocity := self.settings.velocity) is None:
-            return self._ahead(flow.state, best, least)
-        towards = velocity.towards == "appearance"
-        model = expected() if towards or velocity.search > 0 else flow.patch
-        wanted = model if towards else flow.patch
+            return Ahead(flow.state, best, eta(self.settings.noise, least), least)
+        model = expected() if velocity.towards == "appearance" or velocity.search > 0 else flow.patch
+        wanted = model if velocity.towards == "appearance" else flow.patch
         if velocity.search > 0:
             found = self._search(flow.state, frame, factor, model, velocity.search)
             there = self.patches.read(frame, (flow.state + found)[None], factor)
@@ -118,16 +115,10 @@ class PredictedWalk(AffineWalk):
                 least, best = now, shift
             if settled:
                 break
-        return self._ahead(flow.state, best, least)
-
-    def _ahead(self, state: Array, shift: Array, error: float) -> Ahead:
-        return Ahead(state, shift, eta(self.settings.noise, error), error)
+        return Ahead(flow.state, best, eta(self.settings.noise, least), least)
 
     def _search(self, state: Array, frame: Frame, factor: int, expected: Rows, reach: float) -> Array:
-        """(1, 6): the shift to the place around `state` at which the frame is most like the expected patch (d,).
-
-        `reach` is how far around to look, in units of the box.
-        """
+        """(1, 6): the shift to the place within `reach` boxes of `state` that is most like the expected patch (d,)."""
         rows, columns = self.patches.shape
         w, h = self.patches.size
         m, n = (max(round(reach * side), 1) for side in (rows, columns))
@@ -150,4 +141,4 @@ def affine_walk(settings: affine.AffineWalk, context: Context) -> AffineWalk:
     walk = settings, settings.sigma.pixels(placed.unit), placed.scale
     if settings.velocity is None and settings.noise is None:
         return AffineWalk(*walk)
-    return PredictedWalk(*walk, patches_of(context), context.settings.particles)
+    return PredictedWalk(*walk, patches_of(context), context.settings.filter.particles)

@@ -13,16 +13,14 @@ Corrected in print: eq. 6 lacks the product over the pixels; eq. 7 has sigma_w w
 eq. 10 has M_1 twice. The moments begin as M_1 = m_s F, M_2 = m_s (sigma_s^2 + F^2), which give F and sigma_s back; the
 printed m_s sigma_s^2 + F^2 does not. Beyond the paper:
 
-- sigma_s has the floor `least_sigma`; the weights have the floor `least_mixing` before they are made to sum to 1, since
-  a component that owned nothing for long would never come back. M_1 and M_2 follow m_s there, so that S stays. A
-  component of weight 0 at the start stays out.
-- A point beyond the frame, which was not seen, teaches nothing.
-- `laplace` has exp(-|y - mu| / b) / (2 b), b = sigma / sqrt(2), so that sigma is the standard deviation of both. With
-  weights (0, 0, 1) it is the fixed template of the authors' earlier tracker.
+- sigma_s has the floor `least_sigma`; the weights have the floor `least_mixing` before they are made to sum to 1, or a
+  component could vanish for ever. M_1 and M_2 follow m_s there, so that S stays. Weight 0 at the start stays 0.
+- A point beyond the frame teaches nothing.
+- `laplace` has exp(-|y - mu| / b) / (2 b), b = sigma / sqrt(2). With weights (0, 0, 1) it is the fixed template of the
+  authors' earlier tracker.
 - `outlier` is the weight of a fourth component, the L of Jepson et al. (the paper's [3]), uniform over `OUTLIER_RANGE`;
   the other three share the rest.
-- `pixels`: neighbours in a patch are alike, and as independent factors they make the weights of eq. 6 so sharp that the
-  best particle has all of the weight. log p_a is multiplied by `pixels` / d.
+- `pixels`: neighbours in a patch are not independent. log p_a is multiplied by `pixels` / d.
 """
 
 from __future__ import annotations
@@ -37,12 +35,11 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.recipe import affine
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import mixture as kernel
 from facetrack_cli.tracking.models.patches import Patches, patches_of
+from facetrack_cli.tracking.models.spaces import Context
 
-# a normalised patch lies within 3 standard deviations of its mean, but for a few points
-OUTLIER_RANGE = 6.0
+OUTLIER_RANGE = 6.0  # a normalised patch lies within 3 standard deviations of its mean, but for a few points
 _NEVER = -1e30
 
 
@@ -64,13 +61,12 @@ class Mixture:
     @cached_property
     def terms(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(rate, log), (3, d) each: a component's density is 2^(log - rate |y - mu|^2), or |y - mu| of `laplace`."""
+        if self.laplace:
+            rate, area = np.float32(math.sqrt(2.0) / math.log(2.0)) / self.sigma, math.sqrt(2.0)
+        else:
+            rate, area = np.float32(0.5 / math.log(2.0)) / np.square(self.sigma), math.sqrt(2.0 * math.pi)
         with np.errstate(divide="ignore"):
-            if self.laplace:
-                rate = np.float32(math.sqrt(2.0) / math.log(2.0)) / self.sigma
-                log = np.log2(np.float32((1.0 - self.outlier) / math.sqrt(2.0)) * self.m / self.sigma)
-            else:
-                rate = np.float32(0.5 / math.log(2.0)) / np.square(self.sigma)
-                log = np.log2(np.float32((1.0 - self.outlier) / math.sqrt(2.0 * math.pi)) * self.m / self.sigma)
+            log = np.log2(np.float32((1.0 - self.outlier) / area) * self.m / self.sigma)
         return rate, np.maximum(log, np.float32(_NEVER))
 
 
@@ -90,14 +86,11 @@ class Appearance:
         x0 = np.array(x0, np.float64)
         face = self.patches.read(frame, x0[None], self.patches.factor(x0))[0]
         if not face.any():
-            what = (
-                "more than half of the box lies outside the picture" if self.patches.inside(frame, x0) < 0.5
-                else "the face's box is of one grey level throughout"
-            )  # fmt: skip
-            raise InputError(
-                f"frame {frame.index}: {what}, so that there is no face to follow: "
-                "choose another box, or begin elsewhere with --init-frame"
-            )
+            what = "the face's box is of one grey level throughout"
+            if self.patches.inside(frame, x0) < 0.5:
+                what = "more than half of the box lies outside the picture"
+            remedy = "choose another box, or begin elsewhere with --init-frame"
+            raise InputError(f"frame {frame.index}: {what}, so that there is no face to follow: {remedy}")
         settings = self.settings
         mixing = np.array(settings.mixing.each) / sum(settings.mixing.each)
         # a component that is left out may come without a sigma
@@ -123,18 +116,15 @@ class Appearance:
         if not y.any():
             return learned
         (rate, log), settings = learned.terms, self.settings
-        m, mu, sigma, moments = kernel.update(
-            y, learned.m, learned.mu, learned.sigma, learned.moments, rate, log,
-            learned.outlier / OUTLIER_RANGE, learned.laplace,
-            settings.alpha, settings.least_sigma, settings.least_mixing,
-        )  # fmt: skip
+        old, outside = (learned.m, learned.mu, learned.sigma, learned.moments), learned.outlier / OUTLIER_RANGE
+        rates = settings.alpha, settings.least_sigma, settings.least_mixing
+        m, mu, sigma, moments = kernel.update(y, *old, rate, log, outside, learned.laplace, *rates)
         return Mixture(m, mu, sigma, moments, np.array(state), learned.laplace, learned.outlier)
 
     def error(self, learned: Mixture, patches: NDArray[np.float32]) -> Array:
         """eps_t of section 3.1.2 for patches (N, d) -> (N,): phi = 1/d sum_pixels sum_i m_i ((y - mu_i) / sigma_i)^2.
 
-        It is 1 where the model is right. The paper leaves phi open; this is that of the authors' later paper (IEEE
-        Trans. Image Processing 13(11), 2004).
+        The paper leaves phi open; this is that of the authors' later paper (IEEE Trans. Image Processing 13(11), 2004).
         """
         return np.asarray(kernel.errors(patches, learned.m, learned.mu, learned.sigma))
 
@@ -151,8 +141,4 @@ class Appearance:
     def insets(self, learned: Mixture) -> tuple[tuple[str, Image], ...]:
         """S and W as grey images, those that take part, as the paper's figure 3 shows them."""
         shown = [(name, i) for name, i in (("S", 1), ("W", 0)) if self.settings.mixing.each[i] > 0] or [("F", 2)]
-        return tuple((name, self._grey(learned.mu[i])) for name, i in shown)
-
-    def _grey(self, values: NDArray[np.float32]) -> Image:
-        """Standard deviations as grey levels: 0 is a middle grey, and 2.5 either way black or white."""
-        return np.asarray(kernel.greys(values)).reshape(self.patches.shape)
+        return tuple((name, np.asarray(kernel.greys(learned.mu[i])).reshape(self.patches.shape)) for name, i in shown)

@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Extent, Frame, Particles, factor_for
+from facetrack_cli.core.types import Array, Extent, Frame, Mask, Particles, Whole, factor_for
 from facetrack_cli.recipe import points
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import windows
+from facetrack_cli.tracking.models.spaces import Context
 
-# a window darker than one grey level says nothing; dividing by less would only blow up its noise
-LEAST_MEAN = 1.0
+LEAST_MEAN = 1.0  # dividing by the mean of a darker window would only blow up its noise
 
 
 @dataclass(frozen=True)
@@ -31,10 +30,10 @@ class Group:
     """
 
     factor: int
-    parts: NDArray[np.int64]
-    sides: NDArray[np.int64]
+    parts: Whole
+    sides: Whole
     ratios: NDArray[np.float32]
-    offsets: NDArray[np.int64]
+    offsets: Whole
 
 
 @dataclass(frozen=True)
@@ -69,9 +68,7 @@ class ColourRatio:
         means = np.empty(len(x0))
         groups = []
         for factor in np.unique(factors).tolist():
-            parts = np.flatnonzero(factors == factor)
-            group, means[parts] = self._group(frame, extent, x0, factor, parts)
-            groups.append(group)
+            groups.append(self._group(frame, extent, x0, factor, np.flatnonzero(factors == factor), means))
         return Templates(tuple(groups), self.settings.sigma / means, reach)
 
     def score(self, learned: Templates, frame: Frame, x: Array, parents: Array | None = None) -> Array:
@@ -87,17 +84,15 @@ class ColourRatio:
         extent = windows.extent(x, learned.reach)
         for g in learned.groups:
             image, left, top = frame.reduced(g.factor, extent)
-            windows.colour_ratio_distances(
-                windows.flat(image), g.ratios, g.offsets, g.sides, g.parts, x, left, top, g.factor,
-                LEAST_MEAN, robust, scale, out,
-            )  # fmt: skip
+            template = g.ratios, g.offsets, g.sides, g.parts
+            at = x, left, top, g.factor
+            windows.colour_ratio_distances(windows.flat(image), *template, *at, LEAST_MEAN, robust, scale, out)
         return out
 
     def learn(self, learned: Templates, frame: Frame, state: Array, particles: Particles) -> Templates:
-        """The templates stay as they are."""
         return learned
 
-    def relearn(self, learned: Templates, frame: Frame, x0: Array, parts: NDArray[np.bool_]) -> Templates:
+    def relearn(self, learned: Templates, frame: Frame, x0: Array, parts: Mask) -> Templates:
         """With the templates of `parts` (K,) as they look in `frame` at x0 (K, 2)."""
         anew = self.init(frame, x0)
         groups = []
@@ -106,21 +101,18 @@ class ColourRatio:
             groups.append(replace(new, ratios=ratios))
         return Templates(tuple(groups), np.where(parts, anew.sigma, learned.sigma), learned.reach)
 
-    def _group(
-        self, frame: Frame, extent: Extent, x0: Array, factor: int, parts: NDArray[np.int64]
-    ) -> tuple[Group, list[float]]:
-        """The templates of `parts`, read at 1 / `factor` of the frame's size, and E{o_i} of each."""
+    def _group(self, frame: Frame, extent: Extent, x0: Array, factor: int, parts: Whole, means: Array) -> Group:
+        """The templates of `parts`, read at 1 / `factor` of the frame's size; E{o_i} of each goes into `means` (K,)."""
         sides = np.array([[_odd(side / factor) for side in self.windows[k]] for k in parts], np.int64)
         image, left, top = frame.reduced(factor, extent)
-        ratios: list[NDArray[np.float32]] = []
-        means: list[float] = []
+        ratios = []
         for k, (w, h) in zip(parts, sides, strict=True):
             x, y = (x0[k] - (left, top) - (factor - 1) / 2) / factor
             o = windows.read_window(windows.flat(image), x, y, w, h)
-            means.append(max(float(o[:, :w].mean()), LEAST_MEAN))
-            ratios.append(o.ravel() / np.float32(means[-1]))
+            means[k] = max(float(o[:, :w].mean()), LEAST_MEAN)
+            ratios.append(o.ravel() / np.float32(means[k]))
         offsets = np.concatenate([[0], np.cumsum([len(row) for row in ratios])]).astype(np.int64)
-        return Group(factor, parts, sides, np.concatenate(ratios), offsets), means
+        return Group(factor, parts, sides, np.concatenate(ratios), offsets)
 
 
 def _odd(side: float) -> int:

@@ -21,20 +21,17 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from facetrack_cli.core.types import Array, Extent, Frame, Particles, factor_for
+from facetrack_cli.core.types import Array, Frame, Particles, factor_for
 from facetrack_cli.recipe import regions
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import contour
+from facetrack_cli.tracking.models.spaces import Context
 
 _FAR = 1e9  # pixels; no frame is as large
 
 
 @dataclass(frozen=True)
 class Outline:
-    """The ellipse at scale 1: `points` (L, 2) from its centre, in pixels, and its outward unit `normals` (L, 2).
-
-    `factor`: by what frames are reduced.
-    """
+    """The ellipse at scale 1: `points` (L, 2) from its centre, in pixels, and its outward unit `normals` (L, 2)."""
 
     factor: int
     points: Array
@@ -73,34 +70,26 @@ class Contour:
         return np.asarray(1.0 - np.exp(-0.5 * (d / self.sigma) ** 2).mean(axis=1, keepdims=True))
 
     def learn(self, learned: Outline, frame: Frame, state: Array, particles: Particles) -> Outline:
-        """The ellipse stays as it is."""
         return learned
 
     def _nearest(self, learned: Outline, frame: Frame, x: Array, reach: float) -> Array:
         """How far the nearest edge lies on each normal, (N, L), in pixels; inf without one within `reach`."""
         boxes = np.clip(np.nan_to_num(x[:, 0, :3]), -_FAR, _FAR)
         # an edge at the very end of a normal is seen by two values beyond it, and each value by a pixel around it
-        grey, left, top = frame.grey(learned.factor, self._extent(boxes, reach + 5.0 * learned.factor))
+        around = np.maximum(boxes[:, 2:], 0.0) * np.array(self.size) / 2 + (reach + 5.0 * learned.factor)
+        low, high = (boxes[:, :2] - around).min(axis=0).tolist(), (boxes[:, :2] + around).max(axis=0).tolist()
+        grey, left, top = frame.grey(learned.factor, (*low, *high))
         # sums, which are whole numbers: their ninths are the means
         nine = cv2.boxFilter(grey, cv2.CV_16U, (3, 3), normalize=False)
         threshold = 9.0 * self.settings.threshold
-        return np.asarray(
-            contour.nearest_edges(
-                nine, boxes, left, top, learned.factor, learned.points, learned.normals, reach, threshold
-            )
-        )
-
-    def _extent(self, boxes: Array, margin: float) -> Extent:
-        """All within the margin of the boxes (N, 3)."""
-        around = np.maximum(boxes[:, 2:], 0.0) * np.array(self.size) / 2 + margin
-        (left, top), (right, bottom) = (boxes[:, :2] - around).min(axis=0), (boxes[:, :2] + around).max(axis=0)
-        return float(left), float(top), float(right), float(bottom)
+        outline = learned.factor, learned.points, learned.normals
+        return np.asarray(contour.nearest_edges(nine, boxes, left, top, *outline, reach, threshold))
 
 
 def ellipse(size: tuple[float, float], count: int) -> tuple[Array, Array]:
-    """`count` points of the ellipse with axes `size`, from its centre, and its unit normals there: (count, 2) each.
+    """Points of the ellipse with axes `size`, from its centre, and its unit normals there: (count, 2) each.
 
-    They stand in the middle of `count` equal parts of its arc, of which the first begins at the right.
+    They are in the middle of `count` equal parts of its arc, of which the first begins at the right.
     """
     a, b = size[0] / 2, size[1] / 2
     fine = np.linspace(0.0, 2.0 * np.pi, 64 * count + 1)

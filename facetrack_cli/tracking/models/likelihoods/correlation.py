@@ -15,15 +15,13 @@ centres of equal cells of the box, read bilinearly from the grey frame. The dist
                   & Jain 1994) between the two grey surfaces: for each point the least |difference| from the 3x3
                   points of the other patch around it, summed over the grid, and of both directions the larger sum.
 
-d_c is a sum, so sigma belongs to one grid, and it is far larger than the noise of a pixel: the points of a grid differ
-together when a region moves. On 16x16 points sigma = 100 (l2), 400 (saturated_l1 at 20) or 100 (hausdorff) leaves some
-tens of 200 particles that are scattered by 5 % of the region's size; with n points, times sqrt(n / 256) for l2, and
-n / 256 for the others.
+d_c is a sum, so sigma belongs to one grid. On 16x16 points sigma = 100 (l2), 400 (saturated_l1 at 20) or 100
+(hausdorff) leaves some tens of 200 particles that are scattered by 5 % of the region's size; with n points, times
+sqrt(n / 256) for l2, and n / 256 for the others.
 
 Chosen here, since the paper leaves it open: the frame is read reduced by the largest power of two that leaves a pixel
 for each step of the grid at the start (area means). A point beyond the frame's border, now or before, counts as a
-difference of `OUTSIDE` grey levels, with `saturated_l1` at most `saturation`: if the border were repeated there, a box
-wholly outside would match itself perfectly.
+difference of `OUTSIDE` grey levels, with `saturated_l1` at most `saturation`.
 """
 
 from __future__ import annotations
@@ -35,9 +33,9 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.recipe import regions
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import patches
 from facetrack_cli.tracking.kernels.affine import boxes_extent
+from facetrack_cli.tracking.models.spaces import Context
 
 # worse than a region that is followed well (6 to 20, RMS), as bad as missing its motion by a tenth of its size; much
 # more would push regions that leave the frame back into it
@@ -79,22 +77,20 @@ class Correlation:
     def differences(self, learned: Previous, frame: Frame, x: Array, parents: Array) -> Array:
         """d_c of eq. 13 -> (N, 1): grey levels, or their squares for `l2`, summed over the grid."""
         out = np.empty((len(x), 1))
-        here = np.ascontiguousarray(x[:, 0, :3])
-        there = np.ascontiguousarray(parents[:, 0, :3])
+        here, there = (np.ascontiguousarray(boxes[:, 0, :3]) for boxes in (x, parents))
         now, now_view = self._image(frame, learned.factor, here)
         before, before_view = self._image(learned.frame, learned.factor, there)
         distance, saturation = self.settings.distance, self.settings.saturation or 0.0
         outside = OUTSIDE**2 if distance == "l2" else OUTSIDE
         if distance == "saturated_l1":
             outside = min(outside, saturation)
-        patches.patch_distances(
-            now, now_view, before, before_view, learned.factor, here, there, self.size, *self.settings.grid,
-            patches.DISTANCES[distance], saturation, outside, out[:, 0],
-        )  # fmt: skip
+        images, boxes = (now, now_view, before, before_view, learned.factor), (here, there, self.size)
+        kind = patches.DISTANCES[distance], saturation, outside
+        patches.patch_distances(*images, *boxes, *self.settings.grid, *kind, out[:, 0])
         return out
 
     def learn(self, learned: Previous, frame: Frame, state: Array, particles: Particles) -> Previous:
-        """`frame`, in which the parents of the next frame's particles lie; state and particles do not matter."""
+        """`frame`, in which the parents of the next frame's particles lie."""
         return replace(learned, frame=frame)
 
     def _image(self, frame: Frame, factor: int, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:

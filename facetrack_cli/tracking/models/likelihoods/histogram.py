@@ -23,15 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Frame, Image, Particles, factor_for
+from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles, Whole, factor_for
 from facetrack_cli.recipe import regions
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import histogram as kernel
+from facetrack_cli.tracking.models.spaces import Context
 
-# faces have colour in half of their pixels and more; grey clips after lossy codecs in less than one in a thousand
-LEAST_COLOURED = 0.05
-# what an integral histogram may hold: 64 MB
-MOST_CELLS = 2**24
+LEAST_COLOURED = 0.05  # of a face half and more, of grey clips after lossy codecs less than 0.001
+MOST_CELLS = 2**24  # of an integral histogram: 64 MB
 
 
 @dataclass(frozen=True)
@@ -69,15 +67,12 @@ class Histogram:
         if region is None:
             wrong = "lies outside the picture: choose another box"
             if factor > 1:
-                wrong = (
-                    f"has no pixel of the picture at 1/{factor} of its size: give a wider one, or raise "
-                    "likelihood.histogram.max_size"
-                )
+                remedy = "give a wider one, or raise likelihood.histogram.max_size"
+                wrong = f"has no pixel of the picture at 1/{factor} of its size: {remedy}"
             raise InputError(f"frame {frame.index}: the box {wrong}")
         hsv = _hsv(region)
         if self.settings.value_bins <= 1:
             self._need_colours(frame, hsv)
-
         hue = np.arange(180) * self.settings.hue_bins // 180 * self.settings.saturation_bins
         saturation = np.arange(256) * self.settings.saturation_bins // 256
         coloured = (hue[:, None] + saturation).astype(np.uint16)
@@ -85,7 +80,6 @@ class Histogram:
         colourless = (bins + np.arange(256) * self.settings.value_bins // 256).astype(np.uint16)
         codes = kernel.code(hsv, coloured, colourless, *self._least())
         counts = kernel.count(codes, ex[0], ey[0], bins + self.settings.value_bins)
-
         used = np.flatnonzero(counts.any(axis=0))
         width = kernel.LANES * (len(used) // kernel.LANES + 1)
         new = np.full(bins + max(self.settings.value_bins, 1), len(used), np.uint16)
@@ -103,7 +97,6 @@ class Histogram:
         return np.sqrt(self._squared(learned, frame, x))
 
     def learn(self, learned: Reference, frame: Frame, state: Array, particles: Particles) -> Reference:
-        """The reference stays as it is."""
         return learned
 
     def _squared(self, learned: Reference, frame: Frame, x: Array) -> Array:
@@ -113,14 +106,11 @@ class Histogram:
         codes = kernel.code(_hsv(region), learned.coloured, learned.colourless, *self._least())
         # what each way takes, in units of one pixel counted directly; both give the same to the last bit
         bins = learned.root.shape[1]
-        cells = codes.size * bins
-        integral = cells <= MOST_CELLS and codes.size * (2 + bins // kernel.LANES) < pixels
+        integral = codes.size * bins <= MOST_CELLS and codes.size * (2 + bins // kernel.LANES) < pixels
         match = (kernel.match_integral if integral else kernel.match_direct)(codes, ex, ey, area, learned.root)
         return np.asarray(np.clip(1.0 - match, 0.0, 1.0)[:, None])
 
-    def _read(
-        self, frame: Frame, x: Array, factor: int
-    ) -> tuple[Image | None, NDArray[np.int64], NDArray[np.int64], Array, int]:
+    def _read(self, frame: Frame, x: Array, factor: int) -> tuple[Image | None, Whole, Whole, Array, int]:
         """The part of the frame that boxes (N, 1, 6) cover, their edges in it, areas, and pixels of all together."""
         width, height = (max(side // factor, 1) for side in frame.size)
         boxes = np.ascontiguousarray(x[:, 0, :3])
@@ -140,24 +130,20 @@ class Histogram:
         return int(np.ceil(self.settings.least_saturation * 255)), int(np.ceil(self.settings.least_value * 255))
 
     def _need_colours(self, frame: Frame, hsv: Image) -> None:
-        saturated, light = self._has_hue(hsv)
-        share = float(np.mean(saturated & light))
+        (saturated, light), whole = self._has_hue(hsv), self._has_hue(_hsv(frame.bgr))
+        share, dark = float(np.mean(saturated & light)), float(np.mean(~light))
         if share >= LEAST_COLOURED:
             return
-        whole = np.logical_and(*self._has_hue(_hsv(frame.bgr)))
-        what = "the box shows no colours" if np.mean(whole) >= LEAST_COLOURED else "this clip is grey, or too dark"
-        dark = float(np.mean(~light))
+        grey = np.mean(whole[0] & whole[1]) < LEAST_COLOURED
+        what = "this clip is grey, or too dark" if grey else "the box shows no colours"
         remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
         if np.mean(saturated & ~light) >= LEAST_COLOURED and dark > 0.5:
             remedy += ", or a lower likelihood.histogram.least_value"
-        least = self.settings
-        raise InputError(
-            f"frame {frame.index}: {what}, so a colour histogram cannot know it: {share:.1%} of the box's pixels have "
-            f"a hue (saturation at least {least.least_saturation:g}, value at least {least.least_value:g}), "
-            f"{dark:.0%} are too dark: {remedy}"
-        )
+        bounds = f"saturation at least {self.settings.least_saturation:g}, value at least {self.settings.least_value:g}"
+        hues = f"{share:.1%} of the box's pixels have a hue ({bounds}), {dark:.0%} are too dark"
+        raise InputError(f"frame {frame.index}: {what}, so a colour histogram cannot know it: {hues}: {remedy}")
 
-    def _has_hue(self, hsv: Image) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def _has_hue(self, hsv: Image) -> tuple[Mask, Mask]:
         """Whether each pixel is saturated enough, and light enough."""
         return hsv[..., 1] >= self.settings.least_saturation * 255, hsv[..., 2] >= self.settings.least_value * 255
 

@@ -3,14 +3,12 @@
     NCC = sum T I / sqrt( sum T^2  sum I^2 )             `keep`, as published: no mean is subtracted
           the same of T - mean(T) and I - mean(I)        `remove`, beyond the paper (zero-mean NCC)
 
-The published one is 0.9 and more for most patches of natural images, since all of them are light. The template is the
-box of the first frame, on whole pixels of the reduced frame; a particle's box is read at the same number of points,
-bilinearly, at its own scale. Beyond the frame grey is 0, and a patch without a pattern has NCC 0.
+The published one is 0.9 and more for most patches of natural images. The template is the box of the first frame, on
+whole pixels of the reduced frame; a particle's box is read at the same number of points, bilinearly, at its own scale.
+Beyond the frame grey is 0, and a patch without a pattern has NCC 0.
 
-Two ways give the same. If all scales are 1 and the particles lie close together, sum T I comes from one dense
-correlation (cv2.matchTemplate), read off bilinearly. Otherwise each particle is read by itself. sum I and sum I^2 are
-area sums over integral images in both, so that at scale 1 they agree to the rounding of float32; at other scales area
-sums stand in for sums over the points.
+If all scales are 1 and the particles lie close together, sum T I comes from one dense correlation (cv2.matchTemplate),
+read bilinearly; otherwise each particle is read by itself. sum I and sum I^2 are area sums over integral images.
 
 Beyond the paper (its future work): with `adapt` = a the template follows, T <- (1 - a) T + a I at the estimate.
 """
@@ -31,10 +29,8 @@ from facetrack_cli.core.types import Array, Frame, Image, factor_for
 from facetrack_cli.recipe.skin import Pattern
 from facetrack_cli.tracking.kernels import ncc as kernel
 
-# grey levels squared: what varies less than rounding to whole grey levels does is no pattern
-LEAST_VARIANCE = 0.25
-# what one pixel of a dense correlation takes, in points read directly
-DENSE = 10.0
+LEAST_VARIANCE = 0.25  # grey levels squared: what varies less than by rounding is no pattern
+DENSE = 10.0  # what one pixel of a dense correlation takes, in points read directly
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,46 +9,30 @@ paper notes that this is not strictly so for colours and correlation, which look
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Particles
 from facetrack_cli.recipe import regions
-from facetrack_cli.tracking.build.context import Context
-
-
-class Factor(Protocol):
-    """One likelihood of the product; what it has learned is a value of its own."""
-
-    def init(self, frame: Frame, x0: Array) -> Any: ...
-
-    def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array: ...
-
-    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any: ...
-
-
-class ObjectFactor(Factor, Protocol):
-    """A likelihood of what the object looks like, which can tell by itself how well a place matches."""
-
-    def distances(self, learned: Any, frame: Frame, x: Array) -> Array: ...
+from facetrack_cli.tracking.models.spaces import Context
 
 
 @dataclass(frozen=True)
 class Product:
-    """`objects` say what the target looks like, p_o, and `motions` how it moved, p_c. At least one of them in all."""
+    """`objects`, which have `distances`, say what the target looks like, p_o, and `motions` how it moved, p_c."""
 
-    objects: tuple[ObjectFactor, ...]
-    motions: tuple[Factor, ...] = ()
+    objects: tuple[Any, ...]
+    motions: tuple[Any, ...] = ()
 
     @classmethod
     def build(cls, settings: regions.Product, context: Context) -> Product:
-        factors: list[Any] = [one.build(context) for one in settings.factors]
+        factors = [one.build(context) for one in settings.factors]
         objects = tuple(one for one in factors if hasattr(one, "distances"))
         return cls(objects, tuple(one for one in factors if not hasattr(one, "distances")))
 
     @property
-    def factors(self) -> tuple[Factor, ...]:
+    def factors(self) -> tuple[Any, ...]:
         return *self.objects, *self.motions
 
     def init(self, frame: Frame, x0: Array) -> tuple[Any, ...]:
@@ -67,10 +51,7 @@ class Product:
         return tuple(f.learn(known, frame, state, particles) for f, known in zip(self.factors, learned, strict=True))
 
     def distances(self, learned: tuple[Any, ...], frame: Frame, x: Array) -> Array:
-        """(N, K): the mean of what the object's factors say, each from 0, a perfect match, to about 1, none.
-
-        The motion says nothing of what the object is. Raises ValueError without a factor that does.
-        """
+        """(N, K): the mean of the objects', from 0, a perfect match, to about 1. Raises ValueError without objects."""
         if not self.objects:
             raise ValueError("only what the object looks like can be compared with the first frame")
         known = learned[: len(self.objects)]

@@ -25,27 +25,21 @@ from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.recipe import affine
 from facetrack_cli.recipe.files import resolve_file
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.identity.gallery import NONE, Gallery, load_gallery
 from facetrack_cli.tracking.models.likelihoods.appearance import Appearance, Mixture
+from facetrack_cli.tracking.models.spaces import Context
 from facetrack_cli.tracking.resampling import logsumexp, normalise
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
 
-# of a box's proportions against the gallery's: up to 1.2 all of 24 runs on twelve clips named the right one, at 1.25 22
-# of them, and at 1.5 16
+# of a box's proportions against the gallery's: up to 1.2 all of 24 runs named the right one, at 1.25 22, at 1.5 16
 MOST_STRETCH = 1.2
-# of the largest weight: particles below it say nothing of the identity
-_LEAST_WEIGHT = 1e-9
-# in place of log 0, when a posterior has nothing left for an identity
-_NEVER = -1e30
+_LEAST_WEIGHT = 1e-9  # of the largest weight: particles below it say nothing of the identity
+_NEVER = -1e30  # in place of log 0, when a posterior has nothing left for an identity
 
 
 @dataclass(frozen=True, eq=False)
 class Recognised:
-    """What is known after a frame: the appearance, and log beta (N,) of the identities `names`, with logsumexp 0.
-
-    `notes`: what the user should know of the start, a line each.
-    """
+    """The appearance, log beta (N,) of the identities `names`, with logsumexp 0, and notes on the start."""
 
     appearance: Mixture
     names: tuple[str, ...]
@@ -70,7 +64,7 @@ class Recognised:
 
 @dataclass(frozen=True)
 class Recognition:
-    """A likelihood of the `Appearance` kind that also says who it is."""
+    """An appearance that also says who it is."""
 
     settings: affine.Recognition
     appearance: Appearance
@@ -90,18 +84,12 @@ class Recognition:
 
     def init(self, frame: Frame, x0: Array) -> Recognised:
         """Every identity is as likely. Raises InputError as the appearance does."""
-        n = len(self.names)
-        return Recognised(self.appearance.init(frame, x0), self.names, np.full(n, -math.log(n)), self._notes())
-
-    def _notes(self) -> tuple[str, ...]:
-        w, h = self.appearance.patches.size
-        wanted = self.gallery.proportion
-        if wanted is None or 1 / MOST_STRETCH <= w / h / wanted <= MOST_STRETCH:
-            return ()
-        return (
-            f"the box of {w:.0f}x{h:.0f} pixels is {w / h:.2f} times as wide as high, and those of the gallery are "
-            f"{wanted:.2f} times: who it is may be told wrongly; begin with a box of their proportions",
-        )
+        n, (w, h), wanted, notes = len(self.names), self.appearance.patches.size, self.gallery.proportion, []
+        if wanted is not None and not 1 / MOST_STRETCH <= w / h / wanted <= MOST_STRETCH:
+            box = f"the box of {w:.0f}x{h:.0f} pixels is {w / h:.2f} times as wide as high"
+            remedy = "who it is may be told wrongly; begin with a box of their proportions"
+            notes.append(f"{box}, and those of the gallery are {wanted:.2f} times: {remedy}")
+        return Recognised(self.appearance.init(frame, x0), self.names, np.full(n, -math.log(n)), tuple(notes))
 
     def score(self, learned: Recognised, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a + log sum_l beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6) -> (N, 1)."""
@@ -115,30 +103,22 @@ class Recognition:
         told, log_w = told[heavy], particles.log_w[heavy]
         each = told - logsumexp(told, axis=1)[:, None]
         log_beta = normalise(np.maximum(logsumexp(log_w[:, None] + each, axis=0), _NEVER))
-        return replace(
-            learned,
-            appearance=self.appearance.learn(learned.appearance, frame, state, particles),
-            log_beta=log_beta,
-        )
+        appearance = self.appearance.learn(learned.appearance, frame, state, particles)
+        return replace(learned, appearance=appearance, log_beta=log_beta)
 
     def error(self, learned: Recognised, patches: Any) -> Array:
-        """eps_t of patches (N, d) -> (N,), that of the appearance."""
         return self.appearance.error(learned.appearance, patches)
 
     def distances(self, learned: Recognised, frame: Frame, x: Array) -> Array:
-        """(N, 1) of x (N, 1, 6), those of the appearance."""
         return self.appearance.distances(learned.appearance, frame, x)
 
     def expected(self, learned: Any) -> Any:
-        """(d,): what the appearance model expects."""
         return self.appearance.expected(learned.appearance)
 
     def insets(self, learned: Recognised) -> tuple[tuple[str, Image], ...]:
-        """Those of the appearance."""
         return self.appearance.insets(learned.appearance)
 
     def diagnose(self, learned: Recognised) -> Mapping[str, Any]:
-        """The posterior over identities, and its entropy in nats."""
         return {"posterior": learned.posterior, "entropy": learned.entropy}
 
     def _log_joint(self, learned: Recognised, frame: Frame, x: Array) -> Array:
@@ -152,27 +132,19 @@ class Recognition:
             patches = self.appearance.patches.read(frame, x, factor)
             frontal, log_n = self.gallery.log_scores(patches, sharpness=sharpness, none=none)
             with np.errstate(divide="ignore"):
-                told = np.logaddexp(
-                    np.log(frontal)[:, None] + log_n, np.log1p(-frontal)[:, None] - math.log(len(self.names))
-                ).astype(np.float32)
+                named, nobody = np.log(frontal)[:, None] + log_n, np.log1p(-frontal)[:, None]
+                told = np.logaddexp(named, nobody - math.log(len(self.names))).astype(np.float32)
             frame.remember(key, x, told)
-        return np.asarray(np.maximum(told.astype(np.float64) + self._switched(learned.log_beta), _NEVER))
-
-    def _switched(self, log_beta: Array) -> Array:
-        """Log beta (N,) of the next frame before it is seen."""
-        switch = self.settings.switch
-        if not switch:
-            return log_beta
-        beta = np.exp(log_beta)
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log((1.0 - switch) * beta + switch * (1.0 - beta) / (len(beta) - 1)))
+        log_beta = learned.log_beta
+        if switch := self.settings.switch:
+            beta = np.exp(log_beta)
+            with np.errstate(divide="ignore"):
+                log_beta = np.log((1.0 - switch) * beta + switch * (1.0 - beta) / (len(beta) - 1))
+        return np.asarray(np.maximum(told.astype(np.float64) + log_beta, _NEVER))
 
 
 def find_gallery(settings: affine.Recognition, shape: tuple[int, int], recipe: Recipe, above: str) -> Gallery:
-    """The gallery of a recipe, for a template of that shape; RecipeError if there is none that fits.
-
-    `above` is what stands before the key `recognition`, as in `Context`.
-    """
+    """The gallery of a recipe for a template of that shape; RecipeError if there is none. `above`: as in `Context`."""
     key = f"{above}recognition.gallery"
     if settings.gallery is None:
         remedy = "give --gallery FILE, as facetrack gallery fit writes it, or name it here"

@@ -1,13 +1,11 @@
 """Each particle is a pixel, weighed by the probability that its colour is skin (Gianni, Collet & Dalle, GW 2007).
 
-As Gonzalez & Collet describe that tracker (section 3): a head or a hand is a cloud of points, each of which is a pixel;
-that targets do not take each other's skin is left to exclusion (`exclusion.py`).
+As Gonzalez & Collet describe that tracker (section 3), a head or a hand is a cloud of pixels:
 
     p(y | x) = max(p(c(x) | skin), floor)
 
 with the skin colour of eq. 4, learned from one box in the first frame, such as the face's for head and hands alike.
-Beyond the paper: with the floor, a cloud without any skin spreads out and finds some; `max_size` makes noise of the
-camera and the clip's resolution matter less.
+Beyond the paper: with the floor, a cloud without any skin spreads out and finds some; `max_size` reduces the frame.
 """
 
 from __future__ import annotations
@@ -20,10 +18,10 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Box, Frame, Particles, factor_for
 from facetrack_cli.recipe import skin
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.kernels.windows import extent
 from facetrack_cli.tracking.models.skin_colour import learn_skin, note
+from facetrack_cli.tracking.models.spaces import Context
 from facetrack_cli.tracking.start.checks import box_of
 
 MIDDLE = 0.7  # of the box's sides: what is looked at to tell whether a place is skin
@@ -64,7 +62,6 @@ class SkinCloud:
         return np.log(np.maximum(self._skin(learned, frame, x[:, 0, :2]), self.settings.floor))[:, None]
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
-        """As it was: the colour is the first frame's."""
         return learned
 
     def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -28,26 +29,20 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Particles, factor_for
 from facetrack_cli.recipe import skin as sections
-from facetrack_cli.tracking.build.context import Context
 from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.kernels.affine import boxes_extent
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
 from facetrack_cli.tracking.models.skin_colour import learn_skin, note
+from facetrack_cli.tracking.models.spaces import Context
 
-# what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
-LEAST_NCC = 0.01
-# a start with hardly more skin within than around cannot scale a distance
-LEAST_RHO = 0.05
-# pixels whose sum, each up to 255, an int32 holds
-MOST_EXACT = 2**23
+LEAST_NCC = 0.01  # what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
+LEAST_RHO = 0.05  # a start with hardly more skin within than around cannot scale a distance
+MOST_EXACT = 2**23  # pixels whose sum, each up to 255, an int32 holds
 
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """`table` (256, 256) uint8, 255 p at [Cb, Cr]; `rho` of the start; `k`, what v is compared with.
-
-    `notes`: what the user should know of the start, a line each.
-    """
+    """`table` (256, 256) uint8, 255 p at [Cb, Cr]; `rho` of the start; `k`, what v is compared with; notes on it."""
 
     table: NDArray[np.uint8] | None
     template: matching.Template | None
@@ -68,10 +63,7 @@ class SkinNcc:
         return cls(settings, context.placed.size)
 
     def init(self, frame: Frame, x0: Array) -> Learned:
-        """The skin's colour and the template of the box at x0 (1, 6).
-
-        Raises InputError if nothing of the box is in the frame.
-        """
+        """The skin's colour and the template of the box at x0 (1, 6). InputError if nothing of it is in the frame."""
         notes, table, template = [], None, None
         skin, ncc, k = self.settings.skin, self.settings.ncc, self.settings.k
         if skin is not None:
@@ -95,10 +87,9 @@ class SkinNcc:
         return np.asarray((off * off / (-2.0 * self.settings.sigma**2))[:, None])
 
     def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
-        """How far boxes x (N, 1, 6) are from the start's -> (N, 1), 0..1, the mean over the cues.
+        """(N, 1), 0..1, of boxes x (N, 1, 6): the mean over the cues.
 
-        Skin: 0 where rho is that of the start or less, 1 where there is no more skin within than around. Template: 1
-        less the zero-mean NCC, at most 1.
+        Skin: 0 where rho is that of the start or less, 1 where it is 0 or more. Template: 1 less the zero-mean NCC.
         """
         found = []
         if self.settings.skin is not None:
@@ -108,7 +99,6 @@ class SkinNcc:
         return np.asarray(np.mean(found, axis=0)[:, None])
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
-        """The template adapts, if it is to; skin stays as it is."""
         if self.settings.ncc is None or learned.template is None:
             return learned
         return replace(learned, template=matching.adapted(learned.template, self.settings.ncc, frame, state))
@@ -124,11 +114,8 @@ class SkinNcc:
         image, left, top = frame.reduced(factor, extent)
         # of the whole frame, or of what another asked for, no more than the boxes cover
         height, width = image.shape[:2]
-        x0, y0 = (
-            min(int(low - at) // factor, n - 1)
-            for low, at, n in zip(extent[:2], (left, top), (width, height), strict=True)
-        )
-        x1, y1 = (int(high - at) // factor + 2 for high, at in zip(extent[2:], (left, top), strict=True))
+        x0, y0 = min(int(extent[0] - left) // factor, width - 1), min(int(extent[1] - top) // factor, height - 1)
+        x1, y1 = int(extent[2] - left) // factor + 2, int(extent[3] - top) // factor + 2
         shown = kernel.skin_map(image[y0:y1, x0:x1], learned.table)
         integral = cv2.integral(shown, sdepth=cv2.CV_32S if shown.size <= MOST_EXACT else cv2.CV_64F)
         inner, outer, area = kernel.nested(x, w, h, factor, left + x0 * factor, top + y0 * factor)
@@ -139,13 +126,11 @@ class SkinNcc:
     def _values(self, learned: Learned, frame: Frame, x: Array) -> Array:
         """v of boxes x (N, 1, 6) -> (N,)."""
         ncc, cost = self.settings.ncc, self.settings.cost
-        rho = self.rho(learned, frame, x) if self.settings.skin is not None else None
+        rho: Any = 1.0 if self.settings.skin is None else self.rho(learned, frame, x)
+        shifted = 1.0 + rho if cost == "shifted" else rho
         if ncc is None or learned.template is None:
-            assert rho is not None
-            return 1.0 + rho if cost == "shifted" else rho
-        keep, remove = matching.correlate(learned.template, frame, x)
-        match = keep if ncc.mean == "keep" else remove
-        if rho is None or cost == "product":
-            good = np.maximum(match, 0.0) ** ncc.exponent
-            return good if rho is None else rho * good
-        return (1.0 + rho if cost == "shifted" else rho) / np.maximum(match, LEAST_NCC) ** ncc.exponent
+            return np.asarray(shifted)
+        match = matching.correlate(learned.template, frame, x)[0 if ncc.mean == "keep" else 1]
+        if self.settings.skin is None or cost == "product":
+            return np.asarray(rho * np.maximum(match, 0.0) ** ncc.exponent)
+        return np.asarray(shifted / np.maximum(match, LEAST_NCC) ** ncc.exponent)
