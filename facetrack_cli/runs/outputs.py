@@ -197,11 +197,7 @@ def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
     declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
     return {
         "versions": _versions(),
-        "source": {
-            "path": str(job.clip),
-            "size": list(source.size),
-            "fps": round(float(source.fps), 6),
-        },
+        "source": {"path": str(job.clip), "size": list(source.size), "fps": round(float(source.fps), 6)},
         "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
         "seed": job.recipe.seed,
         "init": {"from": start.origin, **to_record(start)},

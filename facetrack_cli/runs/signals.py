@@ -14,11 +14,7 @@ from types import FrameType
 from facetrack_cli.core.errors import ExitCode
 
 # a closed terminal ends a run as properly as SIGTERM does
-_CODES = {
-    "SIGINT": ExitCode.INTERRUPTED,
-    "SIGTERM": ExitCode.TERMINATED,
-    "SIGHUP": ExitCode.TERMINATED,
-}
+_CODES = {"SIGINT": ExitCode.INTERRUPTED, "SIGTERM": ExitCode.TERMINATED, "SIGHUP": ExitCode.TERMINATED}
 
 
 class Stop:
