@@ -14,24 +14,33 @@ command = verb(Repeat)
 
 from __future__ import annotations
 
+import contextlib
 import inspect
-import os
-import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import click
 
 from facetrack_cli.core.errors import OutputError, UsageError
+from facetrack_cli.core.files import check_new, write_new
+from facetrack_cli.core.output_folder import Folder
+from facetrack_cli.core.types import Box
+from facetrack_cli.evaluation.experiments.sheet import Findings
+from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.report.figures.style import need_matplotlib, render
+from facetrack_cli.runs.progress import Progress, progress
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.trajectory.formats.read import FORMATS, read_truth
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from facetrack_cli.core.types import Box
-    from facetrack_cli.evaluation.rows import Pair
-    from facetrack_cli.trajectory.trajectory import Trajectory
+    from facetrack_cli.editor.web.session import Session
 
 FILE: Any = click.Path(path_type=Path)
 
@@ -43,37 +52,28 @@ class Whole(click.IntRange):
 
 
 FRAME = Whole(min=0)
-FIGURES = ("png", "svg", "pdf")  # those of report/figures/style.py, which would load numpy
-
-
-class _Field(NamedTuple):
-    kind: type[click.Parameter]
-    names: tuple[str, ...]
-    more: dict[str, Any]
-
-
-class _Group(NamedTuple):
-    kind: type[Any]
+FIGURES = ("png", "svg", "pdf")
+TABLES = ("json", "csv", "md")
 
 
 def option(names: str, metavar: str, text: str, **more: Any) -> Any:
     """A field for an option, whose help says `text`; `names` as "-o --out". A default is shown."""
-    shown = {"metavar": metavar, "help": text, "show_default": "default" in more}
-    return _Field(click.Option, tuple(names.split()), shown | more)
+    shown: dict[str, Any] = {"metavar": metavar, "help": text, "show_default": "default" in more}
+    return partial(click.Option, names.split(), **shown | more)
 
 
 def flag(names: str, text: str) -> Any:
-    return _Field(click.Option, tuple(names.split()), {"is_flag": True, "help": text})
+    return partial(click.Option, names.split(), is_flag=True, help=text)
 
 
 def argument(metavar: str, **more: Any) -> Any:
     """A field for a file or folder that is named without an option."""
-    return _Field(click.Argument, (), {"metavar": metavar, "type": FILE, **more})
+    return partial(click.Argument, [], **{"metavar": metavar, "type": FILE, **more})
 
 
 def group(kind: type[Any]) -> Any:
     """A field for all options of another class, of which it will be an instance."""
-    return _Group(kind)
+    return kind
 
 
 def verb(kind: type[Any], name: str | None = None) -> click.Command:
@@ -87,17 +87,17 @@ def verb(kind: type[Any], name: str | None = None) -> click.Command:
 
 def _parameters(kind: type[Any]) -> Iterator[click.Parameter]:
     for name, field in vars(kind).items():
-        if isinstance(field, _Group):
-            yield from _parameters(field.kind)
-        elif isinstance(field, _Field):
-            yield field.kind([*field.names, name], **field.more)
+        if isinstance(field, type):
+            yield from _parameters(field)
+        elif isinstance(field, partial):
+            yield field.func([*field.args[0], name], **field.keywords)
 
 
 def _filled(kind: type[Any], values: dict[str, Any]) -> Any:
     made = kind()
     for name, field in vars(kind).items():
-        if isinstance(field, (_Field, _Group)):
-            vars(made)[name] = _filled(field.kind, values) if isinstance(field, _Group) else values[name]
+        if isinstance(field, (type, partial)):
+            vars(made)[name] = values[name] if isinstance(field, partial) else _filled(field, values)
     return made
 
 
@@ -198,20 +198,16 @@ class Extent:
             raise UsageError("--fps is for image folders; a video brings its own rate")
 
 
-# those of trajectory/formats/read.py, which is not imported, so that helps come at once
-TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
-
-
 def format_of(names: str, text: str) -> Any:
     """How to read a file that another program may have written."""
     text += " [default: by its shape]."
-    return option(names, "FORMAT", text, type=click.Choice(TRUTH_FORMATS), default="auto", show_default=False)
+    return option(names, "FORMAT", text, type=click.Choice(FORMATS), default="auto", show_default=False)
 
 
 class TruthOptions:
     """How a file of ground truth is read."""
 
-    truth_format: str = format_of("--truth-format", f"How to read it: {', '.join(TRUTH_FORMATS[1:])}")
+    truth_format: str = format_of("--truth-format", f"How to read it: {', '.join(FORMATS[1:])}")
     shift: int | None = option(
         "--shift",
         "N",
@@ -234,14 +230,10 @@ class TruthOptions:
             raise UsageError(f"{idle[0]} says how to use ground truth; give its file with --truth FILE")
 
     def read(self, path: Path) -> Trajectory:
-        from facetrack_cli.trajectory.formats.read import read_truth
-
         return read_truth(path, self.truth_format, shift=self.shift or 0)
 
     def pairs(self, ours: Trajectory, theirs: Trajectory, note: Callable[[str], None]) -> list[Pair]:
         """The rows of a trajectory beside those of the ground truth; `note` gets what to know of it."""
-        from facetrack_cli.evaluation.match import match
-
         return match(ours, theirs, partial=self.partial, select=self.target, check_shift=self.shift is None, note=note)
 
 
@@ -258,6 +250,17 @@ class Page:
         if self.port is not None or self.browse:
             raise UsageError(f"{'--open' if self.port is None else '--port'} is for the page; {remedy}")
 
+    def serve(self, session: Session, stop: Stop) -> bool:
+        """Serve a page until it is saved or stopped, and say what it did; whether it was saved."""
+        from facetrack_cli.editor.web.server import run_page
+
+        run_page(session, stop, say, port=self.port or 0, browse=self.browse)
+        if session.ended is None:
+            return False
+        for line in (*session.ended["messages"], f"next: {session.ended['next']}"):
+            say(line)
+        return True
+
 
 # --- what commands write -------------------------------------------------------------------------------------------
 
@@ -267,18 +270,65 @@ def say(line: str) -> None:
     click.echo(" ".join(line.splitlines()), err=True)
 
 
-def colour() -> bool:
-    """Whether standard output shows colours."""
-    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-
-
 def write_figure(
     path: Path, make: Callable[[], Figure], *, overwrite: bool, inputs: Iterable[Path] = (), dpi: float = 120.0
 ) -> None:
     """The figure, in the form that the file's ending names; refuses before `make` what would be refused after it."""
-    from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.report.figures.style import need_matplotlib, render
-
     check_new(path, overwrite=overwrite, inputs=inputs)
     need_matplotlib()
     write_new(path, render(make(), path.suffix[1:].lower(), dpi=dpi), overwrite=overwrite)
+
+
+class Experiment(NamedTuple):
+    """What a command of many runs works with: the wish to stop, the progress, and the folder of its results."""
+
+    stopped: Stop
+    shown: Progress
+    folder: Folder
+
+
+class Results:
+    """Where the results of many runs go, and how many processes make them."""
+
+    as_json: bool = flag("--json", "Print JSON instead of the table.")
+    as_csv: bool = flag("--csv", "Print CSV instead of the table.")
+    no_plots: bool = flag("--no-plots", "Draw nothing.")
+    overwrite: bool = OVERWRITE
+    jobs: int = jobs_option("Processes that share the runs.")
+    quiet: bool = flag("--quiet -q", "Print the table, and nothing else but errors.")
+
+    @contextlib.contextmanager
+    def open(self, clip: Path, out: str | None, folder: str, stem: str, plots: Sequence[str]) -> Iterator[Experiment]:
+        """For results named `stem`.json and so on in `out`, or else `folder`; OutputError where there can be none."""
+        names = [*(f"{stem}.{ending}" for ending in TABLES), *(() if self.no_plots else plots)]
+        with (
+            Stop().listening() as stopped,
+            progress(self.quiet) as shown,
+            Folder(out, folder, names, overwrite=self.overwrite, clip=clip) as opened,
+        ):
+            yield Experiment(stopped, shown, opened)
+
+    def publish(
+        self, found: Findings, stem: str, into: Experiment, figures: Callable[[], Iterable[tuple[str, bytes]]]
+    ) -> None:
+        """Write all files, without matplotlib all but the plots, and print the table, or the data."""
+        try:
+            for ending, text in zip(TABLES, (found.json(), found.csv(), found.sheet().markdown()), strict=True):
+                into.folder.write(f"{stem}.{ending}", text)
+            if not self.no_plots:
+                self._draw(into, figures)
+        finally:  # what took long is not lost for a full disk
+            if self.as_json or self.as_csv:
+                click.echo(found.json() if self.as_json else found.csv(), nl=False)
+            else:
+                found.sheet().show()
+        into.shown.say(f"{found.clip} -> {into.folder.summary()}")
+
+    def _draw(self, into: Experiment, figures: Callable[[], Iterable[tuple[str, bytes]]]) -> None:
+        try:
+            need_matplotlib()
+        except UsageError as e:
+            into.shown.say(f"facetrack: warning: no plots: {e}")
+            return
+        for name, png in figures():
+            into.folder.write(name, png)

@@ -16,10 +16,10 @@ from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.clip import track_clip
-from facetrack_cli.runs.job import HAAR, Job
+from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.outputs import Memory
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import completed, search
+from facetrack_cli.runs.start import HAAR, completed, search
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import read_init
@@ -62,10 +62,9 @@ def track_video(
         stop=stop,
         fps=None if fps is None else Fraction(fps).limit_denominator(1001),
     )
-    memory = Memory(job)
-    track_clip(job, memory, Stop(), report)
-    assert memory.trajectory is not None
-    return memory.trajectory
+    with Memory(job) as memory:
+        track_clip(job, memory, Stop(), report)
+        return memory.trajectory
 
 
 def track_frames(
@@ -102,7 +101,7 @@ def track_frames(
         if found is None:
             raise InputError(f"{IMAGES}: there is no frame {begin.frame}, where {begin.origin} begins")
         first = found
-        begin = completed(chosen, begin, lambda: first, IMAGES, said_in=begin.origin)
+        begin = completed(chosen, begin, lambda: first, IMAGES)
     tracker = tracker_for(chosen, begin, first.size)
     yield from track(tracker, chain([first], later, frames), chosen.seed, clip=IMAGES)
 

@@ -4,89 +4,37 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+
+import cv2
+import numba
+import numpy
 
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import FileSink, StreamSink
 from facetrack_cli.core.output_folder import check_folder, make_folder, remove_folders
-from facetrack_cli.trajectory.trajectory import Collector
+from facetrack_cli.core.types import Start
+from facetrack_cli.recipe.model import to_dict
+from facetrack_cli.runs.job import Job
+from facetrack_cli.trajectory.diagnostics import KNOWN
+from facetrack_cli.trajectory.start import to_record
+from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Header, Writer
-
-if TYPE_CHECKING:
-    from facetrack_cli.core.types import Start
-    from facetrack_cli.runs.job import Job
-    from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
-    from facetrack_cli.video.overlay.overlay import Overlay
-    from facetrack_cli.video.source import Source
-    from facetrack_cli.video.writer import VideoWriter
+from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.source import Source
+from facetrack_cli.video.writer import VideoWriter
 
 VIDEO = "annotated.mp4"
 
 
-def planned(job: Job) -> dict[str, Path]:
-    """The files of a job by what they hold: "video" and the formats."""
-    if job.out is None:
-        return {}
-    video = {"video": job.out / VIDEO} if job.video else {}
-    return {**video, **{form: job.out / f"trajectory.{form}" for form in job.formats}}
-
-
 def check(job: Job) -> None:
     """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
-    if job.out is None:
-        return
-    init = job.init if isinstance(job.init, Path) else None
-    names = [path.name for path in planned(job).values()]
-    check_folder(job.out, names, overwrite=job.overwrite, inputs=(job.clip, init, job.recipe.path))
-
-
-class Receiver(Protocol):
-    """Where the results of one clip go, a frame at a time."""
-
-    @property
-    def written(self) -> Sequence[Path]:
-        """The files that are there after `close`."""
-
-    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
-        """Before anything else; `rows` are those of the first frame."""
-
-    def write(self, rows: Trajectory) -> None:
-        """The rows of the next frame."""
-
-    def paint(self, result: FrameResult) -> None:
-        """Draw the next frame; called after `write`, perhaps in another thread."""
-
-    def close(self, footer: Footer) -> Footer:
-        """The end; returns the footer with what is to be added to it."""
-
-
-class Memory:
-    """Results collected into a `trajectory`, whose header says what a JSON file says of its run."""
-
-    written: Sequence[Path] = ()
-
-    def __init__(self, job: Job) -> None:
-        self._job = job
-        self._collected = Collector()
-        self._header: Header = {}
-        self.trajectory: Trajectory | None = None
-
-    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
-        self._header = {"schema": SCHEMA, "version": VERSION, **_header(self._job, source, start, rows)}
-
-    def write(self, rows: Trajectory) -> None:
-        self._collected.add(rows)
-
-    def paint(self, result: FrameResult) -> None:
-        raise AssertionError("there is no video in memory")
-
-    def close(self, footer: Footer) -> Footer:
-        header = {**self._header, **footer._asdict()}
-        self.trajectory = self._collected.trajectory(header=header, path=self._job.clip)
-        return footer
+    if job.out is not None:
+        names = [*[VIDEO] * job.video, *(f"trajectory.{form}" for form in job.formats)]
+        init = job.init if isinstance(job.init, Path) else None
+        check_folder(job.out, names, overwrite=job.overwrite, inputs=(job.clip, init, job.recipe.path))
 
 
 class Outputs:
@@ -121,9 +69,6 @@ class Outputs:
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self._writers.append(WRITERS[form](sink, header))
         if self._job.out is not None and self._job.video:
-            from facetrack_cli.video.overlay.overlay import Overlay
-            from facetrack_cli.video.writer import VideoWriter
-
             self._overlay = Overlay(source.size, fps=float(source.fps), title=self._job.recipe.name)
             sound = source.path if source.is_video else None
             self._video = VideoWriter(self._job.out / VIDEO, source.size, source.fps, audio_from=sound)
@@ -144,7 +89,6 @@ class Outputs:
         The video comes first, so that the trajectory can tell what was wrong with it.
         """
         errors: list[Exception] = []
-        self._made = []
         if self._video is not None:
             self._finish(self._video, self._video.close, errors)
             footer = footer._replace(warnings=(*footer.warnings, *self._video.warnings))
@@ -174,29 +118,37 @@ class Outputs:
         remove_folders(self._made)
 
 
-def _versions() -> dict[str, str]:
-    """Of what the numbers may depend on beside facetrack itself."""
-    import cv2
-    import numba
-    import numpy
+class Memory(Outputs):
+    """Results collected into a `trajectory`, whose header says what a JSON file says of its run."""
 
-    return {
-        "python": platform.python_version(),
-        "numpy": numpy.__version__,
-        "opencv": cv2.__version__,
-        "numba": numba.__version__,
-    }
+    trajectory: Trajectory
+
+    def __enter__(self) -> Memory:
+        self._collected = Collector()
+        return self
+
+    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
+        self._header = {"schema": SCHEMA, "version": VERSION, **_header(self._job, source, start, rows)}
+
+    def write(self, rows: Trajectory) -> None:
+        self._collected.add(rows)
+
+    def close(self, footer: Footer) -> Footer:
+        header = {**self._header, **footer._asdict()}
+        self.trajectory = self._collected.trajectory(header=header, path=self._job.clip)
+        return footer
 
 
 def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
-    from facetrack_cli.recipe.model import to_dict
-    from facetrack_cli.trajectory.diagnostics import KNOWN
-    from facetrack_cli.trajectory.start import to_record
-
     # those that every facetrack knows are not declared
     declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
     return {
-        "versions": _versions(),
+        "versions": {  # of what the numbers may depend on beside facetrack itself
+            "python": platform.python_version(),
+            "numpy": numpy.__version__,
+            "opencv": cv2.__version__,
+            "numba": numba.__version__,
+        },
         "source": {"path": str(job.clip), "size": list(source.size), "fps": round(float(source.fps), 6)},
         "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
         "seed": job.recipe.seed,

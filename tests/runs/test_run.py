@@ -542,9 +542,7 @@ def test_a_batch_does_not_stream(run: Runner, clip: Path) -> None:
 def test_a_worker_that_dies_is_one_failed_clip(
     run: Runner, clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import facetrack_cli.runs.batch as batch
-
-    monkeypatch.setattr(batch, "_work", _die)
+    monkeypatch.setattr("facetrack_cli.runs.workers._serve", _die)
     code, _, err = run(clip, make_clip(tmp_path / "other.mp4", 5), *SMALL, "-j", 2)
     assert code == 5
     assert err.count("its process ended with code -9") == 2
@@ -554,7 +552,7 @@ def test_processes_that_cannot_be_started(run: Runner, clip: Path, monkeypatch: 
     def refuse() -> None:
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
 
-    monkeypatch.setattr("facetrack_cli.runs.batch.worker_context", refuse)
+    monkeypatch.setattr("facetrack_cli.runs.workers.worker_context", refuse)
     code, _, err = run(clip, SAMPLE, "-j", "2")
     assert code == ExitCode.FAULT
     assert one_line(err).endswith("processes for -j cannot be started ([Errno 32] Broken pipe); run without -j")

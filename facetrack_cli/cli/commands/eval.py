@@ -5,17 +5,22 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from facetrack_cli.cli import options
+from facetrack_cli.cli.app import colour
 from facetrack_cli.cli.options import FILE, TruthOptions, argument, format_of, group, option, say, verb
 from facetrack_cli.core.errors import InputError, UsageError
-
-if TYPE_CHECKING:
-    from facetrack_cli.evaluation.summary import Evaluation
-    from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.core.files import check_new, write_new
+from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
+from facetrack_cli.evaluation.summary import Evaluation, Options, evaluate
+from facetrack_cli.evaluation.units import check_normalise
+from facetrack_cli.report.figures import calibration_figure, render
+from facetrack_cli.report.figures.style import need_matplotlib
+from facetrack_cli.trajectory.formats.read import read_results
+from facetrack_cli.trajectory.header import clip_of, is_there, picture_of
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 
 def _failure(value: str) -> float:
@@ -81,14 +86,6 @@ class Eval:
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
-        from facetrack_cli.core.files import check_new, write_new
-        from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
-        from facetrack_cli.evaluation.summary import Options, evaluate
-        from facetrack_cli.evaluation.units import check_normalise
-        from facetrack_cli.report.figures.style import need_matplotlib
-        from facetrack_cli.trajectory.formats.read import read_results
-        from facetrack_cli.trajectory.header import clip_of, picture_of
-
         files, known = self._files(), self.truth_options
         if self.plot is not None:
             need_matplotlib()
@@ -116,12 +113,10 @@ class Eval:
         for name, content in made.items():
             write_new(files[name], content, overwrite=self.overwrite)
             say(f"{self.trajectory} -> {files[name]}")
-        _print(printed or to_text(evaluation, about, colour=options.colour()))
+        _print(printed or to_text(evaluation, about, colour=colour()))
 
     def _files(self) -> dict[str, Path]:
         """The files to write by their options; refused before anything is read if they cannot be."""
-        from facetrack_cli.core.files import check_new
-
         if self.json == self.csv == "-":
             raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
         wanted = {"--json": self.json, "--csv": self.csv, "--plot": self.plot}
@@ -142,8 +137,6 @@ command = verb(Eval)
 
 def _truth_beside(ours: Trajectory) -> Path:
     """The ground truth beside the clip of a JSON trajectory."""
-    from facetrack_cli.trajectory.header import clip_of, is_there
-
     clip = clip_of(ours)
     if clip is None:
         raise UsageError(
@@ -156,8 +149,6 @@ def _truth_beside(ours: Trajectory) -> Path:
 
 
 def _plot(evaluation: Evaluation, path: Path) -> bytes:
-    from facetrack_cli.report.figures import calibration_figure, render
-
     confidence = evaluation.all.confidence
     if confidence is None or not confidence.bins:
         raise InputError(

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Whole, argument, option, say, verb, write_figure
 from facetrack_cli.core.errors import InputError, UsageError
-
-if TYPE_CHECKING:
-    from facetrack_cli.tracking.identity.gallery import Gallery
+from facetrack_cli.core.files import check_new
+from facetrack_cli.report.figures.gallery import calibrated, gallery_figure, kept, stranger
+from facetrack_cli.runs.progress import progress
+from facetrack_cli.tracking.identity.faces import read_faces
+from facetrack_cli.tracking.identity.fit import fit_gallery
+from facetrack_cli.tracking.identity.gallery import Gallery, load_gallery
+from facetrack_cli.tracking.identity.people import Reading, count, find_people
 
 LEAST_SIDE, MOST_SIDE = 6, 128  # of a template, as in recipes
 
@@ -82,18 +84,12 @@ class Fit:
         # before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-        from facetrack_cli.core.files import check_new
-        from facetrack_cli.runs.progress import progress
-        from facetrack_cli.tracking.identity.faces import read_faces
-        from facetrack_cli.tracking.identity.fit import fit_gallery
-        from facetrack_cli.tracking.identity.people import Reading, count, find_people
-
         start, stop, out = self.start, self.stop, self.out
         if stop is not None and stop <= start:
             raise UsageError(f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start")
         check_new(out, overwrite=self.overwrite)
         reading = Reading(self.template, self.frames, start, stop, self.jitter)
-        with contextlib.closing(progress(self.quiet)) as shown:
+        with progress(self.quiet) as shown:
 
             def warn(line: str) -> None:
                 shown.say(f"warning: {line}")
@@ -142,9 +138,6 @@ class Show:
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
-        from facetrack_cli.report.figures.gallery import gallery_figure
-        from facetrack_cli.tracking.identity.gallery import load_gallery
-
         file, out = self.file, self.out or self.file.with_suffix(".png")
         gallery = load_gallery(file)
         write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=self.overwrite, inputs=[file])
@@ -161,8 +154,6 @@ class Show:
 
 
 def _summary(gallery: Gallery) -> list[str]:
-    from facetrack_cli.report.figures.gallery import calibrated, kept, stranger
-
     spaces = (("frontal faces", gallery.frontal), ("intra-personal", gallery.intra), ("extra-personal", gallery.extra))
     lines = [f"{name}: {kept(space)}" for name, space in spaces]
     return [*lines, calibrated(gallery), stranger(gallery), *(f"note: {note}" for note in gallery.notes)]

@@ -7,9 +7,16 @@ from pathlib import Path
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Extent, Whole, argument, group, option, verb
-from facetrack_cli.cli.results import Results
+from facetrack_cli.cli.options import FILE, Extent, Results, Whole, argument, group, option, verb
 from facetrack_cli.core.errors import ExitCode
+from facetrack_cli.evaluation.experiments.repeat import matched, spreads
+from facetrack_cli.evaluation.experiments.repeat_text import Repetition
+from facetrack_cli.evaluation.experiments.sheet import clip_name
+from facetrack_cli.report.figures.comparison import repeat_figures
+from facetrack_cli.runs.batch import title
+from facetrack_cli.runs.seeds import Plan, load_recipes, refuse_seed, run_plans
+from facetrack_cli.runs.start import Begin
+from facetrack_cli.trajectory.formats.read import read_truth
 
 
 class Repeat:
@@ -54,26 +61,18 @@ class Repeat:
     results: Results = group(Results)
 
     def run(self) -> int:
-        from facetrack_cli.evaluation.experiments.repeat import matched, spreads
-        from facetrack_cli.evaluation.experiments.repeat_text import Repetition
-        from facetrack_cli.evaluation.experiments.sheet import clip_name
-        from facetrack_cli.report.figures.comparison import repeat_figures
-        from facetrack_cli.runs.batch import title
-        from facetrack_cli.runs.plan import Begin, load_recipes, refuse_seed
-        from facetrack_cli.runs.seeds import run_plans
-        from facetrack_cli.trajectory.formats.read import read_truth
-
         clip, results = self.clip, self.results
         self.extent.check(clip)
         refuse_seed(self.set)
         [recipe] = load_recipes([(self.config, self.set)], self.gallery)
         truth = None if self.truth is None else read_truth(self.truth)
-        with results.open(
-            clip, self.out, f"{title(clip)}-{recipe.name}-repeat", "repeat", ["spread.png"]
-        ) as experiment:
+        name = f"{title(clip)}-{recipe.name}-repeat"
+        with results.open(clip, self.out, name, "repeat", ["spread.png"]) as experiment:
             stopped, shown, _ = experiment
-            plan = Begin(clip, **vars(self.extent)).plan(recipe.name, recipe, self.seeds, truth, stopped)
-            shown.begin(clip_name(clip), "frames", None)
+            begin = Begin(clip, **vars(self.extent))
+            start = begin.find(recipe, truth, stopped)
+            plan = Plan(recipe.name, clip, recipe, start, tuple(range(self.seeds)), begin.stop, begin.fps)
+            shown.begin(clip_name(clip))
             [ended] = run_plans(
                 [plan], results.jobs, stopped, lambda done, of: shown.update(done, of or None), partial=True
             )

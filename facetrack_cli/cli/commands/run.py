@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+import cv2
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
 from facetrack_cli.core.errors import ExitCode, OutputError, UsageError
+from facetrack_cli.runs.batch import absolute, check_all, folders, run_batch
+from facetrack_cli.runs.clip import run
+from facetrack_cli.runs.job import Job, Outcome
+from facetrack_cli.runs.progress import Progress, progress
+from facetrack_cli.runs.seeds import load_recipes
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.workers import cores
 from facetrack_cli.trajectory.writers import FORMATS, Format
-
-if TYPE_CHECKING:
-    from facetrack_cli.runs.job import Job, Outcome
-    from facetrack_cli.runs.progress import Progress
-    from facetrack_cli.runs.signals import Stop
 
 
 def _formats(value: str) -> tuple[Format, ...]:
@@ -77,13 +78,6 @@ class Run:
     quiet: bool = options.QUIET
 
     def run(self) -> int:
-        from facetrack_cli.runs.batch import absolute
-        from facetrack_cli.runs.job import Job
-        from facetrack_cli.runs.plan import load_recipes
-        from facetrack_cli.runs.progress import progress
-        from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.runs.workers import cores
-
         self.extent.check(*self.inputs)
         seed = () if self.seed is None else (f"seed={self.seed}",)
         [recipe] = load_recipes([(self.config, (*self.set, *seed))], self.gallery)
@@ -93,9 +87,9 @@ class Run:
                 "give likelihood.contour or likelihood.histogram too, or leave the option out"
             )
         clips = list({absolute(clip): clip for clip in reversed(self.inputs)}.values())[::-1]
-        folders, formats = self._places(clips, recipe.name)
+        places, formats = self._places(clips, recipe.name)
         workers = min(self.jobs, len(clips))
-        with Stop().listening() as ending, contextlib.closing(progress(self.quiet)) as shown:
+        with Stop().listening() as ending, progress(self.quiet) as shown:
             jobs = [
                 Job(
                     clip=clip,
@@ -108,15 +102,13 @@ class Run:
                     threads=self.threads or max(1, cores() // workers),
                     **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
                 )
-                for clip, folder in zip(clips, folders, strict=True)
+                for clip, folder in zip(clips, places, strict=True)
             ]
             code = _one(jobs[0], ending, shown) if len(jobs) == 1 else _several(jobs, workers, ending, shown)
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
 
     def _places(self, clips: list[Path], recipe: str) -> tuple[list[Path | None], tuple[Format, ...]]:
         """The folder of each clip's results, None for standard output, and the formats to write."""
-        from facetrack_cli.runs.batch import folders
-
         if self.out == "-":
             if len(clips) > 1:
                 raise UsageError("-o - streams one clip; give one INPUT, or a folder with --out")
@@ -131,13 +123,8 @@ class Run:
 
 def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
     """Run one clip; its error is the command's."""
-    from facetrack_cli.runs.clip import run
-    from facetrack_cli.runs.outputs import check
-    from facetrack_cli.runs.workers import use_threads
-
-    check(job)
-    use_threads(job.threads)
-    shown.begin(job.clip.name, "frames", None)
+    cv2.setNumThreads(job.threads)
+    shown.begin(job.clip.name)
     outcome = run(job, stop, shown.update)
     shown.close()
     if isinstance(outcome.error, BrokenPipeError):
@@ -150,11 +137,8 @@ def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
 
 def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
-    from facetrack_cli.runs.batch import check_all, run_batch
-    from facetrack_cli.runs.workers import use_threads
-
     if workers == 1:
-        use_threads(jobs[0].threads)
+        cv2.setNumThreads(jobs[0].threads)
     refused, accepted = check_all(jobs)
     failed = lost = 0
     for ended in itertools.chain(refused, run_batch(accepted, workers, stop, shown)):

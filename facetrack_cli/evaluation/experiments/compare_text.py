@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from facetrack_cli.evaluation.experiments.compare import Entry, Place, kind_of, less_is_better, rank
 from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name, document, rounded
 from facetrack_cli.evaluation.summary import MEASURES
-
-if TYPE_CHECKING:
-    from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.recipe.model import to_dict
 
 # what a measure is called in the table, its factor and its decimals
 TITLES: Final = {
@@ -30,7 +28,7 @@ TITLES: Final = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """All that a comparison found. `entries` in the order in which they were asked for; `recipes` by label."""
+    """All that a comparison found. `entries` in the order in which they were asked for."""
 
     clip: Path
     truth: Path
@@ -39,12 +37,6 @@ class Comparison:
     measure: str
     workers: int = 1
     complete: bool = True
-    recipes: dict[str, Recipe] = field(default_factory=dict)
-
-    @property
-    def kind(self) -> str:
-        """`boxes` or `points`: what the first recipe that ran is measured as."""
-        return kind_of(self.entries)
 
     @property
     def places(self) -> list[Place]:
@@ -53,7 +45,7 @@ class Comparison:
     @property
     def measures(self) -> tuple[str, ...]:
         """Those in the table, the one that ranks first."""
-        usual = [name for name in TITLES if name.startswith(self.kind)]
+        usual = [name for name in TITLES if name.startswith(kind_of(self.entries))]
         return tuple(dict.fromkeys([self.measure, *usual]))
 
     def sheet(self) -> Sheet:
@@ -88,7 +80,7 @@ class Comparison:
         once = [entry.label for entry in self.entries if entry.deterministic and entry.scores]
         failed = (
             "the median IoU over the last tenth of the frames is below 0.1"
-            if self.kind == "boxes"
+            if kind_of(self.entries) == "boxes"
             else "a part's median error over its last 25 visible frames exceeds a quarter of the target's size"
         )
         lines = []
@@ -114,7 +106,7 @@ class Comparison:
             lines.append(f"Deterministic, run once: {', '.join(once)}.")
         if not self.complete:
             lines.append("Interrupted: these are the runs that were complete.")
-        return lines + [f"{entry.label}: not run: {entry.why}" for entry in self.entries if entry.why]
+        return lines + [f"{entry.label}: not run: {entry.error}" for entry in self.entries if entry.error]
 
     def csv(self) -> str:
         """A row a recipe and seed with every figure; a recipe that did not run has one row, which says why."""
@@ -126,8 +118,8 @@ class Comparison:
             for score in entry.scores:
                 figures = [_plain(score.figures.get(name)) for name in measured]
                 writer.writerow([entry.label, score.seed, int(score.failed), f"{score.frames_per_s:.2f}", *figures, ""])
-            if entry.why:
-                writer.writerow([entry.label, "", "", "", *("" for _ in measured), entry.why])
+            if entry.error:
+                writer.writerow([entry.label, "", "", "", *("" for _ in measured), entry.error])
         return out.getvalue()
 
     def json(self) -> str:
@@ -145,16 +137,14 @@ class Comparison:
         return document("facetrack-compare", fields, indent=1)
 
     def _recipe(self, place: Place) -> dict[str, Any]:
-        from facetrack_cli.recipe.model import to_dict
-
         entry = place.entry
         return {
             "label": entry.label,
             "rank": None if place.first is None else [place.first, place.last],
-            "error": entry.why or None,
+            "error": None if entry.error is None else str(entry.error),
             "deterministic": entry.deterministic,
-            "begins": entry.begins or None,
-            "warnings": list(entry.warnings),
+            "begins": None if entry.start is None else f"{entry.start.origin}, frame {entry.start.frame}",
+            "warnings": list(dict.fromkeys(entry.warnings)),
             "failures": entry.failures,
             "frames_per_s": rounded(entry.frames_per_s, 2),
             "mean": {n: rounded(m, 6) for n in MEASURES if (m := entry.mean(n)) is not None},
@@ -168,7 +158,7 @@ class Comparison:
                 }
                 for score in entry.scores
             ],
-            "recipe": to_dict(self.recipes[entry.label]) if entry.label in self.recipes else None,
+            "recipe": to_dict(entry.recipe) if entry.recipe is not None else None,
         }
 
 

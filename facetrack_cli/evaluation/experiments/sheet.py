@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 import click
 
 from facetrack_cli import __version__
-from facetrack_cli.runs.plan import OVERRIDES
+from facetrack_cli.runs.seeds import OVERRIDES
 
 WIDE: Final = 100  # columns of a table that is not printed on a terminal
 ENDLESS: Final = 10_000
