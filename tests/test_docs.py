@@ -147,9 +147,10 @@ def test_command_lines_parse(arguments, xargs):
     except click.exceptions.Exit as left:  # --help
         assert left.exit_code == 0
         return
-    config = params.get("config")
-    if config is not None and config.removesuffix(".yaml") in {path.stem for path in shipped_recipes()}:
-        load_recipe(config, [text for text in params.get("overrides", ()) if text != "KEY=VALUE"])
+    configs = params.get("config") or ()
+    for name, own in map(variant, (configs,) if isinstance(configs, str) else configs):
+        if name.removesuffix(".yaml") in {path.stem for path in shipped_recipes()}:
+            load_recipe(name, [text for text in (*params.get("set", ()), *own) if text != "KEY=VALUE"])
 
 
 @pytest.mark.parametrize("wrong", [["run", "a.mp4", "--colour"], ["rnu"], ["run"], ["recipes", "shwo", "sir"]])

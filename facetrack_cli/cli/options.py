@@ -52,7 +52,7 @@ class Whole(click.IntRange):
 
 
 FRAME = Whole(min=0)
-FIGURES = ("png", "svg", "pdf")
+FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
 TABLES = ("json", "csv", "md")
 
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.cli import options
+from facetrack_cli.cli.commands import repeat
 from facetrack_cli.core.errors import ExitCode, UsageError
 from facetrack_cli.evaluation.experiments import compare
-from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.runs import seeds as runs
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
@@ -119,7 +120,7 @@ def test_without_matplotlib_the_table_is_there(facetrack, monkeypatch):
     def missing():
         raise UsageError("figures need matplotlib, which is not installed: pip install 'facetrack[plot]'")
 
-    monkeypatch.setattr(plot_style, "need_matplotlib", missing)
+    monkeypatch.setattr(options, "need_matplotlib", missing)
     for command in (["compare", CLIP, *TWO], ["repeat", CLIP, "--config", "sir"]):
         code, out, err = facetrack(*command, *SHORT)
         assert code == 0 and "facetrack[plot]" in err and out
@@ -139,11 +140,11 @@ def test_an_interrupt_keeps_what_is_complete(facetrack, monkeypatch):
     found = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))
     assert not found["complete"] and [len(one["runs"]) for one in found["recipes"]] == [2, 0]
 
-    def at_once(plans, workers, stop, report, **more):
+    def at_once(plans, workers, stop, report, *, partial=False):
         stop.code = ExitCode.INTERRUPTED
-        yield from ()
+        yield from map(runs.Ended, plans if partial else ())
 
-    for module in (compare, runs):
+    for module in (compare, repeat):
         monkeypatch.setattr(module, "run_plans", at_once)
     for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
         code, out, err = facetrack(*command, *SHORT, "-o", "none", "--no-plots")
@@ -177,10 +178,10 @@ def test_a_truth_of_other_frames_is_told_after_the_first_recipe(facetrack):
     Path("cut.mp4").write_bytes((SAMPLES / "expressions.mp4").read_bytes()[:30000])
     given = ["--truth", SAMPLES / "expressions.truth.csv", "--init", SAMPLES / "expressions.init.yaml", "--no-plots"]
     seen = []
-    original = runs._run
+    original = runs._work
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runs, "_run", lambda plan, *more: seen.append(plan.label) or original(plan, *more))
+        patch.setattr(runs, "_work", lambda task, *more: seen.append(task[0].label) or original(task, *more))
         code, _, err = facetrack("compare", "cut.mp4", *TWO, *given, "--seeds", "1")
     assert code == ExitCode.INPUT and "--partial" in err and err.count("\n") == 1 and len(seen) == 1
 
@@ -279,7 +280,7 @@ def test_repeat_shows_what_there_was_when_it_was_interrupted(facetrack, monkeypa
         return whole(plans, workers, stop, tell, **more)
 
     whole = runs.run_plans
-    monkeypatch.setattr(runs, "run_plans", interrupted)
+    monkeypatch.setattr(repeat, "run_plans", interrupted)
     code, out, _ = facetrack("repeat", CLIP, "--seeds", "3", "--no-plots")
     assert code == ExitCode.INTERRUPTED and "3 runs of factorized on frames 0 to 8" in out
     assert "Interrupted: these are the frames that 3 runs had reached." in out

@@ -10,7 +10,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.options import FIGURES
 from facetrack_cli.core import files
-from facetrack_cli.report import figures as plots
+from facetrack_cli.cli.commands import plot
 from facetrack_cli.trajectory.writers import COLUMNS
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
@@ -86,7 +86,7 @@ def test_the_page_lies_beside_the_trajectory_and_is_not_overwritten(capsys, run)
     assert sorted(p.name for p in run.iterdir()) == ["plot.png", "trajectory.csv"]
 
 
-@pytest.mark.parametrize("form", plots.FORMS)
+@pytest.mark.parametrize("form", FIGURES)
 def test_every_form_by_its_ending(capsys, run, form):
     path = run / f"page.{form.upper()}"
     assert facetrack(capsys, run, "-o", path, "--title", "Über <b>")[0] == 0
@@ -98,16 +98,16 @@ def test_every_form_by_its_ending(capsys, run, form):
 
 def test_truth_adds_the_error(capsys, run, truth, monkeypatch):
     seen = []
-    draw = plots.page_figure
+    draw = plot.page_figure
     monkeypatch.setattr(
-        plots, "page_figure", lambda table, pairs, **more: seen.append((table, pairs)) or draw(table, pairs, **more)
+        plot, "page_figure", lambda table, pairs, **more: seen.append((table, pairs)) or draw(table, pairs, **more)
     )
     assert facetrack(capsys, run, "--truth", truth)[0] == 0
     assert facetrack(capsys, run, "--truth", truth, "--target", "face/chin", "--overwrite")[0] == 0
     (table, pairs), (chosen, pair) = seen
-    assert [s.name for s in table.parts] == ["face/nose", "face/chin"] == [p.name for p in pairs]
+    assert [s.name for s in table.parts] == ["face/nose", "face/chin"] == [p.ours.name for p in pairs]
     assert (pairs[0].ours.x - pairs[0].truth.x).round(2).tolist() == [-1.0] * 30
-    assert [s.name for s in chosen.parts] == ["face/chin"] == [p.name for p in pair]
+    assert [s.name for s in chosen.parts] == ["face/chin"] == [p.ours.name for p in pair]
 
 
 def test_truth_that_does_not_belong_is_refused(capsys, run, truth, tmp_path):
@@ -162,10 +162,6 @@ def test_without_matplotlib(run):
     assert done.stderr == (
         "facetrack: error: figures need matplotlib, which is not installed: pip install 'facetrack[plot]'\n"
     )
-
-
-def test_lists_of_the_command_are_those_of_the_library():
-    assert FIGURES == plots.FORMS
 
 
 def test_a_truth_file_is_a_trajectory_too(capsys, tmp_path):

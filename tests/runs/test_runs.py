@@ -139,6 +139,8 @@ def _ends_itself(task, stop, report):
     if label.startswith("late"):
         while not all(Path(label.partition(" ")[2], f"{i}").exists() for i in range(3)):
             time.sleep(0.05)
+    if label == "dead":
+        time.sleep(1)
     if label.startswith(("late", "dead")):
         os._exit(9)
     found = WORK(task, stop, report)
@@ -155,7 +157,7 @@ def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch, tmp_path
     assert "ended by itself" in str(ended[-1].error)
 
     stop = Stop()
-    monkeypatch.setattr(workers, "LOOK_S", 0.5)
+    monkeypatch.setattr(workers, "LOOK_S", 0.1)
     signalled = threading.Timer(0.2, lambda: setattr(stop, "code", ExitCode.TERMINATED))
 
     def report(done, total):
