@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.cli.commands import plot
 from facetrack_cli.cli.options import FIGURES
 from facetrack_cli.core import files
-from facetrack_cli.cli.commands import plot
 from facetrack_cli.trajectory.writers import COLUMNS
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")

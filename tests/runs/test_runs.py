@@ -214,6 +214,8 @@ def test_a_start_outside_of_the_frames_asked_for_is_refused():
     for stop in (1, 200):
         assert Begin(CLIP, stop=stop).find(recipe).frame == 0
     boxed = (106.0, 74.0, 106.0, 106.0)
-    with pytest.raises(InputError, match=r"--box begins at frame 3, but frames 3 to 2 were asked for; change --start or --stop"):
+    with pytest.raises(
+        InputError, match=r"--box begins at frame 3, but frames 3 to 2 were asked for; change --start or --stop"
+    ):
         Begin(CLIP, box=boxed, start=3, stop=3).find(recipe)
     assert Begin(CLIP, box=boxed, start=3, stop=9).find(recipe).frame == 3
