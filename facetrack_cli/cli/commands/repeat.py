@@ -9,8 +9,7 @@ import click
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, Extent, Results, Whole, argument, group, option, verb
 from facetrack_cli.core.errors import ExitCode
-from facetrack_cli.evaluation.experiments.repeat import matched, spreads
-from facetrack_cli.evaluation.experiments.repeat_text import Repetition
+from facetrack_cli.evaluation.experiments.repeat import Repetition, matched, spreads
 from facetrack_cli.evaluation.experiments.sheet import clip_name
 from facetrack_cli.report.figures.comparison import repeat_figures
 from facetrack_cli.runs.batch import title
