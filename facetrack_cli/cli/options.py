@@ -4,7 +4,7 @@ class Repeat:
     \"\"\"Show how far the runs of a recipe differ from seed to seed.\"\"\"
 
     clip: Path = argument("INPUT")
-    seeds: int = option("--seeds", "N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
+    seeds: int = option("--seeds N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
     extent: Extent = group(Extent)
 
     def run(self) -> int: ...
@@ -56,10 +56,11 @@ FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
 TABLES = ("json", "csv", "md")
 
 
-def option(names: str, metavar: str, text: str, **more: Any) -> Any:
-    """A field for an option, whose help says `text`; `names` as "-o --out". A default is shown."""
+def option(names: str, text: str, **more: Any) -> Any:
+    """A field for an option, whose help says `text`; `names` as "-o --out FILE". A default is shown."""
+    *own, metavar = names.split()
     shown: dict[str, Any] = {"metavar": metavar, "help": text, "show_default": "default" in more}
-    return partial(click.Option, names.split(), **shown | more)
+    return partial(click.Option, own, **shown | more)
 
 
 def flag(names: str, text: str) -> Any:
@@ -116,7 +117,7 @@ def _box(value: str) -> Box:
 
 
 def box_option(text: str) -> Any:
-    return option("--box", "X,Y,W,H", text, type=_box)
+    return option("--box X,Y,W,H", text, type=_box)
 
 
 def figure_file(default: str) -> Any:
@@ -129,7 +130,7 @@ def figure_file(default: str) -> Any:
             raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
         return Path(value)
 
-    return option("-o --out", "FILE", f"File to write: .png, .svg or .pdf [default: {default}].", type=parse)
+    return option("-o --out FILE", f"File to write: .png, .svg or .pdf [default: {default}].", type=parse)
 
 
 def array_file(what: str) -> Any:
@@ -140,21 +141,21 @@ def array_file(what: str) -> Any:
             raise UsageError(f"{value}: a {what} is an .npz file; let its name end so")
         return Path(value)
 
-    return option("-o --out", "FILE", f"Where the {what} goes.", type=parse, default=f"{what}.npz")
+    return option("-o --out FILE", f"Where the {what} goes.", type=parse, default=f"{what}.npz")
 
 
 def jobs_option(text: str) -> Any:
-    return option("-j --jobs", "N", text, type=Whole(min=1), default=1, show_default=False)
+    return option("-j --jobs N", text, type=Whole(min=1), default=1, show_default=False)
 
 
-CONFIG = option("--config", "RECIPE", "Recipe: a file, or a name.", default="factorized")
-OVERRIDES = option("--set", "KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
+CONFIG = option("--config RECIPE", "Recipe: a file, or a name.", default="factorized")
+OVERRIDES = option("--set KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
 GALLERY = option(
-    "--gallery", "FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."
+    "--gallery FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."
 )
-CLIP = option("--clip", "INPUT", "The clip, if it is elsewhere now.", type=FILE)
-TITLE = option("--title", "TEXT", "Title of the page [default: clip and recipe].")
-TARGET = option("--target", "NAME[/PART]", "One target, or one part of it, alone.")
+CLIP = option("--clip INPUT", "The clip, if it is elsewhere now.", type=FILE)
+TITLE = option("--title TEXT", "Title of the page [default: clip and recipe].")
+TARGET = option("--target NAME[/PART]", "One target, or one part of it, alone.")
 OVERWRITE = flag("--overwrite", "Replace files that are there already.")
 QUIET = flag("--quiet -q", "Say nothing but errors.")
 
@@ -180,12 +181,12 @@ class Extent:
     """Where the tracks of a clip begin, and which of its frames are read."""
 
     init: Path | Literal["haar"] | None = option(
-        "--init", "FILE", "Init file; `haar` looks for a face even if one lies beside the clip.", type=_init
+        "--init FILE", "Init file; `haar` looks for a face even if one lies beside the clip.", type=_init
     )
     box: Box | None = box_option("The face, head or hand in the first frame, in pixels.")
-    start: int = option("--start", "N", "First frame, from 0.", type=FRAME, default=0, show_default=False)
-    stop: int | None = option("--stop", "N", "Frame to stop before.", type=FRAME)
-    fps: Fraction | None = option("--fps", "RATE", "Frames per second of image folders.", type=_rate)
+    start: int = option("--start N", "First frame, from 0.", type=FRAME, default=0, show_default=False)
+    stop: int | None = option("--stop N", "Frame to stop before.", type=FRAME)
+    fps: Fraction | None = option("--fps RATE", "Frames per second of image folders.", type=_rate)
 
     def check(self, *clips: Path) -> None:
         """UsageError where options contradict each other, or have no meaning for these clips."""
@@ -201,7 +202,7 @@ class Extent:
 def format_of(names: str, text: str) -> Any:
     """How to read a file that another program may have written."""
     text += " [default: by its shape]."
-    return option(names, "FORMAT", text, type=click.Choice(FORMATS), default="auto", show_default=False)
+    return option(f"{names} FORMAT", text, type=click.Choice(FORMATS), default="auto", show_default=False)
 
 
 class TruthOptions:
@@ -209,8 +210,7 @@ class TruthOptions:
 
     truth_format: str = format_of("--truth-format", f"How to read it: {', '.join(FORMATS[1:])}")
     shift: int | None = option(
-        "--shift",
-        "N",
+        "--shift N",
         "Add N to the frame numbers of the ground truth; 0 takes them as they are even if another shift would fit "
         "better.",
         type=int,
@@ -241,7 +241,7 @@ class Page:
     """The page in the browser."""
 
     port: int | None = option(
-        "--port", "N", "Port of the page on this machine [default: any that is free].", type=Whole(min=1, max=65535)
+        "--port N", "Port of the page on this machine [default: any that is free].", type=Whole(min=1, max=65535)
     )
     browse: bool = flag("--open", "Also open the page in the browser.")
 

@@ -15,9 +15,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.clip import track_clip
-from facetrack_cli.runs.job import Job
-from facetrack_cli.runs.outputs import Memory
+from facetrack_cli.runs.clip import Job, Memory, track_clip
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import HAAR, completed, search
 from facetrack_cli.tracking.build.build import tracker_for

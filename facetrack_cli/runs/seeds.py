@@ -162,21 +162,6 @@ def _ended(plan: Plan, results: Sequence[object]) -> Ended:
 # --- one plan ------------------------------------------------------------------------------------------------------
 
 
-class _Feed:
-    """Gives each tracker the present frame when it asks for its next."""
-
-    def __init__(self) -> None:
-        self.frame: Frame | None = None
-
-    def __iter__(self) -> Iterator[Frame]:
-        return self
-
-    def __next__(self) -> Frame:
-        assert self.frame is not None
-        # images derived from a frame are kept in it: each tracker makes its own, and is timed for it
-        return Frame(self.frame.index, self.frame.time_s, self.frame.bgr)
-
-
 def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
     """What is known of a run before it: the names of its rows, in these frames, on frames of that (width, height).
 
@@ -185,21 +170,21 @@ def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
     tracker = tracker_for(plan.recipe, plan.start, size)
     one = np.ones(len(frames))  # every part of every tracker has a size
     rows = [one_part(target.name, part, frames, w=one, h=one) for target in tracker for part in target.parts]
-    return joined(rows, path=plan.clip, header=_header(size))
-
-
-def _header(size: tuple[int, int]) -> dict[str, Any]:
-    """As a trajectory's JSON says it; see `evaluation.match`."""
-    return {"source": {"size": list(size)}}
+    return joined(rows, path=plan.clip, header={"source": {"size": list(size)}})
 
 
 def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:
     """The runs of some seeds of a plan; none if it is stopped, or, with `partial`, those up to the frame before."""
     plan, seeds, partial = task
+    now: Frame
+
+    def present() -> Iterator[Frame]:
+        while True:  # images derived from a frame are kept in it: each tracker makes its own, and is timed for it
+            yield Frame(now.index, now.time_s, now.bgr)
+
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
         tracker = tracker_for(plan.recipe, plan.start, source.size)
-        feed = _Feed()
-        runs = [track(tracker, iter(feed), seed, clip=str(plan.clip)) for seed in seeds]
+        runs = [track(tracker, present(), seed, clip=str(plan.clip)) for seed in seeds]
         logs = [Collector() for _ in seeds]
         seconds = [0.0 for _ in seeds]
         count = 0
@@ -209,7 +194,7 @@ def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable
                 if partial and count:
                     break
                 return []
-            feed.frame = frame
+            now = frame
             for i, run in enumerate(runs):
                 began = time.perf_counter()
                 result = next(run)
@@ -220,7 +205,7 @@ def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable
             report(count * len(seeds))
         if count == 0:
             raise InputError(f"{plan.clip}: frame {plan.start.frame}, where {plan.start.origin} begins, cannot be read")
-    about = {"path": source.path, "header": _header(source.size)}
+    about: dict[str, Any] = {"path": source.path, "header": {"source": {"size": list(source.size)}}}
     warnings = (*source.warnings, *notes)
     return [
         SeedRun(plan.label, seed, log.trajectory(**about), (count - 1) / max(spent, 1e-9), warnings)

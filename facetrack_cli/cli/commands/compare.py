@@ -54,22 +54,21 @@ class Compare:
 
     clip: Path = argument("INPUT")
     config: tuple[str, ...] = option(
-        "--config",
-        "RECIPE",
+        "--config RECIPE",
         "Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
         multiple=True,
         required=True,
     )
-    seeds: int = option("--seeds", "N", "Runs of each, seed 0 on.", type=Whole(min=1), default=10)
-    rank_by: str | None = option("--rank-by", "MEASURE", "Rank by this, as points.median_px or boxes.precision_20.")
-    set: tuple[str, ...] = option("--set", "KEY=VALUE", "Override a key of all; repeatable.", multiple=True)
+    seeds: int = option("--seeds N", "Runs of each, seed 0 on.", type=Whole(min=1), default=10)
+    rank_by: str | None = option("--rank-by MEASURE", "Rank by this, as points.median_px or boxes.precision_20.")
+    set: tuple[str, ...] = option("--set KEY=VALUE", "Override a key of all; repeatable.", multiple=True)
     gallery: str | None = options.GALLERY
     truth: Path | None = option(
-        "--truth", "FILE", "Ground truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].", type=FILE
+        "--truth FILE", "Ground truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].", type=FILE
     )
     truth_options: TruthOptions = group(TruthOptions)
     extent: Extent = group(Extent)
-    out: str | None = option("-o --out", "DIR", "Folder for results [default: ./<clip>-compare].")
+    out: str | None = option("-o --out DIR", "Folder for results [default: ./<clip>-compare].")
     results: Results = group(Results)
 
     def run(self) -> int:

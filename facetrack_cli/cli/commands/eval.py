@@ -59,30 +59,27 @@ class Eval:
 
     trajectory: Path = argument("TRAJECTORY")
     truth: Path | None = option(
-        "--truth",
-        "FILE",
+        "--truth FILE",
         "File or folder of ground truth [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
         type=FILE,
     )
     truth_options: TruthOptions = group(TruthOptions)
     format: str = format_of("--format", "How to read TRAJECTORY if another tracker wrote it: one of the same")
     normalise: str = option(
-        "--normalise",
-        "LENGTH",
+        "--normalise LENGTH",
         "Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
         "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
         default="size",
     )
     failure: float = option(
-        "--failure",
-        "SHARE",
+        "--failure SHARE",
         "A point has failed above this normalised error; 300-W takes 0.08.",
         type=_failure,
         default="0.1",
     )
-    json: str | None = option("--json", "FILE", "Write all measures as JSON; - is standard output.")
-    csv: str | None = option("--csv", "FILE", "Write a row a part and one of all as CSV; - is standard output.")
-    plot: str | None = option("--plot", "FILE.png", "Draw how far confidence can be trusted (needs [plot]).")
+    json: str | None = option("--json FILE", "Write all measures as JSON; - is standard output.")
+    csv: str | None = option("--csv FILE", "Write a row a part and one of all as CSV; - is standard output.")
+    plot: str | None = option("--plot FILE.png", "Draw how far confidence can be trusted (needs [plot]).")
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:

@@ -75,13 +75,12 @@ class Export:
     """
 
     trajectory: Path = argument("TRAJECTORY")
-    to: str = option("--to", "FORMAT", "Format, as above.", required=True, type=click.Choice(list(ENDINGS)))
-    out: str | None = option("-o --out", "FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
+    to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(list(ENDINGS)))
+    out: str | None = option("-o --out FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
     target: str | None = options.TARGET
-    media: Path | None = option("--media", "FILE", "Clip it was tracked in (coco, eaf).", type=FILE)
+    media: Path | None = option("--media FILE", "Clip it was tracked in (coco, eaf).", type=FILE)
     box: Around | None = option(
-        "--box",
-        "KIND",
+        "--box KIND",
         "What a box around points encloses: windows [default], or points, their centres alone.",
         type=click.Choice(["windows", "points"]),
     )

@@ -46,7 +46,7 @@ class Fix:
     folder: Path = argument("RUN_DIR")
     clip: Path | None = options.CLIP
     init: Path | None = option(
-        "--init", "FILE", "No page: take the corrections of this init file, and no others.", type=FILE
+        "--init FILE", "No page: take the corrections of this init file, and no others.", type=FILE
     )
     no_video: bool = flag("--no-video", "Leave annotated.mp4 as it is.")
     page: Page = group(Page)

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+
+# before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import re
 from pathlib import Path
 
@@ -58,21 +62,17 @@ class Fit:
 
     folder: Path = argument("DIR")
     out: Path = options.array_file("gallery")
-    frames: int = option("--frames", "N", "Frames of each video, at most.", type=Whole(1, 10_000), default=15)
-    start: int = option(
-        "--start", "N", "First frame of videos that is used.", type=FRAME, default=0, show_default=False
-    )
-    stop: int | None = option("--stop", "N", "Frame of videos before which to stop.", type=FRAME)
+    frames: int = option("--frames N", "Frames of each video, at most.", type=Whole(1, 10_000), default=15)
+    start: int = option("--start N", "First frame of videos that is used.", type=FRAME, default=0, show_default=False)
+    stop: int | None = option("--stop N", "Frame of videos before which to stop.", type=FRAME)
     jitter: int = option(
-        "--jitter",
-        "N",
+        "--jitter N",
         "Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
         type=Whole(0, 100),
         default=4,
     )
     template: tuple[int, int] = option(
-        "--template",
-        "WxH",
+        "--template WxH",
         "Points across and down a face; the recipe must have the same.",
         type=_template,
         default="26x30",
@@ -81,9 +81,6 @@ class Fit:
     quiet: bool = options.QUIET
 
     def run(self) -> None:
-        # before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
         start, stop, out = self.start, self.stop, self.out
         if stop is not None and stop <= start:
             raise UsageError(f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start")

@@ -55,17 +55,16 @@ class Init:
     """
 
     clip: Path = argument("INPUT")
-    out: str | None = option("-o --out", "FILE", "File to write [default: <clip>.init.yaml beside the clip]; - stdout.")
+    out: str | None = option("-o --out FILE", "File to write [default: <clip>.init.yaml beside the clip]; - stdout.")
     init_frame: int | None = option(
-        "--init-frame", "N", "Frame where the search begins, of --box, or shown first on the page.", type=FRAME
+        "--init-frame N", "Frame where the search begins, of --box, or shown first on the page.", type=FRAME
     )
     box: Box | None = options.box_option("The face's box in that frame: place the points in it.")
     config: str | None = option(
-        "--config",
-        "RECIPE",
+        "--config RECIPE",
         "Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
     )
-    preview: Path | None = option("--preview", "FILE.png", "Also draw the result on its frame.", type=FILE)
+    preview: Path | None = option("--preview FILE.png", "Also draw the result on its frame.", type=FILE)
     pick: bool = flag("--pick", "Choose on a page in the browser: boxes and points are drawn on the frame.")
     page: Page = group(Page)
     overwrite: bool = flag("--overwrite", "Replace files that are there already; --pick begins with what they hold.")

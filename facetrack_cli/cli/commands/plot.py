@@ -40,13 +40,13 @@ class Plot:
     """
 
     trajectory: Path = argument("TRAJECTORY")
-    truth: Path | None = option("--truth", "FILE", "Draw the ground truth too, and the error.", type=FILE)
+    truth: Path | None = option("--truth FILE", "Draw the ground truth too, and the error.", type=FILE)
     truth_options: TruthOptions = group(TruthOptions)
     out: Path | None = options.figure_file("plot.png beside TRAJECTORY")
     overwrite: bool = options.OVERWRITE
     title: str | None = options.TITLE
-    width: float = option("--width", "INCHES", "Width of the page.", type=click.FloatRange(4, 40), default=10)
-    dpi: float = option("--dpi", "N", "Pixels an inch of a PNG.", type=click.FloatRange(40, 600), default=120)
+    width: float = option("--width INCHES", "Width of the page.", type=click.FloatRange(4, 40), default=10)
+    dpi: float = option("--dpi N", "Pixels an inch of a PNG.", type=click.FloatRange(40, 600), default=120)
 
     def run(self) -> None:
         if self.truth is None:

@@ -54,18 +54,15 @@ class Fit:
 
     truth: tuple[Path, ...] = argument("TRUTH.csv...", nargs=-1, required=True)
     out: Path = options.array_file("prior")
-    parts: tuple[str, ...] | None = option(
-        "--parts", "LIST", "Parts to learn, with commas [default: all].", type=_parts
-    )
-    stable: str = option("--stable", "PART", "Part that registers the others.", default="nose")
+    parts: tuple[str, ...] | None = option("--parts LIST", "Parts to learn, with commas [default: all].", type=_parts)
+    stable: str = option("--stable PART", "Part that registers the others.", default="nose")
     scale: tuple[str, str] = option(
-        "--scale",
-        "A,B",
+        "--scale A,B",
         "Parts whose distance in the first frame is the unit.",
         type=_scale,
         default="mouth_left,mouth_right",
     )
-    max_shapes: int = option("--max-shapes", "N", "Keep so many at most.", type=Whole(1, 10_000), default=500)
+    max_shapes: int = option("--max-shapes N", "Keep so many at most.", type=Whole(1, 10_000), default=500)
     overwrite: bool = options.OVERWRITE
     quiet: bool = options.QUIET
 

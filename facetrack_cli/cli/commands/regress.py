@@ -46,22 +46,19 @@ class Regress:
 
     folder: Path = argument("DIR")
     config: tuple[str, ...] = option(
-        "--config",
-        "RECIPE",
+        "--config RECIPE",
         "Only this recipe, a file or a name; repeatable [default: all that have goldens].",
         multiple=True,
     )
-    set: tuple[str, ...] = option("--set", "KEY=VALUE", "Check with this key changed; repeatable.", multiple=True)
+    set: tuple[str, ...] = option("--set KEY=VALUE", "Check with this key changed; repeatable.", multiple=True)
     gallery: Path | None = option(
-        "--gallery", "FILE", "People that recipes with recognition know; a golden remembers its own.", type=FILE
+        "--gallery FILE", "People that recipes with recognition know; a golden remembers its own.", type=FILE
     )
     update: bool = flag("--update", "Record goldens instead: of --config, else of all that have one.")
-    seeds: int | None = option(
-        "--seeds", "N", "Runs to record a golden from [default: 40].", type=Whole(min=20, max=500)
-    )
-    stop: int | None = option("--stop", "N", "Record up to this frame only; for slow trackers.", type=Whole(min=2))
-    junit: Path | None = option("--junit", "FILE", "Write JUnit XML, for CI services.", type=FILE)
-    json: Path | None = option("--json", "FILE", "Write the results as JSON.", type=FILE)
+    seeds: int | None = option("--seeds N", "Runs to record a golden from [default: 40].", type=Whole(min=20, max=500))
+    stop: int | None = option("--stop N", "Record up to this frame only; for slow trackers.", type=Whole(min=2))
+    junit: Path | None = option("--junit FILE", "Write JUnit XML, for CI services.", type=FILE)
+    json: Path | None = option("--json FILE", "Write the results as JSON.", type=FILE)
     overwrite: bool = options.OVERWRITE
     jobs: int = options.jobs_option("Goldens at a time.")
     quiet: bool = flag("--quiet -q", "No progress.")

@@ -44,19 +44,18 @@ class Repeat:
 
     clip: Path = argument("INPUT")
     config: str = options.CONFIG
-    seeds: int = option("--seeds", "N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
+    seeds: int = option("--seeds N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
     set: tuple[str, ...] = options.OVERRIDES
     gallery: str | None = options.GALLERY
     extent: Extent = group(Extent)
     apart: float = option(
-        "--apart",
-        "SHARE",
+        "--apart SHARE",
         "Share of the target's size beyond which a run is apart from the others.",
         type=click.FloatRange(0, min_open=True),
         default=0.25,
     )
-    truth: Path | None = option("--truth", "FILE", "Ground truth, to say which runs are right.", type=FILE)
-    out: str | None = option("-o --out", "DIR", "Folder for results [default: ./<clip>-<recipe>-repeat].")
+    truth: Path | None = option("--truth FILE", "Ground truth, to say which runs are right.", type=FILE)
+    out: str | None = option("-o --out DIR", "Folder for results [default: ./<clip>-<recipe>-repeat].")
     results: Results = group(Results)
 
     def run(self) -> int:

@@ -33,9 +33,9 @@ class Report:
     """
 
     folder: Path = argument("RUN_DIR")
-    truth: Path | None = option("--truth", "FILE", "Measure against this file of ground truth.", type=FILE)
+    truth: Path | None = option("--truth FILE", "Measure against this file of ground truth.", type=FILE)
     truth_options: TruthOptions = group(TruthOptions)
-    out: Path | None = option("-o --out", "FILE", "The page [default: RUN_DIR/report.html].", type=FILE)
+    out: Path | None = option("-o --out FILE", "The page [default: RUN_DIR/report.html].", type=FILE)
     clip: Path | None = options.CLIP
     title: str | None = options.TITLE
     overwrite: bool = options.OVERWRITE

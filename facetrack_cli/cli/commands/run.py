@@ -12,8 +12,7 @@ from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
 from facetrack_cli.core.errors import ExitCode, OutputError, UsageError
 from facetrack_cli.runs.batch import absolute, check_all, folders, run_batch
-from facetrack_cli.runs.clip import run
-from facetrack_cli.runs.job import Job, Outcome
+from facetrack_cli.runs.clip import Job, Outcome, run
 from facetrack_cli.runs.progress import Progress, progress
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
@@ -58,22 +57,20 @@ class Run:
     inputs: tuple[Path, ...] = argument("INPUT...", nargs=-1, required=True)
     config: str = options.CONFIG
     set: tuple[str, ...] = options.OVERRIDES
-    seed: int | None = option("--seed", "N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
+    seed: int | None = option("--seed N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
     gallery: str | None = options.GALLERY
     extent: Extent = group(Extent)
     init_frame: int | None = option(
-        "--init-frame", "N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
+        "--init-frame N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
     )
-    out: str | None = option("-o --out", "DIR", "Folder for results [default: ./<clip>-<recipe>]; - streams to stdout.")
+    out: str | None = option("-o --out DIR", "Folder for results [default: ./<clip>-<recipe>]; - streams to stdout.")
     no_video: bool = flag("--no-video", "Do not write annotated.mp4.")
     format: tuple[Format, ...] | None = option(
-        "--format", "LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats
+        "--format LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats
     )
     overwrite: bool = options.OVERWRITE
     fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
-    threads: int | None = option(
-        "--threads", "N", "Threads a clip [default: the cores, shared by -j].", type=Whole(min=1)
-    )
+    threads: int | None = option("--threads N", "Threads a clip [default: the cores, shared by -j].", type=Whole(min=1))
     jobs: int = options.jobs_option("Clips at a time.")
     quiet: bool = options.QUIET
 

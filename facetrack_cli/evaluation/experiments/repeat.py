@@ -230,10 +230,10 @@ def _groups(seeds: Sequence[int], last: Array, limit: float, truth: Array | None
     while left.size:
         crowd = _crowd(points[left], np.ones(left.size, dtype=np.bool_), limit)
         members = left[crowd] if crowd.any() else left
-        centre = points[members].mean(axis=0)
         known = error is not None and np.isfinite(error[members]).any()
         wrong = float(np.nanmean(error[members])) if error is not None and known else None
-        found.append(Group(tuple(seeds[i] for i in members), *centre.tolist(), wrong))
+        x, y = points[members].mean(axis=0).tolist()
+        found.append(Group(tuple(seeds[i] for i in members), x, y, wrong))
         left = np.setdiff1d(left, members)
     return tuple(found)
 
