@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import click
 
@@ -28,7 +28,6 @@ from facetrack_cli.core.errors import OutputError, UsageError
 from facetrack_cli.core.files import check_new, write_new
 from facetrack_cli.core.output_folder import Folder
 from facetrack_cli.core.types import Box
-from facetrack_cli.evaluation.experiments.sheet import Findings
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures.style import need_matplotlib, render
@@ -41,6 +40,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from facetrack_cli.editor.web.session import Session
+    from facetrack_cli.evaluation.experiments.compare_text import Comparison
+    from facetrack_cli.evaluation.experiments.repeat import Repetition
 
 FILE: Any = click.Path(path_type=Path)
 
@@ -54,6 +55,7 @@ class Whole(click.IntRange):
 FRAME = Whole(min=0)
 FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
 TABLES = ("json", "csv", "md")
+Figures: TypeAlias = Callable[[], Iterable[tuple[str, bytes]]]
 
 
 def option(names: str, text: str, **more: Any) -> Any:
@@ -279,14 +281,6 @@ def write_figure(
     write_new(path, render(make(), path.suffix[1:].lower(), dpi=dpi), overwrite=overwrite)
 
 
-class Experiment(NamedTuple):
-    """What a command of many runs works with: the wish to stop, the progress, and the folder of its results."""
-
-    stopped: Stop
-    shown: Progress
-    folder: Folder
-
-
 class Results:
     """Where the results of many runs go, and how many processes make them."""
 
@@ -298,37 +292,43 @@ class Results:
     quiet: bool = flag("--quiet -q", "Print the table, and nothing else but errors.")
 
     @contextlib.contextmanager
-    def open(self, clip: Path, out: str | None, folder: str, stem: str, plots: Sequence[str]) -> Iterator[Experiment]:
-        """For results named `stem`.json and so on in `out`, or else `folder`; OutputError where there can be none."""
+    def open(
+        self, clip: Path, out: str | None, default: str, stem: str, plots: Sequence[str]
+    ) -> Iterator[tuple[Stop, Progress, Callable[[Any, Figures], None]]]:
+        """The wish to stop, the progress, and what publishes results as `stem`.json and so on in `out`, or `default`.
+
+        Raises OutputError where there can be no results.
+        """
         names = [*(f"{stem}.{ending}" for ending in TABLES), *(() if self.no_plots else plots)]
         with (
             Stop().listening() as stopped,
             progress(self.quiet) as shown,
-            Folder(out, folder, names, overwrite=self.overwrite, clip=clip) as opened,
+            Folder(out, default, names, overwrite=self.overwrite, clip=clip) as folder,
         ):
-            yield Experiment(stopped, shown, opened)
+            yield stopped, shown, partial(self._publish, names, shown, folder)
 
-    def publish(
-        self, found: Findings, stem: str, into: Experiment, figures: Callable[[], Iterable[tuple[str, bytes]]]
+    def _publish(
+        self, names: Sequence[str], shown: Progress, folder: Folder, found: Comparison | Repetition, figures: Figures
     ) -> None:
         """Write all files, without matplotlib all but the plots, and print the table, or the data."""
         try:
-            for ending, text in zip(TABLES, (found.json(), found.csv(), found.sheet().markdown()), strict=True):
-                into.folder.write(f"{stem}.{ending}", text)
-            if not self.no_plots:
-                self._draw(into, figures)
+            texts = (found.json(), found.csv(), found.sheet().markdown())
+            for name, text in zip(names[: len(texts)], texts, strict=True):
+                folder.write(name, text)
+            if not self.no_plots and self._can_draw(shown):
+                for name, png in figures():
+                    folder.write(name, png)
         finally:  # what took long is not lost for a full disk
             if self.as_json or self.as_csv:
                 click.echo(found.json() if self.as_json else found.csv(), nl=False)
             else:
                 found.sheet().show()
-        into.shown.say(f"{found.clip} -> {into.folder.summary()}")
+        shown.say(f"{found.clip} -> {folder.summary()}")
 
-    def _draw(self, into: Experiment, figures: Callable[[], Iterable[tuple[str, bytes]]]) -> None:
+    def _can_draw(self, shown: Progress) -> bool:
         try:
             need_matplotlib()
         except UsageError as e:
-            into.shown.say(f"facetrack: warning: no plots: {e}")
-            return
-        for name, png in figures():
-            into.folder.write(name, png)
+            shown.say(f"facetrack: warning: no plots: {e}")
+            return False
+        return True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
-from itertools import chain, islice
+from itertools import chain, dropwhile, tee
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -83,25 +83,18 @@ def track_frames(
     frames = _frames(images, fps)
     begin = _init(init, 0)
     if begin is None or begin == HAAR:
-        seen: list[Frame] = []
-
-        def remembered() -> Iterator[Frame]:
-            for frame in frames:
-                seen.append(frame)
-                yield frame
-
-        begin = search(chosen, remembered(), IMAGES)
-        first, *later = seen[begin.frame - seen[0].index :]
-        del seen
+        looked, frames = tee(frames)
+        start = search(chosen, looked, IMAGES)
+        del looked  # or it would keep all frames
     else:
-        begin, later = begin if isinstance(begin, Start) else read_init(begin), []
-        found = next(islice(frames, begin.frame, None), None)
-        if found is None:
-            raise InputError(f"{IMAGES}: there is no frame {begin.frame}, where {begin.origin} begins")
-        first = found
-        begin = completed(chosen, begin, lambda: first, IMAGES)
-    tracker = tracker_for(chosen, begin, first.size)
-    yield from track(tracker, chain([first], later, frames), chosen.seed, clip=IMAGES)
+        start = begin if isinstance(begin, Start) else read_init(begin)
+    frames = dropwhile(lambda frame: frame.index < start.frame, frames)
+    found = next(frames, None)
+    if found is None:
+        raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
+    first = found
+    tracker = tracker_for(chosen, completed(chosen, start, lambda: first, IMAGES), first.size)
+    yield from track(tracker, chain([first], frames), chosen.seed, clip=IMAGES)
 
 
 def draw(result: FrameResult, overlay: Overlay | None = None) -> Image:

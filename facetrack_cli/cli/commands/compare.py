@@ -81,8 +81,7 @@ class Compare:
         recipes = dict(zip(labels(self.config), load_recipes(asked, self.gallery), strict=True))
         file = self.truth or compare.default_truth(clip)
         truth = known.read(file)
-        with results.open(clip, self.out, f"{title(clip)}-compare", "compare", PLOTS) as experiment:
-            stopped, shown, _ = experiment
+        with results.open(clip, self.out, f"{title(clip)}-compare", "compare", PLOTS) as (stopped, shown, publish):
             begin = Begin(clip, **vars(extent))
             with begin.open() as source:
                 options = compare.Options(known.target, known.partial, extent.stop, source.size)
@@ -104,7 +103,7 @@ class Compare:
                 return stopped.code or ExitCode.FAULT
             measure = self.rank_by or compare.PRIMARY[compare.kind_of(entries)]
             found = Comparison(clip, file, self.seeds, tuple(entries), measure, results.jobs, stopped.code is None)
-            results.publish(found, "compare", experiment, lambda: compare_figures(found))
+            publish(found, lambda: compare_figures(found))
             failed = sum(entry.error is not None for entry in entries)
             if failed:
                 shown.say(f"{failed} of {len(entries)} recipes could not run")

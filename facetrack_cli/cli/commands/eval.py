@@ -156,7 +156,6 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
 
 def _print(text: str) -> None:
     """To standard output, in what its encoding has."""
-    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
-    if not encoding.lower().replace("-", "").startswith("utf"):
+    if not (sys.stdout.encoding or "utf-8").lower().startswith("utf"):
         text = text.replace("\N{EN DASH}", "-")
-    click.echo(text.encode(encoding, errors="backslashreplace").decode(encoding), nl=False)
+    click.echo(text, nl=False)

@@ -23,15 +23,7 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source
 
-ENDINGS = {
-    "mot": ".mot.txt",
-    "otb": ".otb.txt",
-    "got10k": ".got10k.txt",
-    "vot": ".vot.txt",
-    "coco": ".coco.json",
-    "dlc": ".dlc.csv",
-    "eaf": ".eaf",
-}
+FORMATS = ("mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
 ONE_TARGET = ("otb", "got10k", "vot")
 OF_BOXES = ("mot", *ONE_TARGET, "coco")
 OF_MEDIA = ("coco", "eaf")
@@ -75,7 +67,7 @@ class Export:
     """
 
     trajectory: Path = argument("TRAJECTORY")
-    to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(list(ENDINGS)))
+    to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(FORMATS))
     out: str | None = option("-o --out FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
     target: str | None = options.TARGET
     media: Path | None = option("--media FILE", "Clip it was tracked in (coco, eaf).", type=FILE)
@@ -97,7 +89,8 @@ class Export:
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
         table = choose(read_trajectory(self.trajectory), self.target)
-        beside = table.path.with_name(table.path.stem + ENDINGS[self.to])
+        kind = {"coco": ".json", "dlc": ".csv", "eaf": ""}.get(self.to, ".txt")
+        beside = table.path.with_name(f"{table.path.stem}.{self.to}{kind}")
         path = None if self.out == "-" else Path(self.out) if self.out else beside
         if path is not None:
             check_new(path, overwrite=self.overwrite, inputs=(table.path, self.media, clip_of(table)))

@@ -65,8 +65,7 @@ class Repeat:
         [recipe] = load_recipes([(self.config, self.set)], self.gallery)
         truth = None if self.truth is None else read_truth(self.truth)
         name = f"{title(clip)}-{recipe.name}-repeat"
-        with results.open(clip, self.out, name, "repeat", ["spread.png"]) as experiment:
-            stopped, shown, _ = experiment
+        with results.open(clip, self.out, name, "repeat", ["spread.png"]) as (stopped, shown, publish):
             begin = Begin(clip, **vars(self.extent))
             start = begin.find(recipe, truth, stopped)
             plan = Plan(recipe.name, clip, recipe, start, tuple(range(self.seeds)), begin.stop, begin.fps)
@@ -88,7 +87,7 @@ class Repeat:
             spread = spreads(seeds, tables, self.apart, matched(tables[0], truth))
             complete = stopped.code is None
             found = Repetition(clip, recipe.name, recipe, seeds, spread, self.apart, self.truth, complete, warned)
-            results.publish(found, "repeat", experiment, lambda: repeat_figures(found))
+            publish(found, lambda: repeat_figures(found))
         return stopped.code or ExitCode.DONE
 
 
