@@ -31,7 +31,7 @@ from facetrack_cli.core.types import Box
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures.style import need_matplotlib, render
-from facetrack_cli.runs.progress import Progress, progress
+from facetrack_cli.runs.progress import Progress, flat, progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.trajectory.formats.read import FORMATS, read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -269,7 +269,7 @@ class Page:
 
 def say(line: str) -> None:
     """A line on standard error, also where a name holds line breaks."""
-    click.echo(" ".join(line.splitlines()), err=True)
+    click.echo(flat(line), err=True)
 
 
 def write_figure(

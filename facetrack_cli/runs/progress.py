@@ -15,24 +15,21 @@ def progress(quiet: bool) -> contextlib.closing[Progress]:
 
 
 class Progress:
-    """One task at a time, in `unit`s: frames of a clip, clips of a batch. This kind prints errors alone.
-
-    `say` and `error` print a line that stays.
-    """
+    """One task at a time, in `unit`s: frames of a clip, clips of a batch. This kind prints errors alone."""
 
     def begin(self, name: str, unit: str = "frames", total: int | None = None) -> None:
         self._name, self._unit = name, unit
         self._began = self._last = time.monotonic()
 
     def update(self, done: int, total: int | None, rate: float | None = None) -> None:
-        pass
+        """Called as often as one likes; `total` None or 0 is not known."""
 
     def say(self, line: str) -> None:
-        pass
+        """A line that stays."""
 
     def error(self, line: str) -> None:
         with contextlib.suppress(OSError):  # a full disk under the log does not stop the run
-            sys.stderr.write(_flat(line) + "\n")
+            sys.stderr.write(flat(line) + "\n")
             sys.stderr.flush()
 
     def close(self) -> None:
@@ -83,13 +80,13 @@ class Bar(Progress):
 
     def update(self, done: int, total: int | None, rate: float | None = None) -> None:
         if self._bar.task_ids and self._due(0.1):
-            total = None if total is not None and done > total else total  # a stated length may be wrong
+            total = total if total and done <= total else None  # a stated length may be wrong
             count = f"{done}{f'/{total}' if total else ''} {self._unit}"
             [task] = self._bar.task_ids
             self._bar.update(task, completed=done, total=total, count=count, rate=self._rate(done, rate))
 
     def say(self, line: str) -> None:
-        self._bar.console.print(_flat(line), markup=False, highlight=False, soft_wrap=True)
+        self._bar.console.print(flat(line), markup=False, highlight=False, soft_wrap=True)
 
     error = say
 
@@ -97,6 +94,6 @@ class Bar(Progress):
         self._bar.stop()
 
 
-def _flat(line: str) -> str:
+def flat(line: str) -> str:
     """A name may hold a line break, a message must not."""
     return " ".join(line.splitlines())

@@ -16,7 +16,7 @@ from facetrack_cli.evaluation.goldens.check import Checked, check, select, updat
 from facetrack_cli.evaluation.goldens.output import as_json, as_junit, line, summary
 from facetrack_cli.recipe.gallery_option import check_file
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.progress import progress
+from facetrack_cli.runs.progress import flat, progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.identity.gallery import load_gallery
 
@@ -81,7 +81,7 @@ class Regress:
                 "gallery": self.gallery,
                 "workers": self.jobs,
                 "stopped": stopped,
-                "report": lambda done, total: shown.update(done, total or None),
+                "report": shown.update,
             }
             code, left = self._update(runs) if self.update else self._check(runs)
             if stopped.code is not None:
@@ -96,14 +96,14 @@ class Regress:
         found: list[Checked] = []
         for one in check(self.folder, goldens, given, self.set, **runs):
             found.append(one)
-            _print(*line(one))
+            click.echo("\n".join(map(flat, line(one))))
         if runs["stopped"].code is None:
             seconds = time.monotonic() - began
             if self.junit is not None:
                 write_new(self.junit, as_junit(found, seconds).encode(), overwrite=self.overwrite)
             if self.json is not None:
                 write_new(self.json, as_json(found).encode(), overwrite=self.overwrite)
-            _print(summary(found, seconds))
+            click.echo(flat(summary(found, seconds)))
         code = ExitCode.REGRESSION if any(one.status == "fails" for one in found) else ExitCode.DONE
         return code, f" after {len(found)} of {len(goldens)} goldens"
 
@@ -115,14 +115,8 @@ class Regress:
             if not (one.path or one.skipped):
                 failed = True
                 what = f"not recorded: {one.message}"
-            _print(f"{one.clip} {one.recipe}: {what}")
+            click.echo(flat(f"{one.clip} {one.recipe}: {what}"))
         return ExitCode.BATCH if failed else ExitCode.DONE, "; goldens that were not written are as they were"
-
-
-def _print(*lines: str) -> None:
-    """Each as it comes, also into a pipe; a name may hold a line break, a line must not."""
-    for text in lines:
-        click.echo(" ".join(text.splitlines()))
 
 
 command = verb(Regress)

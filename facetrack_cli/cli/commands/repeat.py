@@ -70,9 +70,7 @@ class Repeat:
             start = begin.find(recipe, truth, stopped)
             plan = Plan(recipe.name, clip, recipe, start, tuple(range(self.seeds)), begin.stop, begin.fps)
             shown.begin(clip_name(clip))
-            [ended] = run_plans(
-                [plan], results.jobs, stopped, lambda done, of: shown.update(done, of or None), partial=True
-            )
+            [ended] = run_plans([plan], results.jobs, stopped, shown.update, partial=True)
             if ended.error is not None:
                 raise ended.error
             runs = ended.runs

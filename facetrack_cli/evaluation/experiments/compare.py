@@ -318,7 +318,7 @@ def run_recipes(
     notes: list[str] = []
     moved: list[InputError | None] = []  # the error of a shift that a recipe's first run shows
     shown.begin(clip_name(begin.clip))
-    with contextlib.closing(run_plans(plans, workers, stop, lambda done, of: shown.update(done, of or None))) as found:
+    with contextlib.closing(run_plans(plans, workers, stop, shown.update)) as found:
         for ended in found:
             entry = entries[ended.plan.label]
             try:
