@@ -94,10 +94,9 @@ class Outcome:
 
 
 def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
-    """Track one clip into its files. `stop` is asked between frames.
+    """Track one clip into its files; raises, and leaves no file, if nothing was tracked. `stop` is asked each frame.
 
-    Raises a FacetrackError when nothing was tracked, and leaves no file then; an error after the first frame is in
-    the outcome, beside what was kept.
+    An error after the first frame is in the outcome, beside what was kept.
     """
     check(job)
     with Outputs(job) as outputs:

@@ -54,13 +54,13 @@ def labels(given: Sequence[str]) -> list[str]:
 
     Raises UsageError for one that is given twice.
     """
-    parsed = [variant(text) for text in given]
-    stems = [(Path(name).stem if Path(name).suffix else name, overrides) for name, overrides in parsed]
-    short = [f"{stem}:{','.join(overrides)}" if overrides else stem for stem, overrides in stems]
+    short = []
+    for name, overrides in map(variant, given):
+        stem = Path(name).stem if Path(name).suffix else name
+        short.append(f"{stem}:{','.join(overrides)}" if overrides else stem)
     found = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
-    twice = next((text for text in found if found.count(text) > 1), None)
-    if twice is not None:
-        raise UsageError(f"--config {twice} is given twice; a recipe is compared with others")
+    if twice := [text for text in found if found.count(text) > 1]:
+        raise UsageError(f"--config {twice[0]} is given twice; a recipe is compared with others")
     return found
 
 
@@ -99,16 +99,13 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class SeedRun:
-    """One seed's trajectory. `frames_per_s` is the tracker's alone: decoding is not counted, nor the first frame.
-
-    `warnings` says what was wrong with the clip, a line each.
-    """
+    """One seed's trajectory. `frames_per_s` is the tracker's alone: decoding is not counted, nor the first frame."""
 
     label: str
     seed: int
     trajectory: Trajectory
     frames_per_s: float
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # what was wrong with the clip, a line each
 
 
 @dataclass(frozen=True)
@@ -176,25 +173,22 @@ def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
 def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:
     """The runs of some seeds of a plan; none if it is stopped, or, with `partial`, those up to the frame before."""
     plan, seeds, partial = task
-    now: Frame
+    frame: Frame
 
     def present() -> Iterator[Frame]:
         while True:  # images derived from a frame are kept in it: each tracker makes its own, and is timed for it
-            yield Frame(now.index, now.time_s, now.bgr)
+            yield Frame(frame.index, frame.time_s, frame.bgr)
 
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
         tracker = tracker_for(plan.recipe, plan.start, source.size)
         runs = [track(tracker, present(), seed, clip=str(plan.clip)) for seed in seeds]
-        logs = [Collector() for _ in seeds]
-        seconds = [0.0 for _ in seeds]
-        count = 0
-        notes: tuple[str, ...] = ()
-        for frame in source:
+        logs, seconds = [Collector() for _ in seeds], [0.0 for _ in seeds]
+        count, notes = 0, tuple[str, ...]()
+        for frame in source:  # noqa: B007 -- `present` yields it
             if stop():
                 if partial and count:
                     break
                 return []
-            now = frame
             for i, run in enumerate(runs):
                 began = time.perf_counter()
                 result = next(run)

@@ -80,12 +80,11 @@ class Fix:
                 shown.begin(folder.name or str(folder))
                 fixer.apply(corrections, report=shown.update, stop=stop)
                 shown.begin("saving")
-                said = save(fixer, video=not self.no_video, report=shown.update, stop=stop)
+                for line in save(fixer, video=not self.no_video, report=shown.update, stop=stop):
+                    shown.say(line)
             except StoppedError:
                 shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
                 return stop.code or ExitCode.FAULT
-            for line in said:
-                shown.say(line)
         return ExitCode.DONE
 
     def _serve(self, fixer: Fixer, frames: Frames, stop: Stop) -> int:

@@ -55,7 +55,7 @@ def show(recipe: str) -> None:
 
 @command.command()
 @click.argument("recipes", nargs=-1, required=True, metavar="RECIPE...")
-@click.option("--set overrides", multiple=True, metavar="KEY=VALUE", help="Check with this key changed, as in run.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Check with this key changed, as in run.")
 def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     """Say everything that is wrong with recipes, and where.
 

@@ -48,30 +48,24 @@ TRUTH_NAMES: Final = ("groundtruth.csv", "groundtruth_rect.txt", "groundtruth.tx
 
 @dataclass(frozen=True)
 class Options:
-    """How runs are measured: which target of the ground truth, whether that may be shorter than the run, the frame
-    before which the runs end, and the frames' (width, height), to which GOT-10k and VOT clip boxes.
-    """
+    """How runs are measured."""
 
-    select: str | None = None
-    partial: bool = False
-    stop: int | None = None
-    size: tuple[int, int] | None = None
+    select: str | None = None  # the one target of the ground truth
+    partial: bool = False  # whether that may be shorter than the run
+    stop: int | None = None  # the frame before which the runs end
+    size: tuple[int, int] | None = None  # (width, height) of the frames, to which GOT-10k and VOT clip boxes
 
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What one run scores. `frame` (T,) are source frames, `error` (T,) the mean distance in pixels over all parts with
-    a known true position, nan where there is none; the curves (n,) are shares of rows at the thresholds above.
-
-    `frames_per_s` is of the tracker alone, decoding apart.
-    """
+    """What one run scores; the curves (n,) are shares of rows at the thresholds above."""
 
     seed: int
     figures: Mapping[str, float]
     failed: bool
-    frames_per_s: float
-    frame: Whole
-    error: Array
+    frames_per_s: float  # of the tracker alone, decoding apart
+    frame: Whole  # (T,) source frames
+    error: Array  # (T,) mean distance in pixels over all parts with a known true position, else nan
     hidden: Whole  # the frames in which some part is hidden or absent
     success: Array | None = None
     precision: Array | None = None

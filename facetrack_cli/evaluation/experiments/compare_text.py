@@ -51,15 +51,11 @@ class Comparison:
     def sheet(self) -> Sheet:
         """Recipes in their order; those that could not run at the end, and why below."""
         frames = np.concatenate([score.frame for entry in self.entries for score in entry.scores])
-        title = (
-            f"{clip_name(self.clip)}: {len(self.entries)} recipes on frames {frames.min()} to {frames.max()}, "
-            f"truth {self.truth.name}"
-        )
-        found = self.places
-        fastest = max((place.entry.frames_per_s or 0.0 for place in found), default=0.0)
-        measures = map(_head, self.measures)
-        heads = ("rank", "recipe", *measures, "failed", "frames\nper s", "time a\nframe")
-        return Sheet(title, heads, tuple(self._row(place, fastest) for place in found), tuple(self.notes()))
+        span = f"frames {frames.min()} to {frames.max()}"
+        title = f"{clip_name(self.clip)}: {len(self.entries)} recipes on {span}, truth {self.truth.name}"
+        fastest = max((entry.frames_per_s or 0.0 for entry in self.entries), default=0.0)
+        heads = ("rank", "recipe", *map(_head, self.measures), "failed", "frames\nper s", "time a\nframe")
+        return Sheet(title, heads, tuple(self._row(place, fastest) for place in self.places), tuple(self.notes()))
 
     def _row(self, place: Place, fastest: float) -> tuple[str, ...]:
         entry, rate = place.entry, place.entry.frames_per_s
@@ -78,24 +74,19 @@ class Comparison:
         """What one must know to read the table, and why recipes did not run."""
         several = any(len(entry.scores) > 1 for entry in self.entries)
         once = [entry.label for entry in self.entries if entry.deterministic and entry.scores]
-        failed = (
-            "the median IoU over the last tenth of the frames is below 0.1"
-            if kind_of(self.entries) == "boxes"
-            else "a part's median error over its last 25 visible frames exceeds a quarter of the target's size"
-        )
-        lines = []
+        lines = [f"One run each; ranked by {self.measure}."]
         if several:
-            lines.append(
-                f"Mean ± standard deviation over {self.seeds} seeds; "
-                f"ranked by {self.measure}, {'less' if less_is_better(self.measure) else 'more'} is better."
-            )
-        else:
-            lines.append(f"One run each; ranked by {self.measure}.")
+            better = "less" if less_is_better(self.measure) else "more"
+            over = f"Mean ± standard deviation over {self.seeds} seeds"
+            lines = [f"{over}; ranked by {self.measure}, {better} is better."]
         if any(place.first != place.last for place in self.places):
             lines.append(
                 "A rank such as 1\N{EN DASH}2: not distinguishable, the means ± 2 standard errors overlap"
                 + ("." if several else "; one seed tells nothing of a difference, give --seeds.")
             )
+        failed = "a part's median error over its last 25 visible frames exceeds a quarter of the target's size"
+        if kind_of(self.entries) == "boxes":
+            failed = "the median IoU over the last tenth of the frames is below 0.1"
         lines.append(f"Failed: runs at whose end {failed}.")
         shared = f" by {self.workers} processes, which slow each other down" if self.workers > 1 else ""
         lines.append(
