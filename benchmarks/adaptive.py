@@ -39,7 +39,7 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.evaluation.trust import auroc
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.plan import Begin
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
 from facetrack_cli.tracking.models.velocity import PredictedWalk

@@ -52,7 +52,8 @@ from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start
 from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe
-from facetrack_cli.runs.plan import Begin, variant
+from facetrack_cli.runs.seeds import variant
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import haar_start
 from facetrack_cli.trajectory.formats.read import read_truth

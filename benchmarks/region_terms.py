@@ -21,7 +21,7 @@ import numpy as np
 from facetrack_cli.core.types import Frame, Particles
 from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.plan import Begin
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.models.likelihoods.product import Product
 from facetrack_cli.tracking.resampling import uniform

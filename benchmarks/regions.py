@@ -38,8 +38,8 @@ from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.trust import auroc
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.plan import Begin, variant
-from facetrack_cli.runs.seeds import Plan
+from facetrack_cli.runs.seeds import Plan, variant
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 

@@ -34,8 +34,8 @@ from facetrack_cli.evaluation.boxes import measure_boxes, normalised_errors, wit
 from facetrack_cli.evaluation.experiments.compare import TAIL, default_truth
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.plan import Begin, labels, variant
-from facetrack_cli.runs.seeds import Plan
+from facetrack_cli.runs.seeds import Plan, labels, variant
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.trajectory.formats.read import read_truth
 
 SAMPLES = Path(__file__).parent.parent / "sample_videos"

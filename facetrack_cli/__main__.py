@@ -60,10 +60,7 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def _open_streams() -> None:
-    """Streams that can be written to, whatever the shell closed (`>&-`) and whatever their encoding lacks.
-
-    What goes to a closed stdout is refused, what goes to a closed stderr is dropped.
-    """
+    """Streams that can be written to, whatever the shell closed; output to a closed stdout is an error."""
     if sys.stdout is None:
         sys.stdout = open(os.devnull)  # noqa: SIM115, PTH123 -- for as long as the process lives
     if sys.stderr is None:

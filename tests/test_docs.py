@@ -18,7 +18,8 @@ from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.runs.plan import Begin, variant
+from facetrack_cli.runs.seeds import variant
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.formats.read import read_truth

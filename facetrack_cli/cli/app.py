@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -44,11 +45,9 @@ def _quiet_when_reader_gone() -> Iterator[None]:
 
 
 class LazyGroup(click.Group):
-    def make_context(
-        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
-    ) -> click.Context:
+    def make_context(self, *args: Any, **more: Any) -> click.Context:
         with _quiet_when_reader_gone():
-            return super().make_context(info_name, args, parent, **extra)
+            return super().make_context(*args, **more)
 
     def invoke(self, ctx: click.Context) -> Any:
         with _quiet_when_reader_gone():
@@ -106,3 +105,8 @@ def cli(ctx: click.Context, debug: bool) -> None:
         os.environ["FACETRACK_DEBUG"] = "1"  # an environment variable, so that the processes of a batch know too
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
+
+
+def colour() -> bool:
+    """Whether standard output shows colours."""
+    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"

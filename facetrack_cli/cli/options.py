@@ -4,7 +4,7 @@ class Repeat:
     \"\"\"Show how far the runs of a recipe differ from seed to seed.\"\"\"
 
     clip: Path = argument("INPUT")
-    seeds: int = option("--seeds", "N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
+    seeds: int = option("--seeds N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
     extent: Extent = group(Extent)
 
     def run(self) -> int: ...
@@ -14,24 +14,33 @@ command = verb(Repeat)
 
 from __future__ import annotations
 
+import contextlib
 import inspect
-import os
-import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import click
 
 from facetrack_cli.core.errors import OutputError, UsageError
+from facetrack_cli.core.files import Folder, check_new, write_new
+from facetrack_cli.core.types import Box
+from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.report.figures.style import need_matplotlib, render
+from facetrack_cli.runs.progress import Progress, flat, progress
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.trajectory.formats.read import FORMATS, read_truth
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from facetrack_cli.core.types import Box
-    from facetrack_cli.evaluation.rows import Pair
-    from facetrack_cli.trajectory.trajectory import Trajectory
+    from facetrack_cli.editor.web.session import Session
+    from facetrack_cli.evaluation.experiments.compare_text import Comparison
+    from facetrack_cli.evaluation.experiments.repeat import Repetition
 
 FILE: Any = click.Path(path_type=Path)
 
@@ -44,36 +53,29 @@ class Whole(click.IntRange):
 
 FRAME = Whole(min=0)
 FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
+TABLES = ("json", "csv", "md")
+Figures: TypeAlias = Callable[[], Iterable[tuple[str, bytes]]]
 
 
-class _Field(NamedTuple):
-    kind: type[click.Parameter]
-    names: tuple[str, ...]
-    more: dict[str, Any]
-
-
-class _Group(NamedTuple):
-    kind: type[Any]
-
-
-def option(names: str, metavar: str, text: str, **more: Any) -> Any:
-    """A field for an option, whose help says `text`; `names` as "-o --out". A default is shown."""
-    shown = {"metavar": metavar, "help": text, "show_default": "default" in more}
-    return _Field(click.Option, tuple(names.split()), shown | more)
+def option(names: str, text: str, **more: Any) -> Any:
+    """A field for an option, whose help says `text`; `names` as "-o --out FILE". A default is shown."""
+    *own, metavar = names.split()
+    shown: dict[str, Any] = {"metavar": metavar, "help": text, "show_default": "default" in more}
+    return partial(click.Option, own, **shown | more)
 
 
 def flag(names: str, text: str) -> Any:
-    return _Field(click.Option, tuple(names.split()), {"is_flag": True, "help": text})
+    return partial(click.Option, names.split(), is_flag=True, help=text)
 
 
 def argument(metavar: str, **more: Any) -> Any:
     """A field for a file or folder that is named without an option."""
-    return _Field(click.Argument, (), {"metavar": metavar, "type": FILE, **more})
+    return partial(click.Argument, [], **{"metavar": metavar, "type": FILE, **more})
 
 
 def group(kind: type[Any]) -> Any:
     """A field for all options of another class, of which it will be an instance."""
-    return _Group(kind)
+    return kind
 
 
 def verb(kind: type[Any], name: str | None = None) -> click.Command:
@@ -87,17 +89,17 @@ def verb(kind: type[Any], name: str | None = None) -> click.Command:
 
 def _parameters(kind: type[Any]) -> Iterator[click.Parameter]:
     for name, field in vars(kind).items():
-        if isinstance(field, _Group):
-            yield from _parameters(field.kind)
-        elif isinstance(field, _Field):
-            yield field.kind([*field.names, name], **field.more)
+        if isinstance(field, type):
+            yield from _parameters(field)
+        elif isinstance(field, partial):
+            yield field.func([*field.args[0], name], **field.keywords)
 
 
 def _filled(kind: type[Any], values: dict[str, Any]) -> Any:
     made = kind()
     for name, field in vars(kind).items():
-        if isinstance(field, (_Field, _Group)):
-            vars(made)[name] = _filled(field.kind, values) if isinstance(field, _Group) else values[name]
+        if isinstance(field, (type, partial)):
+            vars(made)[name] = values[name] if isinstance(field, partial) else _filled(field, values)
     return made
 
 
@@ -116,7 +118,7 @@ def _box(value: str) -> Box:
 
 
 def box_option(text: str) -> Any:
-    return option("--box", "X,Y,W,H", text, type=_box)
+    return option("--box X,Y,W,H", text, type=_box)
 
 
 def figure_file(default: str) -> Any:
@@ -129,7 +131,7 @@ def figure_file(default: str) -> Any:
             raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
         return Path(value)
 
-    return option("-o --out", "FILE", f"File to write: .png, .svg or .pdf [default: {default}].", type=parse)
+    return option("-o --out FILE", f"File to write: .png, .svg or .pdf [default: {default}].", type=parse)
 
 
 def array_file(what: str) -> Any:
@@ -140,21 +142,21 @@ def array_file(what: str) -> Any:
             raise UsageError(f"{value}: a {what} is an .npz file; let its name end so")
         return Path(value)
 
-    return option("-o --out", "FILE", f"Where the {what} goes.", type=parse, default=f"{what}.npz")
+    return option("-o --out FILE", f"Where the {what} goes.", type=parse, default=f"{what}.npz")
 
 
 def jobs_option(text: str) -> Any:
-    return option("-j --jobs", "N", text, type=Whole(min=1), default=1, show_default=False)
+    return option("-j --jobs N", text, type=Whole(min=1), default=1, show_default=False)
 
 
-CONFIG = option("--config", "RECIPE", "Recipe: a file, or a name.", default="factorized")
-OVERRIDES = option("--set", "KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
+CONFIG = option("--config RECIPE", "Recipe: a file, or a name.", default="factorized")
+OVERRIDES = option("--set KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
 GALLERY = option(
-    "--gallery", "FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."
+    "--gallery FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."
 )
-CLIP = option("--clip", "INPUT", "The clip, if it is elsewhere now.", type=FILE)
-TITLE = option("--title", "TEXT", "Title of the page [default: clip and recipe].")
-TARGET = option("--target", "NAME[/PART]", "One target, or one part of it, alone.")
+CLIP = option("--clip INPUT", "The clip, if it is elsewhere now.", type=FILE)
+TITLE = option("--title TEXT", "Title of the page [default: clip and recipe].")
+TARGET = option("--target NAME[/PART]", "One target, or one part of it, alone.")
 OVERWRITE = flag("--overwrite", "Replace files that are there already.")
 QUIET = flag("--quiet -q", "Say nothing but errors.")
 
@@ -180,12 +182,12 @@ class Extent:
     """Where the tracks of a clip begin, and which of its frames are read."""
 
     init: Path | Literal["haar"] | None = option(
-        "--init", "FILE", "Init file; `haar` looks for a face even if one lies beside the clip.", type=_init
+        "--init FILE", "Init file; `haar` looks for a face even if one lies beside the clip.", type=_init
     )
     box: Box | None = box_option("The face, head or hand in the first frame, in pixels.")
-    start: int = option("--start", "N", "First frame, from 0.", type=FRAME, default=0, show_default=False)
-    stop: int | None = option("--stop", "N", "Frame to stop before.", type=FRAME)
-    fps: Fraction | None = option("--fps", "RATE", "Frames per second of image folders.", type=_rate)
+    start: int = option("--start N", "First frame, from 0.", type=FRAME, default=0, show_default=False)
+    stop: int | None = option("--stop N", "Frame to stop before.", type=FRAME)
+    fps: Fraction | None = option("--fps RATE", "Frames per second of image folders.", type=_rate)
 
     def check(self, *clips: Path) -> None:
         """UsageError where options contradict each other, or have no meaning for these clips."""
@@ -198,23 +200,18 @@ class Extent:
             raise UsageError("--fps is for image folders; a video brings its own rate")
 
 
-# those of trajectory/formats/read.py, which is not imported, so that helps come at once
-TRUTH_FORMATS = ("auto", "facetrack", "boxes", "otb", "got10k", "mot", "vot", "pts")
-
-
 def format_of(names: str, text: str) -> Any:
     """How to read a file that another program may have written."""
     text += " [default: by its shape]."
-    return option(names, "FORMAT", text, type=click.Choice(TRUTH_FORMATS), default="auto", show_default=False)
+    return option(f"{names} FORMAT", text, type=click.Choice(FORMATS), default="auto", show_default=False)
 
 
 class TruthOptions:
     """How a file of ground truth is read."""
 
-    truth_format: str = format_of("--truth-format", f"How to read it: {', '.join(TRUTH_FORMATS[1:])}")
+    truth_format: str = format_of("--truth-format", f"How to read it: {', '.join(FORMATS[1:])}")
     shift: int | None = option(
-        "--shift",
-        "N",
+        "--shift N",
         "Add N to the frame numbers of the ground truth; 0 takes them as they are even if another shift would fit "
         "better.",
         type=int,
@@ -234,14 +231,10 @@ class TruthOptions:
             raise UsageError(f"{idle[0]} says how to use ground truth; give its file with --truth FILE")
 
     def read(self, path: Path) -> Trajectory:
-        from facetrack_cli.trajectory.formats.read import read_truth
-
         return read_truth(path, self.truth_format, shift=self.shift or 0)
 
     def pairs(self, ours: Trajectory, theirs: Trajectory, note: Callable[[str], None]) -> list[Pair]:
         """The rows of a trajectory beside those of the ground truth; `note` gets what to know of it."""
-        from facetrack_cli.evaluation.match import match
-
         return match(ours, theirs, partial=self.partial, select=self.target, check_shift=self.shift is None, note=note)
 
 
@@ -249,7 +242,7 @@ class Page:
     """The page in the browser."""
 
     port: int | None = option(
-        "--port", "N", "Port of the page on this machine [default: any that is free].", type=Whole(min=1, max=65535)
+        "--port N", "Port of the page on this machine [default: any that is free].", type=Whole(min=1, max=65535)
     )
     browse: bool = flag("--open", "Also open the page in the browser.")
 
@@ -258,27 +251,83 @@ class Page:
         if self.port is not None or self.browse:
             raise UsageError(f"{'--open' if self.port is None else '--port'} is for the page; {remedy}")
 
+    def serve(self, session: Session, stop: Stop) -> bool:
+        """Serve a page until it is saved or stopped, and say what it did; whether it was saved."""
+        from facetrack_cli.editor.web.server import run_page
+
+        run_page(session, stop, say, port=self.port or 0, browse=self.browse)
+        if session.ended is None:
+            return False
+        for line in (*session.ended["messages"], f"next: {session.ended['next']}"):
+            say(line)
+        return True
+
 
 # --- what commands write -------------------------------------------------------------------------------------------
 
 
 def say(line: str) -> None:
     """A line on standard error, also where a name holds line breaks."""
-    click.echo(" ".join(line.splitlines()), err=True)
-
-
-def colour() -> bool:
-    """Whether standard output shows colours."""
-    return sys.stdout.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+    click.echo(flat(line), err=True)
 
 
 def write_figure(
     path: Path, make: Callable[[], Figure], *, overwrite: bool, inputs: Iterable[Path] = (), dpi: float = 120.0
 ) -> None:
     """The figure, in the form that the file's ending names; refuses before `make` what would be refused after it."""
-    from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.report.figures.style import need_matplotlib, render
-
     check_new(path, overwrite=overwrite, inputs=inputs)
     need_matplotlib()
     write_new(path, render(make(), path.suffix[1:].lower(), dpi=dpi), overwrite=overwrite)
+
+
+class Results:
+    """Where the results of many runs go, and how many processes make them."""
+
+    as_json: bool = flag("--json", "Print JSON instead of the table.")
+    as_csv: bool = flag("--csv", "Print CSV instead of the table.")
+    no_plots: bool = flag("--no-plots", "Draw nothing.")
+    overwrite: bool = OVERWRITE
+    jobs: int = jobs_option("Processes that share the runs.")
+    quiet: bool = flag("--quiet -q", "Print the table, and nothing else but errors.")
+
+    @contextlib.contextmanager
+    def open(
+        self, clip: Path, out: str | None, default: str, stem: str, plots: Sequence[str]
+    ) -> Iterator[tuple[Stop, Progress, Callable[[Any, Figures], None]]]:
+        """The wish to stop, the progress, and what publishes results as `stem`.json and so on in `out`, or `default`.
+
+        Raises OutputError where there can be no results.
+        """
+        names = [*(f"{stem}.{ending}" for ending in TABLES), *(() if self.no_plots else plots)]
+        with (
+            Stop().listening() as stopped,
+            progress(self.quiet) as shown,
+            Folder(out, default, names, overwrite=self.overwrite, clip=clip) as folder,
+        ):
+            yield stopped, shown, partial(self._publish, names, shown, folder)
+
+    def _publish(
+        self, names: Sequence[str], shown: Progress, folder: Folder, found: Comparison | Repetition, figures: Figures
+    ) -> None:
+        """Write all files, without matplotlib all but the plots, and print the table, or the data."""
+        try:
+            texts = (found.json(), found.csv(), found.sheet().markdown())
+            for name, text in zip(names[: len(texts)], texts, strict=True):
+                folder.write(name, text)
+            if not self.no_plots and self._can_draw(shown):
+                for name, png in figures():
+                    folder.write(name, png)
+        finally:  # what took long is not lost for a full disk
+            if self.as_json or self.as_csv:
+                click.echo(found.json() if self.as_json else found.csv(), nl=False)
+            else:
+                found.sheet().show()
+        shown.say(f"{found.clip} -> {folder.summary()}")
+
+    def _can_draw(self, shown: Progress) -> bool:
+        try:
+            need_matplotlib()
+        except UsageError as e:
+            shown.say(f"facetrack: warning: no plots: {e}")
+            return False
+        return True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
-from itertools import chain, islice
+from itertools import chain, dropwhile, tee
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -15,11 +15,9 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.clip import track_clip
-from facetrack_cli.runs.job import HAAR, Job
-from facetrack_cli.runs.outputs import Memory
+from facetrack_cli.runs.clip import Job, Memory, track_clip
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import completed, search
+from facetrack_cli.runs.start import HAAR, completed, search
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import read_init
@@ -62,10 +60,9 @@ def track_video(
         stop=stop,
         fps=None if fps is None else Fraction(fps).limit_denominator(1001),
     )
-    memory = Memory(job)
-    track_clip(job, memory, Stop(), report)
-    assert memory.trajectory is not None
-    return memory.trajectory
+    with Memory(job) as memory:
+        track_clip(job, memory, Stop(), report)
+        return memory.trajectory
 
 
 def track_frames(
@@ -86,25 +83,18 @@ def track_frames(
     frames = _frames(images, fps)
     begin = _init(init, 0)
     if begin is None or begin == HAAR:
-        seen: list[Frame] = []
-
-        def remembered() -> Iterator[Frame]:
-            for frame in frames:
-                seen.append(frame)
-                yield frame
-
-        begin = search(chosen, remembered(), IMAGES)
-        first, *later = seen[begin.frame - seen[0].index :]
-        del seen
+        looked, frames = tee(frames)
+        start = search(chosen, looked, IMAGES)
+        del looked  # or it would keep all frames
     else:
-        begin, later = begin if isinstance(begin, Start) else read_init(begin), []
-        found = next(islice(frames, begin.frame, None), None)
-        if found is None:
-            raise InputError(f"{IMAGES}: there is no frame {begin.frame}, where {begin.origin} begins")
-        first = found
-        begin = completed(chosen, begin, lambda: first, IMAGES, said_in=begin.origin)
-    tracker = tracker_for(chosen, begin, first.size)
-    yield from track(tracker, chain([first], later, frames), chosen.seed, clip=IMAGES)
+        start = begin if isinstance(begin, Start) else read_init(begin)
+    frames = dropwhile(lambda frame: frame.index < start.frame, frames)
+    found = next(frames, None)
+    if found is None:
+        raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
+    first = found
+    tracker = tracker_for(chosen, completed(chosen, start, lambda: first, IMAGES), first.size)
+    yield from track(tracker, chain([first], frames), chosen.seed, clip=IMAGES)
 
 
 def draw(result: FrameResult, overlay: Overlay | None = None) -> Image:

@@ -6,13 +6,11 @@ import os
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from facetrack_cli.core.errors import ExitCode, FacetrackError
-from facetrack_cli.runs.clip import run
-from facetrack_cli.runs.job import Job, Outcome, Report
-from facetrack_cli.runs.outputs import check
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.runs.clip import Job, Outcome, Report, check, run
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import side_by_side
@@ -25,7 +23,6 @@ class Ended:
     clip: Path
     outcome: Outcome | None = None
     failure: str = ""
-    code: ExitCode = ExitCode.DONE
 
 
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:
@@ -36,17 +33,12 @@ def folders(clips: Sequence[Path], recipe: str) -> list[str]:
     """
     places = [absolute(clip) for clip in clips]
     names = [title(clip) for clip in clips]
-    depth = 0
-    while True:
+    for depth in range(1, max((len(clip.parts) for clip in places), default=0) + 2):
         clashing = [i for i, name in enumerate(names) if _count(names, name) > 1]
-        longest = max((len(clip.parts) for clip in places), default=0)
-        if not clashing or depth > longest:
-            break
-        depth += 1
+        beside = [places[i].parent for i in clashing]
         for i in clashing:
             clip = places[i]
-            same_place = [j for j in clashing if j != i and places[j].parent == clip.parent]
-            last = clip.name.replace(".", "-") if same_place else title(clip)
+            last = clip.name.replace(".", "-") if beside.count(clip.parent) > 1 else title(clip)
             names[i] = "-".join([*clip.parent.parts[1:][-depth:], last])
     for i, name in enumerate(names):
         if _count(names[:i], name):
@@ -93,7 +85,7 @@ def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress)
         finished += 1
         if isinstance(ended, Exception):
             clip = jobs[i].clip
-            ended = Ended(clip, None, f"{clip}: {ended}, nothing was kept", ExitCode.FAULT)
+            ended = Ended(clip, None, f"{clip}: {ended}, nothing was kept")
         yield ended
 
 
@@ -104,10 +96,9 @@ def check_all(jobs: Sequence[Job]) -> tuple[list[Ended], list[Job]]:
     for job in jobs:
         try:
             check(job)
-        except FacetrackError as e:
-            refused.append(Ended(job.clip, None, *_failure(e)))
-        else:
             accepted.append(job)
+        except FacetrackError as e:
+            refused.append(Ended(job.clip, None, _failure(e)))
     return refused, accepted
 
 
@@ -115,16 +106,14 @@ def _attempt(job: Job, stop: Stop, report: Report) -> Ended:
     try:
         outcome = run(job, stop, report)
     except Exception as e:
-        return Ended(job.clip, None, *_failure(e))
-    if outcome.error is not None:
-        # an exception need not survive the way between processes; its line does
-        return Ended(job.clip, replace(outcome, error=None), *_failure(outcome.error))
-    return Ended(job.clip, outcome)
+        return Ended(job.clip, None, _failure(e))
+    error, outcome.error = outcome.error, None  # an exception need not survive the way between processes
+    return Ended(job.clip, outcome, "" if error is None else _failure(error))
 
 
-def _failure(error: Exception) -> tuple[str, ExitCode]:
+def _failure(error: Exception) -> str:
     if os.environ.get("FACETRACK_DEBUG", "") not in ("", "0"):
         traceback.print_exception(error)
     if isinstance(error, FacetrackError):
-        return str(error), error.exit_code
-    return f"internal error, please report it: {type(error).__name__}: {error}", ExitCode.FAULT
+        return str(error)
+    return f"internal error, please report it: {type(error).__name__}: {error}"

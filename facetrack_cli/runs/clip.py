@@ -1,106 +1,165 @@
-"""One clip to its outputs: where they go, where the track starts, and how everything is closed whatever happens."""
+"""One clip to its outputs: what is asked, where it goes, and how everything is closed whatever happens."""
 
 from __future__ import annotations
 
+import os
+import platform
+import sys
 import time
-from collections import Counter
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TypeAlias
 
-from facetrack_cli.runs.job import Job, Outcome, Report
-from facetrack_cli.runs.outputs import Outputs, Receiver, check
+import cv2
+import numba
+import numpy
+
+from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.files import FileSink, StreamSink, check_folder, make_folder, remove_folders
+from facetrack_cli.core.types import Correction, Start
+from facetrack_cli.recipe.model import Recipe, to_dict
+from facetrack_cli.runs import pipeline
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import find_start, frames_of, open_clip, origin_of
-from facetrack_cli.trajectory.writers import Footer
+from facetrack_cli.runs.start import Begin, frames_of
+from facetrack_cli.tracking.build.build import tracker_for
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.trajectory.diagnostics import KNOWN
+from facetrack_cli.trajectory.header import to_record
+from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
+from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Format, Header, Writer
+from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.source import Source
+from facetrack_cli.video.writer import VideoWriter
 
-if TYPE_CHECKING:
-    from facetrack_cli.core.types import Correction, Start
-    from facetrack_cli.tracking.loop import Tracker
-    from facetrack_cli.trajectory.trajectory import FrameResult
-    from facetrack_cli.video.source import Source
+VIDEO = "annotated.mp4"
+Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
+
+
+@dataclass(frozen=True)
+class Job(Begin):
+    """What is asked of one clip. `out` None streams the one format to standard output."""
+
+    recipe: Recipe
+    out: Path | None
+    _: KW_ONLY
+    formats: tuple[Format, ...] = ("csv", "json")
+    video: bool = True
+    overwrite: bool = False
+    threads: int = 2
+
+
+@dataclass
+class Outcome:
+    """What became of one clip. `lost` counts the lost frames of each part; `lost_at_end` are those lost in the last.
+
+    `error` ended the run early; what was tracked until then is kept.
+    """
+
+    clip: Path
+    files: Sequence[Path] = ()
+    frames: int = 0
+    frames_per_s: float = 0.0
+    lost: dict[str, int] = field(default_factory=dict)
+    lost_at_end: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    complete: bool = True
+    stopped: str | None = None
+    error: Exception | None = None
+    streamed: bool = False
+
+    def count(self, result: FrameResult) -> None:
+        """Take in one more frame."""
+        rows = result.rows
+        self.frames += 1
+        self.lost_at_end = tuple("/".join(rows.names[i]) for i in rows.which[rows.status == "lost"].tolist())
+        for part in self.lost_at_end:
+            self.lost[part] = self.lost.get(part, 0) + 1
+
+    def summary(self) -> str:
+        """One line: what was written, how fast, what was lost."""
+        if self.frames == 0:
+            return f"{self.clip}: {self.stopped or 'ended'} before the first frame; nothing was written"
+        parts = [f"{self.frames} frames", f"{self.frames_per_s:.1f} frames/s"] if self.frames > 1 else ["1 frame"]
+        if self.lost:
+            parts.append("lost: " + ", ".join(f"{part} in {n}" for part, n in self.lost.items()))
+        if self.stopped or not self.complete:
+            parts.append(self.stopped or "incomplete")
+        where = "standard output" if self.streamed else "nothing"
+        if self.files:
+            where = f"{self.files[0].parent}{os.sep} ({', '.join(file.name for file in self.files)})"
+        return f"{self.clip} -> {where}: {'; '.join(parts)}"
 
 
 def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
-    """Track one clip into its files. `stop` is asked between frames.
+    """Track one clip into its files; raises, and leaves no file, if nothing was tracked. `stop` is asked each frame.
 
-    Raises a FacetrackError when nothing was tracked, and leaves no file then; an error after the first frame is in
-    the outcome, beside what was kept.
+    An error after the first frame is in the outcome, beside what was kept.
     """
     check(job)
     with Outputs(job) as outputs:
         return track_clip(job, outputs, stop, report)
 
 
-def track_clip(job: Job, outputs: Receiver, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
+def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
     """Track one clip; its results go to `outputs`. Raises and stops as `run`."""
-    start = find_start(job, stop)
-    if start is None:
-        return Outcome(job.clip, stopped=stop.reason)
-    from facetrack_cli.tracking.build.build import tracker_for
-
-    with open_clip(job, start.frame) as source:
-        return _track(job, source, start, tracker_for(job.recipe, start, source.size), outputs, stop, report)
-
-
-def _track(
-    job: Job, source: Source, start: Start, tracker: Tracker, outputs: Receiver, stop: Stop, report: Report
-) -> Outcome:
-    from facetrack_cli.runs import pipeline
-    from facetrack_cli.tracking.loop import track
-
-    tally = _Tally()
-    total = source.frames_hint
+    done = Outcome(job.clip, streamed=job.out is None)
+    began, last, notes = 0.0, 0, tuple[str, ...]()
 
     def record(result: FrameResult) -> None:
-        if tally.frames == 0:
+        nonlocal began, last, notes
+        if done.frames == 0:
+            began, notes = time.perf_counter(), result.notes  # the rate leaves the start-up out
             outputs.begin(source, start, result.rows)
         outputs.write(result.rows)
-        tally.count(result)
-        report(tally.frames, total)
+        done.count(result)
+        last = result.frame.index
+        report(done.frames, source.frames_hint)
 
-    error: Exception | None = None
     try:
-        pipeline.run(
-            frames_of(source, start.frame, origin_of(job, start)),
-            lambda frames: track(tracker, frames, job.recipe.seed, clip=str(job.clip)),
-            record,
-            outputs.paint if job.video else None,
-            threaded=job.threads > 1,
-            stopped=stop,
+        start = job.find(job.recipe, stopped=stop)
+    except InputError:
+        if not stop():
+            raise
+        done.stopped = stop.reason
+        return done
+    with job.open(start.frame) as source:
+        tracker = tracker_for(job.recipe, start, source.size)
+        try:
+            pipeline.run(
+                frames_of(source, start.frame, job.origin(start)),
+                lambda frames: track(tracker, frames, job.recipe.seed, clip=str(job.clip)),
+                record,
+                outputs.paint if job.video else None,
+                threaded=job.threads > 1,
+                stopped=stop,
+            )
+        except Exception as e:  # whatever it is, what was tracked is kept
+            done.error = e
+        if done.frames == 0:
+            if done.error is not None:
+                raise done.error
+            done.stopped = stop.reason
+            return done
+        stopped = stop.reason if stop() else None if done.error is None else str(done.error)
+        beyond = [] if stopped or job.stop is not None else past_end(start.corrections, last, start.origin)
+        footer = Footer(
+            complete=source.complete and stopped is None,
+            stopped=stopped,
+            warnings=(*source.warnings, *notes, *beyond),
+            lost_frames=done.lost,
+            variable_fps=source.variable,
         )
-    except Exception as e:  # whatever it is, what was tracked is kept
-        error = e
-    if tally.frames == 0:
-        if error is not None:
-            raise error
-        return Outcome(job.clip, stopped=stop.reason)
-
-    stopped = stop.reason if stop() else str(error) if error is not None else None
-    beyond = [] if stopped or job.stop is not None else past_end(start.corrections, tally.last, start.origin)
-    footer = Footer(
-        complete=source.complete and stopped is None,
-        stopped=stopped,
-        warnings=(*source.warnings, *tally.notes, *beyond),
-        lost_frames=tally.lost,
-        variable_fps=source.variable,
-    )
-    try:
-        footer = outputs.close(footer)
-    except Exception as e:
-        error = error or e
-    return Outcome(
-        job.clip,
-        files=tuple(outputs.written),
-        frames=tally.frames,
-        frames_per_s=tally.rate(),
-        lost=dict(tally.lost),
-        lost_at_end=tally.lost_at_end,
-        warnings=footer.warnings,
-        complete=footer.complete and error is None,
-        stopped=None if error is not None else stopped,
-        error=error,
-        streamed=job.out is None,
-    )
+        try:
+            footer = outputs.close(footer)
+        except Exception as e:
+            done.error = done.error or e
+    done.files, done.warnings = outputs.written, footer.warnings
+    done.frames_per_s = (done.frames - 1) / max(time.perf_counter() - began, 1e-9)
+    done.complete = footer.complete and done.error is None
+    done.stopped = stopped if done.error is None else None
+    return done
 
 
 def past_end(corrections: Iterable[Correction], last: int, origin: str) -> list[str]:
@@ -112,26 +171,132 @@ def past_end(corrections: Iterable[Correction], last: int, origin: str) -> list[
     ]
 
 
-class _Tally:
-    """Counts frames and lost parts, keeps notes, and measures the rate from the first frame on, start-up apart."""
+# --- outputs -------------------------------------------------------------------------------------------------------
 
-    def __init__(self) -> None:
-        self.frames = 0
-        self.last = 0
-        self.lost: Counter[str] = Counter()
-        self.lost_at_end: tuple[str, ...] = ()
-        self.notes: tuple[str, ...] = ()
-        self._began = 0.0
 
-    def count(self, result: FrameResult) -> None:
-        if self.frames == 0:
-            self._began = time.perf_counter()
-            self.notes = result.notes
-        self.frames += 1
-        self.last = result.frame.index
-        rows = result.rows
-        self.lost_at_end = tuple("/".join(rows.names[i]) for i in rows.which[rows.status == "lost"].tolist())
-        self.lost.update(self.lost_at_end)
+def check(job: Job) -> None:
+    """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
+    if job.out is not None:
+        names = [*[VIDEO] * job.video, *(f"trajectory.{form}" for form in job.formats)]
+        init = job.init if isinstance(job.init, Path) else None
+        check_folder(job.out, names, overwrite=job.overwrite, inputs=(job.clip, init, job.recipe.path))
 
-    def rate(self) -> float:
-        return (self.frames - 1) / max(time.perf_counter() - self._began, 1e-9)
+
+class Outputs:
+    """The files of one job: they appear when the job closes them; one that fails before its first frame leaves none."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._sinks: list[FileSink | StreamSink] = []
+        self._made: list[Path] = []
+        self._video: VideoWriter | None = None
+        self._overlay: Overlay | None = None
+        self._writers: list[Writer] = []
+        self.written: list[Path] = []
+
+    def __enter__(self) -> Outputs:
+        out = self._job.out
+        if out is None:
+            self._sinks = [StreamSink(sys.stdout.buffer)]  # a stream that is closed says so when it is written
+            return self
+        self._made = make_folder(out)
+        try:
+            for form in self._job.formats:
+                self._sinks.append(FileSink(out / f"trajectory.{form}"))
+        except OutputError:
+            self.__exit__()
+            raise
+        return self
+
+    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
+        """Write the headers and start the encoder; `rows` are those of the first frame."""
+        header = _header(self._job, source, start, rows)
+        for form, sink in zip(self._job.formats, self._sinks, strict=True):
+            self._writers.append(WRITERS[form](sink, header))
+        if self._job.out is not None and self._job.video:
+            self._overlay = Overlay(source.size, fps=float(source.fps), title=self._job.recipe.name)
+            sound = source.path if source.is_video else None
+            self._video = VideoWriter(self._job.out / VIDEO, source.size, source.fps, audio_from=sound)
+
+    def write(self, rows: Trajectory) -> None:
+        """Write the rows of one frame."""
+        for writer in self._writers:
+            writer.write(rows)
+
+    def paint(self, result: FrameResult) -> None:
+        """Draw one result and pass it to the encoder."""
+        assert self._overlay is not None and self._video is not None
+        self._video.write(self._overlay.draw(result), result.frame.time_s)
+
+    def close(self, footer: Footer) -> Footer:
+        """Finish every file and return the footer written; what could not be finished is raised after the others are.
+
+        The video comes first, so that the trajectory can tell what was wrong with it.
+        """
+        errors: list[Exception] = []
+        if self._video is not None:
+            self._finish(self._video, self._video.close, errors)
+            footer = footer._replace(warnings=(*footer.warnings, *self._video.warnings))
+        for writer, sink in zip(self._writers, self._sinks, strict=True):
+            self._finish(sink, partial(writer.close, footer), errors)
+        if errors:
+            raise errors[0]
+        return footer
+
+    def _finish(
+        self, file: FileSink | StreamSink | VideoWriter, end: Callable[[], None], errors: list[Exception]
+    ) -> None:
+        try:
+            end()
+        except Exception as e:
+            errors.append(e)
+        # a text file that a full disk cut short is kept, a video is not
+        if file.path is not None and file.published:
+            self.written.append(file.path)
+
+    def __exit__(self, *_: object) -> None:
+        """Drop what was not closed, and the folders made for it."""
+        for sink in self._sinks:
+            sink.discard()
+        if self._video is not None:
+            self._video.discard()
+        remove_folders(self._made)
+
+
+class Memory(Outputs):
+    """Results collected into a `trajectory`, whose header says what a JSON file says of its run."""
+
+    trajectory: Trajectory
+
+    def __enter__(self) -> Memory:
+        self._collected = Collector()
+        return self
+
+    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
+        self._header = {"schema": SCHEMA, "version": VERSION, **_header(self._job, source, start, rows)}
+
+    def write(self, rows: Trajectory) -> None:
+        self._collected.add(rows)
+
+    def close(self, footer: Footer) -> Footer:
+        header = {**self._header, **footer._asdict()}
+        self.trajectory = self._collected.trajectory(header=header, path=self._job.clip)
+        return footer
+
+
+def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
+    # those that every facetrack knows are not declared
+    declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
+    return {
+        "versions": {  # of what the numbers may depend on beside facetrack itself
+            "python": platform.python_version(),
+            "numpy": numpy.__version__,
+            "opencv": cv2.__version__,
+            "numba": numba.__version__,
+        },
+        "source": {"path": str(job.clip), "size": list(source.size), "fps": round(float(source.fps), 6)},
+        "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
+        "seed": job.recipe.seed,
+        "init": {"from": start.origin, **to_record(start)},
+        **({"diagnostics": [one.record() for one in declared.values()]} if declared else {}),
+    }

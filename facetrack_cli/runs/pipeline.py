@@ -46,24 +46,41 @@ def run(
                 paint(result)
         return
 
-    cancel = threading.Event()
-    decoder = _Decoder(frames, cancel)
-    painter = None if paint is None else _Painter(paint)
+    cancelled = threading.Event()
+    decoded, results = _Channel[Frame](cancelled.is_set), _Channel[FrameResult](lambda: bool(failed))
+    failed: list[BaseException] = []
+
+    def decode() -> None:
+        try:
+            if all(decoded.put(frame) for frame in frames):
+                decoded.put(None)
+        except BaseException as e:  # it travels like a frame, behind the frames that came before it
+            decoded.put(e)
+
+    def paint_all() -> None:
+        try:
+            for result in results.items(lambda: False):
+                assert paint is not None
+                paint(result)
+        except BaseException as e:
+            failed.append(e)
+
+    decoder = threading.Thread(target=decode, name="decode", daemon=True)
+    painter = threading.Thread(target=paint_all, name="paint", daemon=True)
     decoder.start()
-    if painter is not None:
-        painter.start()
+    painter.start()
     try:
-        for result in track(decoder.frames(stopped)):
+        for result in track(decoded.items(stopped)):
             record(result)
-            if painter is not None:
-                painter.put(result)
+            if paint is not None and not results.put(result):
+                break
     finally:
-        cancel.set()
-        if painter is not None:
-            painter.finish()
+        cancelled.set()
+        results.put(None)
+        painter.join()
         decoder.join(PATIENCE_S)
-    if painter is not None and painter.error is not None:
-        raise painter.error
+    if failed:
+        raise failed[0]
 
 
 def _until(frames: Iterable[Frame], stopped: Callable[[], bool]) -> Iterator[Frame]:
@@ -75,18 +92,16 @@ def _until(frames: Iterable[Frame], stopped: Callable[[], bool]) -> Iterator[Fra
             return
 
 
-class _End:
-    pass
-
-
 class _Channel(Generic[T]):
     """A bounded queue whose both ends give up when told to, so that no stage waits for one that has ended."""
 
-    def __init__(self) -> None:
-        self._queue: queue.Queue[T | _End | BaseException] = queue.Queue(DEPTH)
+    def __init__(self, given_up: Callable[[], bool]) -> None:
+        self._queue: queue.Queue[T | BaseException | None] = queue.Queue(DEPTH)
+        self._given_up = given_up
 
-    def put(self, item: T | _End | BaseException, given_up: Callable[[], bool]) -> bool:
-        while not given_up():
+    def put(self, item: T | BaseException | None) -> bool:
+        """False if nobody takes it any more. None is the end; an exception is raised at the other side."""
+        while not self._given_up():
             try:
                 self._queue.put(item, timeout=POLL_S)
                 return True
@@ -94,67 +109,14 @@ class _Channel(Generic[T]):
                 continue
         return False
 
-    def items(self, given_up: Callable[[], bool]) -> Iterator[T]:
-        while not given_up():
+    def items(self, stopped: Callable[[], bool]) -> Iterator[T]:
+        while not stopped():
             try:
                 item = self._queue.get(timeout=POLL_S)
             except queue.Empty:
                 continue
-            if isinstance(item, _End):
+            if item is None:
                 return
             if isinstance(item, BaseException):
                 raise item
             yield item
-
-
-class _Decoder(threading.Thread):
-    """Reads ahead. An exception travels down the queue like a frame, behind the frames that came before it."""
-
-    def __init__(self, frames: Iterable[Frame], cancel: threading.Event) -> None:
-        super().__init__(name="decode", daemon=True)
-        self._frames = frames
-        self._cancelled = cancel.is_set
-        self._channel = _Channel[Frame]()
-
-    def run(self) -> None:
-        try:
-            for frame in self._frames:
-                if not self._channel.put(frame, self._cancelled):
-                    return
-        except BaseException as e:  # it is raised again in the thread that tracks
-            self._channel.put(e, self._cancelled)
-        else:
-            self._channel.put(_End(), self._cancelled)
-
-    def frames(self, stopped: Callable[[], bool]) -> Iterator[Frame]:
-        return self._channel.items(stopped)
-
-
-class _Painter(threading.Thread):
-    """Paints behind the tracker. After an exception it takes no more, and `put` raises it."""
-
-    def __init__(self, paint: Effect) -> None:
-        super().__init__(name="paint", daemon=True)
-        self._paint = paint
-        self._channel = _Channel[FrameResult]()
-        self.error: BaseException | None = None
-
-    def run(self) -> None:
-        try:
-            for result in self._channel.items(lambda: False):
-                self._paint(result)
-        except BaseException as e:  # it is raised again in the thread that tracks
-            self.error = e
-
-    def put(self, result: FrameResult) -> None:
-        if not self._channel.put(result, self._failed):
-            assert self.error is not None
-            raise self.error
-
-    def finish(self) -> None:
-        """Wait until all that was put is painted."""
-        self._channel.put(_End(), self._failed)
-        self.join()
-
-    def _failed(self) -> bool:
-        return self.error is not None

@@ -5,41 +5,31 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from rich.progress import Progress as RichProgress
-    from rich.progress import TaskID
 
 EVERY_S = 10.0  # between plain lines
 
 
-def progress(quiet: bool) -> Progress:
-    """The kind that fits standard error."""
-    if quiet:
-        return Progress()
-    return Bar() if sys.stderr.isatty() else Lines()
+def progress(quiet: bool) -> contextlib.closing[Progress]:
+    """The kind that fits standard error, for a `with`."""
+    return contextlib.closing(Progress() if quiet else Bar() if sys.stderr.isatty() else Lines())
 
 
 class Progress:
-    """One task at a time, in `unit`s: frames of a clip, clips of a batch. This kind prints errors alone.
+    """One task at a time, in `unit`s: frames of a clip, clips of a batch. This kind prints errors alone."""
 
-    `say` and `error` print a line that stays.
-    """
-
-    def begin(self, name: str, unit: str, total: int | None) -> None:
+    def begin(self, name: str, unit: str = "frames", total: int | None = None) -> None:
         self._name, self._unit = name, unit
         self._began = self._last = time.monotonic()
 
     def update(self, done: int, total: int | None, rate: float | None = None) -> None:
-        pass
+        """Called as often as one likes; `total` None or 0 is not known."""
 
     def say(self, line: str) -> None:
-        pass
+        """A line that stays."""
 
     def error(self, line: str) -> None:
         with contextlib.suppress(OSError):  # a full disk under the log does not stop the run
-            sys.stderr.write(_flat(line) + "\n")
+            sys.stderr.write(flat(line) + "\n")
             sys.stderr.flush()
 
     def close(self) -> None:
@@ -76,40 +66,34 @@ class Bar(Progress):
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-        self._bar: RichProgress = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TextColumn("{task.fields[count]}", markup=False),
-            TextColumn("{task.fields[rate]}", markup=False),
-            TimeRemainingColumn(),
-            console=Console(stderr=True, emoji=False),
-            transient=True,
-        )
-        self._task: TaskID | None = None
+        told = ("description", "fields[count]", "fields[rate]")
+        name, count, rate = (TextColumn(f"{{task.{one}}}", markup=False) for one in told)
+        console = Console(stderr=True, emoji=False)
+        self._bar = Progress(name, BarColumn(), count, rate, TimeRemainingColumn(), console=console, transient=True)
 
-    def begin(self, name: str, unit: str, total: int | None) -> None:
+    def begin(self, name: str, unit: str = "frames", total: int | None = None) -> None:
         super().begin(name, unit, total)
-        if self._task is not None:
-            self._bar.remove_task(self._task)
-        self._task = self._bar.add_task(name, total=total, count="", rate="")
+        for task in self._bar.task_ids:
+            self._bar.remove_task(task)
+        self._bar.add_task(name, total=total, count="", rate="")
         self._bar.start()
 
     def update(self, done: int, total: int | None, rate: float | None = None) -> None:
-        if self._task is not None and self._due(0.1):
-            total = None if total is not None and done > total else total  # a stated length may be wrong
+        if self._bar.task_ids and self._due(0.1):
+            total = total if total and done <= total else None  # a stated length may be wrong
             count = f"{done}{f'/{total}' if total else ''} {self._unit}"
-            self._bar.update(self._task, completed=done, total=total, count=count, rate=self._rate(done, rate))
+            [task] = self._bar.task_ids
+            self._bar.update(task, completed=done, total=total, count=count, rate=self._rate(done, rate))
 
     def say(self, line: str) -> None:
-        self._bar.console.print(_flat(line), markup=False, highlight=False, soft_wrap=True)
+        self._bar.console.print(flat(line), markup=False, highlight=False, soft_wrap=True)
 
-    def error(self, line: str) -> None:
-        self.say(line)
+    error = say
 
     def close(self) -> None:
         self._bar.stop()
 
 
-def _flat(line: str) -> str:
+def flat(line: str) -> str:
     """A name may hold a line break, a message must not."""
     return " ".join(line.splitlines())

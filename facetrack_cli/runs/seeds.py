@@ -1,4 +1,4 @@
-"""Recipes run over a clip with many seeds, for the commands that compare, repeat and check them.
+"""Recipes as --config names them, run over a clip with many seeds: for the commands that compare, repeat and check.
 
 All seeds of a plan advance side by side over one decoding of the clip, so memory stays flat but for the results.
 Every tracker is given a frame of its own, and only its own work is timed. Several processes share plans, and then their
@@ -9,28 +9,79 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import re
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.types import Frame, Start, Whole
+from facetrack_cli.recipe.gallery_option import with_gallery
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
-from facetrack_cli.tracking.build.build import tracker_for
+from facetrack_cli.tracking.build.build import check_gallery, tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, one_part
 from facetrack_cli.video.source import open_source
 
 Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
 
+OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
 _ENDED = "a process of -j ended by itself (too little memory?); run without -j"
+
+
+# --- recipes as --config names them --------------------------------------------------------------------------------
+
+
+def variant(given: str) -> tuple[str, tuple[str, ...]]:
+    """A recipe and its overrides, from `name`, a file, or `name:key=value,key=value`."""
+    name, colon, rest = given.partition(":")
+    if not colon or "=" not in rest or Path(given).exists():
+        return given, ()
+    return name, tuple(re.split(OVERRIDES, rest))
+
+
+def labels(given: Sequence[str]) -> list[str]:
+    """A label for each --config that differs from all others: the recipe's name, else its path, and its overrides.
+
+    Raises UsageError for one that is given twice.
+    """
+    short = []
+    for name, overrides in map(variant, given):
+        stem = Path(name).stem if Path(name).suffix else name
+        short.append(f"{stem}:{','.join(overrides)}" if overrides else stem)
+    found = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
+    if twice := [text for text in found if found.count(text) > 1]:
+        raise UsageError(f"--config {twice[0]} is given twice; a recipe is compared with others")
+    return found
+
+
+def load_recipes(asked: Sequence[tuple[str, Sequence[str]]], gallery: str | None) -> list[Recipe]:
+    """The recipes of names or files and their overrides, with the people of a gallery (see `with_gallery`).
+
+    The gallery is read where it must be good: where it is given for all, or a single recipe names one.
+    """
+    recipes = with_gallery([load_recipe(name, overrides) for name, overrides in asked], gallery)
+    for recipe in recipes if gallery is not None or len(recipes) == 1 else ():
+        check_gallery(recipe)
+    return recipes
+
+
+def refuse_seed(overrides: Sequence[str]) -> None:
+    """UsageError for an override that would have no effect: a recipe's own seed gives way to those of --seeds."""
+    if any(one.partition("=")[0].strip() == "seed" for one in overrides):
+        raise UsageError("the recipe's seed has no effect here: every recipe runs with the seeds 0 to --seeds - 1")
+
+
+# --- runs ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -48,16 +99,13 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class SeedRun:
-    """One seed's trajectory. `frames_per_s` is the tracker's alone: decoding is not counted, nor the first frame.
-
-    `warnings` says what was wrong with the clip, a line each.
-    """
+    """One seed's trajectory. `frames_per_s` is the tracker's alone: decoding is not counted, nor the first frame."""
 
     label: str
     seed: int
     trajectory: Trajectory
     frames_per_s: float
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # what was wrong with the clip, a line each
 
 
 @dataclass(frozen=True)
@@ -111,21 +159,6 @@ def _ended(plan: Plan, results: Sequence[object]) -> Ended:
 # --- one plan ------------------------------------------------------------------------------------------------------
 
 
-class _Feed:
-    """Gives each tracker the present frame when it asks for its next."""
-
-    def __init__(self) -> None:
-        self.frame: Frame | None = None
-
-    def __iter__(self) -> Iterator[Frame]:
-        return self
-
-    def __next__(self) -> Frame:
-        assert self.frame is not None
-        # images derived from a frame are kept in it: each tracker makes its own, and is timed for it
-        return Frame(self.frame.index, self.frame.time_s, self.frame.bgr)
-
-
 def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
     """What is known of a run before it: the names of its rows, in these frames, on frames of that (width, height).
 
@@ -134,31 +167,28 @@ def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
     tracker = tracker_for(plan.recipe, plan.start, size)
     one = np.ones(len(frames))  # every part of every tracker has a size
     rows = [one_part(target.name, part, frames, w=one, h=one) for target in tracker for part in target.parts]
-    return joined(rows, path=plan.clip, header=_header(size))
-
-
-def _header(size: tuple[int, int]) -> dict[str, Any]:
-    """As a trajectory's JSON says it; see `evaluation.match`."""
-    return {"source": {"size": list(size)}}
+    return joined(rows, path=plan.clip, header={"source": {"size": list(size)}})
 
 
 def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:
     """The runs of some seeds of a plan; none if it is stopped, or, with `partial`, those up to the frame before."""
     plan, seeds, partial = task
+    frame: Frame
+
+    def present() -> Iterator[Frame]:
+        while True:  # images derived from a frame are kept in it: each tracker makes its own, and is timed for it
+            yield Frame(frame.index, frame.time_s, frame.bgr)
+
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
         tracker = tracker_for(plan.recipe, plan.start, source.size)
-        feed = _Feed()
-        runs = [track(tracker, iter(feed), seed, clip=str(plan.clip)) for seed in seeds]
-        logs = [Collector() for _ in seeds]
-        seconds = [0.0 for _ in seeds]
-        count = 0
-        notes: tuple[str, ...] = ()
-        for frame in source:
+        runs = [track(tracker, present(), seed, clip=str(plan.clip)) for seed in seeds]
+        logs, seconds = [Collector() for _ in seeds], [0.0 for _ in seeds]
+        count, notes = 0, tuple[str, ...]()
+        for frame in source:  # noqa: B007 -- `present` yields it
             if stop():
                 if partial and count:
                     break
                 return []
-            feed.frame = frame
             for i, run in enumerate(runs):
                 began = time.perf_counter()
                 result = next(run)
@@ -169,7 +199,7 @@ def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable
             report(count * len(seeds))
         if count == 0:
             raise InputError(f"{plan.clip}: frame {plan.start.frame}, where {plan.start.origin} begins, cannot be read")
-    about = {"path": source.path, "header": _header(source.size)}
+    about: dict[str, Any] = {"path": source.path, "header": {"source": {"size": list(source.size)}}}
     warnings = (*source.warnings, *notes)
     return [
         SeedRun(plan.label, seed, log.trajectory(**about), (count - 1) / max(spent, 1e-9), warnings)
@@ -179,16 +209,16 @@ def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable
 
 def _total(plans: Sequence[Plan]) -> int:
     """Frames to track over all seeds, by the lengths that the clips state; 0 if one states none."""
-    lengths: dict[tuple[Path, int, int | None], int] = {}
-    for plan in plans:
-        key = plan.clip, plan.start.frame, plan.stop
-        if key not in lengths:
-            try:
-                with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
-                    lengths[key] = source.frames_hint or 0
-            except FacetrackError:  # reported when its plan runs
-                lengths[key] = 0
-    each = [len(plan.seeds) * lengths[plan.clip, plan.start.frame, plan.stop] for plan in plans]
+
+    @cache
+    def length(clip: Path, fps: Fraction | None, first: int, stop: int | None) -> int:
+        try:
+            with open_source(clip, fps=fps, start=first, stop=stop) as source:
+                return source.frames_hint or 0
+        except FacetrackError:  # reported when its plan runs
+            return 0
+
+    each = [len(plan.seeds) * length(plan.clip, plan.fps, plan.start.frame, plan.stop) for plan in plans]
     return sum(each) if all(each) else 0
 
 

@@ -13,12 +13,8 @@ from types import FrameType
 
 from facetrack_cli.core.errors import ExitCode
 
-# a closed terminal ends a run as properly as SIGTERM does
-_CODES = {
-    "SIGINT": ExitCode.INTERRUPTED,
-    "SIGTERM": ExitCode.TERMINATED,
-    "SIGHUP": ExitCode.TERMINATED,
-}
+# a closed terminal (not on Windows) ends a run as properly as SIGTERM does
+_CODES = {"SIGINT": ExitCode.INTERRUPTED, "SIGTERM": ExitCode.TERMINATED, "SIGHUP": ExitCode.TERMINATED}
 
 
 class Stop:
@@ -46,14 +42,9 @@ class Stop:
             if self.code is None:
                 self.code = _CODES[signal.Signals(number).name]
 
-        before: dict[signal.Signals, object] = {}
-        if threading.current_thread() is threading.main_thread():
-            for name in _CODES:
-                number = getattr(signal, name, None)
-                if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-                    before[number] = signal.signal(number, note)
-        try:
+        known = [one for one in signal.Signals if one.name in _CODES and signal.getsignal(one) is not signal.SIG_IGN]
+        with contextlib.ExitStack() as restored:
+            if threading.current_thread() is threading.main_thread():
+                for number in known:
+                    restored.callback(signal.signal, number, signal.signal(number, note))
             yield self
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)  # type: ignore[arg-type]

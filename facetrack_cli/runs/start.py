@@ -1,29 +1,106 @@
-"""Where the track of a clip starts: an init file, a box, or a face that is looked for."""
+"""Where the tracks of a clip begin: an init file, a box, ground truth, or a face that is looked for."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Final, Literal
+
+import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.runs.job import HAAR, Job
-from facetrack_cli.runs.signals import Stop
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.tracking.start import box_start, check_start, find_init, haar_start, name_targets, read_init
+from facetrack_cli.trajectory.trajectory import Trajectory, by_frame
+from facetrack_cli.video.source import Source, open_source
 
-if TYPE_CHECKING:
-    from facetrack_cli.core.types import Frame, Start
-    from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.video.source import Source
-
-
-def open_clip(job: Job, first: int) -> Source:
-    from facetrack_cli.video.source import open_source
-
-    return open_source(job.clip, fps=job.fps, start=first, stop=job.stop)
+HAAR: Final = "haar"
+FAR: Final = 0.5  # overlap of the boxes below which a region does not count as found
+_SEEN: Final = ("", "visible", "init", "tracked")
 
 
-def frames_of(source: Source, first: int, origin: str, stop: Callable[[], bool] = lambda: False) -> Iterator[Frame]:
+def never() -> bool:
+    """No wish to stop."""
+    return False
+
+
+@dataclass(frozen=True)
+class Begin:
+    """A clip, what says where its tracks begin, and which of its frames are read.
+
+    `init` is an init file, a start, or "haar" to look for a face whatever lies beside the clip; None: see `find`.
+    `init_frame` is the frame of the init file or box, or the first to look for a face in.
+    """
+
+    clip: Path
+    _: KW_ONLY
+    init: Path | Literal["haar"] | Start | None = None
+    box: Box | None = None
+    init_frame: int | None = None
+    start: int = 0
+    stop: int | None = None
+    fps: Fraction | None = None
+
+    def open(self, first: int = 0) -> Source:
+        return open_source(self.clip, fps=self.fps, start=first, stop=self.stop)
+
+    def find(self, recipe: Recipe, truth: Trajectory | None = None, stopped: Callable[[], bool] = never) -> Start:
+        """Where a recipe begins: the box or init file given, the init file beside the clip, else the ground truth.
+
+        The start of ground truth is its first frame in which all that the recipe follows is visible. Without any a face
+        is looked for. Raises InputError where there is no such place in these frames, or once `stopped`.
+        """
+        first = self.start if self.init_frame is None else self.init_frame
+        path = find_init(self.clip) if self.init is None else self.init
+        if isinstance(self.init, Start):
+            start = self.init
+        elif self.box is not None:
+            start = Start(first, {"face": TargetStart(box=self.box)}, "--box")
+        elif isinstance(path, Path):
+            start = read_init(path)
+        elif path is None and truth is not None:
+            start = truth_start(truth, recipe.points)
+        else:
+            return self._look(recipe, first, stopped)
+        if self.init_frame is not None:
+            start = replace(start, frame=self.init_frame)
+        self._check(start.frame, self.origin(start))
+
+        def frame() -> Frame:
+            with self.open(start.frame) as source:
+                return next(frames_of(source, start.frame, self.origin(start)))
+
+        return completed(recipe, start, frame, str(self.clip))
+
+    def origin(self, start: Start) -> str:
+        """What says in which frame to begin."""
+        return start.origin if self.init_frame is None else "--init-frame"
+
+    def _look(self, recipe: Recipe, first: int, stopped: Callable[[], bool]) -> Start:
+        origin = "the search" if self.init_frame is None else "--init-frame"
+        self._check(first, origin)
+        with self.open(first) as source:
+            try:
+                return search(recipe, frames_of(source, first, origin, stopped), str(self.clip))
+            except InputError:
+                if stopped():
+                    raise InputError(f"{self.clip}: stopped before a start was found") from None
+                raise
+
+    def _check(self, frame: int, origin: str) -> None:
+        if frame < self.start or (self.stop is not None and frame >= self.stop):
+            asked = f"from {self.start} on" if self.stop is None else f"{self.start} to {self.stop - 1}"
+            raise InputError(
+                f"{self.clip}: {origin} begins at frame {frame}, but frames {asked} were asked for; "
+                "change --start or --stop, or begin elsewhere with --init or --box"
+            )
+
+
+def frames_of(source: Source, first: int, origin: str, stopped: Callable[[], bool] = never) -> Iterator[Frame]:
     """The frames from the `first`, which `origin` asked for; InputError, which says so, if that one cannot be had."""
     frames = iter(source)
     try:
@@ -32,76 +109,32 @@ def frames_of(source: Source, first: int, origin: str, stop: Callable[[], bool] 
         raise InputError(f"{e} (frame {first} is where {origin} begins)") from None
     if frame is None:
         raise InputError(source.warnings.pop() if source.warnings else f"{source.path}: frame {first} cannot be read")
-    while frame is not None and not stop():
+    while frame is not None and not stopped():
         yield frame
         frame = next(frames, None)
 
 
-def find_start(job: Job, stop: Stop) -> Start | None:
-    """Where to begin: the init file or box given, the init file beside the clip, or a face. None when stopped.
+def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: str) -> Start:
+    """The start with what it does not say: points of a target that is a box alone, targets that the recipe names.
 
-    Raises InputError when there is no such place in the frames asked for.
+    `first` gives its frame.
     """
-    from facetrack_cli.core.types import Start, TargetStart
-    from facetrack_cli.tracking import start as starts
-
-    if isinstance(job.init, Start):
-        return place_start(job, job.init)
-    if job.box is not None:
-        first = job.start if job.init_frame is None else job.init_frame
-        return place_start(job, Start(first, {"face": TargetStart(box=job.box)}, "--box"))
-    path = starts.find_init(job.clip) if job.init is None else None if job.init == HAAR else Path(job.init)
-    if path is None:
-        return _look(job, stop)
-    start = starts.read_init(path)
-    return place_start(job, start if job.init_frame is None else replace(start, frame=job.init_frame))
-
-
-def _look(job: Job, stop: Stop) -> Start | None:
-    origin = "the search" if job.init_frame is None else "--init-frame"
-    first = job.start if job.init_frame is None else job.init_frame
-    _check_frame(job, first, origin)
-    with open_clip(job, first) as source:
-        try:
-            return search(job.recipe, frames_of(source, first, origin, stop), str(job.clip))
-        except InputError:
-            if stop():
-                return None
-            raise
-
-
-def place_start(job: Job, start: Start) -> Start:
-    """The start with what it does not say: points of a target that is a box alone, targets that the recipe names."""
-    _check_frame(job, start.frame, origin_of(job, start))
-
-    def first() -> Frame:
-        with open_clip(job, start.frame) as source:
-            return next(frames_of(source, start.frame, origin_of(job, start)))
-
-    return completed(job.recipe, start, first, str(job.clip), said_in=str(job.clip) if job.box else start.origin)
-
-
-def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: str, *, said_in: str) -> Start:
-    """The start with what it does not say; `first` gives its frame, `said_in` is who gave the box."""
-    from facetrack_cli.tracking.start import box_start, check_start, name_targets
-
-    names = list(start.targets)
     if recipe.followed:
         frame = None
-        if not set(recipe.followed) <= set(names):
+        if not set(recipe.followed) <= set(start.targets):
             frame = first()
             check_start(start, frame.size, ())
         return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
-    given = start.targets[names[0]]
-    if len(names) > 1 or given.points or given.box is None or not recipe.points:
+    name, given = next(iter(start.targets.items()))
+    if len(start.targets) > 1 or given.points or given.box is None or not recipe.points:
         return start
+    said_in = clip if start.origin == "--box" else start.origin
     [found] = box_start(first(), given.box, recipe.points, clip=said_in).targets.values()
-    return replace(start, targets={names[0]: replace(found, windows=given.windows)})
+    return replace(start, targets={name: replace(found, windows=given.windows)})
 
 
 def search(recipe: Recipe, frames: Iterator[Frame], clip: str) -> Start:
     """The start at the first face that is found in `frames`. Raises InputError if there is none."""
-    from facetrack_cli.tracking.start import haar_start, name_targets
 
     def complete(frame: Frame, start: Start) -> Start:
         return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
@@ -109,16 +142,43 @@ def search(recipe: Recipe, frames: Iterator[Frame], clip: str) -> Start:
     return haar_start(frames, recipe.points, clip=clip, complete=complete)
 
 
-def origin_of(job: Job, start: Start) -> str:
-    """Who said at which frame to start."""
-    return start.origin if job.init_frame is None else "--init-frame"
-
-
-def _check_frame(job: Job, frame: int, origin: str) -> None:
-    if job.start <= frame and (job.stop is None or frame < job.stop):
-        return
-    asked = f"from {job.start} on" if job.stop is None else f"{job.start} to {job.stop - 1}"
+def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
+    """The first frame of the ground truth in which its targets' boxes, or all these points of them, are visible."""
+    boxes = truth.boxes
+    for frame, rows in by_frame(truth):
+        found: dict[str, Box] = {}
+        known: dict[str, dict[str, Point]] = {}
+        for i in rows:
+            target, part = truth.names[truth.which[i]]
+            place = boxes[i] if np.isfinite(boxes[i]).all() else np.array([truth.x[i], truth.y[i]])
+            if truth.status[i] not in _SEEN or not np.isfinite(place).all():
+                continue
+            if len(place) == 4:
+                found[target] = tuple(place.tolist())
+            elif part in points:
+                known.setdefault(target, {})[part] = (place[0].item(), place[1].item())
+        whole = {target: {p: those[p] for p in points} for target, those in known.items() if len(those) == len(points)}
+        if {*found, *whole} >= {*truth.targets}:
+            targets = {one or "face": TargetStart(found.get(one), whole.get(one, {})) for one in truth.targets}
+            return Start(frame, targets, str(truth.path))
+    what = ", ".join(points) if points else "a box"
+    other = "" if points else ", or take a recipe of points, as factorized"
     raise InputError(
-        f"{job.clip}: {origin} begins at frame {frame}, but frames {asked} were asked for; "
-        "change --start or --stop, give another --init-frame, or look for the face with --init haar"
+        f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box{other}"
     )
+
+
+def far_from_truth(start: Start, truth: Trajectory) -> str | None:
+    """A line if a start's box lies elsewhere than the ground truth's in its frame: then every figure measures that."""
+    boxes = {name: target.box for name, target in start.targets.items() if target.box is not None}
+    for name, box in boxes.items() if start.origin != str(truth.path) else ():
+        for one in truth.at(start.frame).parts:
+            if one.target not in (name, "") or not len(one) or not np.isfinite(one.boxes).all():
+                continue
+            overlap = float(iou(np.array([box]), one.boxes)[0])
+            if overlap < FAR:
+                return (
+                    f"{start.origin} puts the box of {name} in frame {start.frame} where it overlaps the truth's "
+                    f"by {overlap:.2f} alone; all figures measure that too: begin with --box, or with another --init"
+                )
+    return None

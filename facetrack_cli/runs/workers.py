@@ -13,6 +13,8 @@ from multiprocessing.context import BaseContext
 from multiprocessing.sharedctypes import Synchronized
 from typing import Any, TypeAlias
 
+import cv2
+
 from facetrack_cli.core.errors import ExitCode, FacetrackError
 from facetrack_cli.runs.signals import Stop
 
@@ -59,7 +61,7 @@ def side_by_side(
             while waiting and len(working) < workers:
                 index, task = waiting.pop()
                 with _starting():
-                    working.append(_Worker(context, index, task, work, ending, threads))
+                    working.append(_Worker(context, index, work, task, ending, threads))
             wait([worker.pipe for worker in working], timeout=LOOK_S)
             for worker in list(working):
                 if not worker.listen():
@@ -74,36 +76,35 @@ def side_by_side(
 
 
 def _here(tasks: Sequence[Any], work: Work, stop: Stop, report: Callable[[int], None]) -> Iterator[tuple[int, Any]]:
-    before = done = 0
-
-    def add(frames: int, total: int | None = None) -> None:
-        nonlocal done
-        done = frames
-        report(before + done)
-
+    done = [0] * len(tasks)
     for index, task in enumerate(tasks):
         if stop():
             return
-        try:
-            result = work(task, stop, add)
-        except Exception as e:
-            result = e
-        yield index, result
-        before, done = before + done, 0
+
+        def add(frames: int, total: int | None = None, index: int = index) -> None:
+            done[index] = frames
+            report(sum(done))
+
+        yield index, _result(work, task, stop, add)
+
+
+def _result(work: Work, task: object, stop: Stop, report: Callable[..., None]) -> object:
+    try:
+        return work(task, stop, report)
+    except Exception as e:  # it goes on where the tasks come from
+        return e
 
 
 class _Worker:
     """A process at work on one task, and the pipe that it reports through."""
 
-    def __init__(
-        self, context: BaseContext, index: int, task: object, work: Work, ending: Ending, threads: int
-    ) -> None:
+    def __init__(self, context: BaseContext, index: int, *asked: object) -> None:
         self.index = index
         self.frames = 0
         self.result: object = None
         self._ended = False
         self.pipe, theirs = context.Pipe(duplex=False)
-        self.process = context.Process(target=_serve, args=(work, task, theirs, ending, threads))  # type: ignore[attr-defined]
+        self.process = context.Process(target=_serve, args=(theirs, *asked))  # type: ignore[attr-defined]
         self.process.start()
         theirs.close()
 
@@ -125,7 +126,7 @@ class _Worker:
         return True
 
 
-def _serve(work: Work, task: object, pipe: Connection, ending: Ending, threads: int) -> None:
+def _serve(pipe: Connection, work: Work, task: object, ending: Ending, threads: int) -> None:
     """What a process does: its task, and to stop when asked by a signal, by its parent, or by its parent's end."""
     # Ctrl-C reaches every process of a terminal; the parent alone acts on it
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -149,13 +150,9 @@ def _serve(work: Work, task: object, pipe: Connection, ending: Ending, threads: 
             return ExitCode(ending.value)
         return ExitCode.INTERRUPTED if os.getppid() != parent else None
 
-    use_threads(threads)
+    cv2.setNumThreads(threads)
     with Stop(asked).listening() as stop:
-        try:
-            result = work(task, stop, report)
-        except Exception as e:  # it goes on in the parent
-            result = e
-        send((result,))
+        send((_result(work, task, stop, report),))
     pipe.close()
 
 
@@ -170,34 +167,22 @@ def _starting() -> Iterator[None]:
 def worker_context() -> BaseContext:
     """How processes are started: safely beside threads, and with the heavy imports done once."""
     # a server that has the heavy imports behind it forks a worker at once; plain fork is not safe beside threads
-    if "forkserver" in multiprocessing.get_all_start_methods():
-        context = multiprocessing.get_context("forkserver")
-        modules = ("runs.clip", "runs.outputs", "tracking.build.build", "video.source")
-        context.set_forkserver_preload([f"facetrack_cli.{name}" for name in modules])
-        _start_server()
-        return context
-    return multiprocessing.get_context("spawn")
-
-
-def _start_server() -> None:
-    """Start the server out of reach of Ctrl-C, which would break into its imports with a traceback."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
     from multiprocessing import forkserver, resource_tracker
 
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["facetrack_cli.runs.clip"])
     resource_tracker.ensure_running()  # first: it lifts the mask when it starts
+    # out of reach of Ctrl-C, which would break into its imports with a traceback
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return context
 
 
 def cores() -> int:
     """The processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def use_threads(threads: int) -> None:
-    """Hold OpenCV to `threads` threads, in this process."""
-    import cv2
-
-    cv2.setNumThreads(threads)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import UsageError
-from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.figures.gallery import calibrated, gallery_figure, kept
 from facetrack_cli.report.figures.style import DPI, WIDTH, render
 from facetrack_cli.tracking.identity.fit import fit_gallery
@@ -79,7 +78,7 @@ def test_fit_and_show(facetrack, clips):
 
 def test_without_matplotlib_show_says_how_to_get_it_and_writes_nothing(facetrack, clips, monkeypatch):
     some_gallery(["anna", "ben"]).save(Path("gallery.npz"))
-    monkeypatch.setattr(plot_style, "need_matplotlib", missing)
+    monkeypatch.setattr("facetrack_cli.cli.options.need_matplotlib", missing)
     code, out, err = facetrack("gallery", "show")
     assert (code, out, err) == (2, "", "facetrack: error: figures need matplotlib\n")
     assert names_here() == ["gallery.npz"]

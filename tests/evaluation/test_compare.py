@@ -28,21 +28,21 @@ from facetrack_cli.evaluation.experiments.compare import (
     tail_overlap,
 )
 from facetrack_cli.evaluation.experiments.compare_text import Comparison
-from facetrack_cli.runs.plan import labels, variant
+from facetrack_cli.runs.seeds import labels, variant
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
 MEASURE = "points.mean_px"
 
 
-def score(label, seed, value, *, measure=MEASURE, rate=100.0, frames=5, failed=False):
+def score(seed, value, *, measure=MEASURE, rate=100.0, frames=5, failed=False):
     figures = {} if value is None else {measure: value}
     frame = np.arange(frames)
-    return Score(label, seed, figures, failed, rate, frame, frame + float(seed), np.array([2]))
+    return Score(seed, figures, failed, rate, frame, frame + float(seed), np.array([2]))
 
 
 def entry(label, values, *, deterministic=False, **more):
-    scores = tuple(score(label, seed, value, **more) for seed, value in enumerate(values))
-    return Entry(label, scores, deterministic=deterministic)
+    scores = [score(seed, value, **more) for seed, value in enumerate(values)]
+    return Entry(label, scores, recipe=SimpleNamespace(random=False) if deterministic else None)
 
 
 def places(*entries, measure=MEASURE):
@@ -83,7 +83,7 @@ def test_one_seed_tells_nothing_but_one_run_of_a_deterministic_tracker_does():
 
 
 def test_without_a_value_there_is_no_rank():
-    assert places(Entry("broken", why="no box"), entry("good", [1.0, 1.0]), entry("blind", [None])) == {
+    assert places(Entry("broken", error=InputError("no box")), entry("good", [1.0, 1.0]), entry("blind", [None])) == {
         "good": "1", "broken": "-", "blind": "-",
     }  # fmt: skip
 
@@ -99,7 +99,7 @@ def test_ranks_are_ranges_around_the_order(values):
 
 
 def test_spread_and_rate():
-    one = Entry("one", (score("one", 0, 1.0, rate=100), score("one", 1, 3.0, rate=300)))
+    one = Entry("one", [score(0, 1.0, rate=100), score(1, 3.0, rate=300)])
     assert one.mean(MEASURE) == 2 and one.spread(MEASURE) == pytest.approx(math.sqrt(2))
     assert one.frames_per_s == pytest.approx(150), "two clips of n frames take n / 100 + n / 300 seconds"
     assert entry("single", [1.0]).spread(MEASURE) is None
@@ -114,9 +114,9 @@ def test_ranking_by_what_cannot_rank_is_refused():
 
 
 def test_errors_are_aligned_by_frame():
-    short = Entry("short", (score("short", 0, 1.0, frames=3),))
-    long = Entry("long", (score("long", 0, 1.0), score("long", 1, 1.0)))
-    frame, found = aligned([short, long, Entry("broken", why="no")])
+    short = Entry("short", [score(0, 1.0, frames=3)])
+    long = Entry("long", [score(0, 1.0), score(1, 1.0)])
+    frame, found = aligned([short, long, Entry("broken", error=InputError("no"))])
     assert frame.tolist() == [0, 1, 2, 3, 4] and list(found) == ["short", "long"]
     np.testing.assert_array_equal(found["short"], [[0, 1, 2, np.nan, np.nan]])
     np.testing.assert_array_equal(found["long"], [[0, 1, 2, 3, 4], [1, 2, 3, 4, 5]])
@@ -260,7 +260,7 @@ def comparison():
     entries = (
         entry("slow", [0.05, 0.07], measure=ranked, rate=10.0, failed=True),
         entry("quick", [0.01, 0.012], measure=ranked, rate=1000.0),
-        Entry("box|only", why="the truth has no box"),
+        Entry("box|only", error=InputError("the truth has no box")),
     )
     return Comparison(Path("a/clip.mp4"), Path("a/clip.truth.csv"), 2, entries, ranked, 2)
 

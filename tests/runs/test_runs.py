@@ -13,11 +13,10 @@ from facetrack_cli.core.errors import ExitCode, InputError, RecipeError
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import seeds, workers
-from facetrack_cli.runs.clip import run
-from facetrack_cli.runs.job import Job
-from facetrack_cli.runs.plan import Begin, truth_start
+from facetrack_cli.runs.clip import Job, run
 from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.start import Begin, truth_start
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
@@ -207,13 +206,15 @@ def test_the_init_file_beside_the_clip_goes_before_the_truth(tmp_path):
     assert boxed.origin == "--box" and set(boxed.targets["face"].points) == set(recipe.points)
 
 
-def test_a_start_outside_of_the_frames_asked_for_is_told_in_words_of_these_commands():
+def test_a_start_outside_of_the_frames_asked_for_is_refused():
     recipe = load_recipe("factorized")
-    with pytest.raises(InputError, match=r"begins at frame 0, before --start 3; leave --start out"):
+    with pytest.raises(InputError, match=r"begins at frame 0, but frames from 3 on were asked for; change --start"):
         Begin(CLIP, start=3).find(recipe)
     for stop in (1, 200):
         assert Begin(CLIP, stop=stop).find(recipe).frame == 0
     boxed = (106.0, 74.0, 106.0, 106.0)
-    with pytest.raises(InputError, match=r"--box begins at frame 3, of which --stop 3 leaves nothing"):
+    with pytest.raises(
+        InputError, match=r"--box begins at frame 3, but frames 3 to 2 were asked for; change --start or --stop"
+    ):
         Begin(CLIP, box=boxed, start=3, stop=3).find(recipe)
     assert Begin(CLIP, box=boxed, start=3, stop=9).find(recipe).frame == 3

@@ -13,8 +13,8 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.evaluation.boxes import measure_boxes
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.plan import Begin
 from facetrack_cli.runs.seeds import Plan, run_plans
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory

@@ -5,9 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Extent, TruthOptions, Whole, argument, group, option, verb
-from facetrack_cli.cli.results import Results
+from facetrack_cli.cli.options import FILE, Extent, Results, TruthOptions, Whole, argument, group, option, verb
 from facetrack_cli.core.errors import ExitCode
+from facetrack_cli.evaluation.experiments import compare
+from facetrack_cli.evaluation.experiments.compare_text import Comparison
+from facetrack_cli.report.figures.comparison import compare_figures
+from facetrack_cli.runs.batch import title
+from facetrack_cli.runs.seeds import labels, load_recipes, refuse_seed, variant
+from facetrack_cli.runs.start import Begin
 
 PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 
@@ -49,31 +54,24 @@ class Compare:
 
     clip: Path = argument("INPUT")
     config: tuple[str, ...] = option(
-        "--config",
-        "RECIPE",
+        "--config RECIPE",
         "Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
         multiple=True,
         required=True,
     )
-    seeds: int = option("--seeds", "N", "Runs of each, seed 0 on.", type=Whole(min=1), default=10)
-    rank_by: str | None = option("--rank-by", "MEASURE", "Rank by this, as points.median_px or boxes.precision_20.")
-    set: tuple[str, ...] = option("--set", "KEY=VALUE", "Override a key of all; repeatable.", multiple=True)
+    seeds: int = option("--seeds N", "Runs of each, seed 0 on.", type=Whole(min=1), default=10)
+    rank_by: str | None = option("--rank-by MEASURE", "Rank by this, as points.median_px or boxes.precision_20.")
+    set: tuple[str, ...] = option("--set KEY=VALUE", "Override a key of all; repeatable.", multiple=True)
     gallery: str | None = options.GALLERY
     truth: Path | None = option(
-        "--truth", "FILE", "Ground truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].", type=FILE
+        "--truth FILE", "Ground truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].", type=FILE
     )
     truth_options: TruthOptions = group(TruthOptions)
     extent: Extent = group(Extent)
-    out: str | None = option("-o --out", "DIR", "Folder for results [default: ./<clip>-compare].")
+    out: str | None = option("-o --out DIR", "Folder for results [default: ./<clip>-compare].")
     results: Results = group(Results)
 
     def run(self) -> int:
-        from facetrack_cli.evaluation.experiments import compare
-        from facetrack_cli.evaluation.experiments.compare_text import Comparison
-        from facetrack_cli.report.figures.comparison import compare_figures
-        from facetrack_cli.runs.batch import title
-        from facetrack_cli.runs.plan import Begin, labels, load_recipes, refuse_seed, variant
-
         clip, results, extent, known = self.clip, self.results, self.extent, self.truth_options
         extent.check(clip)
         if self.rank_by is not None:
@@ -83,15 +81,16 @@ class Compare:
         recipes = dict(zip(labels(self.config), load_recipes(asked, self.gallery), strict=True))
         file = self.truth or compare.default_truth(clip)
         truth = known.read(file)
-        with results.open(clip, self.out, f"{title(clip)}-compare", "compare", PLOTS) as experiment:
-            stopped, shown, _ = experiment
+        with results.open(clip, self.out, f"{title(clip)}-compare", "compare", PLOTS) as (stopped, shown, publish):
             begin = Begin(clip, **vars(extent))
+            with begin.open() as source:
+                options = compare.Options(known.target, known.partial, extent.stop, source.size)
             entries = compare.run_recipes(
                 recipes,
                 begin,
                 truth,
                 self.seeds,
-                compare.Options(known.target, known.partial, extent.stop, begin.frame_size()),
+                options,
                 rank_by=self.rank_by,
                 check_shift=known.shift is None,
                 workers=results.jobs,
@@ -103,10 +102,9 @@ class Compare:
                 shown.say(f"facetrack: {stopped.reason} before a run was complete; nothing was written")
                 return stopped.code or ExitCode.FAULT
             measure = self.rank_by or compare.PRIMARY[compare.kind_of(entries)]
-            complete = stopped.code is None
-            found = Comparison(clip, file, self.seeds, tuple(entries), measure, results.jobs, complete, recipes)
-            results.publish(found, "compare", experiment, lambda: compare_figures(found))
-            failed = sum(bool(entry.why) for entry in entries)
+            found = Comparison(clip, file, self.seeds, tuple(entries), measure, results.jobs, stopped.code is None)
+            publish(found, lambda: compare_figures(found))
+            failed = sum(entry.error is not None for entry in entries)
             if failed:
                 shown.say(f"{failed} of {len(entries)} recipes could not run")
         return stopped.code or (ExitCode.BATCH if failed else ExitCode.DONE)

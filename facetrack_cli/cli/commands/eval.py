@@ -5,17 +5,22 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from facetrack_cli.cli import options
+from facetrack_cli.cli.app import colour
 from facetrack_cli.cli.options import FILE, TruthOptions, argument, format_of, group, option, say, verb
 from facetrack_cli.core.errors import InputError, UsageError
-
-if TYPE_CHECKING:
-    from facetrack_cli.evaluation.summary import Evaluation
-    from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.core.files import check_new, write_new
+from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
+from facetrack_cli.evaluation.summary import Evaluation, Options, evaluate
+from facetrack_cli.evaluation.units import check_normalise
+from facetrack_cli.report.figures import calibration_figure, render
+from facetrack_cli.report.figures.style import need_matplotlib
+from facetrack_cli.trajectory.formats.read import read_results
+from facetrack_cli.trajectory.header import clip_of, is_there, picture_of
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 
 def _failure(value: str) -> float:
@@ -54,41 +59,30 @@ class Eval:
 
     trajectory: Path = argument("TRAJECTORY")
     truth: Path | None = option(
-        "--truth",
-        "FILE",
+        "--truth FILE",
         "File or folder of ground truth [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
         type=FILE,
     )
     truth_options: TruthOptions = group(TruthOptions)
     format: str = format_of("--format", "How to read TRAJECTORY if another tracker wrote it: one of the same")
     normalise: str = option(
-        "--normalise",
-        "LENGTH",
+        "--normalise LENGTH",
         "Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
         "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
         default="size",
     )
     failure: float = option(
-        "--failure",
-        "SHARE",
+        "--failure SHARE",
         "A point has failed above this normalised error; 300-W takes 0.08.",
         type=_failure,
         default="0.1",
     )
-    json: str | None = option("--json", "FILE", "Write all measures as JSON; - is standard output.")
-    csv: str | None = option("--csv", "FILE", "Write a row a part and one of all as CSV; - is standard output.")
-    plot: str | None = option("--plot", "FILE.png", "Draw how far confidence can be trusted (needs [plot]).")
+    json: str | None = option("--json FILE", "Write all measures as JSON; - is standard output.")
+    csv: str | None = option("--csv FILE", "Write a row a part and one of all as CSV; - is standard output.")
+    plot: str | None = option("--plot FILE.png", "Draw how far confidence can be trusted (needs [plot]).")
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
-        from facetrack_cli.core.files import check_new, write_new
-        from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
-        from facetrack_cli.evaluation.rows import check_normalise
-        from facetrack_cli.evaluation.summary import Options, evaluate
-        from facetrack_cli.report.figures.style import need_matplotlib
-        from facetrack_cli.trajectory.formats.read import read_results
-        from facetrack_cli.trajectory.header import clip_of, picture_of
-
         files, known = self._files(), self.truth_options
         if self.plot is not None:
             need_matplotlib()
@@ -116,12 +110,10 @@ class Eval:
         for name, content in made.items():
             write_new(files[name], content, overwrite=self.overwrite)
             say(f"{self.trajectory} -> {files[name]}")
-        _print(printed or to_text(evaluation, about, colour=options.colour()))
+        _print(printed or to_text(evaluation, about, colour=colour()))
 
     def _files(self) -> dict[str, Path]:
         """The files to write by their options; refused before anything is read if they cannot be."""
-        from facetrack_cli.core.files import check_new
-
         if self.json == self.csv == "-":
             raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
         wanted = {"--json": self.json, "--csv": self.csv, "--plot": self.plot}
@@ -142,8 +134,6 @@ command = verb(Eval)
 
 def _truth_beside(ours: Trajectory) -> Path:
     """The ground truth beside the clip of a JSON trajectory."""
-    from facetrack_cli.trajectory.header import clip_of, is_there
-
     clip = clip_of(ours)
     if clip is None:
         raise UsageError(
@@ -156,8 +146,6 @@ def _truth_beside(ours: Trajectory) -> Path:
 
 
 def _plot(evaluation: Evaluation, path: Path) -> bytes:
-    from facetrack_cli.report.figures import calibration_figure, render
-
     confidence = evaluation.all.confidence
     if confidence is None or not confidence.bins:
         raise InputError(
@@ -168,7 +156,6 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
 
 def _print(text: str) -> None:
     """To standard output, in what its encoding has."""
-    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
-    if not encoding.lower().replace("-", "").startswith("utf"):
+    if not (sys.stdout.encoding or "utf-8").lower().startswith("utf"):
         text = text.replace("\N{EN DASH}", "-")
-    click.echo(text.encode(encoding, errors="backslashreplace").decode(encoding), nl=False)
+    click.echo(text, nl=False)

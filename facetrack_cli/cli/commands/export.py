@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, argument, flag, option, say, verb
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.core.files import StreamSink, check_new, write_new
+from facetrack_cli.trajectory.formats import boxes, eaf, keypoints
+from facetrack_cli.trajectory.header import clip_of, is_there, picture_of, said
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.select import Around, blank_lost, choose, enclose
+from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.video import images
+from facetrack_cli.video.source import open_source
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from facetrack_cli.trajectory.select import Around
-    from facetrack_cli.trajectory.trajectory import Trajectory
-
-ENDINGS = {
-    "mot": ".mot.txt",
-    "otb": ".otb.txt",
-    "got10k": ".got10k.txt",
-    "vot": ".vot.txt",
-    "coco": ".coco.json",
-    "dlc": ".dlc.csv",
-    "eaf": ".eaf",
-}
+FORMATS = ("mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
 ONE_TARGET = ("otb", "got10k", "vot")
 OF_BOXES = ("mot", *ONE_TARGET, "coco")
 OF_MEDIA = ("coco", "eaf")
@@ -70,13 +66,12 @@ class Export:
     """
 
     trajectory: Path = argument("TRAJECTORY")
-    to: str = option("--to", "FORMAT", "Format, as above.", required=True, type=click.Choice(list(ENDINGS)))
-    out: str | None = option("-o --out", "FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
+    to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(FORMATS))
+    out: str | None = option("-o --out FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
     target: str | None = options.TARGET
-    media: Path | None = option("--media", "FILE", "Clip it was tracked in (coco, eaf).", type=FILE)
+    media: Path | None = option("--media FILE", "Clip it was tracked in (coco, eaf).", type=FILE)
     box: Around | None = option(
-        "--box",
-        "KIND",
+        "--box KIND",
         "What a box around points encloses: windows [default], or points, their centres alone.",
         type=click.Choice(["windows", "points"]),
     )
@@ -84,11 +79,6 @@ class Export:
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
-        from facetrack_cli.core.files import StreamSink, check_new, write_new
-        from facetrack_cli.trajectory.header import clip_of
-        from facetrack_cli.trajectory.reader import read_trajectory
-        from facetrack_cli.trajectory.select import blank_lost, choose
-
         if self.media is not None and self.to not in OF_MEDIA:
             raise UsageError(f"--media is for {' and '.join(OF_MEDIA)}; {self.to} does not name the clip")
         if self.box is not None and self.to not in OF_BOXES:
@@ -98,7 +88,8 @@ class Export:
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
         table = choose(read_trajectory(self.trajectory), self.target)
-        beside = table.path.with_name(table.path.stem + ENDINGS[self.to])
+        kind = {"coco": ".json", "dlc": ".csv", "eaf": ""}.get(self.to, ".txt")
+        beside = table.path.with_name(f"{table.path.stem}.{self.to}{kind}")
         path = None if self.out == "-" else Path(self.out) if self.out else beside
         if path is not None:
             check_new(path, overwrite=self.overwrite, inputs=(table.path, self.media, clip_of(table)))
@@ -117,14 +108,6 @@ class Export:
         say(f"{path}: {len(frames)} frames of {', '.join(table.targets) or 'one target'}{begins}")
 
     def _text(self, table: Trajectory, path: Path | None) -> str:
-        from datetime import datetime
-
-        import numpy as np
-
-        from facetrack_cli.trajectory.formats import boxes, eaf, keypoints
-        from facetrack_cli.trajectory.header import said
-        from facetrack_cli.trajectory.select import enclose
-
         if not np.isfinite(table.x).any():
             raise InputError("no row has a place, x and y; there is nothing to export")
         if self.to == "dlc":
@@ -145,8 +128,6 @@ class Export:
 
     def _clip(self, table: Trajectory) -> Path:
         """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""
-        from facetrack_cli.trajectory.header import clip_of, is_there
-
         clip = self.media or clip_of(table)
         if clip is None:
             raise InputError("does not name its video, only a trajectory.json does; give it with --media")
@@ -160,10 +141,6 @@ class Export:
 
     def _frames(self, table: Trajectory) -> tuple[tuple[int, int], Callable[[int], str]]:
         """The size of the frames, and the names of their images."""
-        from facetrack_cli.trajectory.header import clip_of, is_there, picture_of
-        from facetrack_cli.video import images
-        from facetrack_cli.video.source import open_source
-
         clip = self.media or clip_of(table)
         size = picture_of(table)
         if self.media is not None:

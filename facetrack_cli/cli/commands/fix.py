@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option, say, verb
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
-
-if TYPE_CHECKING:
-    from facetrack_cli.core.types import Correction
-    from facetrack_cli.editor.history import Fixer
-    from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.video.seek import Frames
+from facetrack_cli.core.types import Correction
+from facetrack_cli.editor.history import Fixer, corrections_of
+from facetrack_cli.editor.retrack import StoppedError
+from facetrack_cli.editor.run_folder import UNSAVED, check_size, check_writable, open_run
+from facetrack_cli.editor.save import save
+from facetrack_cli.runs.progress import progress
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.video.seek import Frames
 
 
 class Fix:
@@ -45,18 +46,13 @@ class Fix:
     folder: Path = argument("RUN_DIR")
     clip: Path | None = options.CLIP
     init: Path | None = option(
-        "--init", "FILE", "No page: take the corrections of this init file, and no others.", type=FILE
+        "--init FILE", "No page: take the corrections of this init file, and no others.", type=FILE
     )
     no_video: bool = flag("--no-video", "Leave annotated.mp4 as it is.")
     page: Page = group(Page)
     quiet: bool = flag("--quiet -q", "With --init: say nothing but errors.")
 
     def run(self) -> int:
-        from facetrack_cli.editor.history import Fixer
-        from facetrack_cli.editor.run_folder import check_size, check_writable, open_run
-        from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.video.seek import Frames
-
         if self.init is not None:
             self.page.refuse("leave it or --init out")
         elif self.quiet:
@@ -71,12 +67,6 @@ class Fix:
 
     def _apply(self, fixer: Fixer, init: Path, stop: Stop) -> int:
         """Take the corrections of a file, and save; the exit code."""
-        from facetrack_cli.editor.history import corrections_of
-        from facetrack_cli.editor.retrack import StoppedError
-        from facetrack_cli.editor.run_folder import UNSAVED
-        from facetrack_cli.editor.save import save
-        from facetrack_cli.runs.progress import progress
-
         folder = fixer.run.folder
         unsaved = folder / UNSAVED
         if unsaved.is_file() and not (init.is_file() and init.samefile(unsaved)):
@@ -85,25 +75,21 @@ class Fix:
                 f"--init {unsaved} takes them; or remove it"
             )
         corrections = corrections_of(init, fixer.run)
-        with contextlib.closing(progress(self.quiet)) as shown:
+        with progress(self.quiet) as shown:
             try:
-                shown.begin(folder.name or str(folder), "frames", None)
+                shown.begin(folder.name or str(folder))
                 fixer.apply(corrections, report=shown.update, stop=stop)
-                shown.begin("saving", "frames", None)
-                said = save(fixer, video=not self.no_video, report=shown.update, stop=stop)
+                shown.begin("saving")
+                for line in save(fixer, video=not self.no_video, report=shown.update, stop=stop):
+                    shown.say(line)
             except StoppedError:
                 shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
                 return stop.code or ExitCode.FAULT
-            for line in said:
-                shown.say(line)
         return ExitCode.DONE
 
     def _serve(self, fixer: Fixer, frames: Frames, stop: Stop) -> int:
         """Serve the page until it is saved or stopped; the exit code."""
-        from facetrack_cli.editor.history import corrections_of
-        from facetrack_cli.editor.run_folder import UNSAVED
         from facetrack_cli.editor.web.fix_session import FixSession
-        from facetrack_cli.editor.web.server import run_page
 
         folder = fixer.run.folder
         kept = folder / UNSAVED
@@ -118,14 +104,11 @@ class Fix:
             said = f"{len(unsaved)} corrections were" if many else "one correction was"
             say(f"{kept}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
         session = FixSession(fixer, frames, video=not self.no_video, unsaved=unsaved)
-        run_page(session, stop, say, port=self.page.port or 0, browse=self.page.browse)
-        if session.ended is None:
+        if not self.page.serve(session, stop):
             goes_on = f"all else is as it was; facetrack fix {folder} goes on with them"
             what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else "nothing was written"
             say(f"facetrack: {stop.reason}; {what}")
             return stop.code or ExitCode.FAULT
-        for line in (*session.ended["messages"], f"next: {session.ended['next']}"):
-            say(line)
         return ExitCode.DONE
 
 

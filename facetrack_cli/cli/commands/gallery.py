@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
+
+# before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Whole, argument, option, say, verb, write_figure
 from facetrack_cli.core.errors import InputError, UsageError
-
-if TYPE_CHECKING:
-    from facetrack_cli.tracking.identity.gallery import Gallery
+from facetrack_cli.core.files import check_new
+from facetrack_cli.report.figures.gallery import calibrated, gallery_figure, kept, stranger
+from facetrack_cli.runs.progress import progress
+from facetrack_cli.tracking.identity.faces import read_faces
+from facetrack_cli.tracking.identity.fit import fit_gallery
+from facetrack_cli.tracking.identity.gallery import Gallery, load_gallery
+from facetrack_cli.tracking.identity.people import Reading, count, find_people
 
 LEAST_SIDE, MOST_SIDE = 6, 128  # of a template, as in recipes
 
@@ -56,21 +62,17 @@ class Fit:
 
     folder: Path = argument("DIR")
     out: Path = options.array_file("gallery")
-    frames: int = option("--frames", "N", "Frames of each video, at most.", type=Whole(1, 10_000), default=15)
-    start: int = option(
-        "--start", "N", "First frame of videos that is used.", type=FRAME, default=0, show_default=False
-    )
-    stop: int | None = option("--stop", "N", "Frame of videos before which to stop.", type=FRAME)
+    frames: int = option("--frames N", "Frames of each video, at most.", type=Whole(1, 10_000), default=15)
+    start: int = option("--start N", "First frame of videos that is used.", type=FRAME, default=0, show_default=False)
+    stop: int | None = option("--stop N", "Frame of videos before which to stop.", type=FRAME)
     jitter: int = option(
-        "--jitter",
-        "N",
+        "--jitter N",
         "Copies of each face, cut up to 3 % beside it, 5 % larger or smaller, 3 degrees turned; 0 as published.",
         type=Whole(0, 100),
         default=4,
     )
     template: tuple[int, int] = option(
-        "--template",
-        "WxH",
+        "--template WxH",
         "Points across and down a face; the recipe must have the same.",
         type=_template,
         default="26x30",
@@ -79,20 +81,12 @@ class Fit:
     quiet: bool = options.QUIET
 
     def run(self) -> None:
-        # before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-        from facetrack_cli.core.files import check_new
-        from facetrack_cli.runs.progress import progress
-        from facetrack_cli.tracking.identity.fit import fit_gallery
-        from facetrack_cli.tracking.identity.people import Reading, count, find_people, read_faces
-
         start, stop, out = self.start, self.stop, self.out
         if stop is not None and stop <= start:
             raise UsageError(f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start")
         check_new(out, overwrite=self.overwrite)
         reading = Reading(self.template, self.frames, start, stop, self.jitter)
-        with contextlib.closing(progress(self.quiet)) as shown:
+        with progress(self.quiet) as shown:
 
             def warn(line: str) -> None:
                 shown.say(f"warning: {line}")
@@ -141,9 +135,6 @@ class Show:
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
-        from facetrack_cli.report.figures.gallery import gallery_figure
-        from facetrack_cli.tracking.identity.gallery import load_gallery
-
         file, out = self.file, self.out or self.file.with_suffix(".png")
         gallery = load_gallery(file)
         write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=self.overwrite, inputs=[file])
@@ -160,8 +151,6 @@ class Show:
 
 
 def _summary(gallery: Gallery) -> list[str]:
-    from facetrack_cli.report.figures.gallery import calibrated, kept, stranger
-
     spaces = (("frontal faces", gallery.frontal), ("intra-personal", gallery.intra), ("extra-personal", gallery.extra))
     lines = [f"{name}: {kept(space)}" for name, space in spaces]
     return [*lines, calibrated(gallery), stranger(gallery), *(f"note: {note}" for note in gallery.notes)]

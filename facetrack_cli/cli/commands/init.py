@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, FRAME, Page, argument, flag, group, option, say, verb
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError
-
-if TYPE_CHECKING:
-    from facetrack_cli.core.types import Box, Frame, Start
-    from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.core.files import check_new
+from facetrack_cli.core.types import Box, Frame, Start
+from facetrack_cli.recipe.gallery_option import wants_gallery
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.tracking.start import (
+    PARTS,
+    box_start,
+    default_path,
+    find_init,
+    haar_start,
+    name_targets,
+    read_init,
+    write_init,
+)
+from facetrack_cli.tracking.start.preview import write_preview
+from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import open_source
 
 SUFFIXES = (".yaml", ".yml", ".json")
 
@@ -41,17 +55,16 @@ class Init:
     """
 
     clip: Path = argument("INPUT")
-    out: str | None = option("-o --out", "FILE", "File to write [default: <clip>.init.yaml beside the clip]; - stdout.")
+    out: str | None = option("-o --out FILE", "File to write [default: <clip>.init.yaml beside the clip]; - stdout.")
     init_frame: int | None = option(
-        "--init-frame", "N", "Frame where the search begins, of --box, or shown first on the page.", type=FRAME
+        "--init-frame N", "Frame where the search begins, of --box, or shown first on the page.", type=FRAME
     )
     box: Box | None = options.box_option("The face's box in that frame: place the points in it.")
     config: str | None = option(
-        "--config",
-        "RECIPE",
+        "--config RECIPE",
         "Write what this recipe begins with: its points, or a head and hands; without, a face and five points.",
     )
-    preview: Path | None = option("--preview", "FILE.png", "Also draw the result on its frame.", type=FILE)
+    preview: Path | None = option("--preview FILE.png", "Also draw the result on its frame.", type=FILE)
     pick: bool = flag("--pick", "Choose on a page in the browser: boxes and points are drawn on the frame.")
     page: Page = group(Page)
     overwrite: bool = flag("--overwrite", "Replace files that are there already; --pick begins with what they hold.")
@@ -60,9 +73,6 @@ class Init:
     recipe: Recipe | None
 
     def run(self) -> int:
-        from facetrack_cli.recipe.load import load_recipe
-        from facetrack_cli.tracking.start import default_path
-
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
         if not self.pick:
@@ -74,8 +84,6 @@ class Init:
 
     def _check_files(self) -> None:
         """Refuse before the search what would be refused after it."""
-        from facetrack_cli.core.files import check_new
-
         path, preview = self.path, self.preview
         if path is not None and path.suffix.lower() not in SUFFIXES:
             raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
@@ -88,9 +96,6 @@ class Init:
 
     def _find(self) -> int:
         """Write what the cascades find; the exit code."""
-        from facetrack_cli.tracking.start import write_init
-        from facetrack_cli.tracking.start.preview import write_preview
-
         start, frame = self._start()
         if self.preview is not None:
             write_preview(self.preview, frame, start, overwrite=self.overwrite)
@@ -105,9 +110,6 @@ class Init:
 
     def _start(self) -> tuple[Start, Frame]:
         """The start, and its frame."""
-        from facetrack_cli.tracking.start import PARTS, box_start, haar_start, name_targets
-        from facetrack_cli.video.source import open_source
-
         recipe, clip, first = self.recipe, str(self.clip), self.init_frame or 0
         points = PARTS if recipe is None else recipe.points
         kept: list[Frame] = []
@@ -128,9 +130,6 @@ class Init:
 
     def _next(self) -> str:
         """The command that begins with the file, once it is there."""
-        from facetrack_cli.recipe.gallery_option import wants_gallery
-        from facetrack_cli.tracking.start import default_path, find_init
-
         found = (find_init(self.clip) or default_path(self.clip)) == self.path
         named = "" if found else f" --init {'FILE' if self.path is None else self.path}"
         if self.recipe is not None:
@@ -140,10 +139,6 @@ class Init:
     def _pick(self) -> int:
         """Let somebody choose on the page; the exit code."""
         from facetrack_cli.editor.web.pick_session import PickSession
-        from facetrack_cli.editor.web.server import run_page
-        from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.tracking.start import default_path, read_init, write_init
-        from facetrack_cli.video.seek import Frames
 
         beside = self.path or default_path(self.clip)
         kept = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
@@ -167,23 +162,19 @@ class Init:
                 next_=self._next(),
                 preview=self.preview,
             )
-            run_page(session, stop, say, port=self.page.port or 0, browse=self.page.browse)
-        if session.ended is None:
+            saved = self.page.serve(session, stop)
+        if not saved:
             say(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), self.clip, kept)}")
             return stop.code or ExitCode.FAULT
         if goes_on:
             kept.unlink(missing_ok=True)
         if self.path is None and session.saved is not None:
             write_init(sys.stdout, session.saved, clip=self.clip.name)
-        for line in (*session.ended["messages"], f"next: {session.ended['next']}"):
-            say(line)
         return ExitCode.DONE
 
 
 def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:
     """Write what was chosen and not saved, if anything was; what became of it."""
-    from facetrack_cli.tracking.start import write_init
-
     if start is None:
         return f"what was chosen the last time is still in {kept}" if kept.is_file() else "nothing was written"
     try:

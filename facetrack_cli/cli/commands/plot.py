@@ -9,6 +9,9 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, TruthOptions, argument, group, option, say, verb, write_figure
+from facetrack_cli.report.figures import page_figure
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.select import choose
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,13 +40,13 @@ class Plot:
     """
 
     trajectory: Path = argument("TRAJECTORY")
-    truth: Path | None = option("--truth", "FILE", "Draw the ground truth too, and the error.", type=FILE)
+    truth: Path | None = option("--truth FILE", "Draw the ground truth too, and the error.", type=FILE)
     truth_options: TruthOptions = group(TruthOptions)
     out: Path | None = options.figure_file("plot.png beside TRAJECTORY")
     overwrite: bool = options.OVERWRITE
     title: str | None = options.TITLE
-    width: float = option("--width", "INCHES", "Width of the page.", type=click.FloatRange(4, 40), default=10)
-    dpi: float = option("--dpi", "N", "Pixels an inch of a PNG.", type=click.FloatRange(40, 600), default=120)
+    width: float = option("--width INCHES", "Width of the page.", type=click.FloatRange(4, 40), default=10)
+    dpi: float = option("--dpi N", "Pixels an inch of a PNG.", type=click.FloatRange(40, 600), default=120)
 
     def run(self) -> None:
         if self.truth is None:
@@ -54,10 +57,6 @@ class Plot:
         say(f"{self.trajectory} -> {out}")
 
     def _draw(self) -> Figure:
-        from facetrack_cli.report.figures import page_figure
-        from facetrack_cli.trajectory.reader import read_trajectory
-        from facetrack_cli.trajectory.select import choose
-
         table = read_trajectory(self.trajectory)
         known = self.truth_options
         pairs = None if self.truth is None else known.pairs(table, known.read(self.truth), say)

@@ -8,6 +8,10 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Whole, argument, option, say, verb, write_figure
+from facetrack_cli.core.files import check_new
+from facetrack_cli.report.figures.shape_prior import prior_figure
+from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior
+from facetrack_cli.tracking.models.shape_prior_fit import fit_prior, suggested_sigma
 
 
 @click.group()
@@ -50,25 +54,19 @@ class Fit:
 
     truth: tuple[Path, ...] = argument("TRUTH.csv...", nargs=-1, required=True)
     out: Path = options.array_file("prior")
-    parts: tuple[str, ...] | None = option(
-        "--parts", "LIST", "Parts to learn, with commas [default: all].", type=_parts
-    )
-    stable: str = option("--stable", "PART", "Part that registers the others.", default="nose")
+    parts: tuple[str, ...] | None = option("--parts LIST", "Parts to learn, with commas [default: all].", type=_parts)
+    stable: str = option("--stable PART", "Part that registers the others.", default="nose")
     scale: tuple[str, str] = option(
-        "--scale",
-        "A,B",
+        "--scale A,B",
         "Parts whose distance in the first frame is the unit.",
         type=_scale,
         default="mouth_left,mouth_right",
     )
-    max_shapes: int = option("--max-shapes", "N", "Keep so many at most.", type=Whole(1, 10_000), default=500)
+    max_shapes: int = option("--max-shapes N", "Keep so many at most.", type=Whole(1, 10_000), default=500)
     overwrite: bool = options.OVERWRITE
     quiet: bool = options.QUIET
 
     def run(self) -> None:
-        from facetrack_cli.core.files import check_new
-        from facetrack_cli.tracking.models.shape_prior import fit_prior
-
         check_new(self.out, overwrite=self.overwrite)
         fitted = fit_prior(self.truth, self.parts, self.stable, self.scale, self.max_shapes)
         fitted.prior.save(self.out)
@@ -95,9 +93,6 @@ class Show:
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
-        from facetrack_cli.report.figures.shape_prior import prior_figure
-        from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior, suggested_sigma
-
         path = self.file or default_prior_path()
         prior = load_prior(path)
         out = self.out or (path.with_suffix(".png") if self.file else Path(path.with_suffix(".png").name))

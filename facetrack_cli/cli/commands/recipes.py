@@ -7,7 +7,7 @@ import sys
 
 import click
 
-from facetrack_cli.cli import options
+from facetrack_cli.cli.app import colour
 from facetrack_cli.core.errors import ExitCode, RecipeError
 
 
@@ -44,7 +44,7 @@ def show(recipe: str) -> None:
     from facetrack_cli.recipe.files import find_recipe, read_recipe
 
     text = read_recipe(find_recipe(recipe))
-    if not options.colour():
+    if not colour():
         click.echo(text, nl=not text.endswith("\n"))
         return
     from rich.console import Console

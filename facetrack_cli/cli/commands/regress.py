@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, Whole, argument, flag, option, verb
 from facetrack_cli.core.errors import ExitCode, UsageError
-
-if TYPE_CHECKING:
-    from facetrack_cli.evaluation.goldens.check import Checked
+from facetrack_cli.core.files import check_new, write_new
+from facetrack_cli.evaluation.goldens.check import Checked, check, select, update
+from facetrack_cli.evaluation.goldens.output import as_json, as_junit, line, summary
+from facetrack_cli.recipe.gallery_option import check_file
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.progress import flat, progress
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.tracking.identity.gallery import load_gallery
 
 
 class Regress:
@@ -42,33 +46,24 @@ class Regress:
 
     folder: Path = argument("DIR")
     config: tuple[str, ...] = option(
-        "--config",
-        "RECIPE",
+        "--config RECIPE",
         "Only this recipe, a file or a name; repeatable [default: all that have goldens].",
         multiple=True,
     )
-    set: tuple[str, ...] = option("--set", "KEY=VALUE", "Check with this key changed; repeatable.", multiple=True)
+    set: tuple[str, ...] = option("--set KEY=VALUE", "Check with this key changed; repeatable.", multiple=True)
     gallery: Path | None = option(
-        "--gallery", "FILE", "People that recipes with recognition know; a golden remembers its own.", type=FILE
+        "--gallery FILE", "People that recipes with recognition know; a golden remembers its own.", type=FILE
     )
     update: bool = flag("--update", "Record goldens instead: of --config, else of all that have one.")
-    seeds: int | None = option(
-        "--seeds", "N", "Runs to record a golden from [default: 40].", type=Whole(min=20, max=500)
-    )
-    stop: int | None = option("--stop", "N", "Record up to this frame only; for slow trackers.", type=Whole(min=2))
-    junit: Path | None = option("--junit", "FILE", "Write JUnit XML, for CI services.", type=FILE)
-    json: Path | None = option("--json", "FILE", "Write the results as JSON.", type=FILE)
+    seeds: int | None = option("--seeds N", "Runs to record a golden from [default: 40].", type=Whole(min=20, max=500))
+    stop: int | None = option("--stop N", "Record up to this frame only; for slow trackers.", type=Whole(min=2))
+    junit: Path | None = option("--junit FILE", "Write JUnit XML, for CI services.", type=FILE)
+    json: Path | None = option("--json FILE", "Write the results as JSON.", type=FILE)
     overwrite: bool = options.OVERWRITE
     jobs: int = options.jobs_option("Goldens at a time.")
     quiet: bool = flag("--quiet -q", "No progress.")
 
     def run(self) -> int:
-        from facetrack_cli.core.files import check_new
-        from facetrack_cli.recipe.gallery_option import check_file
-        from facetrack_cli.runs.progress import progress
-        from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.tracking.identity.gallery import load_gallery
-
         if self.update and (self.set or self.junit or self.json):
             raise UsageError("--update records recipes as they are; leave --set, --junit and --json to a check")
         if not self.update and (self.seeds is not None or self.stop is not None):
@@ -80,13 +75,13 @@ class Regress:
         if self.gallery is not None:  # a mistake in the option is no regression
             check_file(str(self.gallery))
             load_gallery(self.gallery)
-        with Stop().listening() as stopped, contextlib.closing(progress(self.quiet)) as shown:
-            shown.begin(str(self.folder), "frames", None)
+        with Stop().listening() as stopped, progress(self.quiet) as shown:
+            shown.begin(str(self.folder))
             runs: dict[str, Any] = {
                 "gallery": self.gallery,
                 "workers": self.jobs,
                 "stopped": stopped,
-                "report": lambda done, total: shown.update(done, total or None),
+                "report": shown.update,
             }
             code, left = self._update(runs) if self.update else self._check(runs)
             if stopped.code is not None:
@@ -95,46 +90,33 @@ class Regress:
 
     def _check(self, runs: dict[str, Any]) -> tuple[ExitCode, str]:
         """Check the goldens, a line of each; the exit code, and what to say if it was interrupted."""
-        from facetrack_cli.core.files import write_new
-        from facetrack_cli.evaluation.goldens.check import check, select
-        from facetrack_cli.evaluation.goldens.output import as_json, as_junit, line, summary
-        from facetrack_cli.recipe.load import load_recipe
-
         began = time.monotonic()
         given = [load_recipe(name, self.set) for name in self.config]
         goldens = select(self.folder, given)
         found: list[Checked] = []
         for one in check(self.folder, goldens, given, self.set, **runs):
             found.append(one)
-            _print(*line(one))
+            click.echo("\n".join(map(flat, line(one))))
         if runs["stopped"].code is None:
             seconds = time.monotonic() - began
             if self.junit is not None:
                 write_new(self.junit, as_junit(found, seconds).encode(), overwrite=self.overwrite)
             if self.json is not None:
                 write_new(self.json, as_json(found).encode(), overwrite=self.overwrite)
-            _print(summary(found, seconds))
+            click.echo(flat(summary(found, seconds)))
         code = ExitCode.REGRESSION if any(one.status == "fails" for one in found) else ExitCode.DONE
         return code, f" after {len(found)} of {len(goldens)} goldens"
 
     def _update(self, runs: dict[str, Any]) -> tuple[ExitCode, str]:
         """Record goldens, a line of each; the exit code, and what to say if it was interrupted."""
-        from facetrack_cli.evaluation.goldens.check import update
-
         failed = False
         for one in update(self.folder, self.config, self.seeds or 40, self.stop, **runs):
             what = f"wrote {one.golden} ({one.message})" if one.status == "ok" else f"skipped: {one.message}"
             if one.status == "fails":
                 failed = True
                 what = f"not recorded: {one.message}"
-            _print(f"{one.clip} {one.recipe}: {what}")
+            click.echo(flat(f"{one.clip} {one.recipe}: {what}"))
         return ExitCode.BATCH if failed else ExitCode.DONE, "; goldens that were not written are as they were"
-
-
-def _print(*lines: str) -> None:
-    """Each as it comes, also into a pipe; a name may hold a line break, a line must not."""
-    for text in lines:
-        click.echo(" ".join(text.splitlines()))
 
 
 command = verb(Regress)

@@ -7,9 +7,15 @@ from pathlib import Path
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Extent, Whole, argument, group, option, verb
-from facetrack_cli.cli.results import Results
+from facetrack_cli.cli.options import FILE, Extent, Results, Whole, argument, group, option, verb
 from facetrack_cli.core.errors import ExitCode
+from facetrack_cli.evaluation.experiments.repeat import Repetition, matched, spreads
+from facetrack_cli.evaluation.experiments.sheet import clip_name
+from facetrack_cli.report.figures.comparison import repeat_figures
+from facetrack_cli.runs.batch import title
+from facetrack_cli.runs.seeds import Plan, load_recipes, refuse_seed, run_plans
+from facetrack_cli.runs.start import Begin
+from facetrack_cli.trajectory.formats.read import read_truth
 
 
 class Repeat:
@@ -38,45 +44,33 @@ class Repeat:
 
     clip: Path = argument("INPUT")
     config: str = options.CONFIG
-    seeds: int = option("--seeds", "N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
+    seeds: int = option("--seeds N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
     set: tuple[str, ...] = options.OVERRIDES
     gallery: str | None = options.GALLERY
     extent: Extent = group(Extent)
     apart: float = option(
-        "--apart",
-        "SHARE",
+        "--apart SHARE",
         "Share of the target's size beyond which a run is apart from the others.",
         type=click.FloatRange(0, min_open=True),
         default=0.25,
     )
-    truth: Path | None = option("--truth", "FILE", "Ground truth, to say which runs are right.", type=FILE)
-    out: str | None = option("-o --out", "DIR", "Folder for results [default: ./<clip>-<recipe>-repeat].")
+    truth: Path | None = option("--truth FILE", "Ground truth, to say which runs are right.", type=FILE)
+    out: str | None = option("-o --out DIR", "Folder for results [default: ./<clip>-<recipe>-repeat].")
     results: Results = group(Results)
 
     def run(self) -> int:
-        from facetrack_cli.evaluation.experiments.repeat import matched, spreads
-        from facetrack_cli.evaluation.experiments.repeat_text import Repetition
-        from facetrack_cli.evaluation.experiments.sheet import clip_name
-        from facetrack_cli.report.figures.comparison import repeat_figures
-        from facetrack_cli.runs.batch import title
-        from facetrack_cli.runs.plan import Begin, load_recipes, refuse_seed
-        from facetrack_cli.runs.seeds import run_plans
-        from facetrack_cli.trajectory.formats.read import read_truth
-
         clip, results = self.clip, self.results
         self.extent.check(clip)
         refuse_seed(self.set)
         [recipe] = load_recipes([(self.config, self.set)], self.gallery)
         truth = None if self.truth is None else read_truth(self.truth)
-        with results.open(
-            clip, self.out, f"{title(clip)}-{recipe.name}-repeat", "repeat", ["spread.png"]
-        ) as experiment:
-            stopped, shown, _ = experiment
-            plan = Begin(clip, **vars(self.extent)).plan(recipe.name, recipe, self.seeds, truth, stopped)
-            shown.begin(clip_name(clip), "frames", None)
-            [ended] = run_plans(
-                [plan], results.jobs, stopped, lambda done, of: shown.update(done, of or None), partial=True
-            )
+        name = f"{title(clip)}-{recipe.name}-repeat"
+        with results.open(clip, self.out, name, "repeat", ["spread.png"]) as (stopped, shown, publish):
+            begin = Begin(clip, **vars(self.extent))
+            start = begin.find(recipe, truth, stopped)
+            plan = Plan(recipe.name, clip, recipe, start, tuple(range(self.seeds)), begin.stop, begin.fps)
+            shown.begin(clip_name(clip))
+            [ended] = run_plans([plan], results.jobs, stopped, shown.update, partial=True)
             if ended.error is not None:
                 raise ended.error
             runs = ended.runs
@@ -91,7 +85,7 @@ class Repeat:
             spread = spreads(seeds, tables, self.apart, matched(tables[0], truth))
             complete = stopped.code is None
             found = Repetition(clip, recipe.name, recipe, seeds, spread, self.apart, self.truth, complete, warned)
-            results.publish(found, "repeat", experiment, lambda: repeat_figures(found))
+            publish(found, lambda: repeat_figures(found))
         return stopped.code or ExitCode.DONE
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, TruthOptions, argument, group, option, verb
+from facetrack_cli.core.files import check_new, write_new
+from facetrack_cli.report.make import NAME, TruthFile, make_report, trajectory_of
+from facetrack_cli.runs.progress import progress
+from facetrack_cli.runs.signals import Stop
 
 
 class Report:
@@ -30,27 +33,22 @@ class Report:
     """
 
     folder: Path = argument("RUN_DIR")
-    truth: Path | None = option("--truth", "FILE", "Measure against this file of ground truth.", type=FILE)
+    truth: Path | None = option("--truth FILE", "Measure against this file of ground truth.", type=FILE)
     truth_options: TruthOptions = group(TruthOptions)
-    out: Path | None = option("-o --out", "FILE", "The page [default: RUN_DIR/report.html].", type=FILE)
+    out: Path | None = option("-o --out FILE", "The page [default: RUN_DIR/report.html].", type=FILE)
     clip: Path | None = options.CLIP
     title: str | None = options.TITLE
     overwrite: bool = options.OVERWRITE
     quiet: bool = options.QUIET
 
     def run(self) -> int:
-        from facetrack_cli.core.files import check_new, write_new
-        from facetrack_cli.report.make import NAME, TruthFile, make_report, trajectory_of
-        from facetrack_cli.runs.progress import progress
-        from facetrack_cli.runs.signals import Stop
-
         if self.truth is None:
             self.truth_options.refuse(target=True)
         trajectory_of(self.folder)
         to = self.folder / NAME if self.out is None else self.out
         check_new(to, overwrite=self.overwrite, inputs=(self.truth, self.clip))
-        with contextlib.closing(progress(self.quiet)) as shown:
-            shown.begin(self.folder.name or str(self.folder), "frames", None)
+        with progress(self.quiet) as shown:
+            shown.begin(self.folder.name or str(self.folder))
             truth = None if self.truth is None else TruthFile(self.truth, *vars(self.truth_options).values())
             page = make_report(self.folder, truth=truth, clip=self.clip, title=self.title, report=shown.update)
             with Stop().listening() as stop:  # a Ctrl-C before this ends us with nothing written, from here on with all

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+import cv2
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
 from facetrack_cli.core.errors import ExitCode, OutputError, UsageError
+from facetrack_cli.runs.batch import absolute, check_all, folders, run_batch
+from facetrack_cli.runs.clip import Job, Outcome, run
+from facetrack_cli.runs.progress import Progress, progress
+from facetrack_cli.runs.seeds import load_recipes
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.workers import cores
 from facetrack_cli.trajectory.writers import FORMATS, Format
-
-if TYPE_CHECKING:
-    from facetrack_cli.runs.job import Job, Outcome
-    from facetrack_cli.runs.progress import Progress
-    from facetrack_cli.runs.signals import Stop
 
 
 def _formats(value: str) -> tuple[Format, ...]:
@@ -57,33 +57,24 @@ class Run:
     inputs: tuple[Path, ...] = argument("INPUT...", nargs=-1, required=True)
     config: str = options.CONFIG
     set: tuple[str, ...] = options.OVERRIDES
-    seed: int | None = option("--seed", "N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
+    seed: int | None = option("--seed N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
     gallery: str | None = options.GALLERY
     extent: Extent = group(Extent)
     init_frame: int | None = option(
-        "--init-frame", "N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
+        "--init-frame N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
     )
-    out: str | None = option("-o --out", "DIR", "Folder for results [default: ./<clip>-<recipe>]; - streams to stdout.")
+    out: str | None = option("-o --out DIR", "Folder for results [default: ./<clip>-<recipe>]; - streams to stdout.")
     no_video: bool = flag("--no-video", "Do not write annotated.mp4.")
     format: tuple[Format, ...] | None = option(
-        "--format", "LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats
+        "--format LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats
     )
     overwrite: bool = options.OVERWRITE
     fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
-    threads: int | None = option(
-        "--threads", "N", "Threads a clip [default: the cores, shared by -j].", type=Whole(min=1)
-    )
+    threads: int | None = option("--threads N", "Threads a clip [default: the cores, shared by -j].", type=Whole(min=1))
     jobs: int = options.jobs_option("Clips at a time.")
     quiet: bool = options.QUIET
 
     def run(self) -> int:
-        from facetrack_cli.runs.batch import absolute
-        from facetrack_cli.runs.job import Job
-        from facetrack_cli.runs.plan import load_recipes
-        from facetrack_cli.runs.progress import progress
-        from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.runs.workers import cores
-
         self.extent.check(*self.inputs)
         seed = () if self.seed is None else (f"seed={self.seed}",)
         [recipe] = load_recipes([(self.config, (*self.set, *seed))], self.gallery)
@@ -93,9 +84,9 @@ class Run:
                 "give likelihood.contour or likelihood.histogram too, or leave the option out"
             )
         clips = list({absolute(clip): clip for clip in reversed(self.inputs)}.values())[::-1]
-        folders, formats = self._places(clips, recipe.name)
+        places, formats = self._places(clips, recipe.name)
         workers = min(self.jobs, len(clips))
-        with Stop().listening() as ending, contextlib.closing(progress(self.quiet)) as shown:
+        with Stop().listening() as ending, progress(self.quiet) as shown:
             jobs = [
                 Job(
                     clip=clip,
@@ -108,15 +99,13 @@ class Run:
                     threads=self.threads or max(1, cores() // workers),
                     **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
                 )
-                for clip, folder in zip(clips, folders, strict=True)
+                for clip, folder in zip(clips, places, strict=True)
             ]
             code = _one(jobs[0], ending, shown) if len(jobs) == 1 else _several(jobs, workers, ending, shown)
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
 
     def _places(self, clips: list[Path], recipe: str) -> tuple[list[Path | None], tuple[Format, ...]]:
         """The folder of each clip's results, None for standard output, and the formats to write."""
-        from facetrack_cli.runs.batch import folders
-
         if self.out == "-":
             if len(clips) > 1:
                 raise UsageError("-o - streams one clip; give one INPUT, or a folder with --out")
@@ -131,13 +120,8 @@ class Run:
 
 def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
     """Run one clip; its error is the command's."""
-    from facetrack_cli.runs.clip import run
-    from facetrack_cli.runs.outputs import check
-    from facetrack_cli.runs.workers import use_threads
-
-    check(job)
-    use_threads(job.threads)
-    shown.begin(job.clip.name, "frames", None)
+    cv2.setNumThreads(job.threads)
+    shown.begin(job.clip.name)
     outcome = run(job, stop, shown.update)
     shown.close()
     if isinstance(outcome.error, BrokenPipeError):
@@ -150,11 +134,8 @@ def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
 
 def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
-    from facetrack_cli.runs.batch import check_all, run_batch
-    from facetrack_cli.runs.workers import use_threads
-
     if workers == 1:
-        use_threads(jobs[0].threads)
+        cv2.setNumThreads(jobs[0].threads)
     refused, accepted = check_all(jobs)
     failed = lost = 0
     for ended in itertools.chain(refused, run_batch(accepted, workers, stop, shown)):

@@ -18,12 +18,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
-from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
 from facetrack_cli.evaluation.experiments.sheet import clip_name
@@ -31,10 +31,10 @@ from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Pair, Rows, column
 from facetrack_cli.evaluation.summary import MEASURES, Evaluation, evaluate, scalars
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.plan import Begin, far_from_truth
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.seeds import Plan, SeedRun, outline, run_plans
 from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.start import Begin, far_from_truth
 from facetrack_cli.trajectory.reader import MAX_FRAME
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
@@ -48,47 +48,44 @@ TRUTH_NAMES: Final = ("groundtruth.csv", "groundtruth_rect.txt", "groundtruth.tx
 
 @dataclass(frozen=True)
 class Options:
-    """How runs are measured: which target of the ground truth, whether that may be shorter than the run, the frame
-    before which the runs end, and the frames' (width, height), to which GOT-10k and VOT clip boxes.
-    """
+    """How runs are measured."""
 
-    select: str | None = None
-    partial: bool = False
-    stop: int | None = None
-    size: tuple[int, int] | None = None
+    select: str | None = None  # the one target of the ground truth
+    partial: bool = False  # whether that may be shorter than the run
+    stop: int | None = None  # the frame before which the runs end
+    size: tuple[int, int] | None = None  # (width, height) of the frames, to which GOT-10k and VOT clip boxes
 
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What one run scores. `frame` (T,) are source frames, `error` (T,) the mean distance in pixels over all parts with
-    a known true position, nan where there is none; the curves (n,) are shares of rows at the thresholds above.
+    """What one run scores; the curves (n,) are shares of rows at the thresholds above."""
 
-    `frames_per_s` is of the tracker alone, decoding apart.
-    """
-
-    label: str
     seed: int
     figures: Mapping[str, float]
     failed: bool
-    frames_per_s: float
-    frame: Whole
-    error: Array
+    frames_per_s: float  # of the tracker alone, decoding apart
+    frame: Whole  # (T,) source frames
+    error: Array  # (T,) mean distance in pixels over all parts with a known true position, else nan
     hidden: Whole  # the frames in which some part is hidden or absent
     success: Array | None = None
     precision: Array | None = None
     cumulative: Array | None = None
 
 
-@dataclass(frozen=True)
+@dataclass
 class Entry:
-    """One recipe: its scores, one a seed, or in `why` what kept it from running."""
+    """One recipe: its scores, one a seed, or the `error` that kept it from running; `start` is that of its runs."""
 
     label: str
-    scores: tuple[Score, ...] = ()
-    why: str = ""
-    deterministic: bool = False
-    begins: str = ""  # who said where, and the frame
-    warnings: tuple[str, ...] = ()
+    scores: list[Score] = field(default_factory=list)
+    error: FacetrackError | None = None
+    recipe: Recipe | None = None
+    start: Start | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def deterministic(self) -> bool:
+        return self.recipe is not None and not self.recipe.random
 
     def values(self, measure: str) -> Array:
         """(n,): the measure in the runs in which it is defined."""
@@ -174,13 +171,12 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
 
 def score_run(run: SeedRun, truth: Trajectory, options: Options, note: Callable[[str], None] = lambda _: None) -> Score:
     """Measure one run; `note` gets what was paired how (see `match`). InputError where it does not fit."""
-    pairs = _pairs(run, truth, options, note=note)
+    pairs = _pairs(run.trajectory, truth, options, note=note)
     evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.parts)
     rows = evaluation.rows
     frame, error = error_by_frame(rows)
     boxes = evaluation.all.boxes
     return Score(
-        label=run.label,
         seed=run.seed,
         figures=scalars(evaluation),
         failed=has_failed(evaluation),
@@ -197,24 +193,15 @@ def score_run(run: SeedRun, truth: Trajectory, options: Options, note: Callable[
 def shifted(run: SeedRun, truth: Trajectory, options: Options) -> InputError | None:
     """The error of ground truth that numbers the frames otherwise than a run that can be scored; None if it fits."""
     try:
-        _pairs(run, truth, options, check_shift=True)
+        _pairs(run.trajectory, truth, options, check_shift=True)
     except InputError as e:
         return e
     return None
 
 
-def _pairs(
-    run: SeedRun,
-    truth: Trajectory,
-    options: Options,
-    *,
-    check_shift: bool = False,
-    note: Callable[[str], None] = lambda _: None,
-) -> list[Pair]:
-    known = within(truth, run.trajectory, options)
-    return match(
-        run.trajectory, known, partial=options.partial, select=options.select, check_shift=check_shift, note=note
-    )
+def _pairs(ours: Trajectory, truth: Trajectory, options: Options, **more: Any) -> list[Pair]:
+    known = within(truth, ours, options)
+    return match(ours, known, **{"partial": options.partial, "select": options.select, "check_shift": False, **more})
 
 
 def kinds_of(plan: Plan, truth: Trajectory, options: Options) -> set[str]:
@@ -225,8 +212,7 @@ def kinds_of(plan: Plan, truth: Trajectory, options: Options) -> set[str]:
     frames = truth.frames[truth.frames > plan.start.frame]
     assert options.size is not None
     table = outline(plan, np.array([plan.start.frame, *frames]), options.size)
-    pairs = match(table, within(truth, table, options), partial=True, select=options.select, check_shift=False)
-    return {"boxes" if pair.is_box else "points" for pair in pairs}
+    return {"boxes" if pair.is_box else "points" for pair in _pairs(table, truth, options, partial=True)}
 
 
 def within(truth: Trajectory, trajectory: Trajectory, options: Options) -> Trajectory:
@@ -284,30 +270,6 @@ def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
 # --- all runs ----------------------------------------------------------------------------------------------------
 
 
-@dataclass
-class _Tried:
-    """A recipe, its plan and what came of it; `moved` is the error of a shift that its first run shows."""
-
-    label: str
-    recipe: Recipe
-    plan: Plan | None = None
-    scores: list[Score] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    moved: InputError | None = None
-    error: FacetrackError | None = None
-
-    def entry(self) -> Entry:
-        start = None if self.plan is None else self.plan.start
-        return Entry(
-            self.label,
-            tuple(sorted(self.scores, key=lambda score: score.seed)),
-            "" if self.error is None else str(self.error),
-            deterministic=not self.recipe.random,
-            begins="" if start is None else f"{start.origin}, frame {start.frame}",
-            warnings=tuple(dict.fromkeys(self.warnings)),
-        )
-
-
 def run_recipes(
     recipes: Mapping[str, Recipe],
     begin: Begin,
@@ -325,58 +287,61 @@ def run_recipes(
 
     Raises the error if all fail of one, and InputError for ground truth that numbers the frames otherwise.
     """
-    tried = {label: _Tried(label, recipe) for label, recipe in recipes.items()}
+    entries = {label: Entry(label, recipe=recipe) for label, recipe in recipes.items()}
     family = (rank_by or "").partition(".")[0]
-    for one in tried.values():
+    plans = []
+    for label, recipe in recipes.items():
         try:
-            # what draws no random numbers has one run to show
-            plan = begin.plan(one.label, one.recipe, seeds if one.recipe.random else 1, truth, stop)
+            start = begin.find(recipe, truth, stop)
+            own = range(seeds if recipe.random else 1)  # what draws no random numbers has one run to show
+            plan = Plan(label, begin.clip, recipe, start, tuple(own), begin.stop, begin.fps)
             kinds = kinds_of(plan, truth, options)
             if family in ("boxes", "points") and family not in kinds:
                 measured = " and ".join(sorted(kinds))
-                told = f"this ground truth measures {measured} of {one.label}; rank by these"
-                raise UsageError(f"--rank-by {rank_by}: {told}")
-            one.plan = plan
-            one.warnings += filter(None, [far_from_truth(plan.start, truth)])
+                raise UsageError(
+                    f"--rank-by {rank_by}: this ground truth measures {measured} of {label}; rank by these"
+                )
+            plans.append(plan)
+            entries[label].start = start
+            entries[label].warnings += filter(None, [far_from_truth(start, truth)])
         except FacetrackError as e:
             if stop():
                 return []
-            one.error = e
-    plans = [one.plan for one in tried.values() if one.plan is not None]
+            entries[label].error = e
     alike = len({(plan.start.frame, plan.recipe.points) for plan in plans}) == 1
     notes: list[str] = []
-    shown.begin(clip_name(begin.clip), "frames", None)
-    with contextlib.closing(run_plans(plans, workers, stop, lambda done, of: shown.update(done, of or None))) as found:
+    moved: list[InputError | None] = []  # the error of a shift that a recipe's first run shows
+    shown.begin(clip_name(begin.clip))
+    with contextlib.closing(run_plans(plans, workers, stop, shown.update)) as found:
         for ended in found:
-            one = tried[ended.plan.label]
+            entry = entries[ended.plan.label]
             try:
                 if ended.error is not None:
                     raise ended.error
                 for run in ended.runs:
-                    one.warnings += run.warnings
-                    one.scores.append(score_run(run, truth, options, notes.append))
-                    if check_shift and len(one.scores) == 1:
-                        one.moved = shifted(run, truth, options)
+                    entry.warnings += run.warnings
+                    entry.scores.append(score_run(run, truth, options, notes.append))
+                    if len(entry.scores) == 1:
+                        moved.append(shifted(run, truth, options) if check_shift else None)
             except FacetrackError as e:
-                one.error = e
-                if alike and ended.error is None and not any(other.scores for other in tried.values()):
+                entry.error = e
+                if alike and ended.error is None and not moved:
                     break  # what is wrong with the ground truth is wrong for every other run too
-    ran = [one for one in tried.values() if one.scores]
-    failed = {one.label: one.error for one in tried.values() if one.error is not None}
-    if failed and not ran and stop.code is None:
+    failed = {entry.label: entry.error for entry in entries.values() if entry.error is not None}
+    if failed and not moved and stop.code is None:
         first = next(iter(failed.values()))
         for label, error in failed.items():
             if str(error) != str(first):
                 shown.error(f"facetrack: error: {label}: {error}")
         raise first
-    for line in dict.fromkeys(line for one in tried.values() for line in one.warnings):
+    for line in dict.fromkeys(line for entry in entries.values() for line in entry.warnings):
         shown.say(f"facetrack: warning: {line}")
     for line in dict.fromkeys(notes):
         shown.say(f"facetrack: note: {line}")
     # one recipe that trails behind is a bad tracker; if all do, the ground truth numbers the frames otherwise
-    if ran and all(one.moved for one in ran) and ran[0].moved is not None:
-        raise ran[0].moved
-    return [one.entry() for one in tried.values()]
+    if moved and moved[0] is not None and all(moved):
+        raise moved[0]
+    return list(entries.values())
 
 
 def default_truth(clip: Path) -> Path:

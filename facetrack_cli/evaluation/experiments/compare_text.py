@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from facetrack_cli.evaluation.experiments.compare import Entry, Place, kind_of, less_is_better, rank
 from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name, document, rounded
 from facetrack_cli.evaluation.summary import MEASURES
-
-if TYPE_CHECKING:
-    from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.recipe.model import to_dict
 
 # what a measure is called in the table, its factor and its decimals
 TITLES: Final = {
@@ -30,7 +28,7 @@ TITLES: Final = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """All that a comparison found. `entries` in the order in which they were asked for; `recipes` by label."""
+    """All that a comparison found. `entries` in the order in which they were asked for."""
 
     clip: Path
     truth: Path
@@ -39,12 +37,6 @@ class Comparison:
     measure: str
     workers: int = 1
     complete: bool = True
-    recipes: dict[str, Recipe] = field(default_factory=dict)
-
-    @property
-    def kind(self) -> str:
-        """`boxes` or `points`: what the first recipe that ran is measured as."""
-        return kind_of(self.entries)
 
     @property
     def places(self) -> list[Place]:
@@ -53,21 +45,17 @@ class Comparison:
     @property
     def measures(self) -> tuple[str, ...]:
         """Those in the table, the one that ranks first."""
-        usual = [name for name in TITLES if name.startswith(self.kind)]
+        usual = [name for name in TITLES if name.startswith(kind_of(self.entries))]
         return tuple(dict.fromkeys([self.measure, *usual]))
 
     def sheet(self) -> Sheet:
         """Recipes in their order; those that could not run at the end, and why below."""
         frames = np.concatenate([score.frame for entry in self.entries for score in entry.scores])
-        title = (
-            f"{clip_name(self.clip)}: {len(self.entries)} recipes on frames {frames.min()} to {frames.max()}, "
-            f"truth {self.truth.name}"
-        )
-        found = self.places
-        fastest = max((place.entry.frames_per_s or 0.0 for place in found), default=0.0)
-        measures = map(_head, self.measures)
-        heads = ("rank", "recipe", *measures, "failed", "frames\nper s", "time a\nframe")
-        return Sheet(title, heads, tuple(self._row(place, fastest) for place in found), tuple(self.notes()))
+        span = f"frames {frames.min()} to {frames.max()}"
+        title = f"{clip_name(self.clip)}: {len(self.entries)} recipes on {span}, truth {self.truth.name}"
+        fastest = max((entry.frames_per_s or 0.0 for entry in self.entries), default=0.0)
+        heads = ("rank", "recipe", *map(_head, self.measures), "failed", "frames\nper s", "time a\nframe")
+        return Sheet(title, heads, tuple(self._row(place, fastest) for place in self.places), tuple(self.notes()))
 
     def _row(self, place: Place, fastest: float) -> tuple[str, ...]:
         entry, rate = place.entry, place.entry.frames_per_s
@@ -86,24 +74,19 @@ class Comparison:
         """What one must know to read the table, and why recipes did not run."""
         several = any(len(entry.scores) > 1 for entry in self.entries)
         once = [entry.label for entry in self.entries if entry.deterministic and entry.scores]
-        failed = (
-            "the median IoU over the last tenth of the frames is below 0.1"
-            if self.kind == "boxes"
-            else "a part's median error over its last 25 visible frames exceeds a quarter of the target's size"
-        )
-        lines = []
+        lines = [f"One run each; ranked by {self.measure}."]
         if several:
-            lines.append(
-                f"Mean ± standard deviation over {self.seeds} seeds; "
-                f"ranked by {self.measure}, {'less' if less_is_better(self.measure) else 'more'} is better."
-            )
-        else:
-            lines.append(f"One run each; ranked by {self.measure}.")
+            better = "less" if less_is_better(self.measure) else "more"
+            over = f"Mean ± standard deviation over {self.seeds} seeds"
+            lines = [f"{over}; ranked by {self.measure}, {better} is better."]
         if any(place.first != place.last for place in self.places):
             lines.append(
                 "A rank such as 1\N{EN DASH}2: not distinguishable, the means ± 2 standard errors overlap"
                 + ("." if several else "; one seed tells nothing of a difference, give --seeds.")
             )
+        failed = "a part's median error over its last 25 visible frames exceeds a quarter of the target's size"
+        if kind_of(self.entries) == "boxes":
+            failed = "the median IoU over the last tenth of the frames is below 0.1"
         lines.append(f"Failed: runs at whose end {failed}.")
         shared = f" by {self.workers} processes, which slow each other down" if self.workers > 1 else ""
         lines.append(
@@ -114,7 +97,7 @@ class Comparison:
             lines.append(f"Deterministic, run once: {', '.join(once)}.")
         if not self.complete:
             lines.append("Interrupted: these are the runs that were complete.")
-        return lines + [f"{entry.label}: not run: {entry.why}" for entry in self.entries if entry.why]
+        return lines + [f"{entry.label}: not run: {entry.error}" for entry in self.entries if entry.error]
 
     def csv(self) -> str:
         """A row a recipe and seed with every figure; a recipe that did not run has one row, which says why."""
@@ -126,8 +109,8 @@ class Comparison:
             for score in entry.scores:
                 figures = [_plain(score.figures.get(name)) for name in measured]
                 writer.writerow([entry.label, score.seed, int(score.failed), f"{score.frames_per_s:.2f}", *figures, ""])
-            if entry.why:
-                writer.writerow([entry.label, "", "", "", *("" for _ in measured), entry.why])
+            if entry.error:
+                writer.writerow([entry.label, "", "", "", *("" for _ in measured), entry.error])
         return out.getvalue()
 
     def json(self) -> str:
@@ -145,16 +128,14 @@ class Comparison:
         return document("facetrack-compare", fields, indent=1)
 
     def _recipe(self, place: Place) -> dict[str, Any]:
-        from facetrack_cli.recipe.model import to_dict
-
         entry = place.entry
         return {
             "label": entry.label,
             "rank": None if place.first is None else [place.first, place.last],
-            "error": entry.why or None,
+            "error": None if entry.error is None else str(entry.error),
             "deterministic": entry.deterministic,
-            "begins": entry.begins or None,
-            "warnings": list(entry.warnings),
+            "begins": None if entry.start is None else f"{entry.start.origin}, frame {entry.start.frame}",
+            "warnings": list(dict.fromkeys(entry.warnings)),
             "failures": entry.failures,
             "frames_per_s": rounded(entry.frames_per_s, 2),
             "mean": {n: rounded(m, 6) for n in MEASURES if (m := entry.mean(n)) is not None},
@@ -168,7 +149,7 @@ class Comparison:
                 }
                 for score in entry.scores
             ],
-            "recipe": to_dict(self.recipes[entry.label]) if entry.label in self.recipes else None,
+            "recipe": to_dict(entry.recipe) if entry.recipe is not None else None,
         }
 
 

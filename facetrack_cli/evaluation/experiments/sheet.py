@@ -10,27 +10,17 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import click
 
 from facetrack_cli import __version__
-from facetrack_cli.runs.plan import OVERRIDES
+from facetrack_cli.runs.seeds import OVERRIDES
 
 WIDE: Final = 100  # columns of a table that is not printed on a terminal
 ENDLESS: Final = 10_000
 LEAST_NAME: Final = 20  # columns that a name has at least before it is broken
 NO_FIGURE: Final = "\N{EN DASH}"
-
-
-class Findings(Protocol):
-    """All that an experiment on a clip found, as a table for people, and as CSV and JSON for programs."""
-
-    @property
-    def clip(self) -> Path: ...
-    def sheet(self) -> Sheet: ...
-    def csv(self) -> str: ...
-    def json(self) -> str: ...
 
 
 @dataclass(frozen=True)

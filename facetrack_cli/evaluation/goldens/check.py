@@ -32,9 +32,9 @@ from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.gallery_option import put
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, Recipe, completed, to_dict
-from facetrack_cli.runs.plan import Begin
 from facetrack_cli.runs.seeds import Plan, Report, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.opencv import find as find_opencv
 from facetrack_cli.tracking.start import find_init
 from facetrack_cli.trajectory.trajectory import Trajectory

@@ -10,7 +10,7 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.boxes import PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
 from facetrack_cli.evaluation.experiments.compare import CUMULATIVE_AT, Entry, Score, aligned
 from facetrack_cli.evaluation.experiments.compare_text import Comparison
-from facetrack_cli.evaluation.experiments.repeat_text import Repetition
+from facetrack_cli.evaluation.experiments.repeat import Repetition
 from facetrack_cli.evaluation.experiments.sheet import clip_name
 from facetrack_cli.evaluation.points import FAILURE
 from facetrack_cli.report import figures as plots
