@@ -9,7 +9,7 @@ import pytest
 
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import check_recipe, load_recipe
-from facetrack_cli.report.events import Clock, tell
+from facetrack_cli.report.events import Clock, history_of
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -287,5 +287,5 @@ def test_of_all_frames_the_last_alone_is_kept():
 def test_a_clip_of_one_frame_does_not_say_that_its_tracker_is_blind(facetrack):
     assert run(facetrack, "--stop", 1, "-o", "one")[0] == 0
     table = read_trajectory(Path("one"))
-    [part] = tell(table, Clock(table, 25.0)).parts
-    assert part.told and part.last_status == "init"
+    [part] = history_of(table, Clock(table, 25.0)).parts
+    assert part.judged and part.last_status == "init"
