@@ -275,10 +275,7 @@ def to_dict(recipe: Recipe) -> dict[str, Any]:
 
 
 def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that an earlier version wrote by `to_dict`, with the default of every key that has come since.
-
-    What is no recipe any more is returned as it is.
-    """
+    """Settings that an earlier version wrote by `to_dict`, with later defaults; as they are if no recipe any more."""
     kind = KINDS.get(settings.get("type", "particle_filter"), ParticleRecipe)
     try:
         return to_dict(kind.model_validate(dict(settings)))
