@@ -51,7 +51,7 @@ def read_recipe(path: Path) -> str:
 
 
 def resolve_file(recipe: Recipe, name: str, key: str = "") -> Path:
-    """A file that the recipe names, at `key` as in `prior.file`: beside it, or shipped; RecipeError if it is nowhere."""
+    """A file that the recipe names, at `key` as in `prior.file`: beside it, or shipped; RecipeError if nowhere."""
     try:
         return find_file(recipe, name, key)
     except YamlProblems as refused:
