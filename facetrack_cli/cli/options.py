@@ -1,15 +1,6 @@
 """Commands as classes: each field is an option, and what several commands take is a group of them.
 
-class Repeat:
-    \"\"\"Show how far the runs of a recipe differ from seed to seed.\"\"\"
-
-    clip: Path = argument("INPUT")
-    seeds: int = option("--seeds N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
-    extent: Extent = group(Extent)
-
-    def run(self) -> int: ...
-
-command = verb(Repeat)
+`option`, `flag` and `argument` make a field, `group` one for all options of another class, and `verb` the command.
 """
 
 from __future__ import annotations

@@ -51,10 +51,7 @@ def read_recipe(path: Path) -> str:
 
 
 def resolve_file(recipe: Recipe, name: str, key: str = "") -> Path:
-    """A file that the recipe names: beside the recipe, then among the shipped ones. RecipeError if it is nowhere.
-
-    `key` is where the recipe names it, as in `prior.file`; without it the first key of that value is taken.
-    """
+    """A file that the recipe names, at `key` as in `prior.file`: beside it, or shipped; RecipeError if nowhere."""
     try:
         return find_file(recipe, name, key)
     except YamlProblems as refused:

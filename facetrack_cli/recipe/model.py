@@ -10,22 +10,10 @@ from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError
 
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.yaml_tree import Node, Problem
+from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.affine import Recognition
 from facetrack_cli.recipe.messages import locate
-from facetrack_cli.recipe.sections import (
-    Component,
-    Filter,
-    Kind,
-    Likelihood,
-    Motion,
-    Prior,
-    Refusal,
-    Section,
-    Target,
-    add,
-    registered,
-    type_of,
-)  # fmt: skip
+from facetrack_cli.recipe.sections import Component, Filter, Kind, Likelihood, Motion, Prior, Refusal, Section, Target
 from facetrack_cli.recipe.skin import Exclusion, SkinCloud
 
 S = TypeVar("S", bound=Kind)
@@ -98,7 +86,7 @@ class ParticleFilter(Section):
         said = f'does not go with target type "{self.target.type}"'
         if not isinstance(given, Kind):
             return Refusal((key,), f"{key} {said}; remove it, or follow an affine target")
-        fitting = [name for name, one in registered(_KINDS[key]).items() if self._fits(one)]
+        fitting = [name for name, one in sections.registered(_KINDS[key]).items() if self._fits(one)]
         message = f'{key} type "{given.type}" {said}; write {" or ".join(fitting) or "null"}'
         return Refusal((key, "type"), message)
 
@@ -244,7 +232,9 @@ class ParticlesRecipe(Recipe):
             yield Refusal(("targets",), message)
 
 
-KINDS: Mapping[str, type[Recipe]] = {type_of(one): one for one in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)}
+KINDS: Mapping[str, type[Recipe]] = {
+    sections.type_of(one): one for one in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)
+}
 
 
 def register(section: type[S]) -> type[S]:
@@ -253,7 +243,7 @@ def register(section: type[S]) -> type[S]:
     A package names its sections as entry points of the group `facetrack.sections` in place of this. Raises TypeError
     for what is no `Likelihood`, `Motion`, `Filter`, `Prior` or `Target`, ValueError for a `type` that is taken.
     """
-    add(section)
+    sections.add(section)
     rebuild()
     return section
 
@@ -275,10 +265,7 @@ def to_dict(recipe: Recipe) -> dict[str, Any]:
 
 
 def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that an earlier version wrote by `to_dict`, with the default of every key that has come since.
-
-    What is no recipe any more is returned as it is.
-    """
+    """Settings that an earlier version wrote by `to_dict`, with later defaults; as they are if no recipe any more."""
     kind = KINDS.get(settings.get("type", "particle_filter"), ParticleRecipe)
     try:
         return to_dict(kind.model_validate(dict(settings)))

@@ -6,7 +6,6 @@ import os
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from facetrack_cli.core.errors import FacetrackError
@@ -14,15 +13,6 @@ from facetrack_cli.runs.clip import Job, Outcome, Report, check, run
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import side_by_side
-
-
-@dataclass(frozen=True)
-class Ended:
-    """A clip that ended one way or another: its outcome, if it began, and what it failed of."""
-
-    clip: Path
-    outcome: Outcome | None = None
-    failure: str = ""
 
 
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:
@@ -63,7 +53,7 @@ def title(clip: Path) -> str:
     return full.parent.name if "*" in full.name and not full.exists() else full.stem
 
 
-def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[Ended]:
+def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[Outcome]:
     """Run `jobs`, `workers` at a time; each is yielded as it ends. One that fails does not stop the others.
 
     Once `stop` says so, those at work close their files and the rest are not begun.
@@ -83,37 +73,37 @@ def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress)
 
     for i, ended in side_by_side(jobs, _attempt, workers, stop, report, threads=jobs[0].threads if jobs else 1):
         finished += 1
-        if isinstance(ended, Exception):
-            clip = jobs[i].clip
-            ended = Ended(clip, None, f"{clip}: {ended}, nothing was kept")
-        yield ended
+        clip = jobs[i].clip
+        lost = isinstance(ended, Exception)
+        yield Outcome(clip, error=FacetrackError(f"{clip}: {ended}, nothing was kept")) if lost else ended
 
 
-def check_all(jobs: Sequence[Job]) -> tuple[list[Ended], list[Job]]:
+def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
     """The jobs that cannot work, with what speaks against each, and the others."""
-    refused: list[Ended] = []
+    refused: list[Outcome] = []
     accepted: list[Job] = []
     for job in jobs:
         try:
             check(job)
             accepted.append(job)
         except FacetrackError as e:
-            refused.append(Ended(job.clip, None, _failure(e)))
+            refused.append(Outcome(job.clip, error=_line(e)))
     return refused, accepted
 
 
-def _attempt(job: Job, stop: Stop, report: Report) -> Ended:
+def _attempt(job: Job, stop: Stop, report: Report) -> Outcome:
     try:
         outcome = run(job, stop, report)
     except Exception as e:
-        return Ended(job.clip, None, _failure(e))
-    error, outcome.error = outcome.error, None  # an exception need not survive the way between processes
-    return Ended(job.clip, outcome, "" if error is None else _failure(error))
+        outcome = Outcome(job.clip, error=e)
+    outcome.error = outcome.error and _line(outcome.error)
+    return outcome
 
 
-def _failure(error: Exception) -> str:
+def _line(error: Exception) -> FacetrackError:
+    """The error as its line alone: an exception need not survive the way between processes."""
     if os.environ.get("FACETRACK_DEBUG", "") not in ("", "0"):
         traceback.print_exception(error)
     if isinstance(error, FacetrackError):
-        return str(error)
-    return f"internal error, please report it: {type(error).__name__}: {error}"
+        return FacetrackError(str(error))
+    return FacetrackError(f"internal error, please report it: {type(error).__name__}: {error}")

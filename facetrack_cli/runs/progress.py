@@ -11,11 +11,14 @@ EVERY_S = 10.0  # between plain lines
 
 def progress(quiet: bool) -> contextlib.closing[Progress]:
     """The kind that fits standard error, for a `with`."""
-    return contextlib.closing(Progress() if quiet else Bar() if sys.stderr.isatty() else Lines())
+    return contextlib.closing(Bar() if sys.stderr.isatty() and not quiet else Progress(quiet))
 
 
 class Progress:
-    """One task at a time, in `unit`s: frames of a clip, clips of a batch. This kind prints errors alone."""
+    """One task at a time, in `unit`s: frames of a clip, clips of a batch. A line every ten seconds, none if `quiet`."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._quiet = quiet
 
     def begin(self, name: str, unit: str = "frames", total: int | None = None) -> None:
         self._name, self._unit = name, unit
@@ -23,9 +26,15 @@ class Progress:
 
     def update(self, done: int, total: int | None, rate: float | None = None) -> None:
         """Called as often as one likes; `total` None or 0 is not known."""
+        if not self._quiet and self._due(EVERY_S):
+            # the length that a file states is a guess
+            of = "" if not total else f" of about {total}" if self._unit == "frames" else f" of {total}"
+            self.say(f"{self._name}: {done}{of} {self._unit}, {self._rate(done, rate)}")
 
     def say(self, line: str) -> None:
         """A line that stays."""
+        if not self._quiet:
+            self.error(line)
 
     def error(self, line: str) -> None:
         with contextlib.suppress(OSError):  # a full disk under the log does not stop the run
@@ -44,19 +53,6 @@ class Progress:
 
     def _rate(self, done: int, rate: float | None) -> str:
         return f"{done / (time.monotonic() - self._began) if rate is None else rate:.1f} frames/s"
-
-
-class Lines(Progress):
-    """A line every ten seconds, for logs."""
-
-    def update(self, done: int, total: int | None, rate: float | None = None) -> None:
-        if self._due(EVERY_S):
-            # the length that a file states is a guess
-            of = "" if not total else f" of about {total}" if self._unit == "frames" else f" of {total}"
-            self.say(f"{self._name}: {done}{of} {self._unit}, {self._rate(done, rate)}")
-
-    def say(self, line: str) -> None:
-        self.error(line)
 
 
 class Bar(Progress):

@@ -56,6 +56,7 @@ class Begin:
         """
         first = self.start if self.init_frame is None else self.init_frame
         path = find_init(self.clip) if self.init is None else self.init
+        start: Start | None = None
         if isinstance(self.init, Start):
             start = self.init
         elif self.box is not None:
@@ -64,40 +65,32 @@ class Begin:
             start = read_init(path)
         elif path is None and truth is not None:
             start = truth_start(truth, recipe.points)
-        else:
-            return self._look(recipe, first, stopped)
-        if self.init_frame is not None:
-            start = replace(start, frame=self.init_frame)
-        self._check(start.frame, self.origin(start))
-
-        def frame() -> Frame:
-            with self.open(start.frame) as source:
-                return next(frames_of(source, start.frame, self.origin(start)))
-
-        return completed(recipe, start, frame, str(self.clip))
-
-    def origin(self, start: Start) -> str:
-        """What says in which frame to begin."""
-        return start.origin if self.init_frame is None else "--init-frame"
-
-    def _look(self, recipe: Recipe, first: int, stopped: Callable[[], bool]) -> Start:
-        origin = "the search" if self.init_frame is None else "--init-frame"
-        self._check(first, origin)
-        with self.open(first) as source:
+        at = first if start is None or self.init_frame is not None else start.frame
+        origin = self.origin(start)
+        if at < self.start or (self.stop is not None and at >= self.stop):
+            asked = f"from {self.start} on" if self.stop is None else f"{self.start} to {self.stop - 1}"
+            raise InputError(
+                f"{self.clip}: {origin} begins at frame {at}, but frames {asked} were asked for; "
+                "change --start or --stop, or begin elsewhere with --init or --box"
+            )
+        if start is not None:
+            return completed(recipe, replace(start, frame=at), lambda: self._frame(at, origin), str(self.clip))
+        with self.open(at) as source:
             try:
-                return search(recipe, frames_of(source, first, origin, stopped), str(self.clip))
+                return search(recipe, frames_of(source, at, origin, stopped), str(self.clip))
             except InputError:
                 if stopped():
                     raise InputError(f"{self.clip}: stopped before a start was found") from None
                 raise
 
-    def _check(self, frame: int, origin: str) -> None:
-        if frame < self.start or (self.stop is not None and frame >= self.stop):
-            asked = f"from {self.start} on" if self.stop is None else f"{self.start} to {self.stop - 1}"
-            raise InputError(
-                f"{self.clip}: {origin} begins at frame {frame}, but frames {asked} were asked for; "
-                "change --start or --stop, or begin elsewhere with --init or --box"
-            )
+    def origin(self, start: Start | None) -> str:
+        """What says in which frame to begin."""
+        given = "the search" if start is None else start.origin
+        return given if self.init_frame is None else "--init-frame"
+
+    def _frame(self, index: int, origin: str) -> Frame:
+        with self.open(index) as source:
+            return next(frames_of(source, index, origin))
 
 
 def frames_of(source: Source, first: int, origin: str, stopped: Callable[[], bool] = never) -> Iterator[Frame]:

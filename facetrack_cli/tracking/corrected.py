@@ -140,10 +140,7 @@ class CorrectedTarget:
 
 
 def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
-    """Whether it says of all `parts` of its target where they are, or that they are not to be seen.
-
-    A box alone says so of points, too; beside points it says nothing of the others.
-    """
+    """Whether it says of all `parts` of its target where they are, or that they are absent; a box alone does."""
     given = correction.given
     if correction.absent is True or (given.box is not None and (not given.points or tuple(parts) == (BOX,))):
         return True
@@ -151,10 +148,7 @@ def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
 
 
 def completed(correction: Correction, rows: Trajectory) -> Correction:
-    """With the parts that it does not speak of where `rows`, those of its target in its frame, have them.
-
-    They keep their place, with the digits of the CSV, as in a run that is read back; what is absent stays absent.
-    """
+    """With the other parts where `rows`, of its target in its frame, have them, to the digits of the CSV, or absent."""
     parts = [part for _, part in rows.names]
     if is_complete(correction, parts):
         return correction

@@ -31,8 +31,7 @@ class Ahead(NamedTuple):
 
     `state` (K, D) is the point estimate of the last frame and `shift` (K, D) what is added to it (nu_t, eq. 12);
     `noise` is eta, by which the noise is larger than usual (eq. 13), and `error` the eps_t that it follows from.
-    `entropy_fell`: whether the identity became more certain from the last frame but one to the last; None if nobody is
-    recognised.
+    `entropy_fell`: whether the identity had become more certain in the last frame; None if nobody is recognised.
     """
 
     state: Array
@@ -70,10 +69,7 @@ def sir(settings: filters.Sir, rng: Generator, particles: Particles, model: Fram
 
 
 def auxiliary(settings: filters.Auxiliary, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
-    """Auxiliary filter over the joint state, p(y|s)p(s) as the observation (section 4; Pitt & Shephard 1999).
-
-    The first stage looks ahead with a *random* draw mu ~ p(s|s^-), as section 2.1 has it, not with the mean.
-    """
+    """Auxiliary filter over the joint state (section 4; Pitt & Shephard 1999); mu is drawn of p(s|s^-), not a mean."""
     mu = model.propagate(rng, particles.x)
     log_lambda = _log_observation(model, mu, particles.x)
     chosen = SCHEMES[settings.resampling](rng, normalise(particles.log_w + log_lambda), len(mu))
@@ -136,10 +132,7 @@ def _move(rng: Generator, x: Array, model: FrameModel, whole: Array, jumps: Mask
 
 
 def adaptive(settings: filters.Adaptive, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
-    """All particles around the one place that is predicted, as many as the prediction is worth (Zhou et al. 2003).
-
-    Figure 1: only the point estimate of the last frame is propagated, theta_t = theta_{t-1} + nu_t + u_t.
-    """
+    """Around the one place that is predicted (Zhou et al. 2003, figure 1): theta_t = theta_{t-1} + nu_t + u_t."""
     ahead = model.ahead
     parents = np.repeat(ahead.state[None], number(settings, ahead), axis=0)
     x = model.propagate(rng, parents)

@@ -28,8 +28,7 @@ def logsumexp(a: Array, axis: int = 0) -> Array:
 def normalise(log_w: Array) -> Array:
     """Log weights (N,) or (N, K) shifted so that the logsumexp along N is 0.
 
-    Where all are zero, or one is no number, they become equal: a frame that no particle explains must not end a track,
-    and equal weights leave the predictive density as it was.
+    Where all are zero, or one is no number, they become equal: a frame that no particle explains must not end a track.
     """
     top = log_w.max(axis=0)
     hopeless = ~np.isfinite(top)

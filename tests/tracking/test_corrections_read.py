@@ -25,9 +25,8 @@ from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import make
 from facetrack_cli.report.command_line import command, init_yaml
-from facetrack_cli.report.events import Clock, key_frames, tell
-from facetrack_cli.report.html import Image
-from facetrack_cli.report.page import Plot
+from facetrack_cli.report.events import Clock, history_of, key_frames
+from facetrack_cli.report.frames import Image
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.eaf import spans_of
@@ -270,34 +269,34 @@ def test_elan_gets_a_tier_of_what_is_absent(table):
 # --- plots and reports -------------------------------------------------------------------------------------------
 
 
-def test_the_plots_shade_what_is_absent_and_mark_what_was_put_right(table):
+def test_the_plots_shade_what_is_absent_and_mark_what_was_corrected(table):
     pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
     figure = plots.page_figure(table)
     head = figure.subfigs[0]
-    assert "put right by hand in 3 of them" in "".join(text.get_text() for text in head.texts)
+    assert "corrected by hand in 3 of them" in "".join(text.get_text() for text in head.texts)
     labels = [text.get_text() for text in head.legends[0].texts]
-    assert {"absent", "put right by hand"} <= set(labels)
+    assert {"absent", "corrected by hand"} <= set(labels)
     marks = [line for axes in figure.axes for line in axes.lines if line.get_marker() == "^"]
     assert [line.get_xdata().tolist() for line in marks] == [[5, 8, 10]]
     plain = table.between(0, 5)
-    assert not {"absent", "put right by hand"} & {
+    assert not {"absent", "corrected by hand"} & {
         t.get_text() for t in plots.page_figure(plain).subfigs[0].legends[0].texts
     }
     assert plots.render(figure).startswith(b"\x89PNG")
 
 
-def test_a_report_tells_what_was_put_right(table):
-    story = tell(table, Clock(table, 25.0))
-    assert [(one.frame, one.given, one.absent) for one in story.corrections] == [
+def test_a_report_says_what_was_corrected(table):
+    history = history_of(table, Clock(table, 25.0))
+    assert [(one.frame, one.given, one.absent) for one in history.corrections] == [
         (5, (), ("lip",)),
         (8, ("lip",), ()),
         (10, (), ("nose", "lip")),
     ]
-    nose, lip = story.parts
+    nose, lip = history.parts
     assert (lip.absences, lip.frames_absent, nose.frames_absent) == (((5, 7), (10, 12)), 6, 3)
     assert [(span.first, span.last, span.back, span.by_hand) for span in lip.spans] == [(3, 4, None, True)]
-    assert (story.lost_at_end, story.absent_at_end) == ((), ("nose", "lip"))
-    kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(story, 0, 12)}
+    assert (history.ending("lost"), history.ending("absent")) == ([], ["nose", "lip"])
+    kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(history, 0, 12)}
     assert kinds == {
         0: ["start"], 1: ["worst"], 3: ["lost"], 5: ["corrected"], 8: ["corrected"], 10: ["corrected"], 12: ["end"]
     }  # fmt: skip
@@ -307,9 +306,9 @@ def test_a_lost_part_that_is_given_is_not_tracked_again_by_itself(table):
     nose, lip = table.parts
     status = lip.status.copy()
     status[5:8] = "lost"
-    story = tell(joined([nose, replace(lip, status=status)], header=table.header), Clock(table, 25.0))
-    assert [(span.back, span.by_hand) for span in story.parts[1].spans] == [(8, True)]
-    assert "back" not in {kind for _, kind in story.events}
+    history = history_of(joined([nose, replace(lip, status=status)], header=table.header), Clock(table, 25.0))
+    assert [(span.back, span.by_hand) for span in history.parts[1].spans] == [(8, True)]
+    assert "back" not in {kind for _, kind in history.events}
 
 
 def test_the_command_takes_the_init_file_that_has_the_corrections(table, tmp_path, monkeypatch):
@@ -329,7 +328,7 @@ def test_the_command_takes_the_init_file_that_has_the_corrections(table, tmp_pat
     assert read_init(Path("run/corrected.init.yaml")).corrections == header.init.start.corrections
     assert given() == "run/corrected.init.yaml"
     Path("clip.init.yaml").write_text(init_yaml(header).replace("face:", "head:"))
-    header.init.origin = "clip.init.yaml"
+    header.init = header.init.model_copy(update={"origin": "clip.init.yaml"})
     assert given() == "clip.init.yaml", "whatever the recipe calls the target"
     Path("clip.init.yaml").write_text("frame: 0\nbox: [1, 2, 3, 4]\n")
     assert given() == "run/corrected.init.yaml"
@@ -349,16 +348,16 @@ corrections:
 
 def test_a_run_with_corrections_is_reported_and_repeated(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    dot = Image(b"", "image/png", (1, 1))
-    monkeypatch.setattr(make, "_plot", lambda *_: Plot(dot, dot))  # plots have their own tests, and take long
+    dot = Image(b"", (1, 1), "image/png")
+    monkeypatch.setattr(make, "_plot", lambda *_: {"wide": dot, "narrow": dot})  # plots take long
     Path("start.yaml").write_text(START)
     options = ["--config", "factorized", "--set", "filter.particles=15", "--no-video", "-q"]
     assert main(["run", str(SAMPLE), "--init", "start.yaml", *options, "--stop", "10", "-o", "run"]) == 0
     assert main(["report", "run"]) == 0
     page = Path("run/report.html").read_text()
     for said in (
-        "It was put right by hand in 3 frames.", "Said to be absent: nose, mouth_left", "by hand in frames 3, 6 and 8",
-        "<strong>Put right by hand</strong> mouth_left is absent", "absent: [mouth_left]", 'class="absent"',
+        "It was corrected by hand in 3 frames.", "Marked as absent: nose, mouth_left", "by hand in frames 3, 6 and 8",
+        "<strong>Corrected by hand</strong> mouth_left is absent", "absent: [mouth_left]", 'class="absent"',
     ):  # fmt: skip
         assert said in page, said
     table = read_trajectory(Path("run"))

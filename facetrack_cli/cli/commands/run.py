@@ -138,14 +138,14 @@ def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> Exit
         cv2.setNumThreads(jobs[0].threads)
     refused, accepted = check_all(jobs)
     failed = lost = 0
-    for ended in itertools.chain(refused, run_batch(accepted, workers, stop, shown)):
-        if ended.outcome is not None:
-            _report(ended.outcome, shown, named=True)
-            lost += bool(ended.outcome.lost_at_end)
-        if ended.failure:
+    for outcome in itertools.chain(refused, run_batch(accepted, workers, stop, shown)):
+        if outcome.frames or outcome.error is None:
+            _report(outcome, shown, named=True)
+            lost += bool(outcome.lost_at_end)
+        if outcome.error is not None:
             failed += 1
-            named = "" if str(ended.clip) in ended.failure else f"{ended.clip}: "
-            shown.error(f"facetrack: error: {named}{ended.failure}")
+            named = "" if str(outcome.clip) in str(outcome.error) else f"{outcome.clip}: "
+            shown.error(f"facetrack: error: {named}{outcome.error}")
     shown.close()
     if stop.code is not None:
         return stop.code

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.tracking.identity.gallery import Gallery, logistic, name_problem
-from facetrack_cli.tracking.identity.subspaces import Fitted, Moments, common_basis, fit_moments, fit_subspace, folds_by
+from facetrack_cli.tracking.identity.subspaces import (
+    Fitted,
+    Moments,
+    Reals,
+    common_basis,
+    fit_moments,
+    fit_subspace,
+    folds_by,
+)
 
 Indices: TypeAlias = NDArray[np.intp]
 # of a patch: right, down (shares of its sides), degrees, size
@@ -28,12 +36,12 @@ _CHANGES = "how {} with light, expression and pose cannot be learned from it"
 
 
 def fit_gallery(
-    patches: NDArray[np.floating[Any]],
+    patches: Reals,
     persons: Sequence[str],
     shape: tuple[int, int],
     *,
     images: Sequence[int] | None = None,
-    negatives: NDArray[np.floating[Any]] | None = None,
+    negatives: Reals | None = None,
     proportion: float | None = None,
 ) -> Gallery:
     """The gallery of patches (n, d), zero mean and unit variance, each of a person; persons in order of their names.
@@ -100,8 +108,7 @@ def _genuine_and_strangers(
     intra: Fitted, extra: Fitted, samples: Samples, own: Array, fold: Indices, own_of: Indices
 ) -> tuple[Array, Array]:
     """Log ratios (eq. 16) by spaces that have not seen the person: to it (m,), and the largest to another (n,)."""
-    genuine, best = np.empty(len(own)), np.empty(len(samples.x))
-    faces = samples.faces
+    genuine, best, faces = np.empty(len(own)), np.empty(len(samples.x)), samples.faces
     for k, (within, between) in enumerate(zip(intra.without, extra.without, strict=True)):
         mine = fold[own_of] == k
         genuine[mine] = within.log_density(own[mine]) - between.log_density(own[mine])

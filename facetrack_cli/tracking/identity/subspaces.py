@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Array, Mask
 
 Rows: TypeAlias = NDArray[np.float32]
-
+Reals: TypeAlias = NDArray[np.floating[Any]]
 LEAST_RHO = 1e-3  # of the variance of a patch: noise of a camera, about one grey level
 FOLDS = 10
 ENERGY = 0.9  # share of the variance that a subspace keeps
@@ -63,10 +63,10 @@ class Subspace:
     @property
     def log_constant(self) -> float:
         """log Q(mean)."""
-        s = len(self.values)
-        return -0.5 * float(np.log(2 * math.pi * self.values).sum() + (self.d - s) * math.log(2 * math.pi * self.rho))
+        rest = (self.d - len(self.values)) * math.log(2 * math.pi * self.rho)
+        return -0.5 * float(np.log(2 * math.pi * self.values).sum() + rest)
 
-    def log_density(self, y: NDArray[np.floating[Any]]) -> Array:
+    def log_density(self, y: Reals) -> Array:
         """(N,): log Q of y (N, d), eq. 14."""
         centred = np.asarray(y, np.float64) - self.mean
         q = centred @ self.vectors.T.astype(np.float64)
@@ -133,12 +133,7 @@ def common_basis(x: Array, most: int = MOST_DIRECTIONS) -> Array | None:
 
 
 def fit_subspace(
-    x: NDArray[np.floating[Any]],
-    folds: Sequence[Mask] = (),
-    *,
-    energy: float = ENERGY,
-    centred: bool = False,
-    basis: Array | None = None,
+    x: Reals, folds: Sequence[Mask] = (), *, energy: float = ENERGY, centred: bool = False, basis: Array | None = None
 ) -> Fitted:
     """The subspace of rows x (n, d): as many components as hold `energy` of the variance, at most half of the rank.
 
@@ -154,13 +149,7 @@ def fit_subspace(
 
 
 def fit_moments(
-    all_rows: Moments,
-    without: Sequence[Moments],
-    d: int,
-    *,
-    energy: float = ENERGY,
-    centred: bool = False,
-    basis: Array | None = None,
+    all_rows: Moments, without: Sequence[Moments], d: int, *, energy: float = ENERGY, centred: bool, basis: Array | None
 ) -> Fitted:
     """As `fit_subspace`, of the moments of all rows of d numbers and of those `without` each fold."""
     whole = _Components.of(all_rows, energy, centred, d)

@@ -40,8 +40,7 @@ class Patches:
     def factor(self, state: Array) -> int:
         """By what to reduce the frame for patches around `state` (1, 6), a power of two; 1 for no numbers.
 
-        The template's points then lie between 1 and 2 pixels apart, or less, along that side where they are closer, so
-        that the blur is about the same at every scale.
+        The template's points are then at most 2 pixels apart, along that side where they are closer.
         """
         _, _, a1, a2, a3, a4 = state[0].tolist()
         rows, cols = self.shape

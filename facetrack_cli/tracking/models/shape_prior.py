@@ -8,12 +8,10 @@ with n the stable part (the nose), s0 the first frame, L0 the distance of two pa
 displacement of every part since the first frame, seen from the nose, in mouth widths. A training shape h_j is the same
 of an annotated frame. With M shapes of K parts, d_j = |q(s) - h_j| and the kernel's standard deviation sigma,
 
-    log_density(s) = log (1/M) sum_j exp(-d_j^2 / (2 sigma^2)).
+    log_density(s) = log (1/M) sum_j exp(-d_j^2 / (2 sigma^2)),
 
-What is left out is constant: as a density in pixels of the K - 1 other parts given the stable one, it lacks
--(K - 1) log(2 pi (sigma L0)^2).
-
-The printed eq. 11 writes d(q(s_k)), h_j; the text below it names d(q(s_k), h_j), and that is what is taken.
+without the constant -(K - 1) log(2 pi (sigma L0)^2) of a density in pixels of the other parts given the stable one. The
+printed eq. 11 writes d(q(s_k)), h_j; taken is d(q(s_k), h_j) of the text below it.
 
 A prior is fitted to annotated clips: ground truth, or trajectories that somebody has checked. In every file, each
 target's first frame in which all parts are seen is its neutral one; every such frame gives one training shape. Of many,

@@ -99,8 +99,7 @@ def note(model: SkinModel) -> str | None:
 def _inside(frame: Frame, box: Box) -> tuple[int, int, int, int]:
     """The half-open ranges of pixels whose centres the box covers, at least one: left, top, right, bottom."""
     width, height = frame.size
-    left, right = _span(box[0], box[2], width)
-    top, bottom = _span(box[1], box[3], height)
+    (left, right), (top, bottom) = _span(box[0], box[2], width), _span(box[1], box[3], height)
     if right <= left or bottom <= top:
         where = f"the box {','.join(f'{v:g}' for v in box)} is not in the image of {width}x{height} pixels"
         raise InputError(f"frame {frame.index}: {where}; give left, top, width and height in pixels of the frame")

@@ -134,9 +134,7 @@ class AffineSpace(Space):
 
 
 def estimate(particles: Particles, *, best: bool = False) -> Estimate:
-    """Weighted mean of x (N, K, D), or the `best` particle, which has the greatest weight and is the first of equals;
-    and covariance of the first two coordinates about the mean.
-    """
+    """Weighted mean of x (N, K, D), or the first `best` particle; covariance of x and y about the mean."""
     w = np.exp(particles.log_w)
     mean = np.einsum("n,nkd->kd", w, particles.x)
     centred = particles.x[..., :2] - mean[:, :2]

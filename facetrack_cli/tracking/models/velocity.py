@@ -6,9 +6,8 @@ around its patch y tell how a change of the patch and a change of the motion go 
     X = [theta^(j) - theta],  Y = [y^(j) - y],  B = X V_q S_q^-1 U_q^T  with  Y = U S V^T,
 
 the least squares solution with the q largest singular values. The printed nu = B (T{z_t; theta} - y) has the wrong
-sign: if the target moved by nu, the new frame shows at the old place what the old one showed at theta - nu, so that B
-maps the difference to -nu. Taken is nu = -B (T{z_t; theta} - y), repeated from theta + nu until the error
-eps = phi(T{z_t; theta + nu}, a_t) settles; the best of the steps is kept, none at all included.
+sign, since the new frame shows at the old place what the old one showed at theta - nu. Taken is -B (T{z_t; theta} - y),
+repeated from theta + nu until eps = phi(T{z_t; theta + nu}, a_t) settles; the best step, or none, is kept.
 
 Adaptive noise (eq. 13). r_t / r_0 = eta(eps) = a + (b - a) tanh(eps / c): tight after a good prediction, wide after a
 bad one. phi is that of the likelihood, the mean squared distance from the appearance in its standard deviations.

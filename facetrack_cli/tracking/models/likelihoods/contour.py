@@ -9,8 +9,7 @@ For the rest, the paper refers to Blake & Isard, *Active Contours*, 1998. Chosen
 - Edges are maxima of the contrast along a normal: the mean of two grey values less that of the two before them, so that
   a step of C grey levels has the contrast C. Their place between values is that of a parabola.
 - `sigma` and `search` are the same at every scale, as printed: otherwise a larger ellipse would meet more edges.
-- The frame is averaged over 3x3 pixels first: an outline is smooth across its normals, and much clutter is not.
-- Beyond the frame there is no edge, and its border is none.
+- The frame is averaged over 3x3 pixels first. Beyond it there is no edge, and its border is none.
 """
 
 from __future__ import annotations

@@ -11,17 +11,16 @@ centres of equal cells of the box, read bilinearly from the grey frame. The dist
 
     l2            rho(x) = x^2, lambda_c = 1 / (2 sigma^2)            as published
     saturated_l1  rho(x) = min(|x|, saturation), lambda_c = 1 / sigma
-    hausdorff     lambda_c = 1 / sigma; the paper gives no formula. It is the modified Hausdorff distance (Dubuisson
-                  & Jain 1994) between the two grey surfaces: for each point the least |difference| from the 3x3
-                  points of the other patch around it, summed over the grid, and of both directions the larger sum.
+    hausdorff     lambda_c = 1 / sigma; no formula in the paper. The modified distance (Dubuisson & Jain 1994): for each
+                  point the least |difference| from the 3x3 points of the other patch around it, summed over the grid,
+                  and of both directions the larger sum.
 
 d_c is a sum, so sigma belongs to one grid. On 16x16 points sigma = 100 (l2), 400 (saturated_l1 at 20) or 100
 (hausdorff) leaves some tens of 200 particles that are scattered by 5 % of the region's size; with n points, times
 sqrt(n / 256) for l2, and n / 256 for the others.
 
-Chosen here, since the paper leaves it open: the frame is read reduced by the largest power of two that leaves a pixel
-for each step of the grid at the start (area means). A point beyond the frame's border, now or before, counts as a
-difference of `OUTSIDE` grey levels, with `saturated_l1` at most `saturation`.
+Chosen here: the frame is reduced by the largest power of two that leaves a pixel for each step of the grid at the start
+(area means). A point beyond the frame's border, now or before, differs by `OUTSIDE`, at most by `saturation`.
 """
 
 from __future__ import annotations
@@ -37,8 +36,7 @@ from facetrack_cli.tracking.kernels import patches
 from facetrack_cli.tracking.kernels.affine import boxes_extent
 from facetrack_cli.tracking.models.spaces import Context
 
-# worse than a region that is followed well (6 to 20, RMS), as bad as missing its motion by a tenth of its size; much
-# more would push regions that leave the frame back into it
+# grey levels: a region that is followed well has 6 to 20 (RMS); much more would push regions back into the frame
 OUTSIDE = 32.0
 
 

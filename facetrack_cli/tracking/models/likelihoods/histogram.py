@@ -4,14 +4,12 @@
     D^2      = 1 - sum_j sqrt( b_j(c) b_ref_j )            the reference is the box of the first frame
     p(z|c)   ~ exp(-lambda D^2)
 
-A pixel belongs to the sub-region in which its centre lies, so that the sides of sub-regions differ by at most one pixel
-at any place and scale. Beyond the frame there is no colour: a candidate is divided by all pixels of its box, so that
-what lies outside matches nothing; the reference by those inside. Hue and saturation are OpenCV's of 8 bits, hue in
-steps of 2 degrees; bins are equally wide and the first begins at red.
+A pixel belongs to the sub-region in which its centre lies. Beyond the frame there is no colour: a candidate is divided
+by all pixels of its box, the reference by those inside. Hue and saturation are OpenCV's of 8 bits, hue in steps of 2
+degrees; bins are equally wide and the first begins at red.
 
-Hue means nothing where there is next to no colour or light. Pale and dark pixels go to `value_bins` further bins of
-each sub-region, by their value, as Perez et al. have it (ECCV 2002, with thresholds 0.1 and 0.2): one bin tells only
-that there is no colour, eight are a grey histogram.
+Pale and dark pixels, which have no hue, go to `value_bins` further bins of each sub-region, by their value (Perez et
+al., ECCV 2002, with thresholds 0.1 and 0.2): one bin tells only that there is no colour, eight are a grey histogram.
 """
 
 from __future__ import annotations
@@ -58,10 +56,7 @@ class Histogram:
         return cls(settings, context.placed.size)
 
     def init(self, frame: Frame, x0: Array) -> Reference:
-        """The reference: the histogram of the box at x0 (1, 6).
-
-        Raises InputError if the box shows no colours and `value_bins` does not tell greys apart.
-        """
+        """The histogram of the box at x0 (1, 6). InputError without colours where `value_bins` knows no greys."""
         factor = factor_for(max(self.size), self.settings.max_size)
         region, ex, ey, _, pixels = self._read(frame, x0[None], factor)
         if region is None:

@@ -15,7 +15,6 @@ Beyond the paper (its future work): with `adapt` = a the template follows, T <- 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -25,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Frame, Image, factor_for
+from facetrack_cli.core.types import Array, Frame, Image, Mask, factor_for
 from facetrack_cli.recipe.skin import Pattern
 from facetrack_cli.tracking.kernels import ncc as kernel
 
@@ -103,7 +102,7 @@ class _View(NamedTuple):
 
     image: Image
     boxes: Array
-    seen: NDArray[np.bool_]
+    seen: Mask
     low: Array
     high: Array
     same_scale: bool
@@ -120,7 +119,7 @@ def _view(template: Template, frame: Frame, x: Array) -> _View:
     return _View(grey[y0 - dy : y1 - dy, x0 - dx : x1 - dx], boxes, seen, low - (x0, y0), high - (x0, y0), same)
 
 
-def _ratio(cross: Array, energy: Array, seen: NDArray[np.bool_]) -> Array:
+def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
     # of a template or a patch without a pattern the energy is next to nothing
     good = seen & (energy >= LEAST_VARIANCE**2)
     return np.clip(np.where(good, cross, 0.0) / np.sqrt(np.where(good, energy, 1.0)), -1.0, 1.0)
@@ -128,17 +127,11 @@ def _ratio(cross: Array, energy: Array, seen: NDArray[np.bool_]) -> Array:
 
 def _cross(view: _View, centred: NDArray[np.float32]) -> Array:
     """Sum of template times image for each of the boxes -> (N,), by whichever way is cheaper."""
-    low, high = np.floor(view.low).astype(int), np.floor(view.high).astype(int) + 1
-    cells = math.prod((high - low + centred.shape[::-1]).tolist())
-    if view.same_scale and cells * DENSE <= len(view.boxes) * centred.size:
-        return _cross_dense(view, centred, low.tolist(), high.tolist())
-    return np.asarray(kernel.cross_direct(view.image, centred, view.boxes))
-
-
-def _cross_dense(view: _View, centred: NDArray[np.float32], low: list[int], high: list[int]) -> Array:
-    """The same from one correlation at all whole places between `low` and `high`, (u, v)."""
-    (height, width), (th, tw) = view.image.shape, centred.shape
-    x0, y0, x1, y1 = low[0], low[1], high[0] + tw, high[1] + th
+    (x0, y0), (height, width) = np.floor(view.low).astype(int).tolist(), view.image.shape
+    x1, y1 = (np.floor(view.high).astype(int) + 1 + centred.shape[::-1]).tolist()
+    if not view.same_scale or (x1 - x0) * (y1 - y0) * DENSE > len(view.boxes) * centred.size:
+        return np.asarray(kernel.cross_direct(view.image, centred, view.boxes))
+    # one correlation at all whole places
     region = np.zeros((y1 - y0, x1 - x0), np.float32)
     left, right, top, bottom = max(x0, 0), min(x1, width), max(y0, 0), min(y1, height)
     if right > left and bottom > top:

@@ -3,12 +3,11 @@
     alpha_l(j) = beta_l p_a(j) {p_f(j) p_n(j, l) + (1 - p_f(j)) / N}      weight of particle j and identity l
     w(j) = sum_l alpha_l(j),  beta_l = sum_j alpha_l(j)                   both normalised; beta is the posterior
 
-for any likelihood p_a of affine patches, and the scores p_f and p_n of a gallery (`gallery.py`), in logs. A filter
-keeps the particles and their weights, so `score` gives log w(j), and `learn` finds beta from them:
-sum_j w(j) alpha_l(j) / w(j).
+for any likelihood p_a of affine patches, and the scores p_f and p_n of a gallery (`gallery.py`), in logs. `score` gives
+log w(j), and `learn` finds beta from the weights of the filter: sum_j w(j) alpha_l(j) / w(j).
 
-Before each frame the share `switch` of every beta_l goes to the others in equal parts; with 0, as published, a
-posterior comes back only as fast as frames speak against it. `none` is one more identity, nobody of the gallery.
+Before each frame the share `switch` of every beta_l goes to the others in equal parts; 0 as published. `none` is one
+more identity, nobody of the gallery.
 """
 
 from __future__ import annotations
