@@ -14,8 +14,8 @@ from facetrack_cli.cli.options import FILE, TruthOptions, argument, format_of, g
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.files import check_new, write_new
 from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
+from facetrack_cli.evaluation.rows import check_normalise
 from facetrack_cli.evaluation.summary import Evaluation, Options, evaluate
-from facetrack_cli.evaluation.units import check_normalise
 from facetrack_cli.report.figures import calibration_figure, render
 from facetrack_cli.report.figures.style import need_matplotlib
 from facetrack_cli.trajectory.formats.read import read_results

@@ -18,10 +18,9 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.files import check_new
 from facetrack_cli.report.figures.gallery import calibrated, gallery_figure, kept, stranger
 from facetrack_cli.runs.progress import progress
-from facetrack_cli.tracking.identity.faces import read_faces
 from facetrack_cli.tracking.identity.fit import fit_gallery
 from facetrack_cli.tracking.identity.gallery import Gallery, load_gallery
-from facetrack_cli.tracking.identity.people import Reading, count, find_people
+from facetrack_cli.tracking.identity.people import Reading, count, find_people, read_faces
 
 LEAST_SIDE, MOST_SIDE = 6, 128  # of a template, as in recipes
 

@@ -10,8 +10,7 @@ from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Whole, argument, option, say, verb, write_figure
 from facetrack_cli.core.files import check_new
 from facetrack_cli.report.figures.shape_prior import prior_figure
-from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior
-from facetrack_cli.tracking.models.shape_prior_fit import fit_prior, suggested_sigma
+from facetrack_cli.tracking.models.shape_prior import default_prior_path, fit_prior, load_prior, suggested_sigma
 
 
 @click.group()

@@ -17,8 +17,7 @@ from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.recipe.skin import SkinCloud
 from facetrack_cli.report.text import names as listed
 from facetrack_cli.tracking.start import PARTS, check_size, check_start, name_targets, write_init
-from facetrack_cli.tracking.start.init_file import KEYS, OF_CORRECTIONS, TARGET
-from facetrack_cli.tracking.start.init_writer import WHAT_PARTS_ARE
+from facetrack_cli.tracking.start.init_file import KEYS, OF_CORRECTIONS, TARGET, WHAT_PARTS_ARE
 from facetrack_cli.tracking.start.preview import write_preview
 from facetrack_cli.video.seek import Frames
 
