@@ -16,22 +16,20 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import click
 
 from facetrack_cli.core.errors import OutputError, UsageError
-from facetrack_cli.core.files import Folder, check_new, write_new
-from facetrack_cli.core.types import Box
-from facetrack_cli.evaluation.match import match
-from facetrack_cli.evaluation.rows import Pair
-from facetrack_cli.report.figures.style import need_matplotlib, render
-from facetrack_cli.runs.progress import Progress, flat, progress
-from facetrack_cli.runs.signals import Stop
-from facetrack_cli.trajectory.formats.read import FORMATS, read_truth
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from facetrack_cli.core.files import Folder
+    from facetrack_cli.core.types import Box
     from facetrack_cli.editor.web.session import Session
     from facetrack_cli.evaluation.experiments.compare_text import Comparison
     from facetrack_cli.evaluation.experiments.repeat import Repetition
+    from facetrack_cli.evaluation.rows import Pair
+    from facetrack_cli.runs.progress import Progress
+    from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.trajectory.trajectory import Trajectory
 
 FILE: Any = click.Path(path_type=Path)
 
@@ -194,13 +192,13 @@ class Extent:
 def format_of(names: str, text: str) -> Any:
     """How to read a file that another program may have written."""
     text += " [default: by its shape]."
-    return option(f"{names} FORMAT", text, type=click.Choice(FORMATS), default="auto", show_default=False)
+    return option(f"{names} FORMAT", text, type=click.Choice(TRUTH_FORMATS), default="auto", show_default=False)
 
 
 class TruthOptions:
     """How a file of ground truth is read."""
 
-    truth_format: str = format_of("--truth-format", f"How to read it: {', '.join(FORMATS[1:])}")
+    truth_format: str = format_of("--truth-format", f"How to read it: {', '.join(TRUTH_FORMATS[1:])}")
     shift: int | None = option(
         "--shift N",
         "Add N to the frame numbers of the ground truth; 0 takes them as they are even if another shift would fit "
@@ -222,10 +220,14 @@ class TruthOptions:
             raise UsageError(f"{idle[0]} says how to use ground truth; give its file with --truth FILE")
 
     def read(self, path: Path) -> Trajectory:
+        from facetrack_cli.trajectory.formats.read import read_truth
+
         return read_truth(path, self.truth_format, shift=self.shift or 0)
 
     def pairs(self, ours: Trajectory, theirs: Trajectory, note: Callable[[str], None]) -> list[Pair]:
         """The rows of a trajectory beside those of the ground truth; `note` gets what to know of it."""
+        from facetrack_cli.evaluation.match import match
+
         return match(ours, theirs, partial=self.partial, select=self.target, check_shift=self.shift is None, note=note)
 
 
@@ -259,6 +261,8 @@ class Page:
 
 def say(line: str) -> None:
     """A line on standard error, also where a name holds line breaks."""
+    from facetrack_cli.runs.progress import flat
+
     click.echo(flat(line), err=True)
 
 
@@ -266,6 +270,9 @@ def write_figure(
     path: Path, make: Callable[[], Figure], *, overwrite: bool, inputs: Iterable[Path] = (), dpi: float = 120.0
 ) -> None:
     """The figure, in the form that the file's ending names; refuses before `make` what would be refused after it."""
+    from facetrack_cli.core.files import check_new, write_new
+    from facetrack_cli.report.figures.style import need_matplotlib, render
+
     check_new(path, overwrite=overwrite, inputs=inputs)
     need_matplotlib()
     write_new(path, render(make(), path.suffix[1:].lower(), dpi=dpi), overwrite=overwrite)
@@ -289,6 +296,10 @@ class Results:
 
         Raises OutputError where there can be no results.
         """
+        from facetrack_cli.core.files import Folder
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.runs.signals import Stop
+
         names = [*(f"{stem}.{ending}" for ending in TABLES), *(() if self.no_plots else plots)]
         with (
             Stop().listening() as stopped,
@@ -316,6 +327,8 @@ class Results:
         shown.say(f"{found.clip} -> {folder.summary()}")
 
     def _can_draw(self, shown: Progress) -> bool:
+        from facetrack_cli.report.figures.style import need_matplotlib
+
         try:
             need_matplotlib()
         except UsageError as e:

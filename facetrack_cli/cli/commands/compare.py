@@ -7,12 +7,6 @@ from pathlib import Path
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, Extent, Results, TruthOptions, Whole, argument, group, option, verb
 from facetrack_cli.core.errors import ExitCode
-from facetrack_cli.evaluation.experiments import compare
-from facetrack_cli.evaluation.experiments.compare_text import Comparison
-from facetrack_cli.report.figures.comparison import compare_figures
-from facetrack_cli.runs.batch import title
-from facetrack_cli.runs.seeds import labels, load_recipes, refuse_seed, variant
-from facetrack_cli.runs.start import Begin
 
 PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
 
@@ -72,6 +66,13 @@ class Compare:
     results: Results = group(Results)
 
     def run(self) -> int:
+        from facetrack_cli.evaluation.experiments import compare
+        from facetrack_cli.evaluation.experiments.compare_text import Comparison
+        from facetrack_cli.report.figures.comparison import compare_figures
+        from facetrack_cli.runs.batch import title
+        from facetrack_cli.runs.seeds import labels, load_recipes, refuse_seed, variant
+        from facetrack_cli.runs.start import Begin
+
         clip, results, extent, known = self.clip, self.results, self.extent, self.truth_options
         extent.check(clip)
         if self.rank_by is not None:

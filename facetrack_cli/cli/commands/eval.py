@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -12,15 +13,10 @@ from facetrack_cli.cli import options
 from facetrack_cli.cli.app import colour
 from facetrack_cli.cli.options import FILE, TruthOptions, argument, format_of, group, option, say, verb
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.files import check_new, write_new
-from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
-from facetrack_cli.evaluation.rows import check_normalise
-from facetrack_cli.evaluation.summary import Evaluation, Options, evaluate
-from facetrack_cli.report.figures import calibration_figure, render
-from facetrack_cli.report.figures.style import need_matplotlib
-from facetrack_cli.trajectory.formats.read import read_results
-from facetrack_cli.trajectory.header import clip_of, is_there, picture_of
-from facetrack_cli.trajectory.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from facetrack_cli.evaluation.summary import Evaluation
+    from facetrack_cli.trajectory.trajectory import Trajectory
 
 
 def _failure(value: str) -> float:
@@ -83,6 +79,14 @@ class Eval:
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
+        from facetrack_cli.core.files import check_new, write_new
+        from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
+        from facetrack_cli.evaluation.rows import check_normalise
+        from facetrack_cli.evaluation.summary import Options, evaluate
+        from facetrack_cli.report.figures.style import need_matplotlib
+        from facetrack_cli.trajectory.formats.read import read_results
+        from facetrack_cli.trajectory.header import clip_of, picture_of
+
         files, known = self._files(), self.truth_options
         if self.plot is not None:
             need_matplotlib()
@@ -114,6 +118,8 @@ class Eval:
 
     def _files(self) -> dict[str, Path]:
         """The files to write by their options; refused before anything is read if they cannot be."""
+        from facetrack_cli.core.files import check_new
+
         if self.json == self.csv == "-":
             raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
         wanted = {"--json": self.json, "--csv": self.csv, "--plot": self.plot}
@@ -134,6 +140,8 @@ command = verb(Eval)
 
 def _truth_beside(ours: Trajectory) -> Path:
     """The ground truth beside the clip of a JSON trajectory."""
+    from facetrack_cli.trajectory.header import clip_of, is_there
+
     clip = clip_of(ours)
     if clip is None:
         raise UsageError(
@@ -146,6 +154,8 @@ def _truth_beside(ours: Trajectory) -> Path:
 
 
 def _plot(evaluation: Evaluation, path: Path) -> bytes:
+    from facetrack_cli.report.figures import calibration_figure, render
+
     confidence = evaluation.all.confidence
     if confidence is None or not confidence.bins:
         raise InputError(

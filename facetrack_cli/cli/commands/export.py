@@ -6,21 +6,18 @@ import sys
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, argument, flag, option, say, verb
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
-from facetrack_cli.core.files import StreamSink, check_new, write_new
-from facetrack_cli.trajectory.formats import boxes, eaf, keypoints
-from facetrack_cli.trajectory.header import clip_of, is_there, picture_of, said
-from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.select import Around, blank_lost, choose, enclose
-from facetrack_cli.trajectory.trajectory import Trajectory
-from facetrack_cli.video import images
-from facetrack_cli.video.source import open_source
+
+if TYPE_CHECKING:
+    from facetrack_cli.trajectory.select import Around
+    from facetrack_cli.trajectory.trajectory import Trajectory
+
 
 FORMATS = ("mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
 ONE_TARGET = ("otb", "got10k", "vot")
@@ -79,6 +76,11 @@ class Export:
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
+        from facetrack_cli.core.files import StreamSink, check_new, write_new
+        from facetrack_cli.trajectory.header import clip_of
+        from facetrack_cli.trajectory.reader import read_trajectory
+        from facetrack_cli.trajectory.select import blank_lost, choose
+
         if self.media is not None and self.to not in OF_MEDIA:
             raise UsageError(f"--media is for {' and '.join(OF_MEDIA)}; {self.to} does not name the clip")
         if self.box is not None and self.to not in OF_BOXES:
@@ -108,6 +110,12 @@ class Export:
         say(f"{path}: {len(frames)} frames of {', '.join(table.targets) or 'one target'}{begins}")
 
     def _text(self, table: Trajectory, path: Path | None) -> str:
+        import numpy as np
+
+        from facetrack_cli.trajectory.formats import boxes, eaf, keypoints
+        from facetrack_cli.trajectory.header import said
+        from facetrack_cli.trajectory.select import enclose
+
         if not np.isfinite(table.x).any():
             raise InputError("no row has a place, x and y; there is nothing to export")
         if self.to == "dlc":
@@ -128,6 +136,8 @@ class Export:
 
     def _clip(self, table: Trajectory) -> Path:
         """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""
+        from facetrack_cli.trajectory.header import clip_of, is_there
+
         clip = self.media or clip_of(table)
         if clip is None:
             raise InputError("does not name its video, only a trajectory.json does; give it with --media")
@@ -141,6 +151,10 @@ class Export:
 
     def _frames(self, table: Trajectory) -> tuple[tuple[int, int], Callable[[int], str]]:
         """The size of the frames, and the names of their images."""
+        from facetrack_cli.trajectory.header import clip_of, is_there, picture_of
+        from facetrack_cli.video import images
+        from facetrack_cli.video.source import open_source
+
         clip = self.media or clip_of(table)
         size = picture_of(table)
         if self.media is not None:

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option, say, verb
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
-from facetrack_cli.core.types import Correction
-from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.retrack import StoppedError
-from facetrack_cli.editor.run_folder import UNSAVED, check_size, check_writable, open_run
-from facetrack_cli.editor.save import save
-from facetrack_cli.runs.progress import progress
-from facetrack_cli.runs.signals import Stop
-from facetrack_cli.video.seek import Frames
+
+if TYPE_CHECKING:
+    from facetrack_cli.core.types import Correction
+    from facetrack_cli.editor.history import Fixer
+    from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.video.seek import Frames
 
 
 class Fix:
@@ -53,6 +52,11 @@ class Fix:
     quiet: bool = flag("--quiet -q", "With --init: say nothing but errors.")
 
     def run(self) -> int:
+        from facetrack_cli.editor.history import Fixer
+        from facetrack_cli.editor.run_folder import check_size, check_writable, open_run
+        from facetrack_cli.runs.signals import Stop
+        from facetrack_cli.video.seek import Frames
+
         if self.init is not None:
             self.page.refuse("leave it or --init out")
         elif self.quiet:
@@ -67,6 +71,12 @@ class Fix:
 
     def _apply(self, fixer: Fixer, init: Path, stop: Stop) -> int:
         """Take the corrections of a file, and save; the exit code."""
+        from facetrack_cli.editor.history import corrections_of
+        from facetrack_cli.editor.retrack import StoppedError
+        from facetrack_cli.editor.run_folder import UNSAVED
+        from facetrack_cli.editor.save import save
+        from facetrack_cli.runs.progress import progress
+
         folder = fixer.run.folder
         unsaved = folder / UNSAVED
         if unsaved.is_file() and not (init.is_file() and init.samefile(unsaved)):
@@ -89,6 +99,8 @@ class Fix:
 
     def _serve(self, fixer: Fixer, frames: Frames, stop: Stop) -> int:
         """Serve the page until it is saved or stopped; the exit code."""
+        from facetrack_cli.editor.history import corrections_of
+        from facetrack_cli.editor.run_folder import UNSAVED
         from facetrack_cli.editor.web.fix_session import FixSession
 
         folder = fixer.run.folder

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
 
 # before numpy is imported: the matrices are small, and threads only wait for each other on a busy machine
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -15,12 +16,10 @@ import click
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Whole, argument, option, say, verb, write_figure
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.files import check_new
-from facetrack_cli.report.figures.gallery import calibrated, gallery_figure, kept, stranger
-from facetrack_cli.runs.progress import progress
-from facetrack_cli.tracking.identity.fit import fit_gallery
-from facetrack_cli.tracking.identity.gallery import Gallery, load_gallery
-from facetrack_cli.tracking.identity.people import Reading, count, find_people, read_faces
+
+if TYPE_CHECKING:
+    from facetrack_cli.tracking.identity.gallery import Gallery
+
 
 LEAST_SIDE, MOST_SIDE = 6, 128  # of a template, as in recipes
 
@@ -80,6 +79,11 @@ class Fit:
     quiet: bool = options.QUIET
 
     def run(self) -> None:
+        from facetrack_cli.core.files import check_new
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.tracking.identity.fit import fit_gallery
+        from facetrack_cli.tracking.identity.people import Reading, count, find_people, read_faces
+
         start, stop, out = self.start, self.stop, self.out
         if stop is not None and stop <= start:
             raise UsageError(f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start")
@@ -134,6 +138,9 @@ class Show:
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
+        from facetrack_cli.report.figures.gallery import gallery_figure
+        from facetrack_cli.tracking.identity.gallery import load_gallery
+
         file, out = self.file, self.out or self.file.with_suffix(".png")
         gallery = load_gallery(file)
         write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=self.overwrite, inputs=[file])
@@ -150,6 +157,8 @@ class Show:
 
 
 def _summary(gallery: Gallery) -> list[str]:
+    from facetrack_cli.report.figures.gallery import calibrated, kept, stranger
+
     spaces = (("frontal faces", gallery.frontal), ("intra-personal", gallery.intra), ("extra-personal", gallery.extra))
     lines = [f"{name}: {kept(space)}" for name, space in spaces]
     return [*lines, calibrated(gallery), stranger(gallery), *(f"note: {note}" for note in gallery.notes)]

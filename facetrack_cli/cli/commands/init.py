@@ -4,29 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, FRAME, Page, argument, flag, group, option, say, verb
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError
-from facetrack_cli.core.files import check_new
-from facetrack_cli.core.types import Box, Frame, Start
-from facetrack_cli.recipe.gallery_option import wants_gallery
-from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.signals import Stop
-from facetrack_cli.tracking.start import (
-    PARTS,
-    box_start,
-    default_path,
-    find_init,
-    haar_start,
-    name_targets,
-    read_init,
-    write_init,
-)
-from facetrack_cli.tracking.start.preview import write_preview
-from facetrack_cli.video.seek import Frames
-from facetrack_cli.video.source import open_source
+
+if TYPE_CHECKING:
+    from facetrack_cli.core.types import Box, Frame, Start
+    from facetrack_cli.recipe.model import Recipe
+
 
 SUFFIXES = (".yaml", ".yml", ".json")
 
@@ -73,6 +60,9 @@ class Init:
     recipe: Recipe | None
 
     def run(self) -> int:
+        from facetrack_cli.recipe.load import load_recipe
+        from facetrack_cli.tracking.start import default_path
+
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
         if not self.pick:
@@ -84,6 +74,8 @@ class Init:
 
     def _check_files(self) -> None:
         """Refuse before the search what would be refused after it."""
+        from facetrack_cli.core.files import check_new
+
         path, preview = self.path, self.preview
         if path is not None and path.suffix.lower() not in SUFFIXES:
             raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
@@ -96,6 +88,9 @@ class Init:
 
     def _find(self) -> int:
         """Write what the cascades find; the exit code."""
+        from facetrack_cli.tracking.start import write_init
+        from facetrack_cli.tracking.start.preview import write_preview
+
         start, frame = self._start()
         if self.preview is not None:
             write_preview(self.preview, frame, start, overwrite=self.overwrite)
@@ -110,6 +105,9 @@ class Init:
 
     def _start(self) -> tuple[Start, Frame]:
         """The start, and its frame."""
+        from facetrack_cli.tracking.start import PARTS, box_start, haar_start, name_targets
+        from facetrack_cli.video.source import open_source
+
         recipe, clip, first = self.recipe, str(self.clip), self.init_frame or 0
         points = PARTS if recipe is None else recipe.points
         kept: list[Frame] = []
@@ -130,6 +128,9 @@ class Init:
 
     def _next(self) -> str:
         """The command that begins with the file, once it is there."""
+        from facetrack_cli.recipe.gallery_option import wants_gallery
+        from facetrack_cli.tracking.start import default_path, find_init
+
         found = (find_init(self.clip) or default_path(self.clip)) == self.path
         named = "" if found else f" --init {'FILE' if self.path is None else self.path}"
         if self.recipe is not None:
@@ -139,6 +140,9 @@ class Init:
     def _pick(self) -> int:
         """Let somebody choose on the page; the exit code."""
         from facetrack_cli.editor.web.pick_session import PickSession
+        from facetrack_cli.runs.signals import Stop
+        from facetrack_cli.tracking.start import default_path, read_init, write_init
+        from facetrack_cli.video.seek import Frames
 
         beside = self.path or default_path(self.clip)
         kept = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
@@ -175,6 +179,8 @@ class Init:
 
 def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:
     """Write what was chosen and not saved, if anything was; what became of it."""
+    from facetrack_cli.tracking.start import write_init
+
     if start is None:
         return f"what was chosen the last time is still in {kept}" if kept.is_file() else "nothing was written"
     try:

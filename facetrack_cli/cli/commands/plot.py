@@ -9,9 +9,6 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, TruthOptions, argument, group, option, say, verb, write_figure
-from facetrack_cli.report.figures import page_figure
-from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.select import choose
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,6 +54,10 @@ class Plot:
         say(f"{self.trajectory} -> {out}")
 
     def _draw(self) -> Figure:
+        from facetrack_cli.report.figures import page_figure
+        from facetrack_cli.trajectory.reader import read_trajectory
+        from facetrack_cli.trajectory.select import choose
+
         table = read_trajectory(self.trajectory)
         known = self.truth_options
         pairs = None if self.truth is None else known.pairs(table, known.read(self.truth), say)

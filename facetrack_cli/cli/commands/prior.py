@@ -8,9 +8,6 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Whole, argument, option, say, verb, write_figure
-from facetrack_cli.core.files import check_new
-from facetrack_cli.report.figures.shape_prior import prior_figure
-from facetrack_cli.tracking.models.shape_prior import default_prior_path, fit_prior, load_prior, suggested_sigma
 
 
 @click.group()
@@ -66,6 +63,9 @@ class Fit:
     quiet: bool = options.QUIET
 
     def run(self) -> None:
+        from facetrack_cli.core.files import check_new
+        from facetrack_cli.tracking.models.shape_prior import fit_prior
+
         check_new(self.out, overwrite=self.overwrite)
         fitted = fit_prior(self.truth, self.parts, self.stable, self.scale, self.max_shapes)
         fitted.prior.save(self.out)
@@ -92,6 +92,9 @@ class Show:
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
+        from facetrack_cli.report.figures.shape_prior import prior_figure
+        from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior, suggested_sigma
+
         path = self.file or default_prior_path()
         prior = load_prior(path)
         out = self.out or (path.with_suffix(".png") if self.file else Path(path.with_suffix(".png").name))

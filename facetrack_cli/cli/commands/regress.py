@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, Whole, argument, flag, option, verb
 from facetrack_cli.core.errors import ExitCode, UsageError
-from facetrack_cli.core.files import check_new, write_new
-from facetrack_cli.evaluation.goldens.check import Checked, check, select, update
-from facetrack_cli.evaluation.goldens.output import as_json, as_junit, line, summary
-from facetrack_cli.recipe.gallery_option import check_file
-from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.progress import flat, progress
-from facetrack_cli.runs.signals import Stop
-from facetrack_cli.tracking.identity.gallery import load_gallery
+
+if TYPE_CHECKING:
+    from facetrack_cli.evaluation.goldens.check import Checked
 
 
 class Regress:
@@ -64,6 +59,12 @@ class Regress:
     quiet: bool = flag("--quiet -q", "No progress.")
 
     def run(self) -> int:
+        from facetrack_cli.core.files import check_new
+        from facetrack_cli.recipe.gallery_option import check_file
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.runs.signals import Stop
+        from facetrack_cli.tracking.identity.gallery import load_gallery
+
         if self.update and (self.set or self.junit or self.json):
             raise UsageError("--update records recipes as they are; leave --set, --junit and --json to a check")
         if not self.update and (self.seeds is not None or self.stop is not None):
@@ -90,6 +91,12 @@ class Regress:
 
     def _check(self, runs: dict[str, Any]) -> tuple[ExitCode, str]:
         """Check the goldens, a line of each; the exit code, and what to say if it was interrupted."""
+        from facetrack_cli.core.files import write_new
+        from facetrack_cli.evaluation.goldens.check import check, select
+        from facetrack_cli.evaluation.goldens.output import as_json, as_junit, line, summary
+        from facetrack_cli.recipe.load import load_recipe
+        from facetrack_cli.runs.progress import flat
+
         began = time.monotonic()
         given = [load_recipe(name, self.set) for name in self.config]
         goldens = select(self.folder, given)
@@ -109,6 +116,9 @@ class Regress:
 
     def _update(self, runs: dict[str, Any]) -> tuple[ExitCode, str]:
         """Record goldens, a line of each; the exit code, and what to say if it was interrupted."""
+        from facetrack_cli.evaluation.goldens.check import update
+        from facetrack_cli.runs.progress import flat
+
         failed = False
         for one in update(self.folder, self.config, self.seeds or 40, self.stop, **runs):
             what = f"wrote {one.golden} ({one.message})" if one.status == "ok" else f"skipped: {one.message}"

@@ -9,13 +9,6 @@ import click
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, Extent, Results, Whole, argument, group, option, verb
 from facetrack_cli.core.errors import ExitCode
-from facetrack_cli.evaluation.experiments.repeat import Repetition, matched, spreads
-from facetrack_cli.evaluation.experiments.sheet import clip_name
-from facetrack_cli.report.figures.comparison import repeat_figures
-from facetrack_cli.runs.batch import title
-from facetrack_cli.runs.seeds import Plan, load_recipes, refuse_seed, run_plans
-from facetrack_cli.runs.start import Begin
-from facetrack_cli.trajectory.formats.read import read_truth
 
 
 class Repeat:
@@ -59,6 +52,14 @@ class Repeat:
     results: Results = group(Results)
 
     def run(self) -> int:
+        from facetrack_cli.evaluation.experiments.repeat import Repetition, matched, spreads
+        from facetrack_cli.evaluation.experiments.sheet import clip_name
+        from facetrack_cli.report.figures.comparison import repeat_figures
+        from facetrack_cli.runs.batch import title
+        from facetrack_cli.runs.seeds import Plan, load_recipes, refuse_seed, run_plans
+        from facetrack_cli.runs.start import Begin
+        from facetrack_cli.trajectory.formats.read import read_truth
+
         clip, results = self.clip, self.results
         self.extent.check(clip)
         refuse_seed(self.set)

@@ -6,10 +6,6 @@ from pathlib import Path
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, TruthOptions, argument, group, option, verb
-from facetrack_cli.core.files import check_new, write_new
-from facetrack_cli.report.make import NAME, TruthFile, make_report, trajectory_of
-from facetrack_cli.runs.progress import progress
-from facetrack_cli.runs.signals import Stop
 
 
 class Report:
@@ -42,6 +38,11 @@ class Report:
     quiet: bool = options.QUIET
 
     def run(self) -> int:
+        from facetrack_cli.core.files import check_new, write_new
+        from facetrack_cli.report.make import NAME, TruthFile, make_report, trajectory_of
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.runs.signals import Stop
+
         if self.truth is None:
             self.truth_options.refuse(target=True)
         trajectory_of(self.folder)

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-import cv2
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
 from facetrack_cli.core.errors import ExitCode, OutputError, UsageError
-from facetrack_cli.runs.batch import absolute, check_all, folders, run_batch
-from facetrack_cli.runs.clip import Job, Outcome, run
-from facetrack_cli.runs.progress import Progress, progress
-from facetrack_cli.runs.seeds import load_recipes
-from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.workers import cores
-from facetrack_cli.trajectory.writers import FORMATS, Format
+
+if TYPE_CHECKING:
+    from facetrack_cli.runs.clip import Job, Outcome
+    from facetrack_cli.runs.progress import Progress
+    from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.trajectory.writers import Format
 
 
 def _formats(value: str) -> tuple[Format, ...]:
+    from facetrack_cli.trajectory.writers import FORMATS
+
     names = [name.strip().lower() for name in value.split(",") if name.strip()]
     unknown = [name for name in names if name not in FORMATS]
     if unknown or not names:
@@ -75,6 +76,13 @@ class Run:
     quiet: bool = options.QUIET
 
     def run(self) -> int:
+        from facetrack_cli.runs.batch import absolute
+        from facetrack_cli.runs.clip import Job
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.runs.seeds import load_recipes
+        from facetrack_cli.runs.signals import Stop
+        from facetrack_cli.runs.workers import cores
+
         self.extent.check(*self.inputs)
         seed = () if self.seed is None else (f"seed={self.seed}",)
         [recipe] = load_recipes([(self.config, (*self.set, *seed))], self.gallery)
@@ -106,6 +114,8 @@ class Run:
 
     def _places(self, clips: list[Path], recipe: str) -> tuple[list[Path | None], tuple[Format, ...]]:
         """The folder of each clip's results, None for standard output, and the formats to write."""
+        from facetrack_cli.runs.batch import folders
+
         if self.out == "-":
             if len(clips) > 1:
                 raise UsageError("-o - streams one clip; give one INPUT, or a folder with --out")
@@ -120,6 +130,10 @@ class Run:
 
 def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
     """Run one clip; its error is the command's."""
+    import cv2
+
+    from facetrack_cli.runs.clip import run
+
     cv2.setNumThreads(job.threads)
     shown.begin(job.clip.name)
     outcome = run(job, stop, shown.update)
@@ -134,6 +148,10 @@ def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
 
 def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
+    import cv2
+
+    from facetrack_cli.runs.batch import check_all, run_batch
+
     if workers == 1:
         cv2.setNumThreads(jobs[0].threads)
     refused, accepted = check_all(jobs)

@@ -38,11 +38,10 @@ _READERS: Final[dict[str, Callable[..., Trajectory]]] = {
     "vot": boxes.read_vot,
     "pts": read_pts,
 }
-FORMATS: Final = ("auto", *_READERS)
 
 
 def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Trajectory:
-    """The truth in a file or folder, read as `form`, one of FORMATS; `auto` goes by the shape.
+    """The truth in a file or folder, read as `form`, one of TRUTH_FORMATS; `auto` goes by the shape.
 
     `shift` is added to every frame number. `header["read_as"]` says how it was read, `header["shift"]` is the shift.
     Raises InputError for a file that is broken or of no known shape, UsageError for a shift beyond any clip.
@@ -60,7 +59,7 @@ def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Traje
 
 
 def read_results(path: Path, form: str = "auto") -> Trajectory:
-    """A trajectory of ours, or what another tracker wrote: a file in one of FORMATS, read as `form` or by its shape.
+    """A trajectory of ours, or what another tracker wrote, read as `form`, one of TRUTH_FORMATS, or by its shape.
 
     Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
     """
@@ -100,7 +99,7 @@ def _rather(path: Path, form: str) -> str:
 
 
 def recognise(path: Path) -> tuple[Path, str]:
-    """The file to read, inside of `path` if that is a folder, and which of FORMATS it has."""
+    """The file to read, inside of `path` if that is a folder, and which of TRUTH_FORMATS it has."""
     if path.is_dir():
         if any((path / f"trajectory.{suffix}").is_file() for suffix in ("json", "csv", "jsonl")):
             return path, "facetrack"
@@ -136,7 +135,7 @@ def _shape(lines: Lines) -> str:
         raise InputError(f"{place}: five numbers a line; put the header {','.join(BOX_COLUMNS)} on top")
     if count in MOT_COLUMNS and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
         return "mot"
-    remedy = f"name its kind by --truth-format: {', '.join(FORMATS[1:])}"
+    remedy = f"name its kind by --truth-format: {', '.join(_READERS)}"
     raise InputError(f"{place}: {count} values a line are no truth that is known here; {remedy}")
 
 
