@@ -1,7 +1,5 @@
 """Run the command line: every error ends in one line on stderr and its exit code (core/errors.py)."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 

@@ -1,7 +1,5 @@
 """The command line: a group that loads a command only when it is called, so that `facetrack --help` is instant."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

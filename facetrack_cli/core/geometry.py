@@ -1,7 +1,5 @@
 """Boxes, points and outlines in an image. Pixel centres are whole numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from facetrack_cli.core.types import Array, Box, Point

@@ -1,7 +1,5 @@
 """Values as text; and spans, half-open intervals [begin, end) of rows, frames or places."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable

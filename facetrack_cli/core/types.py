@@ -4,8 +4,6 @@ Axes, everywhere: N particles, K parts, D coordinates a part; x before y; pixels
 Images are (H, W, 3) uint8 in OpenCV's order, blue first.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,7 +21,6 @@ Whole: TypeAlias = NDArray[np.int64]
 Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 Extent: TypeAlias = tuple[float, float, float, float]  # x from, y from, x to, y to
 Point: TypeAlias = tuple[float, float]
-
 BOX = "box"  # the one part of a target that is tracked as a box
 MOST_REMEMBERED = 8  # a step asks for the particles twice, and for a few single states in between
 

@@ -1,7 +1,5 @@
 """Corrections of a run, one after the other, and the rows that follow from them; every step can be undone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest

@@ -4,8 +4,6 @@ New files are written beside the old ones. Once they are whole, a journal says s
 next program that opens the run does it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """A finished run, read from its folder: rows, recipe, start, and the clip that it was made from."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """What is corrected into the run's folder: all files are written beside the old ones, and then replace them."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 from pathlib import Path

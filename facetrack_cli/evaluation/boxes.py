@@ -16,8 +16,6 @@ one prediction is nan. vot-toolkit leaves out rows without ground truth, but als
 is given `ignore_unknown: False`, as in VOTS.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

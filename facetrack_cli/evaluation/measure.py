@@ -7,8 +7,6 @@
 From the declarations follow the names (`points.mean_px`), the columns of tables, and the order of recipes by a measure.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_type_hints

@@ -1,7 +1,5 @@
 """An evaluation as JSON and CSV for programs, and as tables for people."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -4,8 +4,6 @@ Errors are Euclidean distances in pixels; a *normalised* error is divided by a l
 Failure rate and AUC are those of the facial landmark literature (300-W, COFW, WFLW), with a row for an image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated

@@ -5,8 +5,6 @@ evaluation.all.points.mean_px
 scalars(evaluation)["lost.precision"]
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

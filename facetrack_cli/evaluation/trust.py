@@ -4,8 +4,6 @@ Counted are rows, one for each frame and part, without those that the tracker wa
 it, *covered* if the ground truth calls it hidden or absent, *gone* if it is covered or not near.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

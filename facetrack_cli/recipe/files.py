@@ -1,7 +1,5 @@
 """The files of recipes: the shipped ones, and those that a recipe names."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from facetrack_cli.core.errors import RecipeError

@@ -1,7 +1,5 @@
 """People to recognise, given beside recipes: what `--gallery FILE` does."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import deepcopy
 from pathlib import Path

@@ -5,8 +5,6 @@ recipe.filter.particles         # 200
 recipe.motion.sigma.of("nose")  # Length(value=0.1, px=False)
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

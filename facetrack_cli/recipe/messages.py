@@ -1,7 +1,5 @@
 """What pydantic finds wrong with a recipe, as problems with a place in the text and a remedy."""
 
-from __future__ import annotations
-
 import types
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Union, get_args, get_origin

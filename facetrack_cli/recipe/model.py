@@ -1,7 +1,5 @@
 """The kinds of recipe; their sections are in the files beside this one. No numerics are imported here."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar

@@ -4,8 +4,6 @@ All equations are those of Odobez, Ba & Gatica-Perez, "An Implicit Motion Likeli
 Filters", IDIAP-RR 03-15, 2003. No numerics are imported here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 

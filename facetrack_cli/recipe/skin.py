@@ -4,8 +4,6 @@ All equations are those of Gonzalez & Collet, "Face Tracking using a Combination
 Particle Filter". No numerics are imported here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Annotated, Literal, TypeAlias
 

@@ -1,7 +1,5 @@
 """A run's recipe and start as YAML, and the command that repeats the run."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import shlex

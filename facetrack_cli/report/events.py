@@ -3,8 +3,6 @@
 Frames are source frames; a lost span ends before the frame in which the part is tracked, corrected or absent.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect
 from collections.abc import Sequence

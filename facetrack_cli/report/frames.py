@@ -3,8 +3,6 @@
 A clip is decoded once, up to the last frame that is wanted; of an image folder, only the images wanted are read.
 """
 
-from __future__ import annotations
-
 import base64
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -33,7 +31,6 @@ _VIEW = 3.5  # an image shows this many times the target's size; larger clips ar
 _TRAIL_S = 1.0
 _TRAIL = 25  # frames of it that are drawn
 _APART_S = 0.002  # a clip whose frames have other times than the run's is another clip
-
 Report: TypeAlias = Callable[[int, int], None]  # frames read, frames to read
 View: TypeAlias = tuple[int, int, int, int]  # left, top, width, height in the clip's pixels
 

@@ -1,7 +1,5 @@
 """The report in words: the summary, what each key frame shows, and the measures (`facetrack eval` prints all)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The Python interface: track a video or any images, by the same functions as the command line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from itertools import chain, dropwhile, tee

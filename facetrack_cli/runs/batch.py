@@ -1,7 +1,5 @@
 """Several clips: where the results of each go, and N of them at a time."""
 
-from __future__ import annotations
-
 import os
 import time
 import traceback

@@ -6,8 +6,6 @@ Each arrow is a queue of a few frames, so memory stays flat and the slowest stag
 frames in their order, whatever the number of threads: what comes out is the same.
 """
 
-from __future__ import annotations
-
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -19,7 +17,6 @@ from facetrack_cli.trajectory.trajectory import FrameResult
 DEPTH = 4  # frames in each queue
 POLL_S = 0.1  # how long a stage sleeps at most before it looks whether the run was cancelled
 PATIENCE_S = 1.0  # a decoder that does not come back from a read is left behind after this long
-
 T = TypeVar("T")
 Track: TypeAlias = Callable[[Iterator[Frame]], Iterator[FrameResult]]
 Effect: TypeAlias = Callable[[FrameResult], None]

@@ -5,8 +5,6 @@ Every tracker is given a frame of its own, and only its own work is timed. Sever
 seeds; the results of a seed do not depend on that.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import re
@@ -33,7 +31,6 @@ from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, o
 from facetrack_cli.video.source import open_source
 
 Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
-
 OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
 _ENDED = "a process of -j ended by itself (too little memory?); run without -j"
 

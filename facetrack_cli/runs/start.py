@@ -1,7 +1,5 @@
 """Where the tracks of a clip begin: an init file, a box, ground truth, or a face that is looked for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Tasks in processes of their own, N at a time: with progress, a wish to stop, and none that takes another down."""
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os
@@ -21,7 +19,6 @@ from facetrack_cli.runs.signals import Stop
 Work: TypeAlias = Callable[[Any, Stop, Callable[..., None]], Any]
 """A function of a module: from a task, the wish to stop, and whom to report the frames done, to a result."""
 Ending: TypeAlias = "Synchronized[int]"  # the exit code of the wish to stop, 0 without one
-
 REPORT_S = 0.2  # between a worker's reports
 LOOK_S = 0.2  # between two looks at the signals
 

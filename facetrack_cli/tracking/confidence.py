@@ -11,8 +11,6 @@ The window at the estimate is compared with the template, and the distance d is 
 A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, `tracked` once it is above.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 

@@ -9,8 +9,6 @@ with d_j the distance from the centre of j in half axes of its ellipse, 1 on its
 ellipse is penalised and little outside of it. Where all particles of a target are penalised alike, none is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

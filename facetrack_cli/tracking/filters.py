@@ -13,8 +13,6 @@ adaptive      noise around the place that the frame predicts               p(y|s
 ============  ===========================================================  ================================
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeAlias
 

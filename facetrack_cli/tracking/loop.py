@@ -4,8 +4,6 @@ A tracker is a tuple of targets, put together by `build.py`: particle filters, o
 (`opencv.py`). What a target knows of a clip is a value that this loop carries from frame to frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias
 

@@ -4,8 +4,6 @@ What they do not report (spread, confidence) is left out. Where a tracker report
 is `lost` and the box stays; MIL and CSRT hardly ever do. OpenCV takes boxes over whole pixels, so a start is rounded.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

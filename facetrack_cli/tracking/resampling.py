@@ -4,8 +4,6 @@ Every scheme takes the generator, normalised log weights (N,), or (N, K) for K p
 draws M; it returns M indices (M,) or (M, K), in ascending order, never of weight zero. Expected counts are M * w.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeAlias
 

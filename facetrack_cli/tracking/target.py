@@ -1,7 +1,5 @@
 """A target followed by a particle filter: its state from frame to frame, and the model that the filter sees."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial

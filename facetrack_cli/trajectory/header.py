@@ -3,8 +3,6 @@
 Starts are in init files, in the header of a trajectory, and in goldens.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias

@@ -1,7 +1,5 @@
 """Reading trajectories and ground truth of facetrack: CSV, JSON and JSON lines, and what is wrong with a file."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import json

@@ -1,7 +1,5 @@
 """What of a table is exported: a choice of its targets, lost rows blanked, and one box around the parts of a target."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, TypeAlias

@@ -5,8 +5,6 @@ same rows, grouped by frame, with the diagnostics of each target, between a head
 footer (how the run ended). JSON lines are the header, a line a frame, and the footer, each with its `type`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache, partial

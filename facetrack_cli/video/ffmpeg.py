@@ -1,7 +1,5 @@
 """The ffmpeg program of imageio-ffmpeg: what a file holds, and its packets, which are read without decoding."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re

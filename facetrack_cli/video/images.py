@@ -1,7 +1,5 @@
 """Image files: which files of a folder are frames, in what order, and how one becomes (H, W, 3) uint8 BGR."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -6,8 +6,6 @@ identified by its time, and decoding goes on from there. If the time of any fram
 are no reliable ones, frames are counted from the start as `open_source` does, which is slow and correct.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math
@@ -33,7 +31,6 @@ LONG = 500  # of a clip with so many frames the stamps are read at once
 BEHIND = 8, 250  # so many frames before a wanted one are kept, after a jump and when going backwards
 _OTHER_KEYS = 0, 1, 4  # a jump that misses is tried again from so many keyframes before
 _LANDS = 16  # OpenCV seeks so many frames earlier than it is told, and decodes onward from there
-
 _Key = TypeVar("_Key", bound=Hashable)
 _Value = TypeVar("_Value")
 

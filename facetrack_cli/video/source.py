@@ -10,8 +10,6 @@ stopped, or if they end clearly before the claimed duration. In transport stream
 more should follow, a cut between two packets is not noticed.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import threading

@@ -5,8 +5,6 @@ certain there are no stamps, and frames have to be counted by decoding. What is 
 while its headers are whole, and a change of size within a stream.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import subprocess

@@ -7,8 +7,6 @@ encoder where the terminal's Ctrl-C ends it before the file is finished. The sou
 fails, there is still the video.
 """
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """facetrack compare: recipes side by side on a clip with ground truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from facetrack_cli.cli import options

@@ -1,7 +1,5 @@
 """facetrack prior: learn shape priors from annotated frames, and draw them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

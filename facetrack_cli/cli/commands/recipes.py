@@ -1,7 +1,5 @@
 """`facetrack recipes`: list, show and check the recipes."""
 
-from __future__ import annotations
-
 import json
 import sys
 

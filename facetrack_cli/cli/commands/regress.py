@@ -1,7 +1,5 @@
 """facetrack regress: clips against their goldens, for CI."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any

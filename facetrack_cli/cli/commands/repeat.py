@@ -1,7 +1,5 @@
 """facetrack repeat: how far the runs of a recipe differ from seed to seed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

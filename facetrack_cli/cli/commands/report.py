@@ -1,7 +1,5 @@
 """facetrack report: one HTML page about a run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from facetrack_cli.cli import options

@@ -1,7 +1,5 @@
 """Correcting a run on the page: what is dragged becomes a correction, and what follows from it is tracked again."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

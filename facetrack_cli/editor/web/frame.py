@@ -1,7 +1,5 @@
 """One frame on the page: the draft, which is what is being chosen in it, its images, and proposals."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Choosing where a track begins, on the page: what a recipe requires, and whether a draft has it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches

@@ -4,8 +4,6 @@ A page of another site cannot use it: the host that the browser was sent to must
 that site may resolve to this machine (DNS rebinding), and requests with an origin must come from this very page.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hmac
 import json

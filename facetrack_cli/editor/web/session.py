@@ -3,8 +3,6 @@
 Long work runs as the one job, in its own thread. Every method is thread-safe.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from abc import ABC, abstractmethod

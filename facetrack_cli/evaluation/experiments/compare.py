@@ -11,8 +11,6 @@ tracker runs once and its interval is its value; of a single seed of any other n
 true box is below 0.1.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """A comparison as a table for people, and as CSV and JSON for programs."""
 
-from __future__ import annotations
-
 import csv
 import io
 from dataclasses import dataclass

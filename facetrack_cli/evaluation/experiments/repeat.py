@@ -15,8 +15,6 @@ frame at which the first of them leaves. Medians are taken along x and along y.
 `Repetition` holds the spread of all parts, as a table for people, and as CSV and JSON for programs.
 """
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What an experiment found, as text: a table on a terminal, piped or as Markdown, and JSON."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Clips checked against their goldens, and goldens recorded: what `facetrack regress` does, a result at a time."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence

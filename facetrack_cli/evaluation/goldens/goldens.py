@@ -7,8 +7,6 @@ offset of each seed from it, both in the quantity's unit (`units`; means of loga
 averages so). `paths` are the medians of x and y in every frame. What it takes to run the same again stands before them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The results of a check as lines for people, as JSON, and as JUnit XML."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

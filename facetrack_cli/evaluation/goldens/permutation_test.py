@@ -6,8 +6,6 @@ against the rest is computed of thousands of random picks of K among all of them
 is that the runs are placed (centre, scale, covariance) by all of them together, as everything here is.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple, TypeAlias
 
@@ -21,7 +19,6 @@ SPLITS: Final = 10_000  # picks of K runs; the first of them is the tested one
 BEND: Final = 3.0  # in robust standard deviations: runs beyond it count by the logarithm
 FAR: Final = 8.0  # where a run without a value stands
 SHRUNK: Final = 0.1  # towards no correlation
-
 Picks: TypeAlias = NDArray[np.float32]
 
 

@@ -1,7 +1,5 @@
 """The plots of `compare` and `repeat` as PNG files: names and bytes, which want matplotlib."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

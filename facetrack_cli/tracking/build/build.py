@@ -1,7 +1,5 @@
 """From a recipe and a start to a tracker. Each part is built from its settings, in the file where it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from facetrack_cli.core.errors import InputError, RecipeError

@@ -7,8 +7,6 @@ A face is read as the tracker reads one that begins in the same box. Copies and 
 that fills the range evenly: equal input gives an equal gallery.
 """
 
-from __future__ import annotations
-
 import math
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence

@@ -3,8 +3,6 @@
 numba reads NUMBA_CACHE_DIR when it is imported, so the package sets it first.
 """
 
-from __future__ import annotations
-
 import os
 from os import path
 

@@ -1,7 +1,5 @@
 """How kernels are compiled, a decorator for each kind of arithmetic, and the bilinear reading that they share."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

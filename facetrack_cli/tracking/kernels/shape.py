@@ -19,7 +19,6 @@ from facetrack_cli.tracking.kernels.compiled import exact
 
 LANES = 16  # shapes are padded to a multiple of this, so that sums and maxima run in independent lanes
 PADDING = np.float32(-1e38)  # the bias of a shape that is none
-
 _FARTHEST = 1e30  # float32 holds 3e38
 _LEAST = np.float32(-80.0)  # exp of it is nothing beside the largest weight, 1
 _LOG2E, _LN2_HI, _LN2_LO = np.float32(1.4426950408889634), np.float32(0.693359375), np.float32(-2.12194440e-4)

@@ -1,7 +1,5 @@
 """Motion models: how a particle moves from one frame to the next, and the density of that move."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -9,8 +9,6 @@ A patch has mean 0 and variance 1. Points beyond the frame are left out of both 
 less than half of it in the frame, is all 0.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

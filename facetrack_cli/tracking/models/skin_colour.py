@@ -9,8 +9,6 @@ colour would be found nowhere else. And the rules know neither very dark nor ver
 of the ellipse in the box, all of it is the sample, and `note` says so. Corners do not count: there may be a warm wall.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

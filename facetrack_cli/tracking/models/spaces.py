@@ -10,8 +10,6 @@ AffineSpace   x, y, a1, a2, a3, a4       the box of the start, turned, scaled an
 ============  =========================  ==============================================================================
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ must be confirmed by one of two others, which leaves few false detections. Of se
 dark one only if no better lit one follows. Nothing here is random.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from itertools import islice
 from math import isfinite

@@ -17,8 +17,6 @@ There may be several targets, also in a correction. With a single target its key
 called `face`, and beside the `frame` of a correction.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

@@ -6,8 +6,6 @@ the origin is midway between the eyes, x runs from the left eye (as seen in the 
 face, and the distance between the eyes is 1. Without evidence near the mean, the mean proportions stand.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from threading import get_ident

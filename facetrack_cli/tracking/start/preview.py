@@ -1,7 +1,5 @@
 """The preview of a start: the frame around the targets, their boxes and parts, and rulers in pixels of the frame."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

@@ -4,8 +4,6 @@ The first target of the recipe is the head, and its box is needed: a face that w
 that are not given begin as the largest regions of the head's skin colour beside the face, named from left to right.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

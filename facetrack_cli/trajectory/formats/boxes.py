@@ -24,8 +24,6 @@
 Writers write lost rows too: they are the tracker's estimate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

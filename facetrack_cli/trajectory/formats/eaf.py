@@ -9,8 +9,6 @@ Times are those of the frames, in milliseconds; a span ends when the frame after
 it is, not percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -22,8 +22,6 @@ is raised to 4 standard deviations of the noise, which is measured on second dif
 which the target is lost. The size of points that belong to a mouth also changes when it opens wide.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple

@@ -24,8 +24,6 @@ several targets `header=[0, 1, 2, 3]`.
 - Whole numbers are pixel centres, as here. A part `box` is the centre of a box; its size has no room in this format.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

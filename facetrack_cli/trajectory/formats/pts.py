@@ -12,8 +12,6 @@ parts point_01, point_02, ... in the file's order; of 68 points five have names 
 The lips' points are those on the outer border, as ours are (`tracking/start/points.py`).
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Frames and pixels of the table are counted from 0 whatever the file's own counting is.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ The images are those of Zhou et al. 2003, figure 3. Names are of parts beside th
 identity, above or below them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple

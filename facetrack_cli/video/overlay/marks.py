@@ -8,8 +8,6 @@ Here Hershey glyphs are drawn four times too large at every quarter of a pixel a
 kept, so a line of text is a concatenation of ready glyphs.
 """
 
-from __future__ import annotations
-
 import math
 import unicodedata
 from collections.abc import Sequence

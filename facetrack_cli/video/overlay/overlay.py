@@ -4,8 +4,6 @@ A tracked part has a solid window and a dot, a lost one a dashed window and a cr
 solid window and a diamond. Absent parts are not drawn. Each target has a colour of its own.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections import deque

@@ -1,7 +1,5 @@
 """The status bar: a dark translucent strip with frame, time, status, title and mean confidence, where there is room."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -13,8 +13,6 @@ read bilinearly; otherwise each particle is read by itself. sum I and sum I^2 ar
 Beyond the paper (its future work): with `adapt` = a the template follows, T <- (1 - a) T + a I at the estimate.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
