@@ -110,7 +110,7 @@ def test_the_box_of_points_encloses_windows_or_points(track, box, ltwh):
     assert [float(v) for v in found[0].split(",")] == pytest.approx([ltwh[0] + 1, ltwh[1] + 1, *ltwh[2:]])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(2, 4), st.integers(1, 8), st.integers(0, 2**32))
 def test_the_enclosing_box_touches_what_it_encloses(parts, frames, seed):
     rng = np.random.default_rng(seed)

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, factor_for
@@ -18,7 +18,6 @@ def naive_blocks(picture, factor):
     return picture
 
 
-@settings(max_examples=80, deadline=None)
 @given(
     factor=st.sampled_from([2, 4, 8]),
     extents=st.lists(
@@ -49,7 +48,6 @@ def test_blocks_are_the_same_whatever_was_asked_before(factor, extents, order):
 anywhere = st.tuples(st.floats(-90, 190), st.floats(-90, 150), st.floats(0, 120), st.floats(0, 90))
 
 
-@settings(max_examples=80, deadline=None)
 @given(calls=st.lists(st.tuples(st.booleans(), st.sampled_from([1, 2, 4]), anywhere), min_size=1, max_size=8))
 def test_grey_is_that_of_the_whole_picture_whatever_was_asked_before(calls):
     picture = np.random.default_rng(1).integers(0, 256, (61, 98, 3), dtype=np.uint8)

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.__main__ import main
@@ -333,7 +333,6 @@ TARGETS = a_target(INSIDE, SIDES) | st.builds(DraftTarget) | a_target(INSIDE | O
 def test_any_draft_is_a_start_that_is_read_back_or_lacks_something(config, tmp_path):
     recipe = None if config is None else load_recipe(config)
 
-    @settings(max_examples=40, deadline=None)
     @given(st.builds(Draft, st.integers(0, 4), st.dictionaries(st.sampled_from(NAMES), TARGETS, max_size=3)))
     def check(draft):
         try:

@@ -12,7 +12,7 @@ from itertools import product
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
@@ -398,7 +398,6 @@ def fuzzed():
         client.close()
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(drafts | anything, st.integers(-1, 3) | plain)
 def test_no_draft_is_an_internal_error(fuzzed, draft, base):
     client, session = fuzzed

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.geometry import iou
@@ -13,7 +13,6 @@ from facetrack_cli.evaluation.boxes import measure_boxes, share_above, share_up_
 from tests.twins import boxes as naive_boxes
 
 NAN = [np.nan] * 4
-unhurried = settings(deadline=None)  # the first call may compile, and other programs run beside
 place = st.floats(-50, 150).map(lambda v: round(v, 2))
 side = st.floats(0.1, 90).map(lambda v: round(v, 2))
 box = st.tuples(place, place, side, side)
@@ -27,14 +26,12 @@ def arrays(rows):
     return a, b
 
 
-@unhurried
 @given(pairs)
 def test_iou_is_its_definition(rows):
     a, b = arrays(rows)
     np.testing.assert_allclose(iou(a, b), [naive_boxes.iou(*row) for row in rows], atol=1e-12)
 
 
-@unhurried
 @given(pairs)
 def test_iou_within_a_picture_is_that_of_clipped_boxes(rows):
     a, b = arrays(rows)
@@ -42,7 +39,6 @@ def test_iou_within_a_picture_is_that_of_clipped_boxes(rows):
     np.testing.assert_allclose(iou(a, b, (100, 60)), expected, atol=1e-12)
 
 
-@unhurried
 @given(pairs, place, place)
 def test_iou_is_symmetric_bounded_and_does_not_depend_on_the_place(rows, dx, dy):
     a, b = arrays(rows)
@@ -76,7 +72,6 @@ def test_centre_lies_in_the_box_up_to_its_border():
     assert within(ours, truth, 0.25).tolist() == [True, True, False, False, False, False]
 
 
-@unhurried
 @given(st.lists(st.sampled_from([0.0, 0.05, 0.3, 0.5, 1.0, math.inf]), min_size=1, max_size=30))
 def test_curves_count_above_or_up_to_each_threshold(values):
     thresholds = np.linspace(0, 1, 21)
@@ -202,14 +197,12 @@ def test_thresholds_are_the_toolkits():
 sizes = st.none() | st.tuples(st.integers(1, 12), st.integers(1, 12))
 
 
-@unhurried
 @given(st.lists(st.tuples(whole_box, whole_box), min_size=1, max_size=6), sizes)
 def test_vot_overlap_of_rectangles_is_that_of_painted_ones(rows, size):
     expected = [naive_boxes.vot_overlap(*row, size) for row in rows]
     np.testing.assert_allclose(vot_overlaps(*arrays(rows), size=size), expected, atol=1e-12)
 
 
-@unhurried
 @given(st.lists(st.tuples(quad, quad, whole_box, st.integers(0, 2)), min_size=1, max_size=5), sizes)
 def test_vot_overlap_of_polygons_is_that_of_painted_ones(rows, size):
     regions = [((p, q), (p, b), (b, q))[kind] for p, q, b, kind in rows]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -90,7 +90,6 @@ def test_a_run_without_positions_has_left():
     assert np.isfinite(one.mean).all() and np.isfinite(one.std).all() and np.isfinite(one.from_median).all()
 
 
-@settings(max_examples=60)
 @given(hnp.arrays(np.bool_, st.integers(1, 60)), st.integers(1, 6))
 def test_stretches_are_what_a_state_machine_finds(mask, hold):
     inside, expected = False, []
@@ -105,7 +104,6 @@ def test_stretches_are_what_a_state_machine_finds(mask, hold):
     assert stretches(mask, hold) == expected
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 10**6), st.permutations(range(8)), st.floats(-50, 50))
 def test_the_order_of_seeds_and_the_place_do_not_matter(random, order, shift):
     positions = runs(8, 40, 1.0, random)

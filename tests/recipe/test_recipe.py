@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
@@ -483,7 +483,6 @@ def test_an_unreadable_file(tmp_path):
 # whatever is written, it is a recipe or a RecipeError
 
 
-@settings(deadline=None, max_examples=200)
 @given(st.text(st.sampled_from("ab:{}[]-?&*!|>'\"%@`#,~ \n\t\\01.e") | st.characters(codec="utf-8"), max_size=40))
 def test_any_text_is_a_tree_or_is_refused(text):
     try:
@@ -495,7 +494,6 @@ def test_any_text_is_a_tree_or_is_refused(text):
         json.dumps(None if tree is None else tree.plain(), allow_nan=False)
 
 
-@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_recipe_is_read_or_refused(data, write):
     lines = GOOD.splitlines(keepends=True)

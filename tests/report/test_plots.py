@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
@@ -73,7 +73,6 @@ def drawn(axes):
 # --- the data behind the lines -----------------------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     values=st.lists(st.one_of(st.floats(-1e6, 1e6), st.just(np.nan)), min_size=1, max_size=300),
     bins=st.integers(1, 40),
@@ -124,7 +123,6 @@ def test_single_points_and_spans():
     assert plot_lines.frame_spans(frame, ~(mask | ~mask)) == []
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.lists(st.lists(st.one_of(st.floats(-9, 9), st.just(np.nan)), min_size=4, max_size=4), min_size=1, max_size=9))
 def test_quantiles_are_those_of_numpy(rows):
     values = np.array(rows)

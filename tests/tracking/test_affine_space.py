@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
@@ -80,7 +80,6 @@ def test_a_box_of_a_pixel_has_corners():
 # --- motion --------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=60)
 @given(
     st.integers(0, 10**6), STATES, st.floats(0, 4), st.sampled_from([None, 0.0, 0.5]), st.sampled_from([0.0, 0.3, 1.0]),
     st.tuples(st.floats(0.01, 0.9), st.floats(1.1, 4)),

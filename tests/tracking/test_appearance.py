@@ -77,7 +77,7 @@ def test_powers_of_two_are_as_exact_as_float32():
 
 
 @KINDS
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10**6), st.sampled_from([1, 7, 33, 480, 500]), st.floats(0.5, 3))
 def test_densities_equal_the_plain_twin(off, laplace, outlier, seed, d, spread):
     rng = np.random.default_rng(seed)
@@ -108,7 +108,7 @@ def test_far_from_all_components_the_nearest_one_counts(laplace):
 
 
 @KINDS
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10**6), st.floats(0.01, 0.9), st.sampled_from([0.0, 0.01, 0.2]))
 def test_learning_equals_the_plain_twin(off, laplace, outlier, seed, alpha, least_mixing):
     rng, d = np.random.default_rng(seed), 9
@@ -128,7 +128,7 @@ def test_learning_equals_the_plain_twin(off, laplace, outlier, seed, alpha, leas
         np.testing.assert_allclose(mine, np.array(theirs).T, rtol=1e-4, atol=1e-5)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.integers(0, 10**6), st.sampled_from([1e-3, 0.05, 0.5, 1.0]), st.sampled_from([0.0, 1e-3, 0.05, 0.5]),
     st.sampled_from([1e-3, 0.05, 1.0]), st.sampled_from(["gaussian", "laplace"]), st.sampled_from([None, 0.1]),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
@@ -109,7 +109,6 @@ def test_reduced_reading_does_not_depend_on_the_other_particles():
     )
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     x=st.floats(-1e12, 1e12),
     y=st.floats(-300, 300),

@@ -5,7 +5,7 @@ import math
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
@@ -67,7 +67,6 @@ def shifts(axis, reach):
     return steps, boxes
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 1000),
     cx=st.floats(-20, 80),
@@ -234,7 +233,6 @@ def test_what_lies_beyond_the_border_is_not_known():
     assert 17 * LEAST - 1 < score < 15 * LEAST
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     x=st.one_of(st.floats(-1e12, 1e12), st.sampled_from([math.inf, -math.inf, math.nan])),
     y=st.floats(-300, 300),

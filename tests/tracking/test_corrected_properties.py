@@ -73,7 +73,7 @@ def hidden(those):
 
 
 @given(st.sampled_from(RECIPES), corrections())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_what_is_said_holds_and_what_comes_before_stays(config, those):
     put = run(config, CLIP, *those, overrides=FEW)
     first = min((one.frame for one in those), default=LAST + 1)
@@ -92,7 +92,7 @@ def test_what_is_said_holds_and_what_comes_before_stays(config, those):
 
 
 @given(st.sampled_from(RECIPES), st.data())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_what_follows_a_complete_correction_depends_on_nothing_before_it(config, data):
     at = data.draw(st.integers(4, LAST - 1))
     last = data.draw(correction(at, ("given", "kept", "absent")))
@@ -114,7 +114,7 @@ def made(tmp_path_factory):
 
 
 @given(those=corrections(most=4), order=st.randoms(use_true_random=False))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_a_run_put_right_is_a_whole_run_from_the_init_file_that_is_written(made, those, order):
     """Also that file, read, begins as it says; and of complete corrections the order of making does not matter."""
     with tempfile.TemporaryDirectory() as name:
@@ -141,7 +141,7 @@ def test_a_run_put_right_is_a_whole_run_from_the_init_file_that_is_written(made,
 
 
 @given(corrections(most=4))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_an_init_file_says_what_it_was_made_of(those):
     start = replace(CLIP.start, corrections=those)
     for suffix in ("yaml", "json"):

@@ -5,7 +5,7 @@ import re
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
@@ -195,7 +195,6 @@ def starts(draw):
     return Start(first, targets, "", tuple(draw(corrections(frame, name)) for frame, name in those))
 
 
-@settings(deadline=None, max_examples=80)
 @given(starts(), st.sampled_from(["a.init.yaml", "a.init.json"]))
 def test_what_is_written_is_read_back(tmp_path_factory, start, name):
     path = tmp_path_factory.mktemp("init") / name

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, Particles
@@ -60,7 +60,6 @@ place = st.floats(-60, 220, width=32)
 scale = st.one_of(st.floats(0.0, 3.0, width=32), st.sampled_from([1e-6, 1e3, -0.7]))
 
 
-@settings(max_examples=80, deadline=None)
 @given(
     kind=st.sampled_from(DISTANCES),
     boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=4),
@@ -100,7 +99,6 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size,
         assert out[n] == pytest.approx(naive_patches.distance(a, b, kind, 25.0, 1000.0), rel=1e-3, abs=0.05)
 
 
-@settings(deadline=None)
 @given(boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=5))
 def test_extent_is_that_of_its_twin(boxes):
     found = boxes_extent(np.array(boxes), *SIZE, WIDTH, HEIGHT)
@@ -217,7 +215,6 @@ def test_a_box_that_leaves_keeps_its_peak(kind):
 wild = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(-300, 300))
 
 
-@settings(max_examples=100, deadline=None)
 @example(kind="l2", rows=[(np.nan, np.nan, np.nan)], parent=(1e300, -1e300, np.inf), size=SIZE)
 @example(kind="hausdorff", rows=[(np.inf, 0.0, 0.0)], parent=(-1e300, 0.0, -1e300), size=SIZE)
 @given(

@@ -63,7 +63,7 @@ def as_lists(space):
 # --- eq. 14 --------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(1, 9), st.integers(0, 9), st.integers(0, 999))
 def test_density_agrees_with_its_plain_twin_and_with_the_normal_density(d, s, seed):
     rng = np.random.default_rng(seed)
@@ -203,7 +203,7 @@ def test_differences_agree_with_their_plain_twins():
     np.testing.assert_allclose(shown.faces, [naive_gallery.stand_in(group) for group in groups], atol=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.integers(0, 3), min_size=2, max_size=9), st.booleans(), st.integers(0, 999))
 def test_moments_of_differences_to_others_are_those_of_the_differences(labels, reduced, seed):
     rng = np.random.default_rng(seed)
@@ -261,7 +261,6 @@ def test_patches_off_the_mark_are_normalised():
 # --- calibration ---------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e5), st.floats(-8.0, 8.0), st.integers(0, 99))
 def test_calibration_grows_with_the_score(centre, unit, gap, seed):
     rng = np.random.default_rng(seed)
@@ -293,7 +292,7 @@ def test_threshold_of_equal_errors():
 # --- the gallery ---------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 999))
 def test_scores_agree_with_their_plain_twin(gallery, seed):
     rng = np.random.default_rng(seed)
@@ -353,7 +352,7 @@ def test_a_frontal_face_is_told_from_patches_off_the_mark():
     assert dataclasses.replace(gallery, most_frontal=0.2).log_scores(x.astype(np.float32))[0].max() <= 0.2
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.sampled_from(["zeros", "noise", "spike", "checks"]), st.booleans(), st.integers(0, 99))
 def test_wild_patches_have_scores(gallery, kind, none, seed):
     y = np.zeros((2, D))
@@ -471,7 +470,6 @@ def arrays_of(gallery, path):
         return dict(file)
 
 
-@settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_damaged_files_are_refused_or_harmless(gallery, tmp_path_factory, data):
     folder = tmp_path_factory.getbasetemp()

@@ -10,7 +10,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
@@ -115,7 +115,6 @@ def test_on_the_sample_clips_the_place_is_predicted_to_a_fifth_of_a_pixel(clip):
     assert scale_after < 0.75 * scale_before
 
 
-@settings(max_examples=80, deadline=None)
 @given(
     st.integers(0, 10**6), st.integers(0, 40), st.sampled_from([1, 3, 30, 90]), st.integers(1, 45),
     st.sampled_from([0.0, 0.5, 3.0]),

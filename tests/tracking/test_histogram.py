@@ -5,7 +5,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
@@ -67,7 +67,6 @@ def noisy(seed, height=30, width=37):
 places = st.lists(st.tuples(st.floats(-15, 50), st.floats(-15, 45), st.floats(0.02, 3)), min_size=1, max_size=4)
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 30),
     x=places,
@@ -126,7 +125,6 @@ def test_hue_saturation_and_value_are_those_of_the_formula():
     assert off.max() < 1
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 1000),
     n=st.integers(1, 6),
@@ -300,7 +298,6 @@ def known(max_size):
 wild = st.one_of(st.floats(-1e3, 1e3), st.floats(allow_nan=True, allow_infinity=True))
 
 
-@settings(max_examples=80, deadline=None)
 @given(
     x=st.lists(st.tuples(wild, wild, wild), min_size=1, max_size=30),
     max_size=st.sampled_from([None, 20]),

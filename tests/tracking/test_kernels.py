@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.tracking.kernels import resampling, windows
@@ -13,7 +13,6 @@ def picture(seed, height=24, width=31):
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     x=st.floats(-12, 43),
     y=st.floats(-12, 36),
@@ -60,7 +59,6 @@ def distances(image, templates, x, robust="l1", scale=0.2, origin=(0, 0), factor
     return out[:, 1:]
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     robust=st.sampled_from(sorted(windows.ROBUST)),
     scale=st.floats(0.02, 2.0),
@@ -110,7 +108,6 @@ def naive_inverse(weights, points):
     return out
 
 
-@settings(max_examples=80, deadline=None)
 @given(
     weights=st.lists(st.sampled_from([0.0, 0.1, 0.25, 1.0, 3.0]), min_size=1, max_size=12).filter(any),
     points=st.lists(st.sampled_from([0.0, 0.13, 0.37, 0.61, 0.93]), min_size=1, max_size=8),

@@ -5,7 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
@@ -19,7 +19,6 @@ unit = st.floats(-12, 40, width=32)
 step = st.one_of(st.just(1.0), st.floats(0.25, 4.0, width=32))
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     picture=st.tuples(st.integers(1, 20), st.integers(1, 24), st.integers(0, 99)),
     template=st.tuples(st.integers(1, 6), st.integers(1, 7)),
@@ -42,7 +41,6 @@ def test_kernels_do_what_their_twins_do(picture, template, boxes):
         assert square[n] == pytest.approx(naive.area_sum(values, *edges, power=2) / area, abs=1e-4)
 
 
-@settings(deadline=None)
 @given(
     seed=st.integers(0, 99),
     shape=st.tuples(st.integers(1, 5), st.integers(1, 5)),
@@ -56,7 +54,6 @@ def test_sums_are_read_off_bilinearly(seed, shape, share, corner):
     assert found[0] == pytest.approx(naive.pixel(values, *at), abs=1e-3)
 
 
-@settings(max_examples=80, deadline=None)
 @given(
     boxes=st.lists(
         st.tuples(st.floats(-90, 150), st.floats(-90, 150), st.sampled_from([1.0, 1.0, 0.5, 3.0, 0.01, -1.0, np.nan])),

@@ -49,7 +49,6 @@ def test_deformation_acts_on_points_as_a_matrix():
     np.testing.assert_allclose(y.reshape(20, 20), (crop - crop.mean()) / crop.std(), atol=1e-5)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.integers(0, 10**6), st.sampled_from([1, 2, 4, 8]), st.tuples(st.integers(1, 40), st.integers(1, 40)),
     st.tuples(st.integers(1, 9), st.integers(1, 9)), st.sampled_from([0.02, 0.3, 1.0, 4.0]),
@@ -108,7 +107,7 @@ def test_flat_is_below_half_a_grey_level():
     assert not Patches((8.0, 8.0), (8, 8)).read(frame(grey), states((31.5, 31.5)), 1).any()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.floats(0.4, 1.2), st.floats(-20, 20))
 def test_gain_and_offset_of_the_light_make_no_difference(gain, offset):
     grey = 60 + 0.4 * smooth(6).astype(np.float64)

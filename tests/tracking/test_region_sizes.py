@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
@@ -94,7 +94,6 @@ KNOWN = {"contour": (7.4, 12.5), "histogram": (-3.0, 0.5), "correlation": (0.0, 
 
 
 @pytest.mark.parametrize("name", MODELS)
-@settings(max_examples=100, deadline=None)
 @given(
     box=st.tuples(st.floats(60, 350), st.floats(60, 250), st.one_of(st.floats(0.05, 0.4), st.floats(0.4, 1.5))),
     share=st.tuples(*4 * [st.floats(0, 1)]),

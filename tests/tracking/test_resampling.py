@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -25,7 +25,6 @@ weights = hnp.arrays(float, st.integers(1, 40), elements=st.floats(-700, 50))
 
 @pytest.mark.parametrize("name", SCHEMES)
 @pytest.mark.parametrize("u", [0.0, np.nextafter(1.0, 0.0)])
-@settings(max_examples=50, deadline=None)
 @given(log_w=weights, m=st.integers(1, 60))
 def test_indices_are_valid_at_both_ends(name, u, log_w, m):
     chosen = SCHEMES[name](Extreme(u), normalise(log_w), m)
@@ -63,7 +62,6 @@ def test_expected_counts_are_the_weights(name):
 
 
 @given(log_w=weights, m=st.integers(1, 60), seed=st.integers(0, 99))
-@settings(max_examples=80, deadline=None)
 def test_systematic_counts_are_floor_or_ceil(log_w, m, seed):
     log_w = normalise(log_w)
     counts = np.bincount(SCHEMES["systematic"](np.random.default_rng(seed), log_w, m), minlength=len(log_w))
@@ -71,7 +69,6 @@ def test_systematic_counts_are_floor_or_ceil(log_w, m, seed):
 
 
 @given(log_w=weights, m=st.integers(1, 60), seed=st.integers(0, 99))
-@settings(max_examples=80, deadline=None)
 def test_residual_keeps_the_whole_copies(log_w, m, seed):
     log_w = normalise(log_w)
     counts = np.bincount(SCHEMES["residual"](np.random.default_rng(seed), log_w, m), minlength=len(log_w))

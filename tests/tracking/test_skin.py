@@ -5,7 +5,7 @@ import warnings
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
@@ -59,7 +59,6 @@ def mean_p(frame, model):
 # --- kernels and their twins
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), height=st.integers(1, 9), width=st.integers(1, 9))
 def test_a_map_is_the_table_at_the_colour_that_opencv_gives(seed, height, width):
     bgr = random_picture(seed, height, width)
@@ -83,7 +82,6 @@ def test_the_colours_are_those_of_bt601():
 edges = st.integers(-20, 60).map(lambda q: q / 4) | st.floats(-3, 12) | st.sampled_from([-1e12, 1e12])
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     height=st.integers(1, 8),
@@ -107,7 +105,6 @@ def test_a_box_of_nothing_sums_to_nothing():
     np.testing.assert_array_equal(kernel.differences(integral, empty, whole), [[0, 20 * 255]] * len(empty))
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), height=st.integers(1, 6), width=st.integers(1, 7))
 def test_p_at_points_is_that_of_the_nearest_pixel(seed, height, width):
     rng = np.random.default_rng(seed)
@@ -247,7 +244,6 @@ def test_least_share_decides():
 # --- wild input
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 50),
     box=st.tuples(st.floats(-40, 60), st.floats(-40, 60), st.floats(0.01, 1e9), st.floats(0.01, 1e9)),

@@ -5,7 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
@@ -28,7 +28,6 @@ COSTS = ["printed", "shifted", "product"]
     factor=st.sampled_from([1, 2, 4]),
     corner=st.tuples(st.integers(0, 9), st.integers(0, 9)),
 )
-@settings(deadline=None)
 def test_regions_have_equal_areas_and_the_twins_edges(place, side, factor, corner):
     left, top = corner[0] * factor, corner[1] * factor
     inner, outer, area = kernel.nested(states(place), *side, factor, left, top)
@@ -113,7 +112,6 @@ def test_beyond_the_picture_there_is_neither_skin_nor_pattern():
     np.testing.assert_allclose(here, there, atol=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     shape=st.sampled_from([(1, 1), (3, 50), (90, 120)]),
     level=st.one_of(st.none(), st.sampled_from([0, 90, 255])),

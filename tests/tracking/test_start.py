@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.__main__ import main
@@ -213,7 +213,6 @@ def starts(draw):
     return Start(draw(st.integers(0, 10**9)), targets, "")
 
 
-@settings(deadline=None, max_examples=60)
 @given(starts(), st.sampled_from(["a.init.yaml", "a.init.json"]))
 def test_what_is_written_is_read_back(tmp_path_factory, start, name):
     path = tmp_path_factory.mktemp("init") / name

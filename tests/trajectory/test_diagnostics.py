@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.__main__ import main
@@ -135,7 +135,6 @@ def test_a_value_that_does_not_fit_is_refused_with_its_place(one: Diagnostic, va
 EVERY = (*KNOWN.values(), FOCUS, SPREAD, VOTES)
 
 
-@settings(deadline=None)
 @given(data=st.data())
 def test_those_of_successive_frames_are_those_of_all(data: st.DataObject) -> None:
     shapes = st.fixed_dictionaries({one.name: trajectories.records(one.shape, one.least, one.most) for one in EVERY})
@@ -228,7 +227,6 @@ def same(a: object, b: float) -> bool:
     return math.isnan(b) if a is None else a == b
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(given_=st.lists(st.none() | RECORDS, min_size=1, max_size=6), form=st.sampled_from(["json", "jsonl"]))
 def test_what_is_written_is_read(tmp_path: Path, given_: list[dict[str, Any] | None], form: str) -> None:
     frames = [result(i, [target(one)]) for i, one in enumerate(given_)]
@@ -250,7 +248,6 @@ def test_what_is_written_is_read(tmp_path: Path, given_: list[dict[str, Any] | N
             assert same((one["posterior"] or {}).get(name), found.get("posterior")[at, k])
 
 
-@settings(deadline=None, max_examples=60)
 @given(rows=trajectories.trajectories((FOCUS, SPREAD, SCALE, VOTES)), form=st.sampled_from(["json", "jsonl"]))
 def test_what_a_tracker_declares_is_read_by_its_header(
     tmp_path_factory: pytest.TempPathFactory, rows: Trajectory, form: str

@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
@@ -171,7 +171,6 @@ def test_times_that_cannot_be_are_refused(time_s, said):
         eaf(part("nose", states("..."), time_s=time_s))
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.lists(st.booleans(), min_size=1, max_size=60), min_size=1, max_size=3),
     st.lists(st.floats(0.0004, 0.3), min_size=60, max_size=60),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.cli.options import TRUTH_FORMATS
@@ -199,7 +199,6 @@ def test_line_ends_and_blank_ends(tmp_path: Path, between: str, end: str) -> Non
     assert found.boxes.tolist() == [[0, 1, 3, 4], [4, 5, 7, 8]]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300, deadline=None)
 @given(
     text=st.one_of(
         st.text(alphabet="0123456789.,-+einfam \t\r\n{}:xywh;\x0b\x85\u0661_", max_size=60),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
@@ -23,8 +23,6 @@ from facetrack_cli.trajectory.formats.boxes import (
 )
 from facetrack_cli.trajectory.formats.pts import read_pts
 from facetrack_cli.trajectory.trajectory import Trajectory, one_part
-
-here = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
 
 
 def write(folder: Path, text: str, name: str = "gt.txt") -> Path:
@@ -55,7 +53,6 @@ def agree(a: Trajectory, b: Trajectory) -> None:
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9)
 
 
-@here
 @given(rows=ROWS, first=st.integers(0, 500), form=st.sampled_from(["otb", "got10k"]))
 def test_otb_and_got10k_there_and_back(
     tmp_path: Path, rows: list[tuple[float, ...] | None], first: int, form: str
@@ -70,7 +67,6 @@ def test_otb_and_got10k_there_and_back(
         np.testing.assert_allclose(np.loadtxt(tmp_path / "gt.txt", delimiter=",", ndmin=2)[:, 2:], one.boxes[:, 2:])
 
 
-@here
 @given(rows=ROWS, gaps=st.lists(st.integers(1, 4), min_size=12, max_size=12), places=st.integers(0, 9))
 def test_vot_there_and_back(tmp_path: Path, rows: list[tuple[float, ...] | None], gaps: list[int], places: int) -> None:
     frames = (np.cumsum(gaps)[: len(rows)] + places).tolist()
@@ -84,7 +80,6 @@ def test_vot_there_and_back(tmp_path: Path, rows: list[tuple[float, ...] | None]
     assert back.status.tolist() == ["init"] + ["lost" if row is None else "tracked" for row in rows[1:]]
 
 
-@here
 @given(rows=st.lists(PLACE, min_size=1, max_size=8), others=st.lists(PLACE, min_size=1, max_size=8))
 def test_mot_there_and_back(tmp_path: Path, rows: list[tuple[float, ...]], others: list[tuple[float, ...]]) -> None:
     pair = (

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
@@ -144,7 +144,6 @@ def plain(lines: list[dict[str, str]]) -> list[dict[str, Any]]:
     return found
 
 
-@settings(max_examples=250, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(data=st.data())
 def test_a_csv_is_what_a_plain_reading_gives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: st.DataObject

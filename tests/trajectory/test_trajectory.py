@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
@@ -151,7 +151,6 @@ def test_rows_are_taken_by_mask_slice_or_index_with_all_their_columns() -> None:
             np.testing.assert_array_equal(getattr(taken, name), getattr(rows, name)[chosen], name)
 
 
-@settings(deadline=None, max_examples=60)
 @given(rows=trajectories(), data=st.data())
 def test_parts_frames_and_stretches_hold_every_row_once(rows: Trajectory, data: st.DataObject) -> None:
     rows = replace(rows, corners=np.arange(8.0 * len(rows)).reshape(-1, 4, 2))

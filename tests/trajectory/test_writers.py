@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink, beside
@@ -166,7 +166,6 @@ def plain(path: Path) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-@settings(deadline=None, max_examples=60)
 @given(given_rows=trajectories.trajectories())
 def test_what_is_written_is_read_back(
     tmp_path_factory: pytest.TempPathFactory, form: str, given_rows: Trajectory

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.numbers import clock
@@ -450,7 +450,6 @@ def targets(draw: st.DrawFn) -> TargetResult:
 several = st.lists(targets(), max_size=3, unique_by=lambda one: one.rows.target)
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     size=st.tuples(st.integers(1, 400), st.integers(1, 300)),
     frames=st.lists(st.tuples(several, st.floats(0, 1e6)), min_size=1, max_size=4),

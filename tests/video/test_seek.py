@@ -167,7 +167,7 @@ def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: s
             check(frames.read(index), expected[index])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_any_sequence_of_reads(folder: Path, data: st.DataObject) -> None:
     path, expected = made(folder, data.draw(st.sampled_from(sorted(CLIPS))))

@@ -12,7 +12,7 @@ are told apart too, where the median of all would lie between them. A run *leave
 row in which it is away, and is back at the first of as many in which it is not. The part's runs *part ways* at the
 frame at which the first of them leaves. Medians are taken along x and along y.
 
-`Repetition` holds the spread of all parts, as a table for people, and as CSV and JSON for programs.
+`Repetition` holds the spread of all parts, as a table for reading, as CSV and as JSON.
 """
 
 import itertools
@@ -159,7 +159,7 @@ def spread_of(
 ) -> Spread:
     """The spread of one part: positions (S, T, 2), `limit` in pixels, `truth` (T, 2) where it is known."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a frame without any position is nan, and no news
+        warnings.simplefilter("ignore", RuntimeWarning)  # a frame without any position is nan, which is expected
         mean = np.nanmean(positions, axis=0)
         std = np.nanstd(positions, axis=0, ddof=1) if len(seeds) > 1 else np.zeros_like(mean)
         median = np.nanmedian(positions, axis=0)
@@ -234,9 +234,6 @@ def _groups(seeds: Sequence[int], last: Array, limit: float, truth: Array | None
         found.append(Group(tuple(seeds[i] for i in members), x, y, wrong))
         left = np.setdiff1d(left, members)
     return tuple(found)
-
-
-# --- as text ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -348,25 +345,25 @@ def _row(name: str, one: Spread) -> tuple[str, ...]:
 
 
 def _leaves(one: Spread) -> str:
-    told = [
+    texts = [
         f"seed {leave.seed} leaves at {leave.frame}, gets {leave.farthest:.0f} px away"
         + ("" if leave.back is None else f", is back at {leave.back}")
         for leave in one.leaves
     ]
-    return _first(told, "")
+    return _first(texts, "")
 
 
 def _ends(groups: Sequence[Group]) -> str:
     if len(groups) == 1:
         return f"in the end all are together{_off(groups[0])}"
-    told = [f"{_seeds(group.seeds)} at ({group.x:.0f}, {group.y:.0f}){_off(group)}" for group in groups]
-    return f"in the end {_first(told, ' groups')}"
+    texts = [f"{_seeds(group.seeds)} at ({group.x:.0f}, {group.y:.0f}){_off(group)}" for group in groups]
+    return f"in the end {_first(texts, ' groups')}"
 
 
-def _first(told: Sequence[str], what: str) -> str:
+def _first(texts: Sequence[str], what: str) -> str:
     """The first of them, and how many more there are."""
-    more = [f"and {len(told) - MOST_NAMED} more{what}"] * (len(told) > MOST_NAMED)
-    return "; ".join([*told[:MOST_NAMED], *more])
+    more = [f"and {len(texts) - MOST_NAMED} more{what}"] * (len(texts) > MOST_NAMED)
+    return "; ".join([*texts[:MOST_NAMED], *more])
 
 
 def _seeds(seeds: Sequence[int]) -> str:
