@@ -1,6 +1,6 @@
-"""Write what the documentation says of commands and recipe keys, from the commands and the recipe format themselves.
+"""Write the reference of commands and of recipe keys, from the help of the commands and the settings of recipes.
 
-python tools/commands_doc.py            # writes docs/commands.md, and the table of keys in docs/recipes.md
+python tools/commands_doc.py            # writes docs/commands.md, and the tables of keys in docs/recipes.md
 python tools/commands_doc.py --check    # writes nothing; exit code 1 if one of them is stale
 """
 
@@ -22,6 +22,7 @@ from facetrack_cli.recipe.model import json_schema
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 BEGIN, END = "<!-- keys: written by tools/commands_doc.py -->", "<!-- end of keys -->"
+WIDTH = 100
 Schema: TypeAlias = "dict[str, Any]"
 
 
@@ -29,7 +30,7 @@ Schema: TypeAlias = "dict[str, Any]"
 
 
 def commands() -> Iterator[tuple[str, click.Command]]:
-    """Every command by what one types, in the order of the help: `facetrack`, `facetrack run`, ..."""
+    """Every command with its full name, in the order of the help: `facetrack`, `facetrack run`, ..."""
     context = click.Context(cli, info_name="facetrack")
     yield "facetrack", cli
     for name in COMMANDS:
@@ -44,7 +45,7 @@ def commands_page() -> str:
     """docs/commands.md."""
     parts = [
         "# Commands",
-        "Written by `tools/commands_doc.py` from the commands' own help; `facetrack COMMAND --help` says the same.",
+        wrapped("`tools/commands_doc.py` writes this page. `facetrack COMMAND --help` prints the same text."),
     ]
     everything = list(commands())
     rows = [f"| [`{name}`](#{name.replace(' ', '-')}) | {escape(short(command))} |" for name, command in everything[1:]]
@@ -71,7 +72,7 @@ def argument_name(argument: click.Argument) -> str:
 
 
 def help_of(command: click.Command) -> Iterator[str]:
-    r"""The paragraphs of a help text; what stands indented below a \b becomes a block of code."""
+    r"""The paragraphs of a help text; indented lines below a \b become a block of code."""
     for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
         kept = paragraph.startswith("\b\n")
         lines = [line if kept else line.strip() for line in paragraph.splitlines() if line != "\b"]
@@ -79,7 +80,7 @@ def help_of(command: click.Command) -> Iterator[str]:
             if indented:
                 yield "```sh\n" + textwrap.dedent("\n".join(group)) + "\n```"
             else:
-                yield textwrap.fill(escape(" ".join(" ".join(group).split())), 120, break_on_hyphens=False)
+                yield wrapped(escape(" ".join(" ".join(group).split())))
 
 
 def options(command: click.Command) -> list[str]:
@@ -95,7 +96,7 @@ def options(command: click.Command) -> list[str]:
 
 
 def extra(option: click.Option) -> str:
-    """The default and the range, where the help text leaves them to click."""
+    """The default and the range, where click adds them to the help text."""
     said = [f"default: {option.default}"] if option.show_default else []
     if isinstance(option.type, click.IntRange) and not option.is_flag:
         low, high = option.type.min, option.type.max
@@ -104,9 +105,15 @@ def extra(option: click.Option) -> str:
 
 
 def escape(text: str) -> str:
-    """Plain text for Markdown: `<clip>` is no HTML, and a bar ends no cell; what stands between backticks is left."""
+    """Plain text for Markdown: `<` begins no HTML, `|` ends no cell, `*` is no emphasis; `code` stays as it is."""
     pieces = text.split("`")
     return "`".join(re.sub(r"([<|*])", r"\\\1", piece) if i % 2 == 0 else piece for i, piece in enumerate(pieces))
+
+
+def wrapped(text: str) -> str:
+    """A paragraph in lines of at most WIDTH characters; `code` with spaces stays on one line."""
+    kept = re.sub(r"`[^`]*`", lambda code: code[0].replace(" ", "\0"), text)
+    return textwrap.fill(kept, WIDTH, break_long_words=False, break_on_hyphens=False).replace("\0", " ")
 
 
 # --- keys of recipes -----------------------------------------------------------------------------------------------
@@ -116,11 +123,11 @@ def keys_tables() -> str:
     """A table of keys for each kind of recipe."""
     schema = json_schema()
     kinds = [resolve(schema, one) for one in schema["anyOf"]]
-    return "\n\n".join(f"{one['description']}\n\n{keys_table({**schema, **one})}" for one in kinds)
+    return "\n\n".join(f"{wrapped(one['description'])}\n\n{keys_table({**schema, **one})}" for one in kinds)
 
 
 def keys_table(schema: Schema) -> str:
-    """Every key of a recipe: what may stand there, what it is without, and what it means."""
+    """Every key of a recipe: its values, default and meaning."""
     rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
     for key, field in schema["properties"].items():
         sections = members(schema, field)
@@ -134,22 +141,22 @@ def keys_table(schema: Schema) -> str:
 
 
 def section_rows(schema: Schema, key: str, sections: Sequence[Schema]) -> Iterator[str]:
-    """The keys of a section; one that only some types of it have says which."""
+    """The keys of a section; a key that only some types have names them."""
     types = [one["properties"].get("type") for one in sections]
     if types[0] is not None:
-        told = "; ".join(f"`{one['const']}`: {one['description'].rstrip('.')}" for one in types if one is not None)
+        meanings = "; ".join(f"`{one['const']}`: {one['description'].rstrip('.')}" for one in types if one is not None)
         names = ", ".join(f"`{one['const']}`" for one in types if one is not None)
-        yield f"| `{key}.type` | {names} | required | {escape(told)}. |"
+        yield f"| `{key}.type` | {names} | required | {escape(meanings)}. |"
     seen: list[tuple[str, Any]] = []
     for one in sections:
         for name, field in one["properties"].items():
-            # a key may mean something else in another type: then it has a row for each
+            # a key with another meaning in another type has a row for each
             if name == "type" or (name, field) in seen:
                 continue
             seen.append((name, field))
             having = [other for other in sections if other["properties"].get(name) == field]
             note = ""
-            if len(having) < len(sections):  # told apart by their types, then
+            if len(having) < len(sections):
                 only = ", ".join(f"`{other['properties']['type']['const']}`" for other in having)
                 note = f"For {only} only. "
             required = name in one.get("required", [])
@@ -172,7 +179,7 @@ def row(schema: Schema, key: str, field: Schema, required: bool, note: str = "")
 
 
 def members(schema: Schema, field: Schema) -> list[Schema]:
-    """The sections that a field may hold: one, several told apart by `type`, or none if it holds a value."""
+    """The sections that a field accepts: one, several that differ by `type`, or none if it is a value."""
     found = [resolve(schema, one) for one in field.get("oneOf") or field.get("anyOf") or [field]]
     return [one for one in found if "properties" in one]
 
@@ -187,7 +194,7 @@ def allows_null(field: Schema) -> bool:
 
 
 def value(schema: Schema, field: Schema) -> str:
-    """What may stand at a key, in a few words."""
+    """The values of a key, in a few words."""
     name = field.get("$ref", "").removeprefix("#/$defs/")
     if name:
         named = {
@@ -219,7 +226,7 @@ def value(schema: Schema, field: Schema) -> str:
     }
     bounds = (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
     limits = {f"{sign} {field[bound]:,}": field[bound] for bound, sign in bounds if bound in field}
-    # not the largest number that fits a computer's word, nor bounds that only keep sums from overflowing
+    # without the largest integer, and without bounds that only prevent overflow
     shown = [
         text
         for text, limit in limits.items()
@@ -229,16 +236,16 @@ def value(schema: Schema, field: Schema) -> str:
 
 
 def recipes_page(text: str) -> str:
-    """docs/recipes.md with its table of keys anew."""
+    """docs/recipes.md with new tables of keys."""
     before, found_begin, rest = text.partition(BEGIN)
     _, found_end, after = rest.partition(END)
     if not found_begin or not found_end:
-        raise SystemExit(f"docs/recipes.md: the table of keys goes between {BEGIN} and {END}; put them back")
+        raise SystemExit(f"docs/recipes.md: restore the lines {BEGIN} and {END}, between which the tables of keys are")
     return f"{before}{BEGIN}\n\n{keys_tables()}\n\n{END}{after}"
 
 
 def pages() -> dict[Path, str]:
-    """What each page should read."""
+    """The text of each page."""
     recipes = DOCS / "recipes.md"
     return {DOCS / "commands.md": commands_page(), recipes: recipes_page(recipes.read_text(encoding="utf-8"))}
 
