@@ -152,11 +152,9 @@ def _frames(rows: Trajectory, forms: Mapping[str, _Form]) -> Iterator[tuple[int,
     while block := list(islice(frames, _BLOCK)):
         some = rows.take(np.array([i for _, at in block for i in at], np.int64))
         which = some.which.tolist()
-        columns = [
-            [texts[name][i] for i in which] if name in texts else form(getattr(some, name).tolist())
-            for name, form in forms.items()
-        ]
-        lines, first = list(zip(*columns, strict=True)), 0
+        columns = {name: form(getattr(some, name).tolist()) for name, form in forms.items() if name not in texts}
+        columns |= {name: [those[i] for i in which] for name, those in texts.items()}
+        lines, first = list(zip(*(columns[name] for name in forms), strict=True)), 0
         for frame, at in block:
             rows_ = slice(first, first + len(at))
             yield frame, which[rows_], lines[rows_]

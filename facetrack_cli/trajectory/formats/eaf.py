@@ -28,14 +28,8 @@ from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 SCHEMA = "http://www.mpi.nl/tools/elan/EAFv3.0.xsd"
-MIME = {
-    **{f".{kind}": f"video/{kind}" for kind in ("mp4", "mpeg", "webm")},
-    ".m4v": "video/mp4",
-    ".mpg": "video/mpeg",
-    ".mov": "video/quicktime",
-    ".avi": "video/x-msvideo",
-    ".mkv": "video/x-matroska",
-}
+MIME = {".mp4": "mp4", ".m4v": "mp4", ".mpeg": "mpeg", ".mpg": "mpeg", ".webm": "webm"}
+MIME |= {".mov": "quicktime", ".avi": "x-msvideo", ".mkv": "x-matroska"}
 CONSTRAINTS = {
     "Time_Subdivision": "Time subdivision of parent annotation's time interval, no time gaps allowed within this "
     "interval",
@@ -141,8 +135,8 @@ def _times(table: Trajectory) -> list[dict[int, int]]:
 def _header(root: ET.Element, media: Path, folder: Path, annotations: int) -> None:
     header = ET.SubElement(root, "HEADER", MEDIA_FILE="", TIME_UNITS="milliseconds")
     whole = Path(os.path.normpath(media.absolute())).as_posix()  # a link keeps the name that the user knows it by
-    mime = MIME.get(media.suffix.lower(), "video/*")
-    about = {"MEDIA_URL": "file:///" + _clean(whole.lstrip("/")), "MIME_TYPE": mime}
+    mime = MIME.get(media.suffix.lower(), "*")
+    about = {"MEDIA_URL": "file:///" + _clean(whole.lstrip("/")), "MIME_TYPE": f"video/{mime}"}
     with contextlib.suppress(ValueError):  # another drive of Windows: no way leads there
         relative = Path(os.path.relpath(whole, folder)).as_posix()
         about["RELATIVE_MEDIA_URL"] = _clean(relative if relative.startswith("../") else f"./{relative}")
