@@ -272,9 +272,6 @@ def aligned(parts: Sequence[Trajectory], *columns: str) -> tuple[Whole, dict[str
     return frame, found
 
 
-# --- what a tracker says of one frame ----------------------------------------------------------------------------
-
-
 class TargetResult(NamedTuple):
     """What a tracker says of one target in one frame: a row for each of its K parts, with its diagnostics.
 

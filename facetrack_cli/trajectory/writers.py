@@ -99,9 +99,6 @@ def _members(values: Mapping[str, Any]) -> list[str]:
     return [f"{dumps(key)}: {dumps(value)}" for key, value in values.items()]
 
 
-# --- rows as text ------------------------------------------------------------------------------------------------
-
-
 def csv_frames(rows: Trajectory) -> Iterator[str]:
     """The lines of each frame, without the header."""
     for _, _, cells in _frames(rows, _CSV):

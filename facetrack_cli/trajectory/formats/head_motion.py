@@ -94,9 +94,6 @@ def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
     return tuple(kind for kind in KINDS if kind in told or kind not in RATES)
 
 
-# --- from parts to one pose --------------------------------------------------------------------------------------
-
-
 def _pose(parts: Sequence[Trajectory]) -> Pose:
     """The signals of one target from its parts, which may have rows in different frames."""
     frame, columns = aligned(parts, "x", "y", "w", "h", "angle", "status")
@@ -166,9 +163,6 @@ def _nanmedian(values: Array, axis: int) -> Array:
     empty = ~np.isfinite(values).any(axis=axis)
     filled = np.where(np.expand_dims(empty, axis), 0.0, values)
     return np.where(empty, np.nan, np.nanmedian(filled, axis=axis)) if filled.size else np.full(empty.shape, np.nan)
-
-
-# --- from signals to spans ---------------------------------------------------------------------------------------
 
 
 def _stretches(pose: Pose) -> Iterator[Whole]:

@@ -18,10 +18,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Image
+from facetrack_cli.core.types import Array, Image, Point
 from facetrack_cli.trajectory.trajectory import Status
 
 Colour = tuple[int, int, int]  # blue, green, red
+Ink = tuple[float, ...]
 Points = NDArray[np.int32]
 # one a target: after Okabe and Ito, told apart by most colour-blind people, lightened to stand out from video
 PALETTE: tuple[Colour, ...] = (
@@ -49,14 +50,12 @@ def fixed(points: Array) -> Points:
     return np.rint(points * (1 << _SHIFT)).astype(np.int32)
 
 
-def ink(colour: Colour, opacity: float) -> tuple[float, float, float, float]:
+def ink(colour: Colour, opacity: float) -> Ink:
     """`colour` for a layer of four channels: times its opacity 0..1, and the opacity as 0..255."""
     return colour[0] * opacity, colour[1] * opacity, colour[2] * opacity, 255 * opacity
 
 
-def polylines(
-    image: Image, lines: Sequence[Points], colour: tuple[float, ...], thickness: int, *, closed: bool = False
-) -> None:
+def polylines(image: Image, lines: Sequence[Points], colour: Ink, thickness: int, *, closed: bool = False) -> None:
     """Smooth lines through `lines`, each (n, 2) from `fixed`, drawn on `image` (H, W, 3 or 4) in place."""
     if len(lines):
         cv2.polylines(image, lines, closed, colour, thickness, cv2.LINE_AA, _SHIFT)
@@ -72,15 +71,7 @@ def dashes(corners: Array, pitch: float) -> Array:
     return dashed.reshape(-1, 2, 2)
 
 
-def mark(
-    image: Image,
-    at: tuple[float, float],
-    status: Status,
-    colour: tuple[float, ...],
-    size: float,
-    line: int,
-    by_hand: bool,
-) -> None:
+def mark(image: Image, at: Point, status: Status, colour: Ink, size: float, line: int, by_hand: bool) -> None:
     """The sign of `status` at (x, y), about `size` pixels to each side, with lines `line` wide, in place."""
     if status == "tracked":
         x, y, radius = (round(value * (1 << _SHIFT)) for value in (*at, size))
