@@ -27,10 +27,7 @@ MOST_REMEMBERED = 8  # a step asks for the particles twice, and for a few single
 
 @dataclass(slots=True)
 class Frame:
-    """One frame of the source: its 0-based index there, its time in seconds, and its pixels `bgr` (H, W, 3).
-
-    What is derived from the pixels is computed when first asked for, once, and only where it is needed.
-    """
+    """One frame of the source: its 0-based index, its time in s, its pixels `bgr` (H, W, 3), and what they give."""
 
     index: int
     time_s: float

@@ -59,9 +59,7 @@ def not_as_written(path: Path, error: Any, *above: str) -> InputError:
     return InputError(f"{path}: {key} is not as facetrack run writes it ({first['msg'].lower()}); make the run again")
 
 
-def _build(
-    path: Path, targets: Sequence[str], parts: Sequence[str], columns: dict[str, Any], **others: Any
-) -> Trajectory:
+def _build(path: Path, targets: list[str], parts: list[str], columns: dict[str, Any], **others: Any) -> Trajectory:
     """The trajectory of columns whose rows are of these targets and parts; InputError for numbers that cannot be."""
     if not targets:
         raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")

@@ -200,9 +200,7 @@ class Trajectory:
         return pandas.DataFrame(self.columns())
 
 
-_ARRAYS: Final = tuple(
-    f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask"))
-)
+_ARRAYS = tuple(f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask")))
 
 
 def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: Any) -> Trajectory:
@@ -254,10 +252,8 @@ def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     for column in _ARRAYS[1:]:
         arrays = [getattr(one, column) for one in all_]
         if any(array is not None for array in arrays):
-            sized = zip(all_, arrays, strict=True)
-            columns[column] = np.concatenate(
-                [np.full((len(one), 4, 2), np.nan) if a is None else a for one, a in sized]
-            )
+            both = zip(all_, arrays, strict=True)
+            columns[column] = np.concatenate([np.full((len(one), 4, 2), np.nan) if a is None else a for one, a in both])
     return build(tuple(numbers), np.concatenate(which), **columns, **others)
 
 

@@ -77,14 +77,10 @@ class Writer:
 
     def close(self, footer: Footer) -> None:
         def tail(records: int) -> str:
-            foot = {
-                "complete": footer.complete,
-                **({"stopped": footer.stopped} if footer.stopped else {}),
-                "frames_tracked": records - 1,
-                "variable_fps": footer.variable_fps,
-                "lost_frames": dict(footer.lost_frames),
-                "warnings": list(footer.warnings),
-            }
+            foot: dict[str, Any] = {"complete": footer.complete}
+            foot |= {"stopped": footer.stopped} if footer.stopped else {}
+            foot |= {"frames_tracked": records - 1, "variable_fps": footer.variable_fps}
+            foot |= {"lost_frames": dict(footer.lost_frames), "warnings": list(footer.warnings)}
             if self._form == "json":
                 return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
             return "" if self._form == "csv" else dumps({"type": "footer", **foot}) + "\n"

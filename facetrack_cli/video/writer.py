@@ -2,9 +2,8 @@
 
 Every frame keeps its own time, and none is repeated. Times within a millisecond of the nominal rate's grid are moved
 onto it, so that a clip of constant rate comes out with a strictly constant one. To carry the times, the frames go to
-ffmpeg as uncompressed Matroska; a raw pipe (`imageio_ffmpeg.write_frames`) has no place for them, and would start the
-encoder where the terminal's Ctrl-C ends it before the file is finished. The sound is copied in a second pass: if that
-fails, there is still the video.
+ffmpeg as uncompressed Matroska; a raw pipe (`imageio_ffmpeg.write_frames`) has no place for them. The sound is copied
+in a second pass: if that fails, there is still the video.
 """
 
 import contextlib

@@ -30,12 +30,8 @@ LTWH = "left,top,width,height"
 REGION = f"{LTWH} or x1,y1,...,x4,y4"
 UNKNOWN, INIT, FAILURE = 0, 1, 2
 MOST_LINES = 10**7  # four days of video
-MOT_COLUMNS = {
-    6: f"frame,id,{LTWH}",
-    7: f"frame,id,{LTWH},conf",
-    9: f"frame,id,{LTWH},flag,class,visibility",
-    10: f"frame,id,{LTWH},conf,x,y,z",
-}
+_MOT = f"frame,id,{LTWH}"
+MOT_COLUMNS = {6: _MOT, 7: f"{_MOT},conf", 9: f"{_MOT},flag,class,visibility", 10: f"{_MOT},conf,x,y,z"}
 
 
 def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
@@ -146,14 +142,10 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     confidence = np.where(results & (seventh >= 0) & (seventh <= 1), seventh, np.nan)
     hidden = values[:, 8] == 0 if count == 9 and not results else np.full(len(lines), False)
     left_out = f", {np.count_nonzero(~kept)} rows of flag 0 left out" if not kept.all() else ""
-    return lines.take(kept).boxes(
-        frame[kept] - 1 + shift,
-        values[kept, 2:6] - FROM_ONE,
-        ids=ident[kept],
-        status=np.where(hidden, "hidden", "visible")[kept],
-        confidence=confidence[kept],
-        header={"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"},
-    )
+    header = {"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"}
+    about = {"status": np.where(hidden, "hidden", "visible")[kept], "confidence": confidence[kept]}
+    frame, ltwh = frame[kept] - 1 + shift, values[kept, 2:6] - FROM_ONE
+    return lines.take(kept).boxes(frame, ltwh, ids=ident[kept], header=header, **about)
 
 
 def write_otb(one: Trajectory) -> str:

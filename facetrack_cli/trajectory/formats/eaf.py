@@ -1,12 +1,8 @@
 """ELAN's annotation format, EAF 3.0 (www.mpi.nl/tools/elan/EAFv3.0.xsd): tiers of what was lost and how a head moved.
 
-For each target: `lost@face`, whose annotations name the parts that are lost (a new one begins where others are);
-`absent@face`, the same of those that corrections call absent, if there are any; and, as far as its parts can tell,
-`horizontal@face`, `vertical@face`, `tilt@face`, `size@face`, `nods@face`, `still@face`: motion in the picture plane,
-see `head_motion.py`. Their values are controlled vocabularies, described in the file.
-
-Times are those of the frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as
-it is, not percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
+docs/export.md has the tiers. Their values are controlled vocabularies, described in the file. Times are those of the
+frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as it is, not
+percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
 """
 
 import contextlib

@@ -34,12 +34,8 @@ POINTS_TO_FACE = 2.0
 """The size of a target of points, in largest distances between two: nose and mouth, or eyes and mouth, span about half
 a face, so that the thresholds mean about the same for points and for a face's box."""
 # kind: labels of a falling and a rising signal (y points down, angles turn clockwise in the image)
-LABELS = {
-    "horizontal": ("left", "right"),
-    "vertical": ("up", "down"),
-    "tilt": ("counterclockwise", "clockwise"),
-    "size": ("recede", "approach"),
-}
+LABELS = {"horizontal": ("left", "right"), "vertical": ("up", "down")}
+LABELS |= {"tilt": ("counterclockwise", "clockwise"), "size": ("recede", "approach")}
 KINDS = (*LABELS, "nods", "still")
 
 

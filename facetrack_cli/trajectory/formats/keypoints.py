@@ -57,10 +57,8 @@ def write_coco(
     annotations.sort(key=lambda one: (one["image_id"], one["category_id"]))
     for ident, one in enumerate(annotations, 1):
         one["id"] = ident
-    images = [
-        {"id": frame + 1, "file_name": file_name(frame), "width": size[0], "height": size[1], "frame_id": frame}
-        for frame in table.frames.tolist()
-    ]
+    sides, frames = {"width": size[0], "height": size[1]}, table.frames.tolist()
+    images = [{"id": n + 1, "file_name": file_name(n), **sides, "frame_id": n} for n in frames]
     groups = {"images": images, "annotations": annotations, "categories": categories}
     info = {"description": f"Tracked by facetrack: {table.path.name}", "version": "1.0"}
     # a line for each image and annotation: large files stay readable, and can be compared

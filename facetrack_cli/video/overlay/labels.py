@@ -1,8 +1,4 @@
-"""What is written beside the targets of a frame: names, and small grey images of what a tracker knows in its corners.
-
-The images are those of Zhou et al. 2003, figure 3. Names are of parts beside their windows, and of targets, with their
-identity, above or below them.
-"""
+"""Names beside the targets of a frame, and in its corners images of what a tracker knows (Zhou et al. 2003, fig. 3)."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -241,9 +237,6 @@ def _beside(bound: Sequence[float], size: tuple[int, int], gap: int) -> list[tup
     """Corners (left, top) for a label of `size` to the right of a window, below, to its left, and above."""
     (x0, y0, x1, y1), (width, height) = bound, size
     across, down = round((x0 + x1 - width) / 2), round((y0 + y1 - height) / 2)
-    return [
-        (math.ceil(x1) + 1 + gap, down),
-        (across, math.ceil(y1) + 1 + gap),
-        (math.floor(x0) - gap - width, down),
-        (across, math.floor(y0) - gap - height),
-    ]
+    right, below = math.ceil(x1) + 1 + gap, math.ceil(y1) + 1 + gap
+    left, above = math.floor(x0) - gap - width, math.floor(y0) - gap - height
+    return [(right, down), (across, below), (left, down), (across, above)]

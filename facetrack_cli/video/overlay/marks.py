@@ -1,11 +1,8 @@
 """The colours, strokes and letters that windows, trails and the status bar are drawn with.
 
 Status shows by form as well as by colour: a dot where tracked, a cross where lost, a hollow diamond at the start, a
-filled one where a correction gave it, a dash for what is absent.
-
-Small text stays legible: `cv2.putText` at 8 px is a smear, since its strokes fall where they will between two pixels.
-Here Hershey glyphs are drawn four times too large at every quarter of a pixel and averaged down, and the crispest is
-kept, so a line of text is a concatenation of ready glyphs.
+filled one where a correction gave it, a dash for what is absent. Since `cv2.putText` smears text of 8 px, glyphs are
+drawn four times too large at every quarter of a pixel and averaged down, and the crispest is kept.
 """
 
 import math

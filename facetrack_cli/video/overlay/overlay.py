@@ -1,7 +1,6 @@
 """A tracker's result drawn over its frame: windows, trails, spread of the particles, status.
 
-A tracked part has a solid window and a dot, a lost one a dashed window and a cross in vermilion, one at its start a
-solid window and a diamond. Absent parts are not drawn. Each target has a colour of its own.
+A target has a colour of its own; what is lost is vermilion, its window dashed. Absent parts are not drawn.
 """
 
 import math
@@ -199,11 +198,9 @@ class Overlay:
         cv2.multiply(under, cv2.cvtColor(keep, cv2.COLOR_GRAY2BGR), under, 1 / 255)
         cv2.add(under, cv2.cvtColor(layer, cv2.COLOR_BGRA2BGR), under)
 
-    def _strokes(
-        self, trail: list[_Past], places: Points, colour: Colour
-    ) -> Iterator[tuple[list[Points], Colour, float]]:
+    def _strokes(self, trail: list[_Past], at: Points, colour: Colour) -> Iterator[tuple[list[Points], Colour, float]]:
         """The trail's lines of equal opacity, faint to strong; where a part was lost, dashes in vermilion."""
-        paths = np.ascontiguousarray(places.reshape(len(trail), -1, 2).transpose(1, 0, 2))  # (K, T, 2)
+        paths = np.ascontiguousarray(at.reshape(len(trail), -1, 2).transpose(1, 0, 2))  # (K, T, 2)
         lost = np.stack([p.lost for p in trail], axis=1)  # (K, T)
         fresh = [1 - (trail[-1].time_s - p.time_s) / max(self.trail_s, 1e-9) for p in trail]
         ends = [bisect_left(fresh, (b + 1) / _FADES) for b in range(_FADES - 1)] + [len(trail) - 1]
