@@ -132,10 +132,7 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
 
 
 def parse(source: Source, *, start: int = 0) -> Node | None:
-    """The tree of the one document in the text, None if there is none; `start` is the character to begin at.
-
-    Raises YamlProblems: all that is refused in it, or the one place where it stops being YAML.
-    """
+    """The tree of the one document from the character `start` on, None without any. YamlProblems: all refused."""
     return _Reader(source, start).read()
 
 

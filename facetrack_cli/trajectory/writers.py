@@ -28,10 +28,7 @@ _Form: TypeAlias = Callable[[list[Any]], list[str]]  # values to texts, "" for w
 
 
 class Footer(NamedTuple):
-    """How a run ended. `complete` is False when frames that were asked for are missing; `stopped` says why.
-
-    `lost_frames` counts, for each "target/part", the frames in which it was lost.
-    """
+    """How a run ended. `complete`: all frames that were asked for are there; `lost_frames` counts by "target/part"."""
 
     complete: bool = True
     stopped: str | None = None

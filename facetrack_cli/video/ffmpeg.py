@@ -92,10 +92,7 @@ class Packet(NamedTuple):
 
 
 class Listing:
-    """The packets that ffmpeg gives with these arguments; iterable once.
-
-    `ticks` are the seconds of a tick by stream; `messages`, known after the last packet, is what ffmpeg said.
-    """
+    """The packets of ffmpeg with these arguments, iterable once; then `messages`. `ticks` are in seconds, by stream."""
 
     def __init__(self, *arguments: str) -> None:
         self._arguments = arguments

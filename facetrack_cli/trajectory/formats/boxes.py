@@ -81,10 +81,7 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
 
 
 def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
-    """VOT truth or results; line i, counted from 0, is frame i + `shift`.
-
-    Raises InputError, with the line, for masks, polygons of other than four corners, and what is no region at all.
-    """
+    """VOT truth or results; line i, from 0, is frame i + `shift`. InputError, with the line, also for masks."""
     lines = Lines.by_frame(path)
     between = delimiter(next((text for text in lines.texts if "," in text), ""))
     shapes = np.array([len(text.split(between)) for text in lines.texts], dtype=np.int64)
@@ -122,10 +119,7 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
 
 
 def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Trajectory:
-    """A series for each id. `results` says that column 7 is a confidence (True) or a flag (False); None: look.
-
-    Raises InputError, with the line, for what is no MOTChallenge text, and for two rows of one frame and id.
-    """
+    """A series for each id; `results`: column 7 is a confidence, not a flag; None: look. InputError, with the line."""
     lines = Lines.with_frame(path)
     count = len(lines.texts[0].split(delimiter(lines.texts[0])))
     known = f"{count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}"

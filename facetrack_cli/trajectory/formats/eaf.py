@@ -47,10 +47,7 @@ FRAME_S = 0.04  # how long a single frame lasts where nothing tells
 
 
 def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime) -> str:
-    """The XML text. `media` is the video that the times belong to, `folder` where the file will stand.
-
-    Raises InputError when rows have no time, or times that do not increase from frame to frame.
-    """
+    """The XML text, which will stand in `folder`; `media` is the video. InputError for times that do not increase."""
     begin, end = _times(table)
     tiers = [
         (kind, target, [(begin[first], end[last], text) for first, last, text in found if end[last] > begin[first]])
@@ -85,10 +82,7 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
 
 
 def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[int, int, str]]:
-    """First and last frame of spans in which parts of a target have a `status`, with the names of those parts.
-
-    A span ends where other parts have it, and at frames that have no row.
-    """
+    """Spans (first frame, last, names) in which the same parts of a target have a `status`, in rows without a gap."""
     frames, columns = aligned(parts, "status")
     those = (columns["status"] == status).tolist()
     names = [", ".join(part.part for part, is_one in zip(parts, row, strict=True) if is_one) for row in those]

@@ -75,10 +75,7 @@ class Pose(NamedTuple):
 
 
 def head_motion(parts: Sequence[Trajectory]) -> list[Span]:
-    """The motion of one target, given the series of its parts; kinds in the order of KINDS, spans in order of time.
-
-    Spans of one kind do not overlap. `time_s` of the rows must be known and increase.
-    """
+    """The spans of one target by the order of KINDS, then by time; `time_s` of its parts must be known and increase."""
     pose = _pose(parts)
     found = [span for stretch in _stretches(pose) for span in _spans(pose, stretch)]
     return sorted(found, key=lambda span: (KINDS.index(span.kind), span.first))

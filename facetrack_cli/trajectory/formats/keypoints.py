@@ -41,10 +41,7 @@ SEEN = ("", "init", "tracked", "visible")
 def write_coco(
     table: Trajectory, size: tuple[int, int], file_name: Callable[[int], str], *, around: Around = "windows"
 ) -> str:
-    """The JSON text. `size` is (width, height) of the images; `file_name` gives the image of a 0-based frame.
-
-    `bbox` is the target's box as `enclose` says. Raises InputError for windows of parts that have none.
-    """
+    """The JSON text for images of `size` (width, height), named `file_name(frame)`. InputError as of `enclose`."""
     categories, annotations = [], []
     for ident, target in enumerate(table.targets, 1):
         parts = table.of_target(target)

@@ -22,10 +22,7 @@ FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # what boxes (..., 4) that are counte
 
 
 def read_text(path: Path) -> str:
-    """The text of a file, without a byte order mark and with `\\n` at the ends of its lines.
-
-    Raises InputError for a file that is missing, a folder, a pipe, empty, or no text.
-    """
+    """The text of a file, with `\\n` after each line. InputError if missing, a folder, a pipe, empty, or no text."""
     try:
         refuse_pipe(path)
         raw = path.read_bytes()
@@ -91,10 +88,7 @@ class Lines:
             raise InputError(f"{self.path}:{self.places[rows[0]]}: {message}")
 
     def numbers(self, columns: int, wanted: str, use: Sequence[int] | None = None) -> Array:
-        """(T, columns), or (T, len(use)): the numbers of lines that have all `columns` of them; an empty cell is nan.
-
-        `wanted` says what a line should hold. Raises InputError with the line for anything else.
-        """
+        """(T, columns or len(use)) numbers, nan for an empty cell. InputError with the line of what is not `wanted`."""
         use = use or range(columns)
         found: list[list[float]] = []
         for at, text in enumerate(self.texts):

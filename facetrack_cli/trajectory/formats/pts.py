@@ -28,11 +28,7 @@ _HEAD = re.compile(r"\s*version:\s*\S+\s+n_points:\s*(\d{1,4})\s*\{", re.IGNOREC
 
 
 def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
-    """A folder of .pts files, each numbered by the last digits of its name, or one file. A row of nan is absent.
-
-    Raises InputError, with file and line, for what is no .pts file, for two files of one frame, and if their numbers of
-    points differ.
-    """
+    """A folder of .pts files, numbered by the last digits of their names, or one file. InputError with the line."""
     files = sorted(path.glob("*.pts")) or sorted(path.glob("annot/*.pts")) if path.is_dir() else [path]
     if not files:
         raise InputError(f"{path}: no .pts file in this folder, nor in annot/ below it; name the folder with them")

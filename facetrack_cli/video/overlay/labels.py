@@ -194,10 +194,7 @@ class Labels:
         return not any(x0 < t[2] and t[0] < x1 and y0 < t[3] and t[1] < y1 for t in taken)
 
     def _tag(self, image: Image, shape: Shape, named: bool, tags: Sequence[Rect]) -> list[Rect]:
-        """The identity of a target, or its name where there are several; the place that it takes, if any.
-
-        It stands above the target, or below where another's `tags` or the border are in the way.
-        """
+        """Name a target above it, or below where `tags` or the border are in the way; the place taken, if any."""
         text, colour = _name(shape, named) if shape.parts else ("", shape.colour)
         low, high = shape.bounds[:, :2].min(axis=0, initial=np.inf), shape.bounds[:, 2:].max(axis=0, initial=-np.inf)
         if not text or (high < 0).any() or (low > self._size).any():

@@ -114,10 +114,7 @@ def plain(text: str) -> str:
 
 
 class Font:
-    """One size of type: capitals and digits are `cap` pixels high, and all digits equally wide.
-
-    A line of text is `height` pixels high, with the tops of its capitals at row `top`.
-    """
+    """One size of type: capitals `cap` pixels high, their tops at row `top` of `height`, and digits of equal width."""
 
     def __init__(self, cap: int) -> None:
         self.cap = cap
