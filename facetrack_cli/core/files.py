@@ -50,10 +50,7 @@ def discard(path: Path) -> None:
 
 @contextlib.contextmanager
 def replacing(path: Path, *, sync: bool = False) -> Iterator[BinaryIO]:
-    """A file that replaces `path` at the end of the block; after an exception, Ctrl-C too, `path` is as it was.
-
-    With `sync` its bytes are on the disk before it does. Raises OSError.
-    """
+    """A file that replaces `path` when the block ends without an error; with `sync`, once on the disk. OSError."""
     try:
         with beside(path).open("wb") as file:
             yield file

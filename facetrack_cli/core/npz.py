@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import io
-import zipfile
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,9 +47,9 @@ class Kind:
                 if str(found.get("format")) != self.format:
                     raise InputError(f"{path}: is not a {self.what}; {remedy}")
                 if found.get("version") is None or found["version"].ravel()[0] != self.version:
-                    version = f"is a {self.what} of format version {found.get('version')}"
-                    ours = f"and this facetrack reads version {self.version}"
-                    raise InputError(f"{path}: {version}, {ours}; make it again with `{self.command}`")
+                    version = f"{found.get('version')}, and this facetrack reads version {self.version}"
+                    again = f"make it again with `{self.command}`"
+                    raise InputError(f"{path}: is a {self.what} of format version {version}; {again}")
                 return make(Stored(file))
         except FileNotFoundError as e:
             raise InputError(f"{path}: there is no such {self.what}; {remedy}") from e
@@ -58,16 +58,7 @@ class Kind:
             raise InputError(f"{path}: {why}; name a {self.what}, as `{self.command}` writes it") from e
         except KeyError as e:
             raise InputError(f"{path}: the {self.what} lacks an array: {e.args[0]}; {remedy}") from e
-        except (
-            ValueError,
-            TypeError,
-            IndexError,
-            EOFError,
-            MemoryError,
-            RuntimeError,
-            zipfile.BadZipFile,
-            zlib.error,
-        ) as e:
+        except (ValueError, TypeError, IndexError, EOFError, MemoryError, RuntimeError, BadZipFile, zlib.error) as e:
             plain = isinstance(e, ValueError) and "pickle" not in str(e)
             why = " ".join(str(e).split()) if plain else "it is no .npz of plain arrays"
             raise InputError(f"{path}: is not a usable {self.what}: {why}; {remedy}") from e

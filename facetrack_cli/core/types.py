@@ -27,10 +27,7 @@ MOST_REMEMBERED = 8  # a step asks for the particles twice, and for a few single
 
 @dataclass(slots=True)
 class Frame:
-    """One frame of the source: its 0-based index there, its time in seconds, and its pixels `bgr` (H, W, 3).
-
-    What is derived from the pixels is computed when first asked for, once, and only where it is needed.
-    """
+    """One frame of the source: its 0-based index, its time in s, its pixels `bgr` (H, W, 3), and what they give."""
 
     index: int
     time_s: float
@@ -56,7 +53,16 @@ class Frame:
         if known is None or not _within(extent, known[3]):
             # with a margin, since the next call of this frame asks for nearly the same place
             asked = _widened(extent, 6.0 * factor)
-            known = self._reduced[factor] = (*self._reduce(factor, asked), asked)
+            width, height = (max(side // factor, 1) for side in self.size)
+            left, right = _blocks(asked[0], asked[2], factor, width)
+            top, bottom = _blocks(asked[1], asked[3], factor, height)
+            # by halves, which OpenCV computes four times as fast as other factors
+            image, x, y = self.reduced(factor // 2, (left * factor, top * factor, right * factor, bottom * factor))
+            dx, dy = 2 * x // factor, 2 * y // factor
+            region = image[2 * top - dy : 2 * bottom - dy, 2 * left - dx : 2 * right - dx]
+            small = cv2.resize(region, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
+            known = small.astype(np.uint8, copy=False), left * factor, top * factor, asked
+            self._reduced[factor] = known
         return known[:3]
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
@@ -82,17 +88,6 @@ class Frame:
         if len(self._patches) >= MOST_REMEMBERED:
             del self._patches[next(iter(self._patches))]
         self._patches[key] = of, values
-
-    def _reduce(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
-        width, height = (max(side // factor, 1) for side in self.size)
-        left, right = _blocks(extent[0], extent[2], factor, width)
-        top, bottom = _blocks(extent[1], extent[3], factor, height)
-        # by halves, which OpenCV computes four times as fast as other factors
-        image, x, y = self.reduced(factor // 2, (left * factor, top * factor, right * factor, bottom * factor))
-        dx, dy = 2 * x // factor, 2 * y // factor
-        region = image[2 * top - dy : 2 * bottom - dy, 2 * left - dx : 2 * right - dx]
-        small = cv2.resize(region, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-        return small.astype(np.uint8, copy=False), left * factor, top * factor
 
 
 def factor_for(longest: float, most: float | None) -> int:

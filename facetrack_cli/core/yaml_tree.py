@@ -16,17 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import (
-    AliasEvent,
-    DocumentStartEvent,
-    MappingEndEvent,
-    MappingStartEvent,
-    ScalarEvent,
-    SequenceEndEvent,
-    SequenceStartEvent,
-)
 
 MAX_BYTES = 100_000  # the parser needs seconds for a megabyte; a recipe has a page
 MAX_DEPTH = 20
@@ -122,7 +113,7 @@ class YamlProblems(Exception):  # noqa: N818  (it carries several)
 
 
 def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
-    """The text of a file; YamlProblems if it is longer than `most` bytes or not UTF-8, OSError as it comes."""
+    """The text of a file. Raises YamlProblems if it is longer than `most` bytes or not UTF-8, and OSError."""
     with path.open("rb") as file:
         data = file.read(most + 1)
     start = Span(Source(name, "", path.parent), 0, 0, 0)
@@ -141,10 +132,7 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
 
 
 def parse(source: Source, *, start: int = 0) -> Node | None:
-    """The tree of the one document in the text, None if there is none; `start` is the character to begin at.
-
-    Raises YamlProblems: all that is refused in it, or the one place where it stops being YAML.
-    """
+    """The tree of the one document from the character `start` on, None without any. YamlProblems: all refused."""
     return _Reader(source, start).read()
 
 
@@ -190,54 +178,53 @@ class _Reader:
     def read(self) -> Node | None:
         root: Node | None = None
         try:
-            events = iter(YAML(typ="safe", pure=True).parse(self.source.text[self.start :]))
-            for event in events:
-                if not isinstance(event, DocumentStartEvent):
+            stream = iter(YAML(typ="safe", pure=True).parse(self.source.text[self.start :]))
+            for event in stream:
+                if not isinstance(event, events.DocumentStartEvent):
                     continue
                 if root is not None:
                     self.refuse(event, "a second document begins here; keep one in a file")
                     break
                 if event.version not in (None, (1, 2), [1, 2]):
                     self.refuse(event, "only YAML 1.2 is read; remove the %YAML line")
-                root = self.node(events, next(events), 0)
+                root = self.node(stream, next(stream), 0)
         except _TooDeep:
             pass
-        except MarkedYAMLError as error:
-            self.problems = [self.syntax(error)]
         except (YAMLError, ValueError, OverflowError) as error:
-            self.problems = [self.unreadable(error)]
+            self.problems = [self.syntax(error) if isinstance(error, MarkedYAMLError) else self.unreadable(error)]
         if self.problems:
             raise YamlProblems(self.problems)
         return root
 
-    def node(self, events: Iterator[Any], event: Any, depth: int) -> Node:
+    def node(self, stream: Iterator[Any], event: Any, depth: int) -> Node:
         if depth > MAX_DEPTH:
             self.refuse(event, f"nested more than {MAX_DEPTH} deep")
             raise _TooDeep
         span = self.span(event)
-        if isinstance(event, AliasEvent):
-            self.refuse_alias(event, f'"*{event.anchor}" repeats another part of the file; write it out')
+        if isinstance(event, events.AliasEvent):
+            self.refuse(event, f'"*{event.anchor}" repeats another part of the file; write it out', of_anchors=True)
             return Node(span, None)
         if event.anchor is not None:
-            self.refuse_alias(event, f'"&{event.anchor}" is an anchor; remove it, and write out what refers to it')
+            why = f'"&{event.anchor}" is an anchor; remove it, and write out what refers to it'
+            self.refuse(event, why, of_anchors=True)
         tag = event.ctag or event.tag
         if tag is not None and str(tag) != "!":
             self.refuse(event, f'the tag "{tag}" is not allowed; remove it')
-        if isinstance(event, MappingStartEvent):
-            return self.mapping(events, event, depth)
-        if isinstance(event, SequenceStartEvent):
+        if isinstance(event, events.MappingStartEvent):
+            return self.mapping(stream, event, depth)
+        if isinstance(event, events.SequenceStartEvent):
             items: list[Node] = []
-            while not isinstance(child := next(events), SequenceEndEvent):
-                items.append(self.node(events, child, depth + 1))
+            while not isinstance(child := next(stream), events.SequenceEndEvent):
+                items.append(self.node(stream, child, depth + 1))
             return Node(self.span(event, child), items)
         return Node(span, self.scalar(event))
 
-    def mapping(self, events: Iterator[Any], start: Any, depth: int) -> Node:
+    def mapping(self, stream: Iterator[Any], start: Any, depth: int) -> Node:
         found: dict[str, Node] = {}
-        while not isinstance(event := next(events), MappingEndEvent):
-            key = self.node(events, event, depth + 1)
-            value = self.node(events, next(events), depth + 1)
-            if not isinstance(event, ScalarEvent):
+        while not isinstance(event := next(stream), events.MappingEndEvent):
+            key = self.node(stream, event, depth + 1)
+            value = self.node(stream, next(stream), depth + 1)
+            if not isinstance(event, events.ScalarEvent):
                 self.refuse(event, "a key must be a name")
             elif (first := found.get(event.value)) is not None and first.key is not None:
                 also = f" (first on line {first.key.line + 1})" if self.source.is_file else ""
@@ -277,13 +264,10 @@ class _Reader:
         shift = len(head[-1]) if line == 0 else 0
         return Span(self.source, line + len(head) - 1, column + shift, end + shift)
 
-    def refuse(self, event: Any, message: str) -> None:
-        self.problems.append(Problem(self.span(event), message))
-
-    def refuse_alias(self, event: Any, message: str) -> None:
-        if not self.seen_alias:  # once is enough where there are hundreds
-            self.refuse(event, message)
-        self.seen_alias = True
+    def refuse(self, event: Any, message: str, of_anchors: bool = False) -> None:
+        if not (of_anchors and self.seen_alias):  # once is enough where there are hundreds
+            self.problems.append(Problem(self.span(event), message))
+        self.seen_alias |= of_anchors
 
     def syntax(self, error: MarkedYAMLError) -> Problem:
         mark = error.problem_mark or error.context_mark

@@ -89,9 +89,7 @@ class Diagnostics:
         return replace(self, frame=self.frame[rows], values={key: v[rows] for key, v in self.values.items()})
 
     @classmethod
-    def of(
-        cls, declared: Sequence[Diagnostic], frame: Sequence[int], found: Sequence[Mapping[str, Any]]
-    ) -> Diagnostics:
+    def of(cls, declared: Sequence[Diagnostic], frame: list[int], found: Sequence[Mapping[str, Any]]) -> Diagnostics:
         """From what each frame reports by name; ValueError(index of the frame, why) for what does not fit."""
         values: dict[str, Array] = {}
         labels: dict[str, tuple[str, ...]] = {}

@@ -101,9 +101,6 @@ def _members(**members: Any) -> dict[str, Any]:
     return {key: value for key, value in members.items() if value}
 
 
-# --- the header of a run -----------------------------------------------------------------------------------------
-
-
 class ClipHeader(BaseModel):
     path: str
     size: tuple[_Positive, _Positive]

@@ -29,29 +29,27 @@ def read_trajectory(path: Path | str) -> Trajectory:
     Columns of a CSV may stand in any order; frame, target, part, x and y are required, columns of other tools are
     passed over. Raises InputError, with the line where there is one, for a file that is none of them.
     """
-    path, first = _begins(Path(path))
-    return _read_json(path) if first == b"{" else _read_csv(path)
-
-
-def refuse_pipe(path: Path) -> None:
-    """Raises InputError for a named pipe or `<(...)`: files are looked at before they are read."""
-    if path.is_fifo():
-        raise InputError(f"{path}: is a pipe, and can be read only once; save it in a file, and name that")
-
-
-def _begins(path: Path) -> tuple[Path, bytes]:
-    """The file, inside of `path` if that is a folder, and its first character."""
+    path = Path(path)
     try:
         if path.is_dir():
             inside = (path / f"trajectory.{form}" for form in ("json", "csv", "jsonl"))
             path = next((file for file in inside if file.is_file()), path)
         refuse_pipe(path)
         with path.open("rb") as file:
-            return path, file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
+            first = file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
+        return _read_json(path) if first == b"{" else _read_csv(path)
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder without a trajectory.csv or .json; name the file") from None
+    except UnicodeDecodeError as e:
+        raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is CSV or JSON in UTF-8") from e
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
+
+
+def refuse_pipe(path: Path) -> None:
+    """Raises InputError for a named pipe or `<(...)`: files are looked at before they are read."""
+    if path.is_fifo():
+        raise InputError(f"{path}: is a pipe, and can be read only once; save it in a file, and name that")
 
 
 def not_as_written(path: Path, error: Any, *above: str) -> InputError:
@@ -61,9 +59,7 @@ def not_as_written(path: Path, error: Any, *above: str) -> InputError:
     return InputError(f"{path}: {key} is not as facetrack run writes it ({first['msg'].lower()}); make the run again")
 
 
-def _build(
-    path: Path, targets: Sequence[str], parts: Sequence[str], columns: dict[str, Any], **others: Any
-) -> Trajectory:
+def _build(path: Path, targets: list[str], parts: list[str], columns: dict[str, Any], **others: Any) -> Trajectory:
     """The trajectory of columns whose rows are of these targets and parts; InputError for numbers that cannot be."""
     if not targets:
         raise InputError(f"{path}: has a header and no rows; there is nothing in it to measure")
@@ -85,9 +81,6 @@ def _build(
                 place = f"{path}: frame {columns['frame'][row]}, {targets[row]}/{parts[row]}"
                 raise InputError(f"{place}: {name} {values[row]:.15g} {why}; correct it, or leave it empty")
     return build(tuple(numbers), which, path=path, **columns, **others)
-
-
-# --- CSV ---------------------------------------------------------------------------------------------------------
 
 
 def _read_csv(path: Path) -> Trajectory:
@@ -116,10 +109,6 @@ def _read_csv(path: Path) -> Trajectory:
                 blocks.append({name: _column(path, name, those, numbers) for name, those in columns.items()})
     except csv.Error as e:
         raise InputError(f"{path}:{lines.line_num}: is not CSV: {e}") from e
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
-    except UnicodeDecodeError as e:
-        raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is CSV with a header line") from e
     whole = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]} if blocks else {}
     return _build(path, named["target"], named["part"], whole)
 
@@ -168,8 +157,6 @@ def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int])
                 raise InputError(f"{path}:{line}: column {name}: {cell!r} is no {why}") from None
         raise
 
-
-# --- JSON --------------------------------------------------------------------------------------------------------
 
 _SHARED: Final = ("frame", "time_s", "target", "particles", "identity", "identity_prob")
 _OWN: Final = {"status": "", "by_hand": False, **{name: None for name in FLOATS if name not in _SHARED}}
@@ -247,13 +234,7 @@ def _declared(path: Path, header: Mapping[str, Any]) -> dict[str, Diagnostic]:
 
 def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
     """(header, frames) of a JSON or JSON-lines trajectory; InputError, with the line, if it is none."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as e:
-        raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is UTF-8") from e
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}") from e
-    frames: Any = []
+    text, frames = path.read_text(encoding="utf-8-sig"), list[Any]()
     try:
         header = json.loads(text)
         if isinstance(header, dict) and header.get("type") != "header":

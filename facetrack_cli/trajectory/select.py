@@ -14,10 +14,7 @@ Around: TypeAlias = Literal["windows", "points"]
 
 
 def choose(table: Trajectory, select: str | None) -> Trajectory:
-    """The table with one target alone (`face`), or one part of it (`face/nose`); all of it for None.
-
-    Raises UsageError, which lists what there is, when nothing has that name.
-    """
+    """One target alone (`face`), or one part of it (`face/nose`); all for None. UsageError, with the names."""
     if select is None:
         return table
     found = [one for one in table.parts if select in (one.target, one.name)]
@@ -72,10 +69,7 @@ def mean(values: Array) -> Array:
 
 
 def _together(status: Texts) -> list[str]:
-    """What the statuses of parts (T, K) say of their target: what all agree on, else that it is there.
-
-    In a trajectory, parts that are absent have no say as long as others are there.
-    """
+    """What the statuses (T, K) of parts that are not absent agree on, else that their target is there."""
     found = []
     for row in status.tolist():
         said = set(filter(None, row))

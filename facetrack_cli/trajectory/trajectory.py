@@ -24,19 +24,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
-DECIMALS: Final = {
-    "time_s": 4,
-    "x": 3,
-    "y": 3,
-    "w": 3,
-    "h": 3,
-    "angle": 2,
-    "confidence": 4,
-    "std_x": 3,
-    "std_y": 3,
-    "ess": 1,
-    "identity_prob": 4,
-}
+_OF_POSTERIOR: Final = {"std_x": 3, "std_y": 3, "ess": 1, "identity_prob": 4}
+DECIMALS: Final = {"time_s": 4, **dict.fromkeys("xywh", 3), "angle": 2, "confidence": 4, **_OF_POSTERIOR}
 """The decimals of each column of numbers: the bytes of a file are a function of the values."""
 COLUMNS: Final = (
     "frame", "time_s", "target", "part", "x", "y", "w", "h", "angle", "confidence", "status", "std_x", "std_y",
@@ -211,9 +200,7 @@ class Trajectory:
         return pandas.DataFrame(self.columns())
 
 
-_ARRAYS: Final = tuple(
-    f.name for f in fields(Trajectory) if f.type in ("Whole", "Array", "Texts", "Mask", "Array | None")
-)
+_ARRAYS = tuple(f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask")))
 
 
 def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: Any) -> Trajectory:
@@ -230,9 +217,8 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
     twice = np.flatnonzero((np.diff(frame) == 0) & (np.diff(which) == 0))
     if twice.size:
         at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
-        raise InputError(
-            f"{about.get('path', Path())}: frame {at} has two rows of {name}; keep one row a frame, target and part"
-        )
+        why = f"frame {at} has two rows of {name}; keep one row a frame, target and part"
+        raise InputError(f"{about.get('path', Path())}: {why}")
     known: dict[str, Any] = {"which": which, "frame": frame}
     for name in _ARRAYS[2:]:
         given = others.pop(name, None)
@@ -266,10 +252,8 @@ def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     for column in _ARRAYS[1:]:
         arrays = [getattr(one, column) for one in all_]
         if any(array is not None for array in arrays):
-            filled = [
-                np.full((len(one), 4, 2), np.nan) if a is None else a for one, a in zip(all_, arrays, strict=True)
-            ]
-            columns[column] = np.concatenate(filled)
+            both = zip(all_, arrays, strict=True)
+            columns[column] = np.concatenate([np.full((len(one), 4, 2), np.nan) if a is None else a for one, a in both])
     return build(tuple(numbers), np.concatenate(which), **columns, **others)
 
 
@@ -282,9 +266,6 @@ def aligned(parts: Sequence[Trajectory], *columns: str) -> tuple[Whole, dict[str
         for k, part in enumerate(parts):
             found[name][np.searchsorted(frame, part.frame), k] = getattr(part, name)
     return frame, found
-
-
-# --- what a tracker says of one frame ----------------------------------------------------------------------------
 
 
 class TargetResult(NamedTuple):

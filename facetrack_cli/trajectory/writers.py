@@ -28,10 +28,7 @@ _Form: TypeAlias = Callable[[list[Any]], list[str]]  # values to texts, "" for w
 
 
 class Footer(NamedTuple):
-    """How a run ended. `complete` is False when frames that were asked for are missing; `stopped` says why.
-
-    `lost_frames` counts, for each "target/part", the frames in which it was lost.
-    """
+    """How a run ended. `complete`: all frames that were asked for are there; `lost_frames` counts by "target/part"."""
 
     complete: bool = True
     stopped: str | None = None
@@ -77,14 +74,10 @@ class Writer:
 
     def close(self, footer: Footer) -> None:
         def tail(records: int) -> str:
-            foot = {
-                "complete": footer.complete,
-                **({"stopped": footer.stopped} if footer.stopped else {}),
-                "frames_tracked": records - 1,
-                "variable_fps": footer.variable_fps,
-                "lost_frames": dict(footer.lost_frames),
-                "warnings": list(footer.warnings),
-            }
+            foot: dict[str, Any] = {"complete": footer.complete}
+            foot |= {"stopped": footer.stopped} if footer.stopped else {}
+            foot |= {"frames_tracked": records - 1, "variable_fps": footer.variable_fps}
+            foot |= {"lost_frames": dict(footer.lost_frames), "warnings": list(footer.warnings)}
             if self._form == "json":
                 return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
             return "" if self._form == "csv" else dumps({"type": "footer", **foot}) + "\n"
@@ -97,9 +90,6 @@ WRITERS: Mapping[Format, Callable[[Sink, Header], Writer]] = {form: partial(Writ
 
 def _members(values: Mapping[str, Any]) -> list[str]:
     return [f"{dumps(key)}: {dumps(value)}" for key, value in values.items()]
-
-
-# --- rows as text ------------------------------------------------------------------------------------------------
 
 
 def csv_frames(rows: Trajectory) -> Iterator[str]:
@@ -152,11 +142,9 @@ def _frames(rows: Trajectory, forms: Mapping[str, _Form]) -> Iterator[tuple[int,
     while block := list(islice(frames, _BLOCK)):
         some = rows.take(np.array([i for _, at in block for i in at], np.int64))
         which = some.which.tolist()
-        columns = [
-            [texts[name][i] for i in which] if name in texts else form(getattr(some, name).tolist())
-            for name, form in forms.items()
-        ]
-        lines, first = list(zip(*columns, strict=True)), 0
+        columns = {name: form(getattr(some, name).tolist()) for name, form in forms.items() if name not in texts}
+        columns |= {name: [those[i] for i in which] for name, those in texts.items()}
+        lines, first = list(zip(*(columns[name] for name in forms), strict=True)), 0
         for frame, at in block:
             rows_ = slice(first, first + len(at))
             yield frame, which[rows_], lines[rows_]

@@ -44,12 +44,10 @@ class Program(contextlib.AbstractContextManager["Program"]):
     """A running ffmpeg, which the terminal's Ctrl-C does not reach. OSError or RuntimeError if it cannot be started."""
 
     def __init__(self, arguments: Sequence[str], *, stdin: int = subprocess.DEVNULL, stdout: int = subprocess.DEVNULL):
-        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", *arguments]
+        words = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", *arguments]
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - a file and not a pipe, which somebody would have to empty
         try:
-            self.child = subprocess.Popen(
-                command, stdin=stdin, stdout=stdout, stderr=self._said, start_new_session=True
-            )
+            self.child = subprocess.Popen(words, stdin=stdin, stdout=stdout, stderr=self._said, start_new_session=True)
         except BaseException:
             self._said.close()
             raise
@@ -94,10 +92,7 @@ class Packet(NamedTuple):
 
 
 class Listing:
-    """The packets that ffmpeg gives with these arguments; iterable once.
-
-    `ticks` are the seconds of a tick by stream; `messages`, known after the last packet, is what ffmpeg said.
-    """
+    """The packets of ffmpeg with these arguments, iterable once; then `messages`. `ticks` are in seconds, by stream."""
 
     def __init__(self, *arguments: str) -> None:
         self._arguments = arguments

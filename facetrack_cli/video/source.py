@@ -202,10 +202,7 @@ class VideoSource(Source):
 
 
 class FolderSource(Source):
-    """The images of a folder in natural order (2.jpg before 10.jpg), at a constant rate.
-
-    `files` are all of them; those to be read must be of one size, which is checked from their headers beforehand.
-    """
+    """The images of a folder in natural order, at a constant rate. Those to be read must be of one size."""
 
     def __init__(self, path: Path, files: Sequence[Path], fps: Fraction, start: int, stop: int | None):
         super().__init__(path, (0, 0), fps, start, stop)

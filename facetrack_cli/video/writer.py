@@ -2,9 +2,8 @@
 
 Every frame keeps its own time, and none is repeated. Times within a millisecond of the nominal rate's grid are moved
 onto it, so that a clip of constant rate comes out with a strictly constant one. To carry the times, the frames go to
-ffmpeg as uncompressed Matroska; a raw pipe (`imageio_ffmpeg.write_frames`) has no place for them, and would start the
-encoder where the terminal's Ctrl-C ends it before the file is finished. The sound is copied in a second pass: if that
-fails, there is still the video.
+ffmpeg as uncompressed Matroska; a raw pipe (`imageio_ffmpeg.write_frames`) has no place for them. The sound is copied
+in a second pass: if that fails, there is still the video.
 """
 
 import contextlib
@@ -20,9 +19,6 @@ from facetrack_cli.core.files import beside, discard, publish
 from facetrack_cli.core.types import Image
 from facetrack_cli.video import ffmpeg
 
-# superfast takes 0.8 of the time of this preset and makes files twice as large, faster takes twice its time
-_PRESET = "veryfast"
-_CRF = "20"
 _COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
 _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
 _TICK_S = 1e-6  # of the pipe to the encoder
@@ -68,7 +64,9 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             raise ValueError("write to a closed VideoWriter")
         if image.shape != (height, width, 3) or image.dtype != np.uint8:
             raise ValueError(f"frame is {image.dtype} {image.shape}, the video takes uint8 {(height, width, 3)}")
-        tick = self._tick(time_s)
+        nearest = round(time_s * self._fps) / self._fps
+        on_grid = abs(float(nearest) - time_s) <= min(_SNAP_S, 0.25 / float(self._fps))
+        tick = int(nearest * self._timescale) if on_grid else round(time_s * self._timescale)
         try:
             if self._frames == 0:
                 self._first_s, self._first_tick = time_s, tick
@@ -129,12 +127,6 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         assert self._encoder.child.stdin is not None
         return self._encoder.child.stdin
 
-    def _tick(self, time_s: float) -> int:
-        nearest = round(time_s * self._fps) / self._fps
-        if abs(float(nearest) - time_s) <= min(_SNAP_S, 0.25 / float(self._fps)):
-            return int(nearest * self._timescale)
-        return round(time_s * self._timescale)
-
     def _command(self) -> list[str]:
         matrix = "bt709" if self.size[1] >= 720 else "smpte170m"  # as players assume where they ignore the tag
         filters = [
@@ -144,7 +136,8 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             f"setparams=colorspace={matrix}:color_primaries={matrix}:color_trc={matrix}:range=tv",
         ]
         command = ["-nostats", "-v", "error", "-y", "-f", "matroska", "-i", "-"]
-        command += ["-vf", ",".join(filters), "-c:v", "libx264", "-preset", _PRESET, "-crf", _CRF]
+        # superfast takes 0.8 of the time of this preset and makes files twice as large, faster takes twice its time
+        command += ["-vf", ",".join(filters), "-c:v", "libx264", "-preset", "veryfast", "-crf", "20"]
         command += ["-fps_mode", "passthrough", "-enc_time_base", f"1/{self._timescale}"]
         return [*command, *self._as_mp4(self._target)]
 

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from facetrack_cli.cli.options import TRUTH_FORMATS
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.trajectory.formats.read import FORMATS, read_results, read_truth, recognise
+from facetrack_cli.trajectory.formats.read import _READERS, read_results, read_truth, recognise
 from facetrack_cli.trajectory.trajectory import COLUMNS
 
 PTS = "version: 1\nn_points:  2\n{\n1 1\n3 4.5\n}\n"
+FORMATS = ("auto", *_READERS)
 MOT_GT = "1,3,11,21,30,40,1,1,1\n2,3,12,21,30,40,1,1,0\n"
 
 

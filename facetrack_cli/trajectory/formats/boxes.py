@@ -1,27 +1,16 @@
-"""Boxes as plain text: a CSV of ours, and the texts of OTB, GOT-10k, VOT and MOTChallenge.
+"""Boxes as plain text: a CSV of ours, and the texts of OTB, GOT-10k, VOT and MOTChallenge; docs/measure.md lists them.
 
-- `boxes`: CSV with the header frame,x,y,w,h; frames and pixels from 0; x, y are the left and top edges. Columns in any
-  order, others are passed over.
-- `otb`: left, top, width, height with comma, tab or blanks between them. Pixels are counted from 1, as in Matlab, and
-  1 is subtracted. Line 1 is the first frame. A line of zeros or nan: the target is absent.
-- `got10k`: the same, also from 1 ("All coordinate values are 1-based", its author in got-10k/toolkit#6). Absent is also
-  a box without width or height, four times -1, and what `absence.label` marks if it lies beside. Where `cover.label`
-  beside it is 0, nothing of the target can be seen: hidden. Its toolkit leaves such frames out of every measure.
-- `vot`: a region a line, values between commas, pixels from 0, as vot-toolkit reads, writes and draws it. Line 1 is
-  frame 0. Four values are a rectangle; eight are the corners of a polygon, kept as `corners`: its x, y, w, h are the
-  axis-aligned bounding box, width = right - left, as in the toolkit, its angle is not known. `m...` is a mask in run
-  lengths; masks are not read. One value is a code. In truth, 0 ("unknown") and regions of nan say that the
-  target is absent. A file with a code 1 is a result: 1 is the frame where the tracker was set on the target, whose box
-  is not repeated (status init, no place); 2 is a failure (lost, no place); 0 is a frame that was not tracked, and has
-  no row; regions are tracked.
-- `mot`: MOTChallenge, frame, id, left, top, width, height, and what follows; frames, ids and pixels from 1. Truth
-  (motchallenge.net/instructions; MOT16 and later) has `flag, class, visibility`, nine values; results and MOT15 truth
-  `conf, x, y, z`, ten values, -1 where not known. Files that end after height or conf are read too. Ids become the
-  targets "1", "2", ..., each with the part "box". A flag of 0 says that the row is not to be considered: it is left
-  out, as if the frame were not annotated. A visibility of 0 is "hidden", anything above "visible". If every conf of ten
-  values is 0 or 1 it is taken for the flag, else for a confidence, and then all rows count, as the benchmark has it.
-
-Writers write lost rows too: they are the tracker's estimate.
+- `otb`: Matlab's pixels: 1 is subtracted. Line 1 is the first frame. A line of zeros or nan: the target is absent.
+- `got10k`: also from 1 ("All coordinate values are 1-based", its author in got-10k/toolkit#6). Absent is also a box
+  without width or height, four times -1, and what `absence.label` marks. Where `cover.label` is 0 the target is hidden.
+- `vot`: as vot-toolkit reads, writes and draws it. Line 1 is frame 0. Polygons are kept as `corners`; their x, y, w, h
+  are the axis-aligned bounding box, width = right - left, and the angle is not known. In truth, the code 0 ("unknown")
+  and regions of nan are absent. A file with a code 1 is a result: 1 is the frame where the tracker was set on the
+  target (status init, no place); 2 is a failure (lost, no place); 0 was not tracked, and has no row.
+- `mot`: truth (motchallenge.net/instructions; MOT16 and later) has nine values, results and MOT15 truth ten, -1 where
+  not known (`MOT_COLUMNS`). Ids become the targets "1", "2", ..., each with the part "box". A row of flag 0 is left
+  out, as if the frame were not annotated. A visibility of 0 is "hidden". If every conf of ten values is 0 or 1 it is
+  taken for the flag, else for a confidence, and then all rows count, as the benchmark has it.
 """
 
 from collections.abc import Sequence
@@ -31,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Mask, Texts
+from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.trajectory.formats.lines import FROM_ONE, Lines, delimiter
 from facetrack_cli.trajectory.reader import MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -41,12 +30,8 @@ LTWH = "left,top,width,height"
 REGION = f"{LTWH} or x1,y1,...,x4,y4"
 UNKNOWN, INIT, FAILURE = 0, 1, 2
 MOST_LINES = 10**7  # four days of video
-MOT_COLUMNS = {
-    6: f"frame,id,{LTWH}",
-    7: f"frame,id,{LTWH},conf",
-    9: f"frame,id,{LTWH},flag,class,visibility",
-    10: f"frame,id,{LTWH},conf,x,y,z",
-}
+_MOT = f"frame,id,{LTWH}"
+MOT_COLUMNS = {6: _MOT, 7: f"{_MOT},conf", 9: f"{_MOT},flag,class,visibility", 10: f"{_MOT},conf,x,y,z"}
 
 
 def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
@@ -76,8 +61,9 @@ def read_otb(path: Path, *, shift: int = 0) -> Trajectory:
 def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
     """GOT-10k text, with absence.label and cover.label where they lie beside it."""
     lines = Lines.by_frame(path)
-    status: Texts = np.full(len(lines), "visible", dtype="<U8")
-    used: list[str] = []
+    ltwh, used = lines.numbers(4, LTWH) - FROM_ONE, list[str]()
+    gone = (ltwh[:, 2:] == 0).any(axis=1) | (ltwh == [-2, -2, -1, -1]).all(axis=1)
+    status = np.where(gone, "absent", "visible")
     for name in ("cover", "absence"):  # what is absent is so whatever covers it
         file = path.with_name(f"{name}.label")
         if not file.is_file():
@@ -86,19 +72,16 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
         if len(labels) != len(lines):
             why = "they belong to different clips: move one away"
             raise InputError(f"{file}: has {len(labels)} lines, {path.name} beside it {len(lines)}; {why}")
-        status = np.where(labels != 0, "absent", status) if name == "absence" else np.where(labels, status, "hidden")
+        seen = (labels == 0) | gone if name == "absence" else (labels != 0) | gone
+        status = np.where(seen, status, "absent" if name == "absence" else "hidden")
         used.insert(0, file.name)
     with_labels = f", with {' and '.join(used)}" if used else ""
     header = {"read_as": f"GOT-10k text: {LTWH} a line, pixels from 1{with_labels}"}
-    ltwh, frame = lines.numbers(4, LTWH) - FROM_ONE, np.arange(len(lines)) + shift
-    return lines.boxes(frame, ltwh, status=status, no_area_is_absent=True, header=header)
+    return lines.boxes(np.arange(len(lines)) + shift, ltwh, status=status, header=header)
 
 
 def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
-    """VOT truth or results; line i, counted from 0, is frame i + `shift`.
-
-    Raises InputError, with the line, for masks, polygons of other than four corners, and what is no region at all.
-    """
+    """VOT truth or results; line i, from 0, is frame i + `shift`. InputError, with the line, also for masks."""
     lines = Lines.by_frame(path)
     between = delimiter(next((text for text in lines.texts if "," in text), ""))
     shapes = np.array([len(text.split(between)) for text in lines.texts], dtype=np.int64)
@@ -136,10 +119,7 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
 
 
 def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Trajectory:
-    """A series for each id. `results` says that column 7 is a confidence (True) or a flag (False); None: look.
-
-    Raises InputError, with the line, for what is no MOTChallenge text, and for two rows of one frame and id.
-    """
+    """A series for each id; `results`: column 7 is a confidence, not a flag; None: look. InputError, with the line."""
     lines = Lines.with_frame(path)
     count = len(lines.texts[0].split(delimiter(lines.texts[0])))
     known = f"{count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}"
@@ -155,17 +135,11 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
         raise InputError(f"{path}: every row has the flag 0, not to be considered; there is nothing in it to measure")
     confidence = np.where(results & (seventh >= 0) & (seventh <= 1), seventh, np.nan)
     hidden = values[:, 8] == 0 if count == 9 and not results else np.full(len(lines), False)
-    idents, which = np.unique(ident[kept], return_inverse=True)
     left_out = f", {np.count_nonzero(~kept)} rows of flag 0 left out" if not kept.all() else ""
-    return lines.take(kept).boxes(
-        frame[kept] - 1 + shift,
-        values[kept, 2:6] - FROM_ONE,
-        names=list(map(str, idents.tolist())),
-        which=which,
-        status=np.where(hidden, "hidden", "visible")[kept],
-        confidence=confidence[kept],
-        header={"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"},
-    )
+    header = {"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"}
+    about = {"status": np.where(hidden, "hidden", "visible")[kept], "confidence": confidence[kept]}
+    frame, ltwh = frame[kept] - 1 + shift, values[kept, 2:6] - FROM_ONE
+    return lines.take(kept).boxes(frame, ltwh, ids=ident[kept], header=header, **about)
 
 
 def write_otb(one: Trajectory) -> str:

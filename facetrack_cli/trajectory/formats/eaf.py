@@ -1,12 +1,8 @@
 """ELAN's annotation format, EAF 3.0 (www.mpi.nl/tools/elan/EAFv3.0.xsd): tiers of what was lost and how a head moved.
 
-For each target: `lost@face`, whose annotations name the parts that are lost (a new one begins where others are);
-`absent@face`, the same of those that corrections call absent, if there are any; and, as far as its parts can tell,
-`horizontal@face`, `vertical@face`, `tilt@face`, `size@face`, `nods@face`, `still@face`: motion in the picture plane,
-see `head_motion.py`. Their values are controlled vocabularies, described in the file.
-
-Times are those of the frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as
-it is, not percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
+docs/export.md has the tiers. Their values are controlled vocabularies, described in the file. Times are those of the
+frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as it is, not
+percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
 """
 
 import contextlib
@@ -28,14 +24,8 @@ from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 SCHEMA = "http://www.mpi.nl/tools/elan/EAFv3.0.xsd"
-MIME = {
-    **{f".{kind}": f"video/{kind}" for kind in ("mp4", "mpeg", "webm")},
-    ".m4v": "video/mp4",
-    ".mpg": "video/mpeg",
-    ".mov": "video/quicktime",
-    ".avi": "video/x-msvideo",
-    ".mkv": "video/x-matroska",
-}
+MIME = {".mp4": "mp4", ".m4v": "mp4", ".mpeg": "mpeg", ".mpg": "mpeg", ".webm": "webm"}
+MIME |= {".mov": "quicktime", ".avi": "x-msvideo", ".mkv": "x-matroska"}
 CONSTRAINTS = {
     "Time_Subdivision": "Time subdivision of parent annotation's time interval, no time gaps allowed within this "
     "interval",
@@ -57,10 +47,7 @@ FRAME_S = 0.04  # how long a single frame lasts where nothing tells
 
 
 def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime) -> str:
-    """The XML text. `media` is the video that the times belong to, `folder` where the file will stand.
-
-    Raises InputError when rows have no time, or times that do not increase from frame to frame.
-    """
+    """The XML text, which will stand in `folder`; `media` is the video. InputError for times that do not increase."""
     begin, end = _times(table)
     tiers = [
         (kind, target, [(begin[first], end[last], text) for first, last, text in found if end[last] > begin[first]])
@@ -95,10 +82,7 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
 
 
 def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[int, int, str]]:
-    """First and last frame of spans in which parts of a target have a `status`, with the names of those parts.
-
-    A span ends where other parts have it, and at frames that have no row.
-    """
+    """Spans (first frame, last, names) in which the same parts of a target have a `status`, in rows without a gap."""
     frames, columns = aligned(parts, "status")
     those = (columns["status"] == status).tolist()
     names = [", ".join(part.part for part, is_one in zip(parts, row, strict=True) if is_one) for row in those]
@@ -141,8 +125,8 @@ def _times(table: Trajectory) -> list[dict[int, int]]:
 def _header(root: ET.Element, media: Path, folder: Path, annotations: int) -> None:
     header = ET.SubElement(root, "HEADER", MEDIA_FILE="", TIME_UNITS="milliseconds")
     whole = Path(os.path.normpath(media.absolute())).as_posix()  # a link keeps the name that the user knows it by
-    mime = MIME.get(media.suffix.lower(), "video/*")
-    about = {"MEDIA_URL": "file:///" + _clean(whole.lstrip("/")), "MIME_TYPE": mime}
+    mime = MIME.get(media.suffix.lower(), "*")
+    about = {"MEDIA_URL": "file:///" + _clean(whole.lstrip("/")), "MIME_TYPE": f"video/{mime}"}
     with contextlib.suppress(ValueError):  # another drive of Windows: no way leads there
         relative = Path(os.path.relpath(whole, folder)).as_posix()
         about["RELATIVE_MEDIA_URL"] = _clean(relative if relative.startswith("../") else f"./{relative}")

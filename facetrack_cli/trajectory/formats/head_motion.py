@@ -6,20 +6,13 @@ Three signals are read off a target's parts that are not lost: its place (the me
 logarithm of its size (medians over the pairs of points); of a box its centre, its angle if known, and the root of its
 area. A part that gets lost or is found again makes no step in them. Lengths are in units of the target's size.
 
-| kind | label | begins above, lasts while above, for a change of at least | smoothed over |
-|---|---|---|---|
-| horizontal | left, right | 0.15 sizes/s, 0.07 sizes/s, 0.05 sizes | 0.12 s |
-| vertical | up, down | the same | 0.12 s |
-| tilt | clockwise, counterclockwise | 12 degrees/s, 5 degrees/s, 5 degrees | 0.2 s |
-| size | approach, recede | 15 %/s, 7 %/s, 15 % | 0.3 s |
-| nods | nod, shake | at least 3 swings, see below | 0.04 s |
-| still | still | none of these for 1 s | |
-
-All last at least 0.2 s. A nod is a run of swings up and down, a shake of swings left and right: each of at least 0.03
-sizes, 0.05 to 0.6 s long, and 1.5 times larger than what the target does across it meanwhile. What is smoothed is so by
-a Gaussian of that standard deviation. Where a track is so noisy that noise alone would pass a threshold, the threshold
-is raised to 4 standard deviations of the noise, which is measured on second differences. Nothing is said of frames in
-which the target is lost. The size of points that belong to a mouth also changes when it opens wide.
+A span of moving, tilting or growing (`RATES`) begins where a rate is exceeded, lasts while a lower one is, and has a
+least change. A nod is a run of swings up and down, a shake of swings left and right: at least 3, each of at least 0.03
+sizes, 0.05 to 0.6 s long, and 1.5 times larger than what the target does across it meanwhile. Still is none of these
+for 1 s. All last at least 0.2 s. Signals are smoothed by a Gaussian. Where a track is so noisy that noise alone would
+pass a threshold, the threshold is raised to 4 standard deviations of the noise, which is measured on second
+differences. Nothing is said of frames in which the target is lost. The size of points that belong to a mouth also
+changes when it opens wide.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,17 +34,13 @@ POINTS_TO_FACE = 2.0
 """The size of a target of points, in largest distances between two: nose and mouth, or eyes and mouth, span about half
 a face, so that the thresholds mean about the same for points and for a face's box."""
 # kind: labels of a falling and a rising signal (y points down, angles turn clockwise in the image)
-LABELS = {
-    "horizontal": ("left", "right"),
-    "vertical": ("up", "down"),
-    "tilt": ("counterclockwise", "clockwise"),
-    "size": ("recede", "approach"),
-}
+LABELS = {"horizontal": ("left", "right"), "vertical": ("up", "down")}
+LABELS |= {"tilt": ("counterclockwise", "clockwise"), "size": ("recede", "approach")}
 KINDS = (*LABELS, "nods", "still")
 
 
 class Rate(NamedTuple):
-    """When a signal counts as moving: rates in its unit a second once smoothed, and the least change of a span."""
+    """When a signal moves: rates a second, smoothed over a deviation of `smooth_s`, and the least change of a span."""
 
     begin: float
     last: float
@@ -59,7 +48,9 @@ class Rate(NamedTuple):
     smooth_s: float
 
 
-MOVE, TILT, SIZE = Rate(0.15, 0.07, 0.05, 0.12), Rate(12.0, 5.0, 5.0, 0.2), Rate(0.15, 0.07, 0.15, 0.3)
+# sizes, sizes, degrees, logarithms of sizes
+RATES = dict.fromkeys(("horizontal", "vertical"), Rate(0.15, 0.07, 0.05, 0.12))
+RATES |= {"tilt": Rate(12.0, 5.0, 5.0, 0.2), "size": Rate(0.15, 0.07, 0.15, 0.3)}
 
 
 class Span(NamedTuple):
@@ -72,26 +63,19 @@ class Span(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """How a target stands in each of T frames; (T,) each, nan where it is lost.
+    """How a target stands in each of T frames: `signals` (T,) of the kinds of RATES that can be told, nan where lost.
 
-    x, y in units of its size, angle in degrees (None: cannot be told), size as a logarithm (None: cannot be told).
-    Values are relative: only differences mean something, and none across frames that `begins` marks.
+    Only differences of their values mean something, and none across frames that `begins` marks.
     """
 
     frame: Whole
     time_s: Array
-    x: Array
-    y: Array
-    angle: Array | None
-    size: Array | None
+    signals: dict[str, Array]
     begins: Mask
 
 
 def head_motion(parts: Sequence[Trajectory]) -> list[Span]:
-    """The motion of one target, given the series of its parts; kinds in the order of KINDS, spans in order of time.
-
-    Spans of one kind do not overlap. `time_s` of the rows must be known and increase.
-    """
+    """The spans of one target by the order of KINDS, then by time; `time_s` of its parts must be known and increase."""
     pose = _pose(parts)
     found = [span for stretch in _stretches(pose) for span in _spans(pose, stretch)]
     return sorted(found, key=lambda span: (KINDS.index(span.kind), span.first))
@@ -99,12 +83,8 @@ def head_motion(parts: Sequence[Trajectory]) -> list[Span]:
 
 def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
     """The kinds that can be told of a target with these parts at all: a single point has neither angle nor size."""
-    pose = _pose(parts)
-    missing = {kind for kind, signal in (("tilt", pose.angle), ("size", pose.size)) if signal is None}
-    return tuple(kind for kind in KINDS if kind not in missing)
-
-
-# --- from parts to one pose --------------------------------------------------------------------------------------
+    told = _pose(parts).signals
+    return tuple(kind for kind in KINDS if kind in told or kind not in RATES)
 
 
 def _pose(parts: Sequence[Trajectory]) -> Pose:
@@ -125,9 +105,14 @@ def _pose(parts: Sequence[Trajectory]) -> Pose:
         unit = np.nan
     good = np.isfinite(x) & np.isfinite(y)
     (x, begins), (y, _) = _follow(x, good), _follow(y, good)
-    turned = None if turn is None else _follow_angle(turn)
-    sizes = None if size is None else _follow(size, np.isfinite(size))[0]
-    return Pose(frame, joined(parts).times, x / unit, y / unit, turned, sizes, begins)
+    signals = {"horizontal": x / unit, "vertical": y / unit}
+    if turn is not None:  # unit complex numbers, to degrees from the usual direction
+        usual = np.nansum(turn, axis=0)
+        departure = np.degrees(np.angle(turn / np.where(np.abs(usual) > 0, usual, 1.0)))
+        signals["tilt"] = _follow(departure, np.isfinite(departure))[0]
+    if size is not None:
+        signals["size"] = _follow(size, np.isfinite(size))[0]
+    return Pose(frame, joined(parts).times, signals, begins)
 
 
 def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
@@ -166,13 +151,6 @@ def _follow(values: Array, good: Mask) -> tuple[Array, Mask]:
     return np.where(good.any(axis=1), np.cumsum(np.nan_to_num(step)), np.nan), begins
 
 
-def _follow_angle(turn: Array) -> Array:
-    """As `_follow`, of directions (T, M) as unit complex numbers, in degrees."""
-    usual = np.nansum(turn, axis=0)
-    departure = np.degrees(np.angle(turn / np.where(np.abs(usual) > 0, usual, 1.0)))
-    return _follow(departure, np.isfinite(departure))[0]
-
-
 def _nanmedian(values: Array, axis: int) -> Array:
     """numpy's nanmedian, nan without a warning where there is nothing."""
     empty = ~np.isfinite(values).any(axis=axis)
@@ -180,12 +158,9 @@ def _nanmedian(values: Array, axis: int) -> Array:
     return np.where(empty, np.nan, np.nanmedian(filled, axis=axis)) if filled.size else np.full(empty.shape, np.nan)
 
 
-# --- from signals to spans ---------------------------------------------------------------------------------------
-
-
 def _stretches(pose: Pose) -> Iterator[Whole]:
     """Rows without a break: not lost, no pause between them, long enough to say something of."""
-    known = np.flatnonzero(np.isfinite(pose.x) & np.isfinite(pose.y) & np.isfinite(pose.time_s))
+    known = np.flatnonzero(np.isfinite(pose.signals["horizontal"] + pose.signals["vertical"] + pose.time_s))
     if known.size == 0:
         return
     broken = (np.diff(known) > 1) | (np.diff(pose.time_s[known]) > GAP_S) | pose.begins[known[1:]]
@@ -213,15 +188,12 @@ def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
             yield Span(kind, label, int(pose.frame[rows[first]]), int(pose.frame[rows[after - 1]]))
 
     busy = np.zeros(len(grid), dtype=bool)
-    x, y = even(pose.x), even(pose.y)
-    signals = [("horizontal", x, MOVE), ("vertical", y, MOVE)]
-    signals += [("tilt", even(pose.angle), TILT)] if pose.angle is not None else []
-    signals += [("size", even(pose.size), SIZE)] if pose.size is not None else []
-    for kind, signal, rate in signals:
-        for begin, end, label in _moving(signal, dt, rate, LABELS[kind]):
+    signals = {kind: even(signal) for kind, signal in pose.signals.items()}
+    for kind, signal in signals.items():
+        for begin, end, label in _moving(signal, dt, RATES[kind], LABELS[kind]):
             busy[begin:end] = True
             yield from of_kind(kind, label, begin, end)
-    for begin, end, label in _swinging(x, y, dt):
+    for begin, end, label in _swinging(signals["horizontal"], signals["vertical"], dt):
         busy[begin:end] = True
         yield from of_kind("nods", label, begin, end)
     for begin, end in spans(~busy):

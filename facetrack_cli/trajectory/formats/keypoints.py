@@ -1,27 +1,17 @@
-"""Points for tools that label and estimate poses: COCO keypoints JSON, and DeepLabCut's CSV.
+"""Points for tools that label and estimate poses: COCO keypoints JSON, and DeepLabCut's CSV; see docs/export.md.
 
-COCO (cocodataset.org/#format-data) is what pycocotools, Detectron2, MMPose and labelling tools read.
+COCO (cocodataset.org/#format-data): a target of one part called `box` is a plain detection.
 
-- A category for each target, with its parts as keypoints; a target of one part called `box` is a plain detection.
-- An image for each frame: `id` is the frame + 1, since an id of 0 misleads COCO's own evaluation; `frame_id` is the
-  0-based frame. `file_name` is the image's own where the source was a folder; frames of a video are called
-  `<clip>/000000.png` by their 0-based number, as `ffmpeg -i clip.mp4 -start_number 0 <clip>/%06d.png` names them.
+- `id` of an image is the frame + 1, since an id of 0 misleads COCO's own evaluation; `frame_id` is the 0-based frame.
 - Visibility v of a keypoint: 2 tracked (or visible in truth), 1 lost (or hidden): the place is the tracker's estimate;
   0 not known, at 0, 0. A target without any known part has no annotation in that image.
 - `score` is the confidence (the mean over the parts; 1 where not known), so that `loadRes(annotations)` reads them as
   results too; `keypoint_scores` are the parts' own; `track_id` counts the targets from 1.
-- COCO's keypoints are indices of pixels: a pixel's centre is a whole number, as here (Detectron2 adds 0.5 to them to
-  get to coordinates from the image's corner). COCO's boxes are measured from that corner: a box over the first ten
-  columns is 0 to 10, left 0 and width 10, which are the same numbers as here. So nothing is shifted.
+- COCO's keypoints are indices of pixels: a pixel's centre is a whole number, as here (Detectron2 adds 0.5). COCO's
+  boxes are measured from the image's corner: a box over the first ten columns is 0 to 10, left 0 and width 10, which
+  are the same numbers as here. So nothing is shifted.
 
-DeepLabCut's CSV has header rows scorer, bodyparts, coords, with several targets also `individuals` after the first,
-then a row a frame with x, y, likelihood of every part: `pandas.read_csv(file, header=[0, 1, 2], index_col=0)`, with
-several targets `header=[0, 1, 2, 3]`.
-
-- The index is the 0-based frame. A frame in which nothing was tracked has no row.
-- `likelihood` is the confidence; lost parts keep their place, which is the tracker's estimate, and have a low one.
-  Cells are empty where the place is not known, and the likelihood where the confidence is not.
-- Whole numbers are pixel centres, as here. A part `box` is the centre of a box; its size has no room in this format.
+In DeepLabCut's CSV whole numbers are pixel centres too; a part `box` is the centre of a box, whose size has no room.
 """
 
 import csv
@@ -51,10 +41,7 @@ SEEN = ("", "init", "tracked", "visible")
 def write_coco(
     table: Trajectory, size: tuple[int, int], file_name: Callable[[int], str], *, around: Around = "windows"
 ) -> str:
-    """The JSON text. `size` is (width, height) of the images; `file_name` gives the image of a 0-based frame.
-
-    `bbox` is the target's box as `enclose` says. Raises InputError for windows of parts that have none.
-    """
+    """The JSON text for images of `size` (width, height), named `file_name(frame)`. InputError as of `enclose`."""
     categories, annotations = [], []
     for ident, target in enumerate(table.targets, 1):
         parts = table.of_target(target)
@@ -67,10 +54,8 @@ def write_coco(
     annotations.sort(key=lambda one: (one["image_id"], one["category_id"]))
     for ident, one in enumerate(annotations, 1):
         one["id"] = ident
-    images = [
-        {"id": frame + 1, "file_name": file_name(frame), "width": size[0], "height": size[1], "frame_id": frame}
-        for frame in table.frames.tolist()
-    ]
+    sides, frames = {"width": size[0], "height": size[1]}, table.frames.tolist()
+    images = [{"id": n + 1, "file_name": file_name(n), **sides, "frame_id": n} for n in frames]
     groups = {"images": images, "annotations": annotations, "categories": categories}
     info = {"description": f"Tracked by facetrack: {table.path.name}", "version": "1.0"}
     # a line for each image and annotation: large files stay readable, and can be compared

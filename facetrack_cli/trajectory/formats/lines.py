@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Texts, Whole
+from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, refuse_pipe
 from facetrack_cli.trajectory.trajectory import Trajectory, build
 
@@ -22,10 +22,7 @@ FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # what boxes (..., 4) that are counte
 
 
 def read_text(path: Path) -> str:
-    """The text of a file, without a byte order mark and with `\\n` at the ends of its lines.
-
-    Raises InputError for a file that is missing, a folder, a pipe, empty, or no text.
-    """
+    """The text of a file, with `\\n` after each line. InputError if missing, a folder, a pipe, empty, or no text."""
     try:
         refuse_pipe(path)
         raw = path.read_bytes()
@@ -91,10 +88,7 @@ class Lines:
             raise InputError(f"{self.path}:{self.places[rows[0]]}: {message}")
 
     def numbers(self, columns: int, wanted: str, use: Sequence[int] | None = None) -> Array:
-        """(T, columns), or (T, len(use)): the numbers of lines that have all `columns` of them; an empty cell is nan.
-
-        `wanted` says what a line should hold. Raises InputError with the line for anything else.
-        """
+        """(T, columns or len(use)) numbers, nan for an empty cell. InputError with the line of what is not `wanted`."""
         use = use or range(columns)
         found: list[list[float]] = []
         for at, text in enumerate(self.texts):
@@ -139,28 +133,16 @@ class Lines:
         why = f"the same {what} as in line {{}}; keep one of them"
         self.refuse(earlier != np.arange(len(keys)), lambda row: why.format(self.places[earlier[row]]))
 
-    def boxes(
-        self,
-        frame: Whole,
-        ltwh: Array,
-        *,
-        names: Sequence[str] = ("",),
-        which: Whole | None = None,
-        status: Texts | None = None,
-        no_area_is_absent: bool = False,
-        **others: Any,
-    ) -> Trajectory:
-        """The boxes (T, 4) of these lines, left, top, width, height from 0; `which` (T,) are indices of target `names`.
+    def boxes(self, frame: Whole, ltwh: Array, *, ids: Any = "", status: Any = "visible", **others: Any) -> Trajectory:
+        """The boxes (T, 4) of these lines, left, top, width, height from 0; `ids` (T,) name the targets.
 
         A row of nan, or without width and height, is absent. `status` (T,) may say hidden or absent already; rows that
         it calls absent may hold any box, which is not kept. Raises InputError with the line for a box that is half nan,
         of a negative size, without area, or beyond any image.
         """
-        said = np.full(len(frame), "visible", dtype="<U8") if status is None else status.astype("<U8")
+        said = np.broadcast_to(status, len(frame)).astype("<U8")
         unknown, empty = np.isnan(ltwh), ltwh[:, 2:] == 0
         absent = (said == "absent") | unknown.all(axis=1) | empty.all(axis=1)
-        if no_area_is_absent:
-            absent |= empty.any(axis=1) | (ltwh == [-2, -2, -1, -1]).all(axis=1)
         with np.errstate(invalid="ignore"):
             for wrong, why in (
                 (unknown, "nan in a box that is known by half; give all four numbers, or four times nan"),
@@ -171,6 +153,6 @@ class Lines:
                 self.refuse(wrong.any(axis=1) & ~absent, why)
         left, top, w, h = np.where(absent[:, None], np.nan, ltwh).T
         place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h}
-        which = np.zeros(len(frame), np.int64) if which is None else which
-        pairs = [(name, "box") for name in names]
+        targets, which = np.unique(np.broadcast_to(ids, len(frame)), return_inverse=True)
+        pairs = [(str(target), "box") for target in targets.tolist()]
         return build(pairs, which, frame, **place, status=np.where(absent, "absent", said), path=self.path, **others)

@@ -7,9 +7,8 @@
     ...
     }
 
-The pixels follow Matlab: the centre of the top left one is 1, 1, and 1 is subtracted. The target is "face", with the
-parts point_01, point_02, ... in the file's order; of 68 points five have names too, the parts that our recipes track.
-The lips' points are those on the outer border, as ours are (`tracking/start/points.py`).
+The pixels follow Matlab: the centre of the top left one is 1, 1. The target is "face", with the parts point_01, ... in
+the file's order; of 68 points five have names too. The lips' points are on the outer border, as ours are.
 """
 
 import re
@@ -29,11 +28,7 @@ _HEAD = re.compile(r"\s*version:\s*\S+\s+n_points:\s*(\d{1,4})\s*\{", re.IGNOREC
 
 
 def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
-    """A folder of .pts files, each numbered by the last digits of its name, or one file. A row of nan is absent.
-
-    Raises InputError, with file and line, for what is no .pts file, for two files of one frame, and if their numbers of
-    points differ.
-    """
+    """A folder of .pts files, numbered by the last digits of their names, or one file. InputError with the line."""
     files = sorted(path.glob("*.pts")) or sorted(path.glob("annot/*.pts")) if path.is_dir() else [path]
     if not files:
         raise InputError(f"{path}: no .pts file in this folder, nor in annot/ below it; name the folder with them")
@@ -57,16 +52,11 @@ def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
     xy = np.stack(points, axis=1)[[number - 1 for number in numbers.values()]] - 1  # (parts, T, 2)
     x, y = xy.reshape(-1, 2).T
     unnamed = "" if count == 68 else ", which have no names of ours"
-    return build(
-        [("face", name) for name in numbers],
-        np.repeat(np.arange(len(numbers)), len(files)),
-        np.tile(np.array(list(frames), dtype=np.int64) - 1 + shift, len(numbers)),
-        x=x,
-        y=y,
-        status=np.where(np.isnan(x), "absent", "visible"),
-        path=path,
-        header={"read_as": f".pts: {count} points{unnamed}, files and pixels from 1"},
-    )
+    header = {"read_as": f".pts: {count} points{unnamed}, files and pixels from 1"}
+    which = np.repeat(np.arange(len(numbers)), len(files))
+    frame = np.tile(np.array(list(frames), dtype=np.int64) - 1 + shift, len(numbers))
+    place = {"x": x, "y": y, "status": np.where(np.isnan(x), "absent", "visible")}
+    return build([("face", name) for name in numbers], which, frame, **place, path=path, header=header)
 
 
 def _points(path: Path) -> Array:

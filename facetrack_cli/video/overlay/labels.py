@@ -1,8 +1,4 @@
-"""What is written beside the targets of a frame: names, and small grey images of what a tracker knows in its corners.
-
-The images are those of Zhou et al. 2003, figure 3. Names are of parts beside their windows, and of targets, with their
-identity, above or below them.
-"""
+"""Names beside the targets of a frame, and in its corners images of what a tracker knows (Zhou et al. 2003, fig. 3)."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -198,10 +194,7 @@ class Labels:
         return not any(x0 < t[2] and t[0] < x1 and y0 < t[3] and t[1] < y1 for t in taken)
 
     def _tag(self, image: Image, shape: Shape, named: bool, tags: Sequence[Rect]) -> list[Rect]:
-        """The identity of a target, or its name where there are several; the place that it takes, if any.
-
-        It stands above the target, or below where another's `tags` or the border are in the way.
-        """
+        """Name a target above it, or below where `tags` or the border are in the way; the place taken, if any."""
         text, colour = _name(shape, named) if shape.parts else ("", shape.colour)
         low, high = shape.bounds[:, :2].min(axis=0, initial=np.inf), shape.bounds[:, 2:].max(axis=0, initial=-np.inf)
         if not text or (high < 0).any() or (low > self._size).any():
@@ -241,9 +234,6 @@ def _beside(bound: Sequence[float], size: tuple[int, int], gap: int) -> list[tup
     """Corners (left, top) for a label of `size` to the right of a window, below, to its left, and above."""
     (x0, y0, x1, y1), (width, height) = bound, size
     across, down = round((x0 + x1 - width) / 2), round((y0 + y1 - height) / 2)
-    return [
-        (math.ceil(x1) + 1 + gap, down),
-        (across, math.ceil(y1) + 1 + gap),
-        (math.floor(x0) - gap - width, down),
-        (across, math.floor(y0) - gap - height),
-    ]
+    right, below = math.ceil(x1) + 1 + gap, math.ceil(y1) + 1 + gap
+    left, above = math.floor(x0) - gap - width, math.floor(y0) - gap - height
+    return [(right, down), (across, below), (left, down), (across, above)]

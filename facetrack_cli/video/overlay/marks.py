@@ -1,11 +1,8 @@
 """The colours, strokes and letters that windows, trails and the status bar are drawn with.
 
 Status shows by form as well as by colour: a dot where tracked, a cross where lost, a hollow diamond at the start, a
-filled one where a correction gave it, a dash for what is absent.
-
-Small text stays legible: `cv2.putText` at 8 px is a smear, since its strokes fall where they will between two pixels.
-Here Hershey glyphs are drawn four times too large at every quarter of a pixel and averaged down, and the crispest is
-kept, so a line of text is a concatenation of ready glyphs.
+filled one where a correction gave it, a dash for what is absent. Since `cv2.putText` smears text of 8 px, glyphs are
+drawn four times too large at every quarter of a pixel and averaged down, and the crispest is kept.
 """
 
 import math
@@ -18,10 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Image
+from facetrack_cli.core.types import Array, Image, Point
 from facetrack_cli.trajectory.trajectory import Status
 
 Colour = tuple[int, int, int]  # blue, green, red
+Ink = tuple[float, ...]
 Points = NDArray[np.int32]
 # one a target: after Okabe and Ito, told apart by most colour-blind people, lightened to stand out from video
 PALETTE: tuple[Colour, ...] = (
@@ -49,14 +47,12 @@ def fixed(points: Array) -> Points:
     return np.rint(points * (1 << _SHIFT)).astype(np.int32)
 
 
-def ink(colour: Colour, opacity: float) -> tuple[float, float, float, float]:
+def ink(colour: Colour, opacity: float) -> Ink:
     """`colour` for a layer of four channels: times its opacity 0..1, and the opacity as 0..255."""
     return colour[0] * opacity, colour[1] * opacity, colour[2] * opacity, 255 * opacity
 
 
-def polylines(
-    image: Image, lines: Sequence[Points], colour: tuple[float, ...], thickness: int, *, closed: bool = False
-) -> None:
+def polylines(image: Image, lines: Sequence[Points], colour: Ink, thickness: int, *, closed: bool = False) -> None:
     """Smooth lines through `lines`, each (n, 2) from `fixed`, drawn on `image` (H, W, 3 or 4) in place."""
     if len(lines):
         cv2.polylines(image, lines, closed, colour, thickness, cv2.LINE_AA, _SHIFT)
@@ -72,15 +68,7 @@ def dashes(corners: Array, pitch: float) -> Array:
     return dashed.reshape(-1, 2, 2)
 
 
-def mark(
-    image: Image,
-    at: tuple[float, float],
-    status: Status,
-    colour: tuple[float, ...],
-    size: float,
-    line: int,
-    by_hand: bool,
-) -> None:
+def mark(image: Image, at: Point, status: Status, colour: Ink, size: float, line: int, by_hand: bool) -> None:
     """The sign of `status` at (x, y), about `size` pixels to each side, with lines `line` wide, in place."""
     if status == "tracked":
         x, y, radius = (round(value * (1 << _SHIFT)) for value in (*at, size))
@@ -126,10 +114,7 @@ def plain(text: str) -> str:
 
 
 class Font:
-    """One size of type: capitals and digits are `cap` pixels high, and all digits equally wide.
-
-    A line of text is `height` pixels high, with the tops of its capitals at row `top`.
-    """
+    """One size of type: capitals `cap` pixels high, their tops at row `top` of `height`, and digits of equal width."""
 
     def __init__(self, cap: int) -> None:
         self.cap = cap

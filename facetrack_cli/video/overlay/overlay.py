@@ -1,7 +1,6 @@
 """A tracker's result drawn over its frame: windows, trails, spread of the particles, status.
 
-A tracked part has a solid window and a dot, a lost one a dashed window and a cross in vermilion, one at its start a
-solid window and a diamond. Absent parts are not drawn. Each target has a colour of its own.
+A target has a colour of its own; what is lost is vermilion, its window dashed. Absent parts are not drawn.
 """
 
 import math
@@ -15,20 +14,9 @@ import numpy as np
 
 from facetrack_cli.core.types import BOX, Array, Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
+from facetrack_cli.video.overlay import marks
 from facetrack_cli.video.overlay.labels import Insets, Labels, Shape, Shown
-from facetrack_cli.video.overlay.marks import (
-    LOST,
-    PALETTE,
-    WHITE,
-    Colour,
-    Font,
-    Points,
-    dashes,
-    fixed,
-    ink,
-    mark,
-    polylines,
-)
+from facetrack_cli.video.overlay.marks import LOST, PALETTE, WHITE, Colour, Font, Points
 from facetrack_cli.video.overlay.status_bar import StatusBar
 
 _FADES = 4  # steps of opacity along a trail
@@ -179,27 +167,30 @@ class Overlay:
             return
         layer = np.zeros((y1 - y0, x1 - x0, 4), np.uint8)  # colours times opacity, and opacity
         origin = np.array((x0, y0), np.float64)
-        for strokes, colour, opacity in self._strokes(trail, fixed(np.stack(places) - origin), shape.colour):
-            polylines(layer, strokes, ink(colour, opacity), fine)
+        for strokes, colour, opacity in self._strokes(trail, marks.fixed(np.stack(places) - origin), shape.colour):
+            marks.polylines(layer, strokes, marks.ink(colour, opacity), fine)
         tints = [LOST if lost else shape.colour for lost in shape.lost.tolist()]
-        for ring, k in zip(fixed(rings - origin), ring_parts, strict=True):
-            polylines(layer, [ring], ink(tints[k], 0.6), fine, closed=True)
+        for ring, k in zip(marks.fixed(rings - origin), ring_parts, strict=True):
+            marks.polylines(layer, [ring], marks.ink(tints[k], 0.6), fine, closed=True)
         local = shape.corners - origin
-        windows, middles = fixed(local), (shape.centres - origin).tolist()
+        windows, middles = marks.fixed(local), (shape.centres - origin).tolist()
         order = np.argsort(shape.lost, kind="stable").tolist()  # what is lost lies on top
         for k in order:
-            tint, weight = tints[k], self._weight(shape, k)
+            tint, part = tints[k], shape.parts[k]
+            strong = shape.sizes[k].min() >= (24 if part == BOX else 60) * line
+            # as the size is when it is first seen, or it would flicker
+            weight = self._weights.setdefault((shape.target, part), line + bool(strong))
             if shape.lost[k]:
-                polylines(layer, list(fixed(dashes(local[k], 10 * line))), ink(tint, 1), weight)
+                marks.polylines(layer, list(marks.fixed(marks.dashes(local[k], 10 * line))), marks.ink(tint, 1), weight)
             else:
-                polylines(layer, [windows[k]], ink(tint, 1), weight, closed=True)
+                marks.polylines(layer, [windows[k]], marks.ink(tint, 1), weight, closed=True)
         statuses, by_hand = shape.rows.status.tolist(), shape.rows.by_hand.tolist()
         for k in order:
             status, size, at = statuses[k], signs[k], middles[k]
             if size:
                 if status == "tracked":  # a ring of shade, or the dot would merge with the trail that ends in it
-                    mark(layer, at, status, ink((0, 0, 0), 0.8), size + line, line, False)
-                mark(layer, at, status, ink(tints[k], 1), size, line, by_hand[k])
+                    marks.mark(layer, at, status, marks.ink((0, 0, 0), 0.8), size + line, line, False)
+                marks.mark(layer, at, status, marks.ink(tints[k], 1), size, line, by_hand[k])
         cover = cv2.extractChannel(layer, 3)
         dark = cv2.dilate(cover, np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
         keep = cv2.bitwise_not(cv2.max(cover, cv2.convertScaleAbs(dark, None, _RIM)))
@@ -207,11 +198,9 @@ class Overlay:
         cv2.multiply(under, cv2.cvtColor(keep, cv2.COLOR_GRAY2BGR), under, 1 / 255)
         cv2.add(under, cv2.cvtColor(layer, cv2.COLOR_BGRA2BGR), under)
 
-    def _strokes(
-        self, trail: list[_Past], places: Points, colour: Colour
-    ) -> Iterator[tuple[list[Points], Colour, float]]:
+    def _strokes(self, trail: list[_Past], at: Points, colour: Colour) -> Iterator[tuple[list[Points], Colour, float]]:
         """The trail's lines of equal opacity, faint to strong; where a part was lost, dashes in vermilion."""
-        paths = np.ascontiguousarray(places.reshape(len(trail), -1, 2).transpose(1, 0, 2))  # (K, T, 2)
+        paths = np.ascontiguousarray(at.reshape(len(trail), -1, 2).transpose(1, 0, 2))  # (K, T, 2)
         lost = np.stack([p.lost for p in trail], axis=1)  # (K, T)
         fresh = [1 - (trail[-1].time_s - p.time_s) / max(self.trail_s, 1e-9) for p in trail]
         ends = [bisect_left(fresh, (b + 1) / _FADES) for b in range(_FADES - 1)] + [len(trail) - 1]
@@ -233,12 +222,6 @@ class Overlay:
             yield whole, colour, opacity
             yield broken, LOST, opacity
             start = end
-
-    def _weight(self, shape: Shape, k: int) -> int:
-        """The thickness of a part's window, in pixels: as its size is when it is first seen, or it would flicker."""
-        strong = (24 if shape.parts[k] == BOX else 60) * self._line
-        thickness = self._line + bool(shape.sizes[k].min() >= strong)
-        return self._weights.setdefault((shape.target, shape.parts[k]), thickness)
 
     def _signs(self, shape: Shape) -> list[float]:
         """The size of each part's mark in pixels; 0 is none, in windows of a few pixels."""

@@ -34,21 +34,14 @@ class StatusBar:
         status, sayings = summary(rows)
         sure = rows.confidence[np.isfinite(rows.confidence)].tolist()
         mean = min(max(sum(sure) / len(sure), 0.0), 1.0) if sure else 0.0
-        texts = {"frame": f"#{result.frame.index}", "clock": clock(result.frame.time_s)}
+        adapted, title = adaptation(rows), self._title
+        texts = {"frame": f"#{result.frame.index}", "clock": clock(result.frame.time_s), "title": title}
+        texts |= {"percent": "100%", **adapted}
         gap, gauge, icon = round(0.8 * cap), round(3.5 * cap), round(1.5 * cap)
-        room = {
-            "frame": font.width(texts["frame"]) + gap,
-            "gauge": gauge + gap,
-            "clock": font.width(texts["clock"]) + gap,
-            "title": font.width(self._title) + gap if self._title else 0,
-            "percent": font.width("100%") + gap,
-        }
-        adapted = adaptation(rows)
-        room |= {item: font.width(text) + gap for item, text in adapted.items()}
+        room = {item: font.width(text) + gap if text else 0 for item, text in texts.items()} | {"gauge": gauge + gap}
         shown, saying, spare = self._fit(sayings, room, self._width - 2 * gap - icon)
         if not sure:  # 0 % would be a lie of a tracker that does not say
             shown = tuple(item for item in shown if item not in ("gauge", "percent"))
-        title = self._title
         if "title" not in shown:  # its beginning, as far as it says something
             length = next((n for n in range(len(title), 7, -1) if font.width(title[:n] + "..") <= spare - gap), 0)
             title = title[:length] + ".." if length else ""
