@@ -21,8 +21,7 @@ import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.types import BOX, Correction, Frame, Mask, TargetStart
-from facetrack_cli.tracking.exclusion import Cover
-from facetrack_cli.tracking.loop import Target
+from facetrack_cli.tracking.loop import Cover, Target
 from facetrack_cli.tracking.target import ParticleTarget
 from facetrack_cli.trajectory.trajectory import DECIMALS, Status, TargetResult, Trajectory, build
 

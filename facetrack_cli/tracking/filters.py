@@ -2,15 +2,6 @@
 
 A filter is a function `(settings, rng, particles, model) -> (particles, info)`. It never sees a frame: `model` is the
 tracker with one frame bound in. All arithmetic on weights is in logs.
-
-============  ===========================================================  ================================
-filter        proposal                                                     weight
-============  ===========================================================  ================================
-sir           transition of resampled particles                            p(y|s) [p(s)]
-auxiliary     transition of particles that promise a high likelihood       p(y|s) [p(s)] / lambda
-factorized    product of the marginal posteriors of the parts              eq. 11, eq. 7, or 1 (independent)
-adaptive      noise around the place that the frame predicts               p(y|s)
-============  ===========================================================  ================================
 """
 
 from collections.abc import Callable

@@ -1,14 +1,4 @@
-"""State spaces: what the numbers of a particle mean, and how a posterior becomes image geometry.
-
-============  =========================  ==============================================================================
-space         a part's state             image geometry
-============  =========================  ==============================================================================
-PointSpace    x, y                       a window of fixed size around each point
-BoxSpace      x, y, s, and their speeds  an upright box, s times as large as at the start (Odobez 2003, section 3.2)
-CloudSpace    x, y of one pixel          an upright box about the whole cloud of particles (Gianni et al. 2007)
-AffineSpace   x, y, a1, a2, a3, a4       the box of the start, turned, scaled and sheared (Zhou et al. 2003, section 4)
-============  =========================  ==============================================================================
-"""
+"""State spaces: what the numbers of a particle mean, and how a posterior becomes image geometry."""
 
 import math
 from collections.abc import Mapping
@@ -22,7 +12,7 @@ from facetrack_cli.core.geometry import centre, size_of_points
 from facetrack_cli.core.types import Array, Box, Particles, Start
 from facetrack_cli.recipe import affine, points, regions, skin
 from facetrack_cli.recipe.model import ParticleFilter, Recipe
-from facetrack_cli.tracking.start.checks import size_of_box, visible_box
+from facetrack_cli.tracking.start.checks import box_of, check_size, size_of_box
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostic
 
 
@@ -73,7 +63,10 @@ class PointSpace(Space):
 
 @dataclass(frozen=True)
 class BoxSpace(Space):
-    """A box: state (1, 6) = (x, y, s, and the speed of each, per frame). `size`: width, height in pixels at s = 1."""
+    """An upright box (Odobez et al. 2003, section 3.2): state (1, 6) = (x, y, s, and the speed of each, per frame).
+
+    `size`: width, height in pixels at s = 1.
+    """
 
     size: tuple[float, float]
 
@@ -89,7 +82,7 @@ class BoxSpace(Space):
 
 @dataclass(frozen=True)
 class CloudSpace(Space):
-    """A cloud in which each particle is a pixel: state (1, 2) = (x, y); its box has four standard deviations a side."""
+    """Each particle is a pixel (Gianni et al. 2007): state (1, 2) = (x, y); its box has four deviations a side."""
 
     def windows(self, estimated: Estimate) -> Array:
         return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
@@ -100,9 +93,10 @@ class CloudSpace(Space):
 
 @dataclass(frozen=True)
 class AffineSpace(Space):
-    """A box under affine maps: state (1, 6) = (x, y, a1, a2, a3, a4), [[a1, a2], [a3, a4]] from the start to now.
+    """A box under affine maps (Zhou et al. 2003, section 4): state (1, 6) = (x, y, a1, a2, a3, a4).
 
-    `size`: width, height in pixels at the start. Its angle is the rotation that is nearest to the deformation.
+    [[a1, a2], [a3, a4]] leads from the start to now. `size`: width, height in pixels at the start. Its angle is
+    the rotation that is nearest to the deformation.
     """
 
     size: tuple[float, float]
@@ -222,7 +216,7 @@ def place_points(settings: points.Points, start: Start, name: str) -> Placed:
 
 def place_box(settings: regions.Region | affine.Affine | skin.Cloud, start: Start, name: str) -> Placed:
     """A target that fills its box, whose mean side is the unit; particles of a cloud begin all over it."""
-    box = visible_box(start, name)
+    box = check_size(start.origin, name, box_of(start, name))
     windows, unit = np.array([box[2:]]), size_of_box(start, name)
     if isinstance(settings, skin.Cloud):
         return Placed(CloudSpace(), state_of_box(*box), windows, unit, (0.25, 4.0), windows)

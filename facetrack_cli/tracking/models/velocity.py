@@ -80,7 +80,9 @@ class PredictedWalk(AffineWalk):
         velocity = self.settings.velocity
         if velocity is None:
             return Flow(state, patch, np.zeros((6, 0)), np.zeros((0, len(patch)), np.float32))
-        chosen = _evenly(len(x), velocity.samples)
+        # evenly, since particles of a filter that resamples come in order
+        most = min(velocity.samples or len(x), len(x))
+        chosen = np.arange(most) * len(x) // most
         rows, products = differences(self.patches.read(frame, x, factor), chosen, patch)
         return Flow(state, patch, gain(x[chosen, 0] - state[0], products, velocity.components, RANK), rows)
 
@@ -125,11 +127,6 @@ class PredictedWalk(AffineWalk):
         _, _, _, (x, y) = cv2.minMaxLoc(match)
         place = state[0, 2:].reshape(2, 2) @ ((x - n) * w / columns, (y - m) * h / rows)
         return np.array([[*place, 0.0, 0.0, 0.0, 0.0]])
-
-
-def _evenly(count: int, most: int | None) -> NDArray[np.int64]:
-    """Indices of all of `count`, or of `most` of them, evenly: particles of a filter that resamples come in order."""
-    return np.arange(count) if most is None or count <= most else np.arange(most) * count // most
 
 
 def affine_walk(settings: affine.AffineWalk, context: Context) -> AffineWalk:

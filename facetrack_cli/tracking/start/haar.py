@@ -20,7 +20,6 @@ from facetrack_cli.tracking.start.points import cascade, place
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 """What can be placed; left and right as seen in the image."""
-
 BOUND: Final = 250  # frames that are searched, at most: ten seconds of most clips
 LONGEST, SHORTEST = 640, 320  # bounds in pixels of the longer side of the image that is searched
 SMALLEST: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
@@ -71,10 +70,8 @@ def haar_start(
     if lacking is not None:
         raise InputError(f"{lacking}{'' if last == first else f'; no frame to {last} shows more'}")
     searched = f"frame {first}" if first == last else f"frames {first} to {last}"
-    raise InputError(
-        f"{clip}: no face found in {searched}; give its box with --box X,Y,W,H, an init file with --init FILE, "
-        "or a later frame with --init-frame N"
-    )
+    remedy = "give its box with --box X,Y,W,H, an init file with --init FILE, or a later frame with --init-frame N"
+    raise InputError(f"{clip}: no face found in {searched}; {remedy}")
 
 
 def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str = "the clip") -> Start:
@@ -104,12 +101,9 @@ def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str
 
 def check_parts(parts: Sequence[str]) -> None:
     """UsageError for a part that is none of the five."""
-    unknown = ", ".join(part for part in parts if part not in PARTS)
-    if unknown:
-        raise UsageError(
-            f"no cascade can place {unknown}, only {', '.join(PARTS)}; "
-            "say where the parts are in an init file, with --init FILE"
-        )
+    if unknown := ", ".join(part for part in parts if part not in PARTS):
+        remedy = "say where the parts are in an init file, with --init FILE"
+        raise UsageError(f"no cascade can place {unknown}, only {', '.join(PARTS)}; {remedy}")
 
 
 def find_faces(image: Image) -> list[Box]:
