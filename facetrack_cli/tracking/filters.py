@@ -31,13 +31,10 @@ class Ahead(NamedTuple):
 
 
 class FrameModel(Protocol):
-    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently.
-
-    `ahead` is where the target is expected; `propagate` takes its shift and noise into account.
-    """
+    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently."""
 
     @property
-    def ahead(self) -> Ahead: ...
+    def ahead(self) -> Ahead: ...  # where the target is expected; `propagate` takes its shift and noise into account
     def propagate(self, rng: Generator, x: Array) -> Array: ...  # (N, K, D) drawn from p(x_t | x_{t-1} = x)
     def log_transition(self, x: Array, parents: Array) -> Array: ...  # (N, M, K): log p(x_t | x_{t-1}) of each part
     def log_likelihood(self, x: Array, parents: Array) -> Array: ...  # (N, K): log p(y | x) of each part

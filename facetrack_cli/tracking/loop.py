@@ -52,9 +52,8 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "
     """Track over `frames`, the first of which is the one that the tracker's start belongs to.
 
     Targets advance in their order: those before are known where they are in this frame, the others where they are
-    expected. The same tracker, frames and seed give the same results, bit for bit, and so does a target that no other
-    one excludes, whatever is tracked after it. Raises InputError, which names the `clip`, if the first frame does not
-    show what a target needs.
+    expected. Equal input gives equal results, bit for bit, also of a target that no other one excludes, whatever comes
+    after it. Raises InputError, which names the `clip`, if the first frame does not show what a target needs.
     """
     # a stream of its own for each target, so that one does not change by what others draw
     keys = ((i,) if i else () for i in range(len(tracker)))

@@ -29,9 +29,8 @@ Names: TypeAlias = Sequence[str]
 class Likelihood(Measures, Protocol):
     """An observation model; what it has learned of a clip so far is a value that it returns and is given back.
 
-    `init`: from the first frame with the parts at x0 (K, D); if it has `notes`, they are lines for the user. `score`:
-    (N, K), log p(y | x) of each part, x and parents (N, K, D). `learn`: for the next frame, after one with the estimate
-    `state` (K, D).
+    `init`: from the first frame with the parts at x0 (K, D); its `notes`, if any, are lines for the user. `score`:
+    (N, K), log p(y | x) of each part, x and parents (N, K, D). `learn`: after a frame with the estimate (K, D).
     """
 
     def init(self, frame: Frame, x0: Array) -> Any: ...

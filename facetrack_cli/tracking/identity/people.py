@@ -21,8 +21,7 @@ from facetrack_cli.core.types import Array, Box, Frame, Start
 from facetrack_cli.core.yaml_tree import printable
 from facetrack_cli.tracking.identity.gallery import name_problem
 from facetrack_cli.tracking.identity.subspaces import Rows
-from facetrack_cli.tracking.models.patches import Patches
-from facetrack_cli.tracking.models.spaces import affine_state_of_box
+from facetrack_cli.tracking.models.spaces import Patches, affine_state_of_box
 from facetrack_cli.tracking.start.checks import check_size, check_start
 from facetrack_cli.tracking.start.haar import find_faces
 from facetrack_cli.tracking.start.init_file import SUFFIXES as INIT_SUFFIXES
@@ -224,9 +223,8 @@ def _given(start: Start, frame: Frame) -> Box:
 class Faces(NamedTuple):
     """What was read: `patches` (n, d) of zero mean and unit variance, of `persons` (n,) by name.
 
-    Of each of `images` (n,) first comes the face, then its copies, cut a little off; `negatives` (k, d) show no face in
-    its place. `used` and `skipped` are images and frames for each person, `proportion` is the median of the boxes'
-    width over height.
+    Of each of `images` (n,) first comes the face, then its copies; `negatives` (k, d) show no face in its place. `used`
+    and `skipped` count images and frames of each person, `proportion` is the median of the boxes' width over height.
     """
 
     patches: Rows

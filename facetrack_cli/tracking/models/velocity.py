@@ -31,8 +31,7 @@ from facetrack_cli.recipe import affine
 from facetrack_cli.tracking.filters import Ahead
 from facetrack_cli.tracking.kernels.least_squares import differences, gain, mapped
 from facetrack_cli.tracking.models.motion import AffineWalk
-from facetrack_cli.tracking.models.patches import Patches, patches_of
-from facetrack_cli.tracking.models.spaces import Context
+from facetrack_cli.tracking.models.spaces import Context, Patches, patches_of
 from facetrack_cli.trajectory.diagnostics import ERROR, NOISE
 
 Rows: TypeAlias = NDArray[np.float32]
@@ -87,10 +86,7 @@ class PredictedWalk(AffineWalk):
         return Flow(state, patch, gain(x[chosen, 0] - state[0], products, velocity.components, RANK), rows)
 
     def predict(self, flow: Flow, frame: Frame, error: Callable[[Rows], Array], expected: Callable[[], Rows]) -> Ahead:
-        """Where the target is expected in `frame`.
-
-        `error` is phi of patches (N, d) -> (N,), `expected` the patch (d,) that the appearance model expects.
-        """
+        """Where the target is expected; `error` is phi of patches (N, d) -> (N,), `expected` the model's patch (d,)."""
         factor = self.patches.factor(flow.state)
         shift = best = np.zeros_like(flow.state)
         patch = self.patches.read(frame, flow.state[None], factor)

@@ -41,9 +41,8 @@ def haar_start(
 ) -> Start:
     """The start at the first of the frames that shows a face: its box, and the parts placed in it (pixels, to 0.01).
 
-    At most `bound` frames are searched, and faces too dark to track are passed over; if all are, the one of most
-    contrast is taken. `complete` adds what else the frame must show; where it raises NotHereError the next is tried.
-    Raises InputError, naming the `clip`, if none of the frames shows all that; UsageError for an unknown part.
+    At most `bound` frames are searched; faces too dark to track are passed over unless all are. `complete` adds what
+    else the frame must show, or raises NotHereError. InputError, naming the `clip`, if no frame shows all that.
     """
     check_parts(parts)
     first = last = lacking = best = None
@@ -77,8 +76,7 @@ def haar_start(
 def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str = "the clip") -> Start:
     """The start in a frame where the face's box (left, top, width, height; pixels) is known.
 
-    The parts are placed in the face that a cascade sees in the box, else in the box itself. Raises InputError if the
-    box has no area or is not in the frame, or a part would be outside; UsageError for an unknown part.
+    The parts are placed in the face that a cascade sees in the box, else in the box. InputError for a wrong box.
     """
     check_parts(parts)
     size = f"the frame of {frame.size[0]}x{frame.size[1]} pixels"

@@ -38,10 +38,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Templates:
-    """What K parts looked like in the first frame; `sigma` (K,) is sigma_i of eq. 10.
-
-    `reach`: how far from its centre any window reads, in pixels of the whole frame.
-    """
+    """What K parts looked like in the first frame; `sigma` (K,) of eq. 10; `reach`: of any window, in whole pixels."""
 
     groups: tuple[Group, ...]
     sigma: Array
