@@ -37,7 +37,7 @@ from facetrack_cli.core.types import Array, Frame, Start
 from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.runs.start import truth_start
 from facetrack_cli.tracking.identity.gallery import NONE, load_gallery
-from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.models.spaces import Patches
 from facetrack_cli.tracking.start.haar import haar_start
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.video.source import open_source

@@ -27,7 +27,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from facetrack_cli.tracking.models.shape_prior import DEFAULT, ShapePrior
+from facetrack_cli.tracking.models.shape_prior import DEFAULT, ShapePrior, suggested_sigma
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 PAIRS = 200  # shapes come in pairs, each with its mirror image
@@ -147,7 +147,7 @@ def main() -> None:
     out = parser.parse_args().out
     prior = make()
     prior.save(out)
-    print(f"{out}: {len(prior.shapes)} shapes, {prior.spacing():.3f} mouth widths apart")
+    print(f"{out}: {len(prior.shapes)} shapes, {suggested_sigma(prior):.3f} mouth widths apart")
 
 
 if __name__ == "__main__":

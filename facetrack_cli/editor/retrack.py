@@ -21,8 +21,7 @@ from facetrack_cli.editor.run_folder import Run
 from facetrack_cli.recipe.model import ParticlesRecipe
 from facetrack_cli.tracking.build.build import build_tracker, tracker_for
 from facetrack_cli.tracking.corrected import CorrectedTarget
-from facetrack_cli.tracking.exclusion import Cover
-from facetrack_cli.tracking.loop import Target
+from facetrack_cli.tracking.loop import Cover, Target
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.writers import as_written

@@ -1,12 +1,18 @@
-"""YAML to checked settings. `load.py` reads a recipe; the other files hold its sections, by the kind of target.
-
-No numerics are imported here.
-"""
+"""YAML to checked settings: `load.py` reads a recipe, the others hold its sections. No numerics are imported here."""
 
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import Recipe, register
-from facetrack_cli.recipe.sections import Filter, Likelihood, Motion, Prior, Refusal, Section, Target
-from facetrack_cli.recipe.units import Length, LengthPerPart
+from facetrack_cli.recipe.sections import (
+    Filter,
+    Length,
+    LengthPerPart,
+    Likelihood,
+    Motion,
+    Prior,
+    Refusal,
+    Section,
+    Target,
+)
 
 __all__ = ["Filter", "Length", "LengthPerPart", "Likelihood", "Motion", "Prior", "Refusal", "Section", "Target"]
 __all__ += ["Recipe", "check_recipe", "load_recipe", "register"]

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from pydantic import Field
 
 from facetrack_cli.recipe.regions import Factor, Scaled
-from facetrack_cli.recipe.sections import Component, Likelihood, Motion, Refusal, Section
-from facetrack_cli.recipe.units import Length
+from facetrack_cli.recipe.sections import Component, Length, Likelihood, Motion, Refusal, Section
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilter

@@ -58,20 +58,17 @@ class Factorized(Resampled):
     """Share of a part's sub-particles that is proposed from the prior given the other parts; as published 0."""
 
     def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
-        by_prior, key, message = self.reweight == "prior", "", ""
+        by_prior, add = self.reweight == "prior", "needs a prior; add a prior section, or write"
         if not by_prior and self.particles > MOST_COMPARED:
-            key, most = "particles", f"give {MOST_COMPARED:,} at most, not {self.particles:,}"
-            message = f"reweight: transition compares every two particles; {most}"
+            most = f"give {MOST_COMPARED:,} at most, not {self.particles:,}"
+            yield Refusal(("filter", "particles"), f"reweight: transition compares every two particles; {most}")
         elif by_prior and whole.prior is None:
-            key, remedy = "reweight", "add a prior section, or write reweight: transition"
-            message = f"filter.reweight: prior needs a prior; {remedy}"
+            yield Refusal(("filter", "reweight"), f"filter.reweight: prior {add} reweight: transition")
         elif self.from_prior > 0 and whole.prior is None:
-            key, message = "from_prior", "filter.from_prior above 0 needs a prior; add a prior section, or write 0"
+            yield Refusal(("filter", "from_prior"), f"filter.from_prior above 0 {add} 0")
         elif self.from_prior > 0 and not by_prior:
-            key, remedy = "from_prior", "eq. 7 knows the motion model alone"
-            message = f"filter.from_prior above 0 goes with reweight: prior; {remedy}"
-        if key:
-            yield Refusal(("filter", key), message)
+            goes = "goes with reweight: prior; eq. 7 knows the motion model alone"
+            yield Refusal(("filter", "from_prior"), f"filter.from_prior above 0 {goes}")
 
 
 class Independent(Resampled):

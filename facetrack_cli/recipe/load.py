@@ -1,9 +1,4 @@
-"""A recipe: everything a tracker is made of, as a checked, frozen value read from YAML.
-
-recipe = load_recipe("factorized", ["filter.particles=200"])
-recipe.filter.particles         # 200
-recipe.motion.sigma.of("nose")  # Length(value=0.1, px=False)
-"""
+"""A recipe: everything a tracker is made of, as a checked, frozen value read from YAML."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -49,10 +44,9 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
 def _load(path: Path, overrides: Sequence[str]) -> Recipe:
     source = read_file(path)
     root = parse(source)
-    start = Span(source, 0, 0, 1)
     if root is None or root.value is None:
         shipped = "start from a shipped recipe: facetrack recipes show factorized"
-        raise YamlProblems([Problem(start, f"the recipe is empty; {shipped}")])
+        raise YamlProblems([Problem(Span(source, 0, 0, 1), f"the recipe is empty; {shipped}")])
     if not isinstance(root.value, dict):
         raise YamlProblems([Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this")])
     for override in overrides:

@@ -116,7 +116,9 @@ def _must(details: ErrorDetails, node: Node) -> str:
         return f"must be {_WANTED[kind]}, not {given}{'; remove the quotes' if quoted else ''}"
     if kind in _BOUNDS:
         name, phrase = _BOUNDS[kind]
-        return f"must be {phrase.format(_number(context[name]))}, not {given}"
+        bound = context[name]  # written as people do: 1000000, not 1e+06
+        number = bound if isinstance(bound, int) else format(bound, ".0f" if bound.is_integer() else "g")
+        return f"must be {phrase.format(number)}, not {given}"
     if kind in ("too_short", "too_long"):
         bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
         return f"must have {bound} items, not {_length(node)}"
@@ -184,11 +186,6 @@ def _value_span(node: Node) -> Span:
 
 def _dotted(keys: Sequence[str]) -> str:
     return ".".join(keys).replace(".[", "[")
-
-
-def _number(value: float) -> str:
-    """As people write it: 1000000, not 1e+06."""
-    return str(value) if isinstance(value, int) else format(value, ".0f" if value.is_integer() else "g")
 
 
 def _is_number(text: str) -> bool:

@@ -11,8 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import Likelihood, Motion, Prior, Refusal, Target
-from facetrack_cli.recipe.units import Length, LengthPerPart, WindowPerPart
+from facetrack_cli.recipe.sections import (
+    Length,
+    LengthPerPart,
+    Likelihood,
+    Motion,
+    Prior,
+    Refusal,
+    Target,
+    WindowPerPart,
+)
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilter

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import Component, Likelihood, Motion, Refusal, Section, Target
-from facetrack_cli.recipe.units import Length, LengthOrNone
+from facetrack_cli.recipe.sections import Component, Length, LengthOrNone, Likelihood, Motion, Refusal, Section, Target
 
 MOST_SEARCH, MOST_SEARCH_PX = 10.0, 10_000.0  # beyond most frames; every step of it takes time
 Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]

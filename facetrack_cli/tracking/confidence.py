@@ -70,8 +70,7 @@ def resume(
 ) -> Judgement:  # fmt: skip
     """The judgement where a target begins anew at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
 
-    Parts that are learned `anew` (K,) are judged from here on, the others by what the `first` frame showed. Nothing
-    is known of the frames before, so that a part in doubt is `lost` at once.
+    Parts learned `anew` (K,) are judged from here on, others by the `first` frame; one in doubt is `lost` at once.
     """
     impatient = np.full(len(first.below), settings.patience - 1, np.int64)
     kept = judge(settings, replace(first, below=impatient), measure.distances(learned, frame, x0[None])[0])

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.types import BOX, Correction, Frame, Mask, TargetStart
-from facetrack_cli.tracking.exclusion import Cover
-from facetrack_cli.tracking.loop import Target
+from facetrack_cli.tracking.loop import Cover, Target
 from facetrack_cli.tracking.target import ParticleTarget
 from facetrack_cli.trajectory.trajectory import DECIMALS, Status, TargetResult, Trajectory, build
 
@@ -32,8 +31,7 @@ STREAM: Final = 2**31  # keeps the streams of corrections apart from those of ta
 class Anew(NamedTuple):
     """How a target begins anew: whether it is placed by `points`, and whether all of it is learned if nothing is said.
 
-    `place` finds the points that are not absent in a box given alone. `build` makes the target that learns what it
-    looks like in a frame where it is as given.
+    `place` finds the visible points in a box given alone, `build` makes the target that learns from a frame.
     """
 
     points: bool
@@ -104,8 +102,7 @@ class CorrectedTarget:
 
     def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
         """The state after `frame`, in which a `complete` correction says where the target is."""
-        given = correction.given
-        absent = correction.hidden(self.parts)
+        given, absent = correction.given, correction.hidden(self.parts)
         if len(absent) == len(self.parts):
             return replace(state, inner=None), _marked(self._absent(frame), absent)
         if self.anew.points and given.box is not None and not given.points:
@@ -127,7 +124,6 @@ class CorrectedTarget:
             assert isinstance(target, ParticleTarget)
             anew = by_hand if correction.learn is None and self.anew.points else ()
             inner, result = target.restart(rng, frame, state.first, given, absent, anew)
-        # what somebody says is certain
         result = _with_status(result, np.isin(self.parts, by_hand), "init", confidence=1.0)
         return replace(state, target=target, inner=inner, rng=rng), _marked(result, (*by_hand, *absent))
 
@@ -186,8 +182,7 @@ def _marked(result: TargetResult, by_hand: Sequence[str]) -> TargetResult:
 class Resumed(CorrectedTarget):
     """A corrected target from one of its corrections on, a complete one; `first` is the first frame of the whole run.
 
-    `begin`, with the frame of that correction, and `advance` give the rows of the whole run. It must keep its place
-    among the tracker's targets, by which its random numbers are drawn.
+    It gives the rows of the whole run if it keeps its place among the targets, by which random numbers are drawn.
     """
 
     first: Frame

@@ -2,15 +2,6 @@
 
 A filter is a function `(settings, rng, particles, model) -> (particles, info)`. It never sees a frame: `model` is the
 tracker with one frame bound in. All arithmetic on weights is in logs.
-
-============  ===========================================================  ================================
-filter        proposal                                                     weight
-============  ===========================================================  ================================
-sir           transition of resampled particles                            p(y|s) [p(s)]
-auxiliary     transition of particles that promise a high likelihood       p(y|s) [p(s)] / lambda
-factorized    product of the marginal posteriors of the parts              eq. 11, eq. 7, or 1 (independent)
-adaptive      noise around the place that the frame predicts               p(y|s)
-============  ===========================================================  ================================
 """
 
 from collections.abc import Callable
@@ -40,13 +31,10 @@ class Ahead(NamedTuple):
 
 
 class FrameModel(Protocol):
-    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently.
-
-    `ahead` is where the target is expected; `propagate` takes its shift and noise into account.
-    """
+    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently."""
 
     @property
-    def ahead(self) -> Ahead: ...
+    def ahead(self) -> Ahead: ...  # where the target is expected; `propagate` takes its shift and noise into account
     def propagate(self, rng: Generator, x: Array) -> Array: ...  # (N, K, D) drawn from p(x_t | x_{t-1} = x)
     def log_transition(self, x: Array, parents: Array) -> Array: ...  # (N, M, K): log p(x_t | x_{t-1}) of each part
     def log_likelihood(self, x: Array, parents: Array) -> Array: ...  # (N, K): log p(y | x) of each part

@@ -5,15 +5,22 @@ A tracker is a tuple of targets, put together by `build.py`: particle filters, o
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.exclusion import Cover
+from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.recipe.skin import Exclusion
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
+
+
+class Cover(NamedTuple):
+    """What a target explains: an upright ellipse of `centre` (2,) and `half` axes (2,), in pixels."""
+
+    centre: Array
+    half: Array
 
 
 class Target(Protocol):
@@ -45,9 +52,8 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "
     """Track over `frames`, the first of which is the one that the tracker's start belongs to.
 
     Targets advance in their order: those before are known where they are in this frame, the others where they are
-    expected. The same tracker, frames and seed give the same results, bit for bit, and so does a target that no other
-    one excludes, whatever is tracked after it. Raises InputError, which names the `clip`, if the first frame does not
-    show what a target needs.
+    expected. Equal input gives equal results, bit for bit, also of a target that no other one excludes, whatever comes
+    after it. Raises InputError, which names the `clip`, if the first frame does not show what a target needs.
     """
     # a stream of its own for each target, so that one does not change by what others draw
     keys = ((i,) if i else () for i in range(len(tracker)))
@@ -64,3 +70,22 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "
             except InputError as e:
                 raise InputError(f"{clip}: {e}" if clip else str(e)) from None
         yield FrameResult(frame, tuple(result for _, result in after))
+
+
+def log_weights(settings: Exclusion, x: Array, covers: Sequence[Cover]) -> Array:
+    """(N, K): what mutual exclusion adds to log p(y | x) of x (N, K, D) (Gianni, Collet & Dalle 2007).
+
+    Particles are penalised when the objects are close, so that two filters do not track the same skin (Gonzalez &
+    Collet, section 3). The papers print no formula. Chosen is, with the other targets j, each an ellipse:
+
+        p(y | x) <- p(y | x) * prod_j (1 - strength * exp(-(d_j(x) / reach)^4 / 2))
+
+    with d_j the distance from the centre of j in half axes of its ellipse, 1 on its outline. By the fourth power the
+    whole ellipse is penalised and little outside of it. Where all particles are penalised alike, none is.
+    """
+    total = np.zeros(x.shape[:2])
+    for cover in covers:
+        half = np.maximum(cover.half, 1.0)  # of a cloud that has shrunk to a point, a pixel is left
+        squared = np.sum(((x[..., :2] - cover.centre) / (half * settings.reach)) ** 2, axis=2)
+        total += np.log1p(-min(settings.strength, 1 - 1e-12) * np.exp(-0.5 * np.minimum(squared, 1e6) ** 2))
+    return total

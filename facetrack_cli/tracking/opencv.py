@@ -1,7 +1,6 @@
 """OpenCV's own trackers of a box, to compare with: MIL, CSRT, KCF and MOSSE, with their default parameters.
 
-What they do not report (spread, confidence) is left out. Where a tracker reports that it has lost the target, the part
-is `lost` and the box stays; MIL and CSRT hardly ever do. OpenCV takes boxes over whole pixels, so a start is rounded.
+Where one reports that it has lost the target, the part is `lost` and the box stays; MIL and CSRT hardly ever do.
 """
 
 import ctypes

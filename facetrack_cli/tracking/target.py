@@ -14,8 +14,8 @@ from facetrack_cli.recipe.model import Confidence
 from facetrack_cli.recipe.skin import Exclusion
 from facetrack_cli.tracking import confidence
 from facetrack_cli.tracking.confidence import Judgement, Measures
-from facetrack_cli.tracking.exclusion import Cover, log_weights
 from facetrack_cli.tracking.filters import Ahead, Step
+from facetrack_cli.tracking.loop import Cover, log_weights
 from facetrack_cli.tracking.models.shape_prior import BoundPrior
 from facetrack_cli.tracking.models.spaces import Estimate, PointSpace, Space, estimate, evenly
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
@@ -29,9 +29,8 @@ Names: TypeAlias = Sequence[str]
 class Likelihood(Measures, Protocol):
     """An observation model; what it has learned of a clip so far is a value that it returns and is given back.
 
-    `init`: from the first frame with the parts at x0 (K, D); if it has `notes`, they are lines for the user. `score`:
-    (N, K), log p(y | x) of each part, x and parents (N, K, D). `learn`: for the next frame, after one with the estimate
-    `state` (K, D).
+    `init`: from the first frame with the parts at x0 (K, D); its `notes`, if any, are lines for the user. `score`:
+    (N, K), log p(y | x) of each part, x and parents (N, K, D). `learn`: after a frame with the estimate (K, D).
     """
 
     def init(self, frame: Frame, x0: Array) -> Any: ...
@@ -234,7 +233,9 @@ class ParticleTarget:
         """`otherwise` is the status where nothing judges."""
         k, judged, estimated = len(self.parts), state.judgement, state.estimated
         windows, outline = self.space.windows(estimated), self.space.outline(estimated)
-        identity, probability = _likeliest(state.reported.get(POSTERIOR.name, {}))
+        posterior = state.reported.get(POSTERIOR.name, {})
+        best = max(posterior.values(), default=None)
+        likeliest = [name for name, probability in posterior.items() if probability == best]
         std = np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
         known: dict[str, Any] = {"time_s": np.full(k, frame.time_s), "diagnostics": self._reported(state, frame)}
         known |= {"x": estimated.state[:, 0], "y": estimated.state[:, 1], "w": windows[:, 0], "h": windows[:, 1]}
@@ -244,8 +245,8 @@ class ParticleTarget:
             known |= {"status": judged.status, "confidence": judged.confidence}
         if outline is not None:
             known |= {"angle": [outline.angle], "corners": outline.corners[None]}
-        if identity:
-            known |= {"identity": [identity] * k, "identity_prob": [probability] * k}
+        if len(likeliest) == 1:  # of equals, as in the first frame, nobody is named
+            known |= {"identity": likeliest * k, "identity_prob": [best] * k}
         rows = build([(self.name, part) for part in self.parts], np.arange(k), np.full(k, frame.index), **known)
         if state.absent is not None:
             known = {name: np.where(state.absent, np.nan, getattr(rows, name)) for name in (*PLACE, "cov_xy")}
@@ -260,13 +261,6 @@ class ParticleTarget:
         if state.ahead is not None:
             values |= {NOISE.name: state.ahead.noise, ERROR.name: state.ahead.error}
         return {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
-
-
-def _likeliest(posterior: Mapping[str, float]) -> tuple[str | None, float | None]:
-    """Who it is, and its probability; of equals, as in the first frame, nobody is named."""
-    best = max(posterior.values(), default=None)
-    likeliest = [name for name, probability in posterior.items() if probability == best]
-    return (likeliest[0], best) if len(likeliest) == 1 else (None, None)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from facetrack_cli.recipe.filters import Factorized, Independent, Sir
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, json_schema, to_dict
 from facetrack_cli.recipe.points import ColourRatio, Points
-from facetrack_cli.recipe.units import Length
+from facetrack_cli.recipe.sections import Length
 
 NAMES = ["auxiliary_prior", "factorized", "factorized_robust", "factorized_transition", "independent", "sir"]
 REGIONS = [

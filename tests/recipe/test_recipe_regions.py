@@ -8,7 +8,7 @@ from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.recipe.units import LengthOrNone
+from facetrack_cli.recipe.sections import LengthOrNone
 
 NAMES = [path.stem for path in shipped_recipes() if hasattr(load_recipe(path.stem), "likelihood")]
 NAMES = [name for name in NAMES if load_recipe(name).likelihood.type == "product"]

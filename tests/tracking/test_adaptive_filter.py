@@ -14,8 +14,7 @@ from facetrack_cli.core.types import Particles
 from facetrack_cli.recipe.affine import Noise, Velocity
 from facetrack_cli.tracking import filters
 from facetrack_cli.tracking.filters import Ahead
-from facetrack_cli.tracking.models.patches import Patches
-from facetrack_cli.tracking.models.spaces import AffineSpace, estimate
+from facetrack_cli.tracking.models.spaces import AffineSpace, Patches, estimate
 from facetrack_cli.tracking.models.velocity import eta
 from facetrack_cli.tracking.resampling import uniform
 from facetrack_cli.tracking.target import Bound, ParticleTarget

@@ -14,7 +14,7 @@ from facetrack_cli.tracking.kernels import mixture as kernel
 from facetrack_cli.tracking.kernels.compiled import exact
 from facetrack_cli.tracking.kernels.mixture import _exp2
 from facetrack_cli.tracking.models.likelihoods.appearance import OUTLIER_RANGE, Mixture
-from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.models.spaces import Patches
 from tests.support.parts import appearance, changed, components
 from tests.support.samples import read_boxes
 from tests.tracking.test_patches import frame, smooth, state, states

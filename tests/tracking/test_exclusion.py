@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.recipe.skin import Exclusion
-from facetrack_cli.tracking.exclusion import Cover, log_weights
+from facetrack_cli.tracking.loop import Cover, log_weights
 
 HEAD = Cover(np.array([50.0, 40.0]), np.array([10.0, 20.0]))
 number = st.floats(-1e7, 1e7)

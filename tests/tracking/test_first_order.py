@@ -170,10 +170,10 @@ def test_filters_score_each_state_beside_the_one_it_was_moved_from(step, looks):
             assert family.asked == looks
 
 
-class Says:
-    """A likelihood that is given its answer, and says what it was asked."""
+class Moves:
+    """A likelihood that is given its answer, and knows only how the target moved."""
 
-    def __init__(self, score, distance):
+    def __init__(self, score, distance=None):
         self.answer, self.distance = score, distance
 
     def init(self, frame, x0):
@@ -186,13 +186,17 @@ class Says:
     def learn(self, learned, frame, state, particles):
         return frame, self
 
+
+class Says(Moves):
+    """One that also says how badly places match."""
+
     def distances(self, learned, frame, x):
         assert learned[1] is self
         return np.full(x.shape[:2], self.distance)
 
 
 def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
-    product = Product((Says(2.0, 0.1), Says(3.0, 0.7)), (Says(5.0, 9.0),))
+    product = Product((Says(2.0, 0.1), Says(3.0, 0.7), Moves(5.0)))
     x, parents = np.zeros((4, 1, 6)), np.ones((4, 1, 6))
     learned = product.init("first", x[0])
     np.testing.assert_allclose(product.score(learned, "now", x, parents), np.full((4, 1), 10.0))
@@ -202,7 +206,7 @@ def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
     assert [frame for frame, _ in after] == ["now"] * 3
     product.score(after, "next", x, parents)
     with pytest.raises(ValueError, match="what the object looks like"):
-        Product((), (Says(5.0, 9.0),)).distances(learned[2:], "now", x)
+        Product((Moves(5.0),)).distances(learned[2:], "now", x)
 
 
 def test_a_box_is_its_state():

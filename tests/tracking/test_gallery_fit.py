@@ -22,7 +22,7 @@ from facetrack_cli.tracking.identity.people import (
     off,
     read_faces,
 )
-from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.models.spaces import Patches
 from facetrack_cli.tracking.start.haar import find_faces
 from tests.support.gallery_faces import face_of, people_folder
 from tests.support.media import write_video

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.types import Frame
 from facetrack_cli.recipe.affine import Noise, Velocity
 from facetrack_cli.tracking.kernels.least_squares import differences, gain, mapped
-from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.models.spaces import Patches
 from facetrack_cli.tracking.models.velocity import RANK, Flow, eta
 from tests.support.parts import affine_walk, appearance, changed, predicted
 from tests.support.samples import read_boxes, read_rows

@@ -14,7 +14,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import check_gallery
 from facetrack_cli.tracking.identity.fit import fit_gallery
 from facetrack_cli.tracking.identity.gallery import NONE
-from facetrack_cli.tracking.models.patches import Patches
+from facetrack_cli.tracking.models.spaces import Patches
 from facetrack_cli.tracking.resampling import normalise
 from tests.support import parts
 from tests.tracking.test_gallery import SHAPE, D, people
@@ -202,7 +202,6 @@ def test_it_reports_what_the_appearance_shows_and_who_it_is(shown, gallery):
     patches = model.appearance.patches.read(frame, at, 1)
     assert model.error(learned, patches) == model.appearance.error(learned.appearance, patches)
     assert model.distances(learned, frame, at) == model.appearance.distances(learned.appearance, frame, at)
-    np.testing.assert_array_equal(learned.state, learned.appearance.state)
 
 
 def test_a_gallery_of_another_template_is_refused(gallery, tmp_path):

@@ -9,8 +9,7 @@ from facetrack_cli.core.types import Frame, Info, Particles, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.skin import Exclusion, SkinCloud
 from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.exclusion import Cover
-from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.loop import Cover, track
 from facetrack_cli.tracking.models.motion import FirstOrder
 from facetrack_cli.tracking.models.spaces import BoxSpace, CloudSpace, evenly
 from facetrack_cli.tracking.target import ParticleTarget, State

@@ -21,8 +21,7 @@ from facetrack_cli.tracking.target import ParticleTarget
 def build_tracker(recipe: Recipe, start: Start) -> Tracker:
     """The tracker of a recipe for a clip that begins at `start`, whose every point lies in the frame.
 
-    Raises InputError where the start, or one of its corrections, lacks what the recipe needs, RecipeError where parts
-    do not fit each other.
+    Raises InputError where the start or a correction lacks what the recipe needs, RecipeError for parts that disagree.
     """
     return tuple(_corrected(recipe, start, target) for target in _targets(recipe, start))
 
@@ -76,10 +75,7 @@ def _target(recipe: Recipe, key: str, name: str, start: Start, exclusion: Exclus
 
 
 def tracker_for(recipe: Recipe, start: Start, size: tuple[int, int]) -> Tracker:
-    """As `build_tracker`, for a clip of this (width, height).
-
-    Raises InputError or RecipeError where the start does not fit the clip, or a window is larger than the image, too.
-    """
+    """As `build_tracker`, for a clip of this (width, height); raises also where start or windows do not fit it."""
     check_start(start, size, recipe.points)
     tracker = build_tracker(recipe, start)
     check_windows(recipe, tracker, size, start.origin)

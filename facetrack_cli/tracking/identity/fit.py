@@ -1,7 +1,6 @@
-"""A gallery learned from images: its three spaces, p_f and the threshold of "none of them" (see `gallery.py`).
+"""A gallery learned from images (see `gallery.py`).
 
-Persons are held out in folds, and every scale, rho, p_f and the threshold, is learned from those whom the spaces have
-not seen.
+Persons are held out in folds: rho, p_f and the threshold are learned from those whom the spaces have not seen.
 """
 
 from __future__ import annotations
@@ -17,16 +16,9 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Mask
+from facetrack_cli.tracking.identity import subspaces
 from facetrack_cli.tracking.identity.gallery import Gallery, logistic, name_problem
-from facetrack_cli.tracking.identity.subspaces import (
-    Fitted,
-    Moments,
-    Reals,
-    common_basis,
-    fit_moments,
-    fit_subspace,
-    folds_by,
-)
+from facetrack_cli.tracking.identity.subspaces import Fitted, Moments, Reals, fit_moments, fit_subspace, folds_by
 
 Indices: TypeAlias = NDArray[np.intp]
 # of a patch: right, down (shares of its sides), degrees, size
@@ -46,10 +38,9 @@ def fit_gallery(
 ) -> Gallery:
     """The gallery of patches (n, d), zero mean and unit variance, each of a person; persons in order of their names.
 
-    `images` (n,): the image of each patch, whose first is the image itself, the others copies cut a little off; without
-    it each patch is an image. `negatives` (m, d) are displaced, turned, scaled; without them they are made of the
-    patches. `proportion`: the boxes' width over their height. Raises InputError for fewer than two persons, and where
-    no two patches are of one person.
+    `images` (n,): the image of each patch, first the image itself, then copies cut a little off; without it each patch
+    is an image. `negatives` (m, d) are displaced, turned, scaled; without them they are made of the patches.
+    `proportion`: the boxes' width over height. InputError for one person, or no two patches of one.
     """
     x = np.asarray(patches, np.float64)
     if x.ndim != 2 or x.shape[1] != shape[0] * shape[1] or len(x) != len(persons):
@@ -63,7 +54,7 @@ def fit_gallery(
         remedy = "how people differ is learned from two or more; add another person"
         raise InputError(f"a gallery of {people} tells nobody apart: {remedy}")
     of = np.unique(np.arange(len(x)) if images is None else np.asarray(images), return_inverse=True)[1]
-    basis = common_basis(x)
+    basis = subspaces.common_basis(x)
     samples = Samples(x, who, of, basis)
     own, own_of = samples.to_own()
     if not len(own):
@@ -209,9 +200,7 @@ class Samples:
         return np.stack([stand_in(self.x[first & (self.who == p)]) for p in range(self.who.max() + 1)])
 
     def to_own(self) -> tuple[Array, Indices]:
-        """Differences of patches to the mean face of the other images of their person, or of copies to the only image,
-        and which patch each is of.
-        """
+        """Differences of patches to the mean of the other images of the person, or to the only one; their index."""
         rows, index, first = [], [], self.first
         for k in range(self.of.max() + 1):
             mine = np.flatnonzero(self.of == k)
@@ -257,8 +246,7 @@ def stand_in(images: Array) -> Array:
 
 def off_the_mark(x: Array, shape: tuple[int, int]) -> Array:
     """Patches (m, d): each of x (n, d) displaced, turned and made smaller, where the border is repeated."""
-    rows, cols = shape
-    out = []
+    (rows, cols), out = shape, []
     for patch in x.astype(np.float32).reshape(-1, rows, cols):
         for dx, dy, angle, size in _OFF:
             m = cv2.getRotationMatrix2D(((cols - 1) / 2, (rows - 1) / 2), angle, size)

@@ -17,12 +17,11 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
-from facetrack_cli.core.types import Array, Box, Frame, Start, Whole
+from facetrack_cli.core.types import Array, Box, Frame, Start
 from facetrack_cli.core.yaml_tree import printable
 from facetrack_cli.tracking.identity.gallery import name_problem
 from facetrack_cli.tracking.identity.subspaces import Rows
-from facetrack_cli.tracking.models.patches import Patches
-from facetrack_cli.tracking.models.spaces import affine_state_of_box
+from facetrack_cli.tracking.models.spaces import Patches, affine_state_of_box
 from facetrack_cli.tracking.start.checks import check_size, check_start
 from facetrack_cli.tracking.start.haar import find_faces
 from facetrack_cli.tracking.start.init_file import SUFFIXES as INIT_SUFFIXES
@@ -224,9 +223,8 @@ def _given(start: Start, frame: Frame) -> Box:
 class Faces(NamedTuple):
     """What was read: `patches` (n, d) of zero mean and unit variance, of `persons` (n,) by name.
 
-    Of each of `images` (n,) first comes the face, then its copies, cut a little off; `negatives` (k, d) show no face in
-    its place. `used` and `skipped` are images and frames for each person, `proportion` is the median of the boxes'
-    width over height.
+    Of each of `images` (n,) first comes the face, then its copies; `negatives` (k, d) show no face in its place. `used`
+    and `skipped` count images and frames of each person, `proportion` is the median of the boxes' width over height.
     """
 
     patches: Rows
@@ -323,14 +321,12 @@ def moved(x: Array, box: Box, ways: Array) -> Array:
 
 def _even(first: int, number: int) -> Array:
     """(number, 4) points in [0, 1) of a sequence that fills it evenly, however many are taken (Halton)."""
-    return np.stack([_mirrored(first + 1 + np.arange(number), base) for base in (2, 3, 5, 7)], axis=1)
-
-
-def _mirrored(n: Whole, base: int) -> Array:
-    """The digits of n in a base, read backwards behind the point."""
-    found, digit = np.zeros(len(n)), 1.0
-    while n.any():
-        digit /= base
-        found += digit * (n % base)
-        n = n // base
-    return found
+    points = np.zeros((number, 4))
+    for column, base in enumerate((2, 3, 5, 7)):
+        # the digits in the base, read backwards behind the point
+        n, digit = first + 1 + np.arange(number), 1.0
+        while n.any():
+            digit /= base
+            points[:, column] += digit * (n % base)
+            n = n // base
+    return points

@@ -40,9 +40,8 @@ class RandomWalk:
 class FirstOrder:
     """Linear dynamics of values and speeds, c_k = A c_{k-1} + B w_k, w_k ~ N(0, I) (Odobez et al. 2003, section 3.2).
 
-    The state (x, y, s, and the speed of each) falls into pairs c = (value, speed), which move independently: x and y
-    by `position` (A, B), s by `scale`; A is (2, 2), B (2, M) with M sources of noise. At its bounds `least` and `most`,
-    s stops, and its speed becomes 0.
+    The state (x, y, s, their speeds) falls into pairs c = (value, speed), which move independently: x and y by
+    `position` (A, B), s by `scale`; A is (2, 2), B (2, M). At its bounds `least` and `most`, s stops, of speed 0.
     """
 
     position: tuple[Array, Array]

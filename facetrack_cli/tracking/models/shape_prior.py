@@ -79,14 +79,6 @@ class ShapePrior:
         names = {name: np.array(getattr(self, name)) for name in ("parts", "stable", "scale")}
         KIND.write(path, {**names, "shapes": np.ascontiguousarray(self.shapes, "<f8")})
 
-    def spacing(self) -> float:
-        """Mean distance of a shape to its nearest neighbour, in units of the scale; 0 for a single shape."""
-        if len(self.shapes) < 2:
-            return 0.0
-        flat = self.shapes.reshape(len(self.shapes), -1)
-        nearest = [np.partition(((flat - one) ** 2).sum(1), 1)[1] for one in flat]
-        return float(np.sqrt(nearest).mean())
-
 
 def default_prior_path() -> Path:
     """The prior that is shipped: beside the recipes in the wheel, or in the source tree's configs/."""
@@ -107,10 +99,9 @@ def _made(stored: Stored) -> ShapePrior:
 
 
 def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> BoundPrior:
-    """The prior for one track: `parts` in the tracker's order, `first` (K, 2) their pixels in the first frame.
+    """The prior for `parts` in the tracker's order, at `first` (K, 2) pixels in the first frame; `sigma`: mouth widths.
 
-    `sigma`, the kernel's standard deviation, is in mouth widths (the prior's unit). Raises RecipeError if the parts are
-    not the prior's, InputError if the first frame gives no scale.
+    Raises RecipeError if the parts are not the prior's, InputError if the first frame gives no scale.
     """
     strange = [name for name in parts if name not in prior.parts]
     absent = [name for name in prior.parts if name not in parts]
@@ -229,8 +220,7 @@ def fit_prior(
 ) -> Fit:
     """A prior of `parts` (all that the first file has, if None) from truth or trajectory files.
 
-    Rows that are hidden, absent, lost or without a position do not count as seen. Raises UsageError for part names that
-    cannot go together, InputError for a file that cannot be used.
+    Rows that are hidden, absent, lost or without a position do not count as seen. Raises UsageError or InputError.
     """
     if not paths:
         raise UsageError("no truth file is named; give one or more, such as clip.truth.csv")
@@ -256,7 +246,9 @@ def fit_prior(
 
 def suggested_sigma(prior: ShapePrior) -> float:
     """A kernel's standard deviation, in mouth widths: the mean distance of a shape to its nearest neighbour."""
-    return max(prior.spacing(), NARROWEST)
+    flat = prior.shapes.reshape(len(prior.shapes), -1)
+    nearest = [np.partition(((flat - one) ** 2).sum(1), 1)[1] for one in flat if len(flat) > 1]
+    return max(float(np.sqrt(nearest).mean()), NARROWEST) if nearest else NARROWEST
 
 
 def _parts_of(trajectory: Trajectory) -> tuple[str, ...]:

@@ -97,7 +97,11 @@ def note(model: SkinModel) -> str | None:
 def _inside(frame: Frame, box: Box) -> tuple[int, int, int, int]:
     """The half-open ranges of pixels whose centres the box covers, at least one: left, top, right, bottom."""
     width, height = frame.size
-    (left, right), (top, bottom) = _span(box[0], box[2], width), _span(box[1], box[3], height)
+    ranges = []
+    for start, length, count in zip(box[:2], box[2:], (width, height), strict=True):
+        first, last = (math.ceil(min(max(-1.0, edge - 0.5), count)) for edge in (start, start + length))
+        ranges.append((max(first, 0), min(max(last, first + 1), count)))
+    (left, right), (top, bottom) = ranges
     if right <= left or bottom <= top:
         where = f"the box {','.join(f'{v:g}' for v in box)} is not in the image of {width}x{height} pixels"
         raise InputError(f"frame {frame.index}: {where}; give left, top, width and height in pixels of the frame")
@@ -126,9 +130,3 @@ def _contrast(frame: Frame, box: Box, table: NDArray[np.uint8]) -> float:
     face = p[y0 - top : y1 - top, x0 - left : x1 - left]
     around = p.size - face.size
     return float(face.mean() - (p.sum() - face.sum()) / around) if around else 1.0
-
-
-def _span(start: float, length: float, count: int) -> tuple[int, int]:
-    first = math.ceil(min(max(-1.0, start - 0.5), count))
-    last = math.ceil(min(max(-1.0, start + length - 0.5), count))
-    return max(first, 0), min(max(last, first + 1), count)

@@ -1,14 +1,4 @@
-"""State spaces: what the numbers of a particle mean, and how a posterior becomes image geometry.
-
-============  =========================  ==============================================================================
-space         a part's state             image geometry
-============  =========================  ==============================================================================
-PointSpace    x, y                       a window of fixed size around each point
-BoxSpace      x, y, s, and their speeds  an upright box, s times as large as at the start (Odobez 2003, section 3.2)
-CloudSpace    x, y of one pixel          an upright box about the whole cloud of particles (Gianni et al. 2007)
-AffineSpace   x, y, a1, a2, a3, a4       the box of the start, turned, scaled and sheared (Zhou et al. 2003, section 4)
-============  =========================  ==============================================================================
-"""
+"""State spaces: what the numbers of a particle mean, and how a posterior becomes image geometry."""
 
 import math
 from collections.abc import Mapping
@@ -16,14 +6,18 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.geometry import centre, size_of_points
-from facetrack_cli.core.types import Array, Box, Particles, Start
+from facetrack_cli.core.types import Array, Box, Frame, Particles, Start, factor_for
 from facetrack_cli.recipe import affine, points, regions, skin
 from facetrack_cli.recipe.model import ParticleFilter, Recipe
-from facetrack_cli.tracking.start.checks import size_of_box, visible_box
+from facetrack_cli.tracking.kernels.affine import boxes_extent, read_patches
+from facetrack_cli.tracking.start.checks import box_of, check_size, size_of_box
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostic
+
+MOST_FACTOR = 256  # a face of 13 times 256 pixels or more is read with gaps
 
 
 class Estimate(NamedTuple):
@@ -73,7 +67,7 @@ class PointSpace(Space):
 
 @dataclass(frozen=True)
 class BoxSpace(Space):
-    """A box: state (1, 6) = (x, y, s, and the speed of each, per frame). `size`: width, height in pixels at s = 1."""
+    """An upright box (Odobez et al. 2003, section 3.2): state (1, 6) = (x, y, s, their speeds); `size` at s = 1."""
 
     size: tuple[float, float]
 
@@ -89,7 +83,7 @@ class BoxSpace(Space):
 
 @dataclass(frozen=True)
 class CloudSpace(Space):
-    """A cloud in which each particle is a pixel: state (1, 2) = (x, y); its box has four standard deviations a side."""
+    """Each particle is a pixel (Gianni et al. 2007): state (1, 2) = (x, y); its box has four deviations a side."""
 
     def windows(self, estimated: Estimate) -> Array:
         return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
@@ -100,9 +94,10 @@ class CloudSpace(Space):
 
 @dataclass(frozen=True)
 class AffineSpace(Space):
-    """A box under affine maps: state (1, 6) = (x, y, a1, a2, a3, a4), [[a1, a2], [a3, a4]] from the start to now.
+    """A box under affine maps (Zhou et al. 2003, section 4): state (1, 6) = (x, y, a1, a2, a3, a4).
 
-    `size`: width, height in pixels at the start. Its angle is the rotation that is nearest to the deformation.
+    [[a1, a2], [a3, a4]] leads from the start to now. `size`: width, height in pixels at the start. Its angle is
+    the rotation that is nearest to the deformation.
     """
 
     size: tuple[float, float]
@@ -222,9 +217,74 @@ def place_points(settings: points.Points, start: Start, name: str) -> Placed:
 
 def place_box(settings: regions.Region | affine.Affine | skin.Cloud, start: Start, name: str) -> Placed:
     """A target that fills its box, whose mean side is the unit; particles of a cloud begin all over it."""
-    box = visible_box(start, name)
+    box = check_size(start.origin, name, box_of(start, name))
     windows, unit = np.array([box[2:]]), size_of_box(start, name)
     if isinstance(settings, skin.Cloud):
         return Placed(CloudSpace(), state_of_box(*box), windows, unit, (0.25, 4.0), windows)
     space = AffineSpace(box[2:]) if isinstance(settings, affine.Affine) else BoxSpace(box[2:])
     return Placed(space, space.at(box), windows, unit, settings.scale)
+
+
+@dataclass(frozen=True)
+class Patches:
+    """How an affine face is read from a frame: template and patch (Zhou, Chellappa & Moghaddam 2003, eq. 3).
+
+    Point (i, j) of a template of rows x cols is read, with the state of `AffineSpace`, at
+
+        (cx, cy) + [[a1, a2], [a3, a4]] (w ((j + .5) / cols - .5), h ((i + .5) / rows - .5))
+
+    with (w, h) the `size` in pixels of the box at the start; `shape`: (rows, cols), 30 x 26 in the paper. A patch has
+    mean 0 and variance 1. Points beyond the frame are left out of both and are 0. A patch that is flat, or with less
+    than half of it in the frame, is all 0.
+    """
+
+    size: tuple[float, float]
+    shape: tuple[int, int] = (30, 26)
+
+    def factor(self, state: Array) -> int:
+        """By what to reduce the frame for patches around `state` (1, 6), a power of two; 1 for no numbers.
+
+        The template's points are then at most 2 pixels apart, along that side where they are closer.
+        """
+        _, _, a1, a2, a3, a4 = state[0].tolist()
+        rows, cols = self.shape
+        step = min(self.size[0] / cols * math.hypot(a1, a3), self.size[1] / rows * math.hypot(a2, a4))
+        return factor_for(min(step, 2.0 * MOST_FACTOR), 2.0) if step > 2.0 else 1
+
+    def read(self, frame: Frame, x: Array, factor: int) -> NDArray[np.float32]:
+        """Patches (N, d) of x (N, 1, 6), flattened by rows, from the frame in grey reduced by `factor`; read-only.
+
+        The frame remembers the last few: of one state by its values, of more by the array x, which must not change.
+        """
+        key = self, factor, x.tobytes() if x.size == 6 else id(x)
+        if (known := frame.remembered(key)) is not None:
+            return known
+        states = np.ascontiguousarray(x.reshape(-1, 6))
+        (w, h), (width, height) = self.size, frame.size
+        extent = boxes_extent(states, w, h, width, height)
+        # a box is read from the block before its first one too; after a single state mostly come particles around it
+        more = float(factor) if len(states) > 1 else factor + 0.15 * max(extent[2] - extent[0], extent[3] - extent[1])
+        grey, left, top = frame.grey(factor, (extent[0] - more, extent[1] - more, extent[2] + more, extent[3] + more))
+        patches: NDArray[np.float32] = read_patches(
+            grey, left, top, factor, width, height, extent, states, w, h, *self.shape
+        )
+        patches.flags.writeable = False
+        frame.remember(key, x, patches)
+        return patches
+
+    def inside(self, frame: Frame, state: Array) -> float:
+        """Which share of the template's points lies within the frame at `state` (1, 6)."""
+        (w, h), (rows, cols), (width, height) = self.size, self.shape, frame.size
+        cx, cy, a1, a2, a3, a4 = state[0].tolist()
+        x, y = np.meshgrid(w * ((np.arange(cols) + 0.5) / cols - 0.5), h * ((np.arange(rows) + 0.5) / rows - 0.5))
+        u, v = cx + a1 * x + a2 * y, cy + a3 * x + a4 * y
+        return float(np.mean((u >= -0.5) & (v >= -0.5) & (u <= width - 0.5) & (v <= height - 0.5)))
+
+
+def patches_of(context: Context) -> Patches:
+    """How the likelihood of a target reads patches, which must be one that does."""
+    likelihood = context.settings.likelihood
+    if not isinstance(likelihood, affine.PatchLikelihood):
+        raise TypeError(f"the likelihood {likelihood.type} does not compare patches")
+    columns, rows = likelihood.template
+    return Patches(context.placed.size, (rows, columns))

@@ -31,8 +31,7 @@ from facetrack_cli.recipe import affine
 from facetrack_cli.tracking.filters import Ahead
 from facetrack_cli.tracking.kernels.least_squares import differences, gain, mapped
 from facetrack_cli.tracking.models.motion import AffineWalk
-from facetrack_cli.tracking.models.patches import Patches, patches_of
-from facetrack_cli.tracking.models.spaces import Context
+from facetrack_cli.tracking.models.spaces import Context, Patches, patches_of
 from facetrack_cli.trajectory.diagnostics import ERROR, NOISE
 
 Rows: TypeAlias = NDArray[np.float32]
@@ -80,15 +79,14 @@ class PredictedWalk(AffineWalk):
         velocity = self.settings.velocity
         if velocity is None:
             return Flow(state, patch, np.zeros((6, 0)), np.zeros((0, len(patch)), np.float32))
-        chosen = _evenly(len(x), velocity.samples)
+        # evenly, since particles of a filter that resamples come in order
+        most = min(velocity.samples or len(x), len(x))
+        chosen = np.arange(most) * len(x) // most
         rows, products = differences(self.patches.read(frame, x, factor), chosen, patch)
         return Flow(state, patch, gain(x[chosen, 0] - state[0], products, velocity.components, RANK), rows)
 
     def predict(self, flow: Flow, frame: Frame, error: Callable[[Rows], Array], expected: Callable[[], Rows]) -> Ahead:
-        """Where the target is expected in `frame`.
-
-        `error` is phi of patches (N, d) -> (N,), `expected` the patch (d,) that the appearance model expects.
-        """
+        """Where the target is expected; `error` is phi of patches (N, d) -> (N,), `expected` the model's patch (d,)."""
         factor = self.patches.factor(flow.state)
         shift = best = np.zeros_like(flow.state)
         patch = self.patches.read(frame, flow.state[None], factor)
@@ -125,11 +123,6 @@ class PredictedWalk(AffineWalk):
         _, _, _, (x, y) = cv2.minMaxLoc(match)
         place = state[0, 2:].reshape(2, 2) @ ((x - n) * w / columns, (y - m) * h / rows)
         return np.array([[*place, 0.0, 0.0, 0.0, 0.0]])
-
-
-def _evenly(count: int, most: int | None) -> NDArray[np.int64]:
-    """Indices of all of `count`, or of `most` of them, evenly: particles of a filter that resamples come in order."""
-    return np.arange(count) if most is None or count <= most else np.arange(most) * count // most
 
 
 def affine_walk(settings: affine.AffineWalk, context: Context) -> AffineWalk:

@@ -5,15 +5,5 @@ from facetrack_cli.tracking.start.haar import PARTS, box_start, haar_start
 from facetrack_cli.tracking.start.init_file import default_path, find_init, read_init, write_init
 from facetrack_cli.tracking.start.targets import name_targets
 
-__all__ = [
-    "PARTS",
-    "box_start",
-    "check_size",
-    "check_start",
-    "default_path",
-    "find_init",
-    "haar_start",
-    "name_targets",
-    "read_init",
-    "write_init",
-]
+__all__ = ["PARTS", "box_start", "check_size", "check_start", "default_path", "find_init", "haar_start"]
+__all__ += ["name_targets", "read_init", "write_init"]

@@ -29,11 +29,6 @@ def box_of(start: Start, name: str) -> Box:
     return box
 
 
-def visible_box(start: Start, name: str) -> Box:
-    """The target's box; InputError if there is none, or it is too small to see anything in it."""
-    return check_size(start.origin, name, box_of(start, name))
-
-
 def check_size(origin: str, name: str, box: Box) -> Box:
     """A target's box, which `origin` gave; InputError if it is too small to see anything in it."""
     if min(box[2:]) < LEAST_BOX:
@@ -62,33 +57,27 @@ def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origi
 
 
 def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frames: int | None = None) -> None:
-    """InputError if the start does not fit the clip of that (width, height) in pixels, or the recipe's parts.
+    """InputError if the start does not fit the clip of that (width, height) in pixels, or lacks any of the `parts`.
 
-    `parts` are the points that the recipe follows in every target, `frames` the clip's number of frames if it is known
-    for certain.
+    `frames` is the clip's number of frames if it is known for certain.
     """
     origin, larger = start.origin, f"is larger than the frame of {size[0]}x{size[1]} pixels; make it smaller"
     if frames is not None and start.frame >= frames:
         more = f"the clip ends with frame {frames - 1}; choose one that it has"
         raise InputError(f"{origin}: starts at frame {start.frame}, but {more}")
     for name, target in start.targets.items():
-        missing = ", ".join(part for part in parts if part not in target.points)
-        if missing:
+        if missing := ", ".join(part for part in parts if part not in target.points):
             boxes = ", or follow its box by a recipe of regions, as contour_histogram" if target.box is not None else ""
-            raise InputError(
-                f"{origin}: no point for {missing} of {name}, which the recipe follows; "
-                f"add it, or have all points placed with --box X,Y,W,H{boxes}"
-            )
+            remedy = f"add it, or have all points placed with --box X,Y,W,H{boxes}"
+            raise InputError(f"{origin}: no point for {missing} of {name}, which the recipe follows; {remedy}")
         _check_places(origin, name, target, size)
         for part, (w, h) in target.windows.items():
             if w > size[0] or h > size[1]:
                 raise InputError(f"{origin}: the window of {part} of {name}, {w:g}x{h:g}, {larger}")
     for one in start.corrections:
         if one.frame <= start.frame:
-            raise InputError(
-                f"{origin}: corrects {one.target} at frame {one.frame}, but the track begins at frame {start.frame}; "
-                "remove that correction, or begin earlier"
-            )
+            begins = f"but the track begins at frame {start.frame}; remove that correction, or begin earlier"
+            raise InputError(f"{origin}: corrects {one.target} at frame {one.frame}, {begins}")
         # what is kept is where the tracker saw it, which may be beyond the border
         name, box = f"{one.target} at frame {one.frame}", one.given.box
         _check_places(origin, name, one.given, size)

@@ -20,7 +20,6 @@ from facetrack_cli.tracking.start.points import cascade, place
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 """What can be placed; left and right as seen in the image."""
-
 BOUND: Final = 250  # frames that are searched, at most: ten seconds of most clips
 LONGEST, SHORTEST = 640, 320  # bounds in pixels of the longer side of the image that is searched
 SMALLEST: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
@@ -42,9 +41,8 @@ def haar_start(
 ) -> Start:
     """The start at the first of the frames that shows a face: its box, and the parts placed in it (pixels, to 0.01).
 
-    At most `bound` frames are searched, and faces too dark to track are passed over; if all are, the one of most
-    contrast is taken. `complete` adds what else the frame must show; where it raises NotHereError the next is tried.
-    Raises InputError, naming the `clip`, if none of the frames shows all that; UsageError for an unknown part.
+    At most `bound` frames are searched; faces too dark to track are passed over unless all are. `complete` adds what
+    else the frame must show, or raises NotHereError. InputError, naming the `clip`, if no frame shows all that.
     """
     check_parts(parts)
     first = last = lacking = best = None
@@ -71,17 +69,14 @@ def haar_start(
     if lacking is not None:
         raise InputError(f"{lacking}{'' if last == first else f'; no frame to {last} shows more'}")
     searched = f"frame {first}" if first == last else f"frames {first} to {last}"
-    raise InputError(
-        f"{clip}: no face found in {searched}; give its box with --box X,Y,W,H, an init file with --init FILE, "
-        "or a later frame with --init-frame N"
-    )
+    remedy = "give its box with --box X,Y,W,H, an init file with --init FILE, or a later frame with --init-frame N"
+    raise InputError(f"{clip}: no face found in {searched}; {remedy}")
 
 
 def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str = "the clip") -> Start:
     """The start in a frame where the face's box (left, top, width, height; pixels) is known.
 
-    The parts are placed in the face that a cascade sees in the box, else in the box itself. Raises InputError if the
-    box has no area or is not in the frame, or a part would be outside; UsageError for an unknown part.
+    The parts are placed in the face that a cascade sees in the box, else in the box. InputError for a wrong box.
     """
     check_parts(parts)
     size = f"the frame of {frame.size[0]}x{frame.size[1]} pixels"
@@ -104,12 +99,9 @@ def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str
 
 def check_parts(parts: Sequence[str]) -> None:
     """UsageError for a part that is none of the five."""
-    unknown = ", ".join(part for part in parts if part not in PARTS)
-    if unknown:
-        raise UsageError(
-            f"no cascade can place {unknown}, only {', '.join(PARTS)}; "
-            "say where the parts are in an init file, with --init FILE"
-        )
+    if unknown := ", ".join(part for part in parts if part not in PARTS):
+        remedy = "say where the parts are in an init file, with --init FILE"
+        raise UsageError(f"no cascade can place {unknown}, only {', '.join(PARTS)}; {remedy}")
 
 
 def find_faces(image: Image) -> list[Box]:

@@ -200,8 +200,9 @@ def read_init(path: Path) -> Start:
 
 
 def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
+    add = "add box: [left, top, width, height] or points:"
     if not keys:
-        _refuse(root, "neither a box nor points are given; add box: [left, top, width, height] or points:")
+        _refuse(root, f"neither a box nor points are given; {add}")
     alone = any(key in KEYS for key in keys)
     for key, node in keys.items():
         if key in OF_CORRECTIONS:
@@ -215,9 +216,7 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
     for name, node in ({TARGET: Node(root.span, keys)} if alone else keys).items():
         target = _read(TargetRecord, node, name)
         if target.box is None and not target.points:
-            _refuse(
-                node, f"neither a box nor points of {name} are given; add box: [left, top, width, height] or points:"
-            )
+            _refuse(node, f"neither a box nor points of {name} are given; {add}")
         for part in target.windows:
             _check_part(locate(node, ("windows", part))[0], "windows", part, tuple(target.points))
         targets[name] = target.target()

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Array, Box, Image, Point
 
 Index: TypeAlias = NDArray[np.int64]
-
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
 EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))
 EYE_WIDTH: Final = 200  # pixels to which a face is brought before its eyes are searched
@@ -29,13 +28,11 @@ _EYE_CASCADES: Final = (
     ("lefteye_2splits", 0.019, -0.030),
     ("righteye_2splits", 0.004, -0.034),
 )
-
 UNIT: Final = 64  # pixels of the rectified image of the lower face for a length of 1
 LEFT, RIGHT, TOP, BOTTOM = -0.75, 0.75, 0.25, 1.75  # what it shows
 WIDTH, HEIGHT = round((RIGHT - LEFT) * UNIT), round((BOTTOM - TOP) * UNIT)
 xs: Final[Array] = LEFT + (np.arange(WIDTH) + 0.5) / UNIT  # of its columns
 ys: Final[Array] = TOP + (np.arange(HEIGHT) + 0.5) / UNIT  # of its rows
-
 # Mean and spread: from 1,502 frontal faces with 68 landmarks (corners at y 1.03 there) and 26 images from clips and
 # portraits (1.14; in many of the clips pixels are wider than high, so that faces look long). The means lie between.
 MOUTH_Y: Final = (1.12, 0.10)
@@ -95,10 +92,8 @@ def _find_eyes(image: Image, box: Box) -> tuple[Point, Point]:
                 if abs(at[0] - mean[0]) < 0.08 * w and abs(at[1] - mean[1]) < 0.09 * h:
                     seen.append(at)
     # of few detections the mean place is one more, so that a single wrong one cannot pull an eye all the way
-    (left, right) = (
-        np.median([mean, *seen] if len(seen) < 3 else seen, axis=0).tolist()
-        for mean, seen in zip(means, found, strict=True)
-    )
+    both = zip(means, found, strict=True)
+    left, right = (np.median([mean, *seen] if len(seen) < 3 else seen, axis=0).tolist() for mean, seen in both)
     return left, right
 
 
@@ -113,10 +108,8 @@ class _EyeFrame:
     def __init__(self, left: Point, right: Point) -> None:
         dx, dy = right[0] - left[0], right[1] - left[1]
         self.scale = float(np.hypot(dx, dy))
-        self.origin, self.along = (
-            ((left[0] + right[0]) / 2, (left[1] + right[1]) / 2),
-            (dx / self.scale, dy / self.scale),
-        )
+        self.origin = (left[0] + right[0]) / 2, (left[1] + right[1]) / 2
+        self.along = dx / self.scale, dy / self.scale
 
     def to_image(self, x: float, y: float) -> Point:
         (ox, oy), (ux, uy) = self.origin, self.along
@@ -127,8 +120,7 @@ class _EyeFrame:
         (ux, uy), shrink = self.along, self.scale / UNIT
         corner = self.to_image(LEFT + 0.5 / UNIT, TOP + 0.5 / UNIT)
         matrix = np.array([[ux * shrink, -uy * shrink, corner[0]], [uy * shrink, ux * shrink, corner[1]]])
-        how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        size = (WIDTH, HEIGHT)
+        how, size = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, (WIDTH, HEIGHT)
         lower = cv2.warpAffine(_smooth(image, shrink), matrix, size, flags=how, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(lower, np.uint8)
 

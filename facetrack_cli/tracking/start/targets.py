@@ -57,10 +57,9 @@ def name_targets(
         )
     head = given[first].box if first in given else None
     if head is None:
-        raise InputError(
-            f"{start.origin}: has no box of {first}, which the recipe begins with; it follows {known}: "
-            f"add one, as in {first}: {{box: [x, y, w, h]}}, or look for a face with --init haar"
-        )
+        remedy = f"add one, as in {first}: {{box: [x, y, w, h]}}, or look for a face with --init haar"
+        what = f"has no box of {first}, which the recipe begins with; it follows {known}"
+        raise InputError(f"{start.origin}: {what}: {remedy}")
     check_size(start.origin, first, head)
     missing = [name for name in names if name not in given]
     if missing:
@@ -72,11 +71,10 @@ def name_targets(
             raise InputError(f"{clip}: {first}, {e}") from None
         if len(found) < len(missing):
             number = {0: "no region", 1: "one region"}.get(len(found), f"{len(found)} regions")
+            shown = f"{number} of skin beside the {first}, to begin {' and '.join(missing)} with"
             remedy = f"begin elsewhere with --init-frame, or follow fewer, as by --set targets.{missing[-1]}=null"
-            raise NotHereError(
-                f"{clip}: frame {start.frame} shows {number} of skin beside the {first}, to begin "
-                f"{' and '.join(missing)} with; give their boxes in an init file, {remedy}"
-            )
+            message = f"frame {start.frame} shows {shown}; give their boxes in an init file, {remedy}"
+            raise NotHereError(f"{clip}: {message}")
         given |= {name: TargetStart(box=box) for name, box in zip(missing, found, strict=True)}
     return replace(start, targets={name: given[name] for name in names}, corrections=tuple(corrections))
 

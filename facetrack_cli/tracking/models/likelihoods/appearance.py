@@ -36,8 +36,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.recipe import affine
 from facetrack_cli.tracking.kernels import mixture as kernel
-from facetrack_cli.tracking.models.patches import Patches, patches_of
-from facetrack_cli.tracking.models.spaces import Context
+from facetrack_cli.tracking.models.spaces import Context, Patches, patches_of
 
 OUTLIER_RANGE = 6.0  # a normalised patch lies within 3 standard deviations of its mean, but for a few points
 _NEVER = -1e30

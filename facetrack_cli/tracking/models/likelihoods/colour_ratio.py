@@ -38,10 +38,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Templates:
-    """What K parts looked like in the first frame; `sigma` (K,) is sigma_i of eq. 10.
-
-    `reach`: how far from its centre any window reads, in pixels of the whole frame.
-    """
+    """What K parts looked like in the first frame; `sigma` (K,) of eq. 10; `reach`: of any window, in whole pixels."""
 
     groups: tuple[Group, ...]
     sigma: Array
@@ -65,11 +62,9 @@ class ColourRatio:
         factors = np.array([factor_for(side, most) for side in self.windows.max(axis=1).tolist()])
         reach = float(self.windows.max()) / 2 + 3 * int(factors.max())
         extent = windows.extent(x0[None], reach)
-        means = np.empty(len(x0))
-        groups = []
-        for factor in np.unique(factors).tolist():
-            groups.append(self._group(frame, extent, x0, factor, np.flatnonzero(factors == factor), means))
-        return Templates(tuple(groups), self.settings.sigma / means, reach)
+        means, each = np.empty(len(x0)), [(k, np.flatnonzero(factors == k)) for k in np.unique(factors).tolist()]
+        groups = tuple(self._group(frame, extent, x0, factor, parts, means) for factor, parts in each)
+        return Templates(groups, self.settings.sigma / means, reach)
 
     def score(self, learned: Templates, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; parents do not matter."""
@@ -103,7 +98,9 @@ class ColourRatio:
 
     def _group(self, frame: Frame, extent: Extent, x0: Array, factor: int, parts: Whole, means: Array) -> Group:
         """The templates of `parts`, read at 1 / `factor` of the frame's size; E{o_i} of each goes into `means` (K,)."""
-        sides = np.array([[_odd(side / factor) for side in self.windows[k]] for k in parts], np.int64)
+        # odd, and at least 3, so that a window has a pixel at its centre
+        odd = [[max(3, 2 * round((side / factor - 1) / 2) + 1) for side in self.windows[k]] for k in parts]
+        sides = np.array(odd, np.int64)
         image, left, top = frame.reduced(factor, extent)
         ratios = []
         for k, (w, h) in zip(parts, sides, strict=True):
@@ -113,8 +110,3 @@ class ColourRatio:
             ratios.append(o.ravel() / np.float32(means[k]))
         offsets = np.concatenate([[0], np.cumsum([len(row) for row in ratios])]).astype(np.int64)
         return Group(factor, parts, sides, np.concatenate(ratios), offsets)
-
-
-def _odd(side: float) -> int:
-    """The odd number nearest to a length in pixels, at least 3, so that a window has a pixel at its centre."""
-    return max(3, 2 * round((side - 1) / 2) + 1)

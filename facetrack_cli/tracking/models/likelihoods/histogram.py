@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles, Whole, factor_for
+from facetrack_cli.core.types import Array, Frame, Image, Particles, Whole, factor_for
 from facetrack_cli.recipe import regions
 from facetrack_cli.tracking.kernels import histogram as kernel
 from facetrack_cli.tracking.models.spaces import Context
@@ -125,7 +125,9 @@ class Histogram:
         return int(np.ceil(self.settings.least_saturation * 255)), int(np.ceil(self.settings.least_value * 255))
 
     def _need_colours(self, frame: Frame, hsv: Image) -> None:
-        (saturated, light), whole = self._has_hue(hsv), self._has_hue(_hsv(frame.bgr))
+        # whether each pixel is saturated enough, and light enough: of the box, and of the whole frame
+        least = self.settings.least_saturation * 255, self.settings.least_value * 255
+        (saturated, light), whole = ([one[..., i + 1] >= least[i] for i in (0, 1)] for one in (hsv, _hsv(frame.bgr)))
         share, dark = float(np.mean(saturated & light)), float(np.mean(~light))
         if share >= LEAST_COLOURED:
             return
@@ -137,10 +139,6 @@ class Histogram:
         bounds = f"saturation at least {self.settings.least_saturation:g}, value at least {self.settings.least_value:g}"
         hues = f"{share:.1%} of the box's pixels have a hue ({bounds}), {dark:.0%} are too dark"
         raise InputError(f"frame {frame.index}: {what}, so a colour histogram cannot know it: {hues}: {remedy}")
-
-    def _has_hue(self, hsv: Image) -> tuple[Mask, Mask]:
-        """Whether each pixel is saturated enough, and light enough."""
-        return hsv[..., 1] >= self.settings.least_saturation * 255, hsv[..., 2] >= self.settings.least_value * 255
 
 
 def _hsv(bgr: Image) -> Image:

@@ -68,11 +68,6 @@ def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size:
     return replace(template, first=patch, now=patch)
 
 
-def has_pattern(template: Template) -> bool:
-    """Whether the template varies at all: if not, its zero-mean NCC is 0 everywhere."""
-    return float(template.first.var()) >= LEAST_VARIANCE
-
-
 def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]:
     """NCC of boxes x (N, 1, 6) with the template as it is now, with means kept and removed: (N,) each, -1..1."""
     view = _view(template, frame, x)

@@ -20,20 +20,13 @@ from facetrack_cli.tracking.models.spaces import Context
 
 @dataclass(frozen=True)
 class Product:
-    """`objects`, which have `distances`, say what the target looks like, p_o, and `motions` how it moved, p_c."""
+    """`factors` that have `distances` say what the target looks like, p_o, the others how it moved, p_c."""
 
-    objects: tuple[Any, ...]
-    motions: tuple[Any, ...] = ()
+    factors: tuple[Any, ...]
 
     @classmethod
     def build(cls, settings: regions.Product, context: Context) -> Product:
-        factors = [one.build(context) for one in settings.factors]
-        objects = tuple(one for one in factors if hasattr(one, "distances"))
-        return cls(objects, tuple(one for one in factors if not hasattr(one, "distances")))
-
-    @property
-    def factors(self) -> tuple[Any, ...]:
-        return *self.objects, *self.motions
+        return cls(tuple(one.build(context) for one in settings.factors))
 
     def init(self, frame: Frame, x0: Array) -> tuple[Any, ...]:
         """What each factor learns from the first frame with the parts at x0 (K, D)."""
@@ -51,8 +44,9 @@ class Product:
         return tuple(f.learn(known, frame, state, particles) for f, known in zip(self.factors, learned, strict=True))
 
     def distances(self, learned: tuple[Any, ...], frame: Frame, x: Array) -> Array:
-        """(N, K): the mean of the objects', from 0, a perfect match, to about 1. Raises ValueError without objects."""
-        if not self.objects:
+        """(N, K): the mean of those of p_o, from 0, a perfect match, to about 1. Raises ValueError without any."""
+        both = zip(self.factors, learned, strict=True)
+        found = [factor.distances(known, frame, x) for factor, known in both if hasattr(factor, "distances")]
+        if not found:
             raise ValueError("only what the object looks like can be compared with the first frame")
-        known = learned[: len(self.objects)]
-        return np.asarray(np.mean([f.distances(k, frame, x) for f, k in zip(self.objects, known, strict=True)], axis=0))
+        return np.asarray(np.mean(found, axis=0))

@@ -46,11 +46,6 @@ class Recognised:
     notes: tuple[str, ...] = ()
 
     @property
-    def state(self) -> Array:
-        """(1, 6): the estimate at which the appearance last learned."""
-        return self.appearance.state
-
-    @property
     def posterior(self) -> Mapping[str, float]:
         """p(n_t | z_0:t) of each identity."""
         return dict(zip(self.names, np.exp(self.log_beta).tolist(), strict=True))

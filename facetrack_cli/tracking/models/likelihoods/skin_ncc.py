@@ -74,7 +74,7 @@ class SkinNcc:
             notes.append(note(model))
         if ncc is not None:
             template = matching.learn_template(frame, self.size, x0, ncc.max_size)
-            if not matching.has_pattern(template):
+            if template.first.var() < matching.LEAST_VARIANCE:
                 notes.append("the face's box is of one grey level throughout, so that no pattern can be matched")
         learned = Learned(table, template, 0.0, 0.0, tuple(one for one in notes if one))
         rho = 0.0 if skin is None else float(self.rho(learned, frame, x0[None])[0])
