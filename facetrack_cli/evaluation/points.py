@@ -4,7 +4,7 @@ Errors are Euclidean distances in pixels; a *normalised* error is divided by a l
 Failure rate and AUC are those of the facial landmark literature (300-W, COFW, WFLW), with a row for an image.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -134,7 +134,7 @@ def occlusions(parts: Sequence[Rows]) -> tuple[Occlusion, ...]:
     return tuple(one for name in targets for one in _of_target([part for part in parts if part.target == name]))
 
 
-def _of_target(parts: Sequence[Rows]) -> list[Occlusion]:
+def _of_target(parts: Sequence[Rows]) -> Iterator[Occlusion]:
     frames = np.unique(column(parts, "frame"))
     # a part without a row in a frame is not known to be covered there, nor to be near
     covered, near, judged, by_hand = np.zeros((4, len(frames), len(parts)), dtype=np.bool_)
@@ -143,23 +143,14 @@ def _of_target(parts: Sequence[Rows]) -> list[Occlusion]:
         covered[at, k], near[at, k], judged[at, k], by_hand[at, k] = part.covered, part.near, part.judged, part.by_hand
     stretches = spans(np.any(covered, axis=1))
     nexts = [*[first for first, _ in stretches], len(frames)][1:]
-    found = []
     for (first, end), until in zip(stretches, nexts, strict=True):
         those = np.flatnonzero(covered[first:end].any(axis=0))
-        held = (end + a for a, b in spans(np.all(near[end:until, those], axis=1)) if b - a >= HELD)
-        back = next(held, None)
+        back = next((end + a for a, b in spans(np.all(near[end:until, those], axis=1)) if b - a >= HELD), None)
         helped = by_hand[first : until if back is None else back + 1, those].any()
-        found.append(
-            Occlusion(
-                target=parts[0].target,
-                parts=tuple(parts[k].part for k in those.tolist()),
-                first=int(frames[first]),
-                last=int(frames[end - 1]),
-                frames_to_return=None if back is None else int(frames[back] - frames[end]),
-                decided=int(judged[end:until, those].all(axis=1).sum()) >= HELD and not bool(helped),
-            )
-        )
-    return found
+        after = None if back is None else int(frames[back] - frames[end])
+        decided = int(judged[end:until, those].all(axis=1).sum()) >= HELD and not bool(helped)
+        names = tuple(parts[k].part for k in those.tolist())
+        yield Occlusion(parts[0].target, names, int(frames[first]), int(frames[end - 1]), after, decided)
 
 
 def measure_recovery(found: Sequence[Occlusion]) -> RecoveryMeasures | None:

@@ -128,11 +128,9 @@ class Pair(NamedTuple):
 
     @property
     def is_box(self) -> bool:
-        """Whether the pair is measured as boxes: one is declared a box, and both have a size in some row."""
+        """Whether one is declared a box, and both have a size in some row: it is measured as boxes."""
         return self.declared_box and all(bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in self)
 
-
-# --- lengths -------------------------------------------------------------------------------------------------------
 
 # names of the two parts, tried in this order
 NAMED = {"mouth": (("mouth_left", "mouth_right"),), "eyes": (("eye_left", "eye_right"), ("point_37", "point_46"))}
@@ -205,7 +203,6 @@ def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) 
 
 
 def _pair(how: str, truth: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory]:
-    """The two parts that `how` names."""
     wanted = NAMED.get(how) or (tuple(how.split(":")),)
     there = {s.part: s for s in truth}
     for one, other in wanted:

@@ -14,6 +14,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Whole
+from facetrack_cli.evaluation import trust
 from facetrack_cli.evaluation.boxes import BoxMeasures, measure_boxes
 from facetrack_cli.evaluation.measure import Measure, Value, measures_of
 from facetrack_cli.evaluation.points import (
@@ -26,14 +27,6 @@ from facetrack_cli.evaluation.points import (
     occlusions,
 )
 from facetrack_cli.evaluation.rows import Pair, Rows, Unit, check_normalise, column, rows_of, unit_of
-from facetrack_cli.evaluation.trust import (
-    ConfidenceMeasures,
-    CoverageMeasures,
-    LostMeasures,
-    measure_confidence,
-    measure_coverage,
-    measure_lost,
-)
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 
@@ -60,9 +53,9 @@ class Measured:
     points: PointMeasures | None
     boxes: BoxMeasures | None
     occlusions: RecoveryMeasures | None
-    lost: LostMeasures | None
-    confidence: ConfidenceMeasures | None
-    coverage: CoverageMeasures | None
+    lost: trust.LostMeasures | None
+    confidence: trust.ConfidenceMeasures | None
+    coverage: trust.CoverageMeasures | None
 
     @property
     def name(self) -> str:
@@ -170,9 +163,9 @@ def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], option
         measure_points(points, options.failure) if points else None,
         _boxes(boxed, options.size) if boxed else None,
         None,
-        measure_lost(rows),
-        measure_confidence(rows),
-        measure_coverage(rows),
+        trust.measure_lost(rows),
+        trust.measure_confidence(rows),
+        trust.measure_coverage(rows),
     )
 
 

@@ -113,19 +113,15 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
     lost, visible, covered, near, judged = (column(parts, name) for name in names)
     if not len(lost):
         return None
-    until_lost: list[int] = []
-    until_back: list[int] = []
-    stretches = [
-        (part, helped, span) for part, helped in zip(parts, by_hand, strict=True) for span in spans(part.covered)
-    ]
+    delays: tuple[list[int], list[int]] = [], []  # until lost, until back
+    each = zip(parts, by_hand, strict=True)
+    stretches = [(part, helped, span) for part, helped in each for span in spans(part.covered)]
     for part, helped, (first, end) in stretches:
-        begin = part.frame[first]
-        for called in part.frame[first:end][part.lost[first:end]][:1]:
-            if not np.any((helped >= begin) & (helped <= called)):
-                until_lost.append(called - begin)
-        for back in part.frame[end:][~part.lost[end:] & part.near[end:]][:1]:
-            if not np.any((helped >= begin) & (helped <= back)):
-                until_back.append(back - part.frame[end])
+        called = part.frame[first:end][part.lost[first:end]]
+        back = part.frame[end:][~part.lost[end:] & part.near[end:]]
+        for delay, at, begin in zip(delays, (called, back), (first, end), strict=True):
+            if len(at) and not np.any((helped >= part.frame[first]) & (helped <= at[0])):
+                delay.append(at[0] - part.frame[begin])
     known = covered | judged  # a hidden row is gone, wherever it is
     gone = covered | (judged & ~near)
     return LostMeasures(
@@ -140,9 +136,9 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
         tracked_near=share(~lost & judged, near),
         tracked_visible_near=share(~lost & judged & visible, near),
         spans=len(stretches),
-        spans_called=len(until_lost),
-        delay_lost=median(np.array(until_lost)),
-        delay_back=median(np.array(until_back)),
+        spans_called=len(delays[0]),
+        delay_lost=median(np.array(delays[0])),
+        delay_back=median(np.array(delays[1])),
     )
 
 

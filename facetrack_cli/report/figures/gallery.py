@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.report.figures.style import FAINT, GRID, WIDTH, clean, new_figure, style
+from facetrack_cli.report.figures.style import FAINT, GRID, WIDTH, Axes, Figure, clean, new_figure, style
 from facetrack_cli.tracking.identity.gallery import Gallery
 from facetrack_cli.tracking.identity.subspaces import Subspace
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # lengths are inches
 MARGIN, GAP, LINE = 0.2, 0.1, 0.14

@@ -5,19 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.numbers import spans, union
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.report.figures.style import COLOURS, DASHES, INK, STATUS, clean, line_style
+from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.report.figures.style import COLOURS, DASHES, INK, STATUS, Axes, clean, line_style
 from facetrack_cli.trajectory.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from facetrack_cli.evaluation.rows import Pair
 
 MANY = 12  # parts that have a line of their own in every panel
 

@@ -7,38 +7,20 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
 from facetrack_cli.report.figures.lines import MANY, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
-from facetrack_cli.report.figures.style import (
-    CORRECTED,
-    FAINT,
-    STATUS,
-    TRUTH,
-    WIDTH,
-    clean,
-    frame_axis,
-    heading,
-    limit,
-    new_figure,
-    numbers,
-    second_axis,
-    style,
-)
+from facetrack_cli.report.figures.style import Axes, Figure
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
-
-    from facetrack_cli.evaluation.rows import Pair
 
 BINS = 1000  # about the pixels across a panel
 UNSEEN = ("hidden", "absent")
@@ -48,7 +30,7 @@ _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angl
 
 
 def page_figure(
-    table: Trajectory, pairs: Sequence[Pair] | None = None, *, title: str | None = None, width: float = WIDTH
+    table: Trajectory, pairs: Sequence[Pair] | None = None, *, title: str | None = None, width: float = style.WIDTH
 ) -> Figure:
     """Position, size, confidence, status, particles, spread, diagnostics and error over time, as far as known.
 
@@ -56,7 +38,7 @@ def page_figure(
     Of more than `MANY` parts, all panels but position and size show the median, the middle 80 % and the range. Raises
     InputError where nothing is known.
     """
-    with style():
+    with style.style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
 
 
@@ -112,11 +94,11 @@ class _Page:
         top = above + 0.185 * rows
         body = sum(panel.height + 0.27 for panel in panels) + 0.55
         below = [] if foot is None else [foot.height + 0.75]
-        figure = new_figure(self.width, top + body + sum(below))
+        figure = style.new_figure(self.width, top + body + sum(below))
         pieces: Any = figure.subfigures(2 + len(below), 1, height_ratios=[top, body, *below])
         head, rest = pieces[:2]
-        head.text(0.012, 1 - 0.09 / top, clean(title, int(self.width * 8)), va="top", weight="bold", size=12)
-        head.text(0.012, 1 - 0.31 / top, "\n".join(lines), va="top", size=8.5, color=FAINT)
+        head.text(0.012, 1 - 0.09 / top, style.clean(title, int(self.width * 8)), va="top", weight="bold", size=12)
+        head.text(0.012, 1 - 0.31 / top, "\n".join(lines), va="top", size=8.5, color=style.FAINT)
         if legend:
             place = {"loc": "upper left", "bbox_to_anchor": (0.004, 1 - (above - 0.02) / top)}
             spacing = {"handlelength": 2.4, "columnspacing": 1.6, "labelspacing": 0.35}
@@ -126,24 +108,24 @@ class _Page:
         if foot is not None:  # has an axis of its own
             axes = pieces[2].subplots()
             foot.draw(axes)
-            heading(axes, foot.title, self._fitting(foot))
+            style.heading(axes, foot.title, self._fitting(foot))
         return figure
 
-    def _stack(self, figure: SubFigure, panels: Sequence[Panel]) -> None:
+    def _stack(self, figure: Any, panels: Sequence[Panel]) -> None:
         heights = {"height_ratios": [panel.height for panel in panels]}
-        grid: Any = figure.subplots(len(panels), 1, sharex=True, squeeze=False, gridspec_kw=heights)
+        grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False, gridspec_kw=heights)
         column: list[Axes] = list(grid[:, 0])
         for axes, panel in zip(column, panels, strict=True):
             panel.draw(axes)
             axes.tick_params(bottom=False, left=False)
         if len(self.corrected):  # below the axis of time
             bottom = column[-1].get_xaxis_transform()
-            column[-1].plot(self.corrected, 0.0 * self.corrected, transform=bottom, **CORRECTED)
+            column[-1].plot(self.corrected, 0.0 * self.corrected, transform=bottom, **style.CORRECTED)
         most = max(3, min(11, int(1.1 * self.width)))
-        frame_axis(column[-1], self.frames, most)
-        timed = second_axis(column[0], self.table, most)
+        style.frame_axis(column[-1], self.frames, most)
+        timed = style.second_axis(column[0], self.table, most)
         for axes, panel in zip(column, panels, strict=True):
-            heading(axes, panel.title, self._fitting(panel), 13 if timed and axes is column[0] else 0)
+            style.heading(axes, panel.title, self._fitting(panel), 13 if timed and axes is column[0] else 0)
 
     def _fitting(self, panel: Panel) -> str:
         """The first of a panel's notes, as far as they fit."""
@@ -165,14 +147,14 @@ class _Page:
             what = f"{of}{len(group)} parts, {group[0].ours.part} to {group[-1].ours.part}"
             colours = [group[round(i * (len(group) - 1) / 5)].colour for i in range(6)]
             handles = tuple(Line2D([], [], color=colour, linewidth=2) for colour in colours)
-            found[clean(what if len(group) > 1 else target or group[0].name, 60)] = handles
+            found[style.clean(what if len(group) > 1 else target or group[0].name, 60)] = handles
         if self.paired and not self.many:
-            found["ground truth"] = Line2D([], [], **TRUTH)
-        found |= {status: Patch(color=STATUS[status], linewidth=0) for status in self.gone}
+            found["ground truth"] = Line2D([], [], **style.TRUTH)
+        found |= {status: Patch(color=style.STATUS[status], linewidth=0) for status in self.gone}
         if len(self.corrected):
-            found["corrected by hand"] = Line2D([], [], **CORRECTED)
+            found["corrected by hand"] = Line2D([], [], **style.CORRECTED)
         unseen = [status for status in UNSEEN if status in self.truth and not self.many]
-        return found | {f"{one} in the ground truth": Patch(color=STATUS[one], linewidth=0) for one in unseen}
+        return found | {f"{one} in the ground truth": Patch(color=style.STATUS[one], linewidth=0) for one in unseen}
 
     def _summary(self) -> list[str]:
         count = len(self.frames)
@@ -249,11 +231,11 @@ class _Page:
         """A line for each part and its ground truth; `down`: values increase downwards."""
         ours = [of(line.ours) for line in self.lines]
         true = [] if self.many else [of(pair.truth) for _, pair, _ in self.paired]  # of many, it would hide the lines
-        limit(axes, ours + true, floor, 2 if floor is not None else 4)
+        style.limit(axes, ours + true, floor, 2 if floor is not None else 4)
         for line, value in zip(self.lines, ours, strict=True):
             self.pen.line(axes, line.ours.frame, value, **line.look)
         for (_, pair, _), value in zip(self.paired, true, strict=False):
-            self.pen.line(axes, pair.truth.frame, value, dot="o", **TRUTH)
+            self.pen.line(axes, pair.truth.frame, value, dot="o", **style.TRUTH)
         if down:
             axes.invert_yaxis()
 
@@ -276,13 +258,13 @@ class _Page:
             low = max(0.8, min(0.7 * float(np.nanmin(every)), high / 15))
             axes.set(yscale="log", ylim=(low, high))
             axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 120 * low else (1,)))
-            axes.yaxis.set_major_formatter(lambda value, _: numbers([value])[0])
+            axes.yaxis.set_major_formatter(lambda value, _: style.numbers([value])[0])
             axes.yaxis.minorticks_off()
         else:
-            limit(axes, counts, 0.0, 2)
+            style.limit(axes, counts, 0.0, 2)
         distinct = {value.tobytes(): line for line, value in zip(self.lines, counts, strict=True)}
         for line in distinct.values():
-            colour = STATUS["hidden"] if len(distinct) == 1 or self.many else line.colour
+            colour = style.STATUS["hidden"] if len(distinct) == 1 or self.many else line.colour
             look: dict[str, Any] = {"color": colour, "linewidth": 2.2, "alpha": 0.55, "zorder": 1.5}
             self.pen.line(axes, line.ours.frame, _particles(line.ours), **look)
         if sampled:
@@ -290,7 +272,7 @@ class _Page:
 
     def _error(self, axes: Axes) -> None:
         self.pen.shade_parts(axes, [pair.truth for _, pair, _ in self.paired], "hidden")
-        limit(axes, [wrong for _, _, wrong in self.paired], 0.0)
+        style.limit(axes, [wrong for _, _, wrong in self.paired], 0.0)
         if self._alone():
             (line,) = self.lines
             sigma = spread(line.ours) / math.sqrt(2)  # along one axis
@@ -310,7 +292,7 @@ class _Page:
     def _positive(self, axes: Axes, of: Of, ends: tuple[float, float] | None = None) -> None:
         shown = [(line, line.ours.frame, of(line.ours)) for line in self.lines]
         if ends is None:
-            limit(axes, [value for _, _, value in shown], 0.0)
+            style.limit(axes, [value for _, _, value in shown], 0.0)
         else:
             axes.set_ylim(ends)
         self._strokes(axes, shown)

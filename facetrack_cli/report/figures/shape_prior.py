@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
 from facetrack_cli.core.types import Array
 from facetrack_cli.report.figures.lines import columns_for
-from facetrack_cli.report.figures.style import FAINT, INK, WIDTH, clean, line_style, new_figure, style
+from facetrack_cli.report.figures.style import FAINT, INK, WIDTH, Axes, Figure, clean, line_style, new_figure, style
 from facetrack_cli.tracking.models.shape_prior import ShapePrior
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # displacements have no place of their own: a neutral face, in mouth widths from the nose, to draw them on
 PLACES: Final = {

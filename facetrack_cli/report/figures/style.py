@@ -23,8 +23,10 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+else:  # matplotlib is loaded with the first figure
+    Axes = Figure = Any
 
 DPI: Final = 120.0
 WIDTH: Final = 10.0  # inches
