@@ -28,9 +28,8 @@ class Step(NamedTuple):
 
 
 class Fixer:
-    """A run, and its corrections and rows `now`, which a call that fails or is stopped leaves as they were.
-
-    One call at a time may change them; other threads may read them meanwhile.
+    """A run, and its corrections and rows `now`, which a call that fails or is stopped leaves as they were. One call at
+    a time may change them; other threads may read them meanwhile.
     """
 
     def __init__(self, run: Run, read: Read) -> None:
@@ -84,9 +83,8 @@ class Fixer:
             self._take(self._past.pop())
 
     def apply(self, corrections: Sequence[Correction], *, report: Report = silent, stop: Stop = never) -> None:
-        """Have these corrections alone. What they leave open is where the track before them is.
-
-        Those past the run's end are kept for a longer run.
+        """Have these corrections alone, those past the run's end too. What they leave open is where the track before
+        is.
         """
         for one in corrections:
             self.check(one, beyond=True)

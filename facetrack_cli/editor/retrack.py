@@ -138,9 +138,8 @@ class Tracking:
     def track(
         self, tasks: Sequence[Task], rows: Trajectory, *, report: Report = silent, stop: Stop = never
     ) -> list[Track]:
-        """The tracks of tasks of different targets; with mutual exclusion, `rows` say where the others are.
-
-        Raises StoppedError once `stop` says so, InputError if the clip is not the run's.
+        """The tracks of tasks of different targets; with mutual exclusion, `rows` say where the others are. Raises
+        StoppedError once `stop` says so, InputError if the clip is not the run's.
         """
         live = [_Live(self._run, task, self._start) for task in tasks]
         frames = frames_of(tasks)
@@ -170,9 +169,8 @@ class Tracking:
         return frame
 
     def _covers(self, one: _Live, now: Sequence[_Live], rows: Trajectory, index: int) -> list[Cover]:
-        """What the other targets explain, by their state or their recorded rows.
-
-        As in a run, targets before it are where they are in this frame, those after it where they were.
+        """What the other targets explain, by state or recorded row: those before it in this frame, those after it in
+        the last.
         """
         found: list[Cover | None] = []
         running = {other.task.target: other for other in now}

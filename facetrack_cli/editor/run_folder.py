@@ -37,9 +37,8 @@ _FRAME: Final = re.compile(rb'\{(?:"type":"frame",)?"frame":(\d{1,15}),')
 
 @dataclass(frozen=True)
 class Run:
-    """A run. `rows` are those of its JSON, `files` its trajectories with their `stamp` when they were opened.
-
-    `start` includes the corrections that it was made with; `fps` is None for a video.
+    """A run: the `rows` of its JSON, the `start` with its corrections, its trajectories `files` with their `stamp` when
+    they were opened; `fps` is None for a video.
     """
 
     folder: Path
@@ -95,9 +94,8 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
 
 
 def read_files(files: Mapping[Format, Path]) -> Trajectory:
-    """The rows of a run's JSON, or else its JSON lines; its other trajectories must hold the same.
-
-    Raises InputError, with the line, for what is not byte for byte as a run writes it, and for a file that differs.
+    """The rows of a run's JSON, or else its JSON lines; its other trajectories must hold the same. Raises InputError,
+    with the line, for what is not byte for byte as a run writes it, and for a file that differs.
     """
     main = files["json"] if "json" in files else files["jsonl"]
     last = None

@@ -80,10 +80,9 @@ def centre_errors(ours: Array, truth: Array) -> Array:
 
 
 def normalised_errors(ours: Array, truth: Array) -> Array:
-    """(T,) distance of the centres, each axis in widths and heights of the true box.
-
-    The normalised precision of TrackingNet (Müller et al. 2018) and LaSOT (Fan et al. 2019). Sides below one pixel
-    count as one, as in `normalized_center_error` of got10k's later sources; 0.1.3 on PyPI does not have it.
+    """(T,) distance of the centres, each axis in widths and heights of the true box: the normalised precision of
+    TrackingNet (Müller et al. 2018) and LaSOT (Fan et al. 2019). Sides below one pixel count as one, as in
+    `normalized_center_error` of got10k's later sources; 0.1.3 on PyPI does not have it.
     """
     return _length((_centres(ours) - _centres(truth)) / np.maximum(1.0, truth[:, 2:]))
 

@@ -29,10 +29,7 @@ DASH: Final = "\N{EN DASH}"
 
 @dataclass(frozen=True)
 class About:
-    """What was compared: the files, how the ground truth was read, and by how many frames it was shifted.
-
-    `results_read_as` says how a trajectory that is not facetrack's own was read.
-    """
+    """What was compared: the files, how they were read (the trajectory: if not facetrack's own), and the shift."""
 
     trajectory: Path
     truth: Path
@@ -80,10 +77,7 @@ def _groups(one: Measured) -> dict[str, Any]:
 
 
 def to_csv(evaluation: Evaluation, about: About) -> str:
-    """A header and a row a part, then one of all parts together, whose target is "all".
-
-    The columns are the same whatever was measured: trajectory, truth, target, part, and all MEASURES.
-    """
+    """A header with all MEASURES, a row a part, then one of all parts together, whose target is "all"."""
     out = io.StringIO()
     write = csv.writer(out, lineterminator="\n")
     write.writerow(["trajectory", "truth", "target", "part", *MEASURES])

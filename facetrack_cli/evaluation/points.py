@@ -1,7 +1,6 @@
-"""Errors of points against the ground truth, and the recovery of parts after occlusions.
-
-Errors are Euclidean distances in pixels; a *normalised* error is divided by a length of the ground truth (rows.py).
-Failure rate and AUC are those of the facial landmark literature (300-W, COFW, WFLW), with a row for an image.
+"""Errors of points, Euclidean distances in pixels, against the ground truth, and the recovery of parts after
+occlusions. A *normalised* error is divided by a length of the ground truth (rows.py). Failure rate and AUC are those of
+the facial landmark literature (300-W, COFW, WFLW), with a row for an image.
 """
 
 from collections.abc import Iterator, Sequence
@@ -69,10 +68,7 @@ class Occlusion:
 
 @dataclass(frozen=True)
 class RecoveryMeasures:
-    """How many occlusions there are, those that can be decided, and those of these after which the parts come back.
-
-    `recovered` is the share of the decided ones; the median and the worst frames to return are of those that come back.
-    """
+    """How many occlusions there are, can be decided, and end with a return; `recovered` is the share of the decided."""
 
     occlusions: Annotated[int, Measure("", COUNT)]
     decided: Annotated[int, Measure("", COUNT)]
@@ -83,10 +79,7 @@ class RecoveryMeasures:
 
 
 def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeasures:
-    """Errors over all rows of the parts, each row counting once; `failure` is a normalised error.
-
-    Rows that a correction gave are left out.
-    """
+    """Errors over all rows of the parts but those that a correction gave; `failure` is a normalised error."""
     parts = [part.take(~part.later) for part in parts]
     error, unit, visible, hidden = (column(parts, name) for name in ("error", "unit", "visible", "hidden"))
     seen, missing = visible & np.isfinite(error), visible & np.isinf(error)
@@ -115,10 +108,7 @@ def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeas
 
 
 def auc(errors: Array, limit: float) -> Value:
-    """Area under the cumulative distribution of `errors` (R,) from 0 to `limit`, divided by `limit`; None without rows.
-
-    The distribution is a step function, so the area is exact; infinite errors add nothing.
-    """
+    """Area under the cumulative distribution of `errors` (R,) from 0 to `limit`, over `limit`; None without rows."""
     return mean(np.clip(1 - errors / limit, 0.0, 1.0))
 
 

@@ -1,7 +1,5 @@
-"""A trajectory beside its ground truth, row by row: the arrays that every measure is computed from, and the lengths
-by which errors are normalised.
-
-Axes: R rows of one part, one a frame, in the order of their frames.
+"""A trajectory beside its ground truth: the (R,) rows that measures are computed from, and lengths that normalise
+errors.
 """
 
 from __future__ import annotations
@@ -182,9 +180,8 @@ def check_normalise(how: str) -> str:
 
 
 def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) -> Unit:
-    """The length of one target, whose ground truth is `truth`, for increasing `frames` (F,).
-
-    Raises UsageError where the ground truth does not have the two parts that `how` names.
+    """The length of one target with ground truth `truth`, for increasing `frames` (F,). UsageError if `how` does not
+    fit.
     """
     one = truth[0]
     if how in NAMED or ":" in how:

@@ -43,9 +43,8 @@ class Options:
 
 @dataclass(frozen=True)
 class Measured:
-    """One part, or with an empty `part` and the target "all", all of them together. What was not measured is None.
-
-    `occlusions` is measured of all parts together alone.
+    """One part, or with an empty `part` and the target "all", all of them together, which alone have `occlusions`. What
+    was not measured is None.
     """
 
     target: str
@@ -82,9 +81,8 @@ MEASURES: Final[Mapping[str, Measure]] = {
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What was measured of one trajectory, on the `rows` that it shares with the ground truth.
-
-    `units` says by what length the errors of each target are normalised; `notes` why figures are not defined, and more.
+    """What was measured on the `rows` shared with the ground truth; `units`: the length that normalises each target's
+    errors.
     """
 
     options: Options
@@ -113,7 +111,6 @@ def evaluate(
     reference: Sequence[Trajectory] = (),
 ) -> Evaluation:
     """Measure the pairs of `match`. Lengths are taken from their ground truth, and from the parts in `reference`.
-
     Raises InputError without any row, UsageError for a length that the ground truth does not have.
     """
     options = options or Options()

@@ -1,7 +1,6 @@
-"""How far `lost`, `confidence` and the posterior's spread can be trusted, against the ground truth.
-
-Counted are rows, one for each frame and part, without those that the tracker was given. A row is *near* as rows.py has
-it, *covered* if the ground truth calls it hidden or absent, *gone* if it is covered or not near.
+"""How far `lost`, `confidence` and the posterior's spread can be trusted, against the ground truth. Rows are counted,
+without those that the tracker was given: *near* as in rows.py, *covered* if hidden or absent in the ground truth,
+*gone* if covered or not near.
 """
 
 import math
@@ -190,9 +189,8 @@ def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
 
 
 def mahalanobis_squared(offset: Array, std: Array) -> Array:
-    """(R,) squared Mahalanobis distance of offsets (R, 2) for deviations (R, 2) along the axes.
-
-    Along an axis without spread it is 0 if the offset is, else infinite.
+    """(R,) squared Mahalanobis distance of offsets (R, 2) for deviations (R, 2) along the axes; along an axis without
+    spread it is 0 if the offset is, else infinite.
     """
     flat = std == 0
     with np.errstate(over="ignore"):  # of a tiny std: infinitely far is right
@@ -202,9 +200,8 @@ def mahalanobis_squared(offset: Array, std: Array) -> Array:
 
 
 def auroc(score: Array, positive: Mask) -> Value:
-    """Area under the ROC curve, exact: the chance that a positive scores above a negative, ties counting half.
-
-    score (R,) finite, positive (R,). None if all rows are positive, or none is.
+    """Exact area under the ROC curve of score (R,): the chance that a positive (R,) scores above a negative, ties
+    counting half. None if all rows are positive, or none is.
     """
     positives = int(np.sum(positive))
     negatives = len(score) - positives

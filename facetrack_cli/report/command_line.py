@@ -64,10 +64,9 @@ def init_yaml(header: Header) -> str:
 
 
 def command(header: Header, last: int, folder: Path | None = None) -> str:
-    """The command that makes the run again, up to the frame `last`.
-
-    A recipe that is not a shipped one, but for some keys, is a file NAME.yaml. Corrections are in the init file that
-    the run began with, or the one in the run's `folder`; else in a file `CORRECTED`, to be made of `init_yaml`.
+    """The command that makes the run again, up to the frame `last`. A recipe that differs from the shipped ones is a
+    file NAME.yaml. Corrections are in the run's init file or in its `folder`; else in `CORRECTED`, to be made as an
+    init file.
     """
     words = ["facetrack", "run", header.source.path, *_recipe_words(header), "--seed", str(header.seed)]
     words += [*_init_words(header.init, folder), "--stop", str(last + 1), *_rate_words(header.source), "-o", "again"]

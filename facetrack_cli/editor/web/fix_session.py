@@ -30,9 +30,8 @@ DOUBT: Final = 0.5  # a confidence below this is worth a look
 
 
 class FixSession(Session):
-    """The corrections of one run, in a `fixer`; `unsaved` ones, of a session that was not saved, are applied first.
-
-    With `video`, Save also writes the annotated video again, if there is one.
+    """The corrections of one run; `unsaved` ones of the last session are applied first. With `video`, Save also writes
+    the annotated video again, if there is one.
     """
 
     mode: ClassVar[Literal["fix"]] = "fix"

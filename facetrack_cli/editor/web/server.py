@@ -1,7 +1,6 @@
-"""The page's server: on the loopback address alone, and only for those who know the token in its address.
-
-A page of another site cannot use it: the host that the browser was sent to must be a loopback name, since a name of
-that site may resolve to this machine (DNS rebinding), and requests with an origin must come from this very page.
+"""The page's server: on the loopback address alone, and only for those who know the token in its address. A page of
+another site cannot use it: the host must be a loopback name, since a name of that site may resolve to this machine (DNS
+rebinding), and requests with an origin must come from this very page.
 """
 
 import contextlib

@@ -30,20 +30,14 @@ def success_figure(curves: Curves, *, title: str = "Success") -> Figure:
 
 
 def precision_figure(curves: Curves, *, title: str = "Precision", at: float = 20.0) -> Figure:
-    """As `success_figure`, for the distance of the centres: the share of frames within a threshold (n,) in pixels.
-
-    The legend has the share within `at` pixels.
-    """
+    """As `success_figure`: the share of centres within a distance (n,) in pixels; the legend has that within `at`."""
     return _curves(curves, f"at {at:g} px", title, ("distance threshold (px)", "share of frames within it"), at)
 
 
 def cumulative_error_figure(
     curves: Curves, *, threshold: float, unit: str = "px", title: str = "Cumulative error"
 ) -> Figure:
-    """As `success_figure`, for the share of rows whose error is below a value (n,) in `unit`.
-
-    The legend has the share below `threshold`.
-    """
+    """As `success_figure`: the share of rows with an error below (n,) in `unit`; the legend: below `threshold`."""
     names = f"error ({unit})", "share of rows below it"
     return _curves(curves, f"below {threshold:.3g} {unit}", title, names, threshold)
 
@@ -84,9 +78,8 @@ def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], ma
 def error_over_time_figure(
     frames: Whole, errors: Mapping[str, Array], hidden: Mask, unit: str = "px", *, title: str = "Error over time"
 ) -> Figure:
-    """Median over seeds of the error in each frame, the band from the 10 to the 90 % quantile, `hidden` (T,) shaded.
-
-    `errors` are (S, T) by label, in `unit`, nan where not known.
+    """Median over seeds of `errors` (S, T) in `unit` by label, nan where not known, the band from the 10 to the 90 %
+    quantile; `hidden` (T,) is shaded.
     """
     with style.style():
         figure, axes, pen = _over_time(frames, list(errors))
@@ -113,9 +106,8 @@ def spread_figure(
     *,
     title: str = "Spread over seeds",
 ) -> Figure:
-    """The distance of the farthest run from the median of all, `distances` (T,) in pixels by part.
-
-    `parting` is the frame where the first run leaves the others, and `limits` the most by part, in pixels.
+    """The distance (T,) in pixels of the farthest run from the median of all, by part, and the most that it may be,
+    `limits`; `parting` is the frame where the first run leaves the others.
     """
     with style.style():
         figure, axes, pen = _over_time(frames, list(distances))
@@ -139,9 +131,8 @@ def spread_figure(
 
 
 def calibration_figure(measures: ConfidenceMeasures, *, title: str = "Confidence against the ground truth") -> Figure:
-    """The share of rows near the ground truth and of visible rows in each bin of confidence, and the number of rows.
-
-    On the diagonal, confidence is the chance of being near. Bins without rows are left out; some bin must have rows.
+    """By bin of confidence, the share of rows near the ground truth and of visible rows, and the number of rows. On the
+    diagonal, confidence is the chance of being near. Bins without rows are left out; some bin must have rows.
     """
     filled = [b for b in measures.bins if b.rows]
     mean, near, visible = np.array([(b.mean_confidence, b.near, b.visible) for b in filled], np.float64).T

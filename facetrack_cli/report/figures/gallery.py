@@ -24,10 +24,7 @@ ROOM: Final = 1.5  # what it has where there is room
 
 
 def gallery_figure(gallery: Gallery, *, title: str) -> Figure:
-    """Faces in grey, with the numbers of the list that `gallery show` prints; the height grows with the people.
-
-    A name that has no room on two lines is cut.
-    """
+    """Faces in grey, numbered as in the list of `gallery show`; a name that has no room on two lines is cut."""
     rows, cols = gallery.shape
     aspect, count, inner = cols / rows, len(gallery.names), WIDTH - 2 * MARGIN + GAP
     # as many columns as make rows of about equal length, with faces no smaller than they must be

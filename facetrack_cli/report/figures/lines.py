@@ -44,9 +44,8 @@ class Line:
 
 
 def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
-    """A line for each part. The parts of a single target differ by colour; more than `MANY` have a range of colours.
-
-    Of several targets each has one colour, as in the annotated video, and its parts differ by their dashes.
+    """A line for each part. The parts of a single target differ by colour, of more than `MANY` by a range of colours;
+    of several targets each has the colour of the annotated video, and its parts differ by their dashes.
     """
     import matplotlib
     from matplotlib.colors import to_hex
@@ -88,9 +87,8 @@ class Pen:
     least: float
 
     def line(self, axes: Axes, frame: Whole, value: Array, dot: str = ".", **look: Any) -> None:
-        """A line, with gaps where a value is unknown, a dot for one alone, a wedge for one beyond the axis.
-
-        Of a long series the range is pale and the mean strong, so that lines do not hide each other.
+        """A line, with gaps where a value is unknown, a dot for one alone, a wedge for one beyond the axis. Of a long
+        series the range is pale and the mean strong, so that lines do not hide each other.
         """
         x, y, means = envelope(frame, value, self.bins)
         if means is None:
@@ -131,9 +129,8 @@ class Pen:
             self.shade(axes, frame, mask, status, alpha)
 
     def status(self, axes: Axes, lines: Sequence[Line]) -> None:
-        """A row a part, with a diamond where it was given; below it the status in the ground truth.
-
-        Of many parts only bars are drawn.
+        """A row a part, with a diamond where it was given; below it the status in the ground truth. Many have bars
+        only.
         """
         many = len(lines) > MANY
         truth = not many and any(line.pair is not None for line in lines)
@@ -197,10 +194,8 @@ class Drawn(NamedTuple):
 
 
 def envelope(frame: Whole, value: Array, bins: int) -> Drawn:
-    """A line through (T,) values, broken where values or frames are missing.
-
-    More than two rows a bin are thinned to the least and the greatest value in each of `bins` equal spans of frames, so
-    that no peak is lost, and their means.
+    """A line through (T,) values, broken where values or frames are missing. More than two rows a bin are thinned to
+    the least and the greatest value in each of `bins` equal spans of frames, so that no peak is lost, and their means.
     """
     known = np.flatnonzero(np.isfinite(value))
     if not known.size:
@@ -239,9 +234,8 @@ def alone(y: Array) -> Mask:
 
 
 def frame_spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[tuple[float, float]]:
-    """(start, end) of each span of rows where `mask` holds, half a step wider at either end.
-
-    Spans less than `least` frames apart become one, and each is at least so wide: one frame of a long clip is seen.
+    """(start, end) of each span where `mask` holds, half a step wider at either end, and at least `least` frames wide,
+    so that one frame of a long clip is seen; spans closer than that become one.
     """
     if not mask.any():
         return []

@@ -26,10 +26,9 @@ LEAST_SHARE: Final = 0.005  # of the variance, of a mode that is shown
 
 
 def prior_figure(prior: ShapePrior, sigma: float, *, title: str) -> Figure:
-    """The training shapes as a cloud of points for each part, and the principal modes as small sketches.
-
-    `sigma` is the standard deviation of the kernel, in the prior's unit: the radius of the ring in the corner. Ellipses
-    are at two standard deviations. Parts without a place in PLACES stand on a circle around the stable one.
+    """The training shapes as a cloud for each part, with ellipses of two standard deviations, and the principal modes.
+    `sigma`, the standard deviation of the kernel in the prior's unit, is the radius of the ring in the corner. Parts
+    without a place in PLACES stand on a circle around the stable one.
     """
     moving = [k for k, name in enumerate(prior.parts) if name != prior.stable]
     around = {k: 2 * np.pi * number / len(moving) for number, k in enumerate(moving)}
