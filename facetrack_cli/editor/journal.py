@@ -81,11 +81,10 @@ def _read(journal: Path) -> dict[str, Any] | None:
 
 
 def _stamp(path: Path) -> list[int] | None:
-    try:
+    with contextlib.suppress(FileNotFoundError):
         found = path.stat()
-    except FileNotFoundError:
-        return None
-    return [found.st_size, found.st_mtime_ns]
+        return [found.st_size, found.st_mtime_ns]
+    return None
 
 
 def _runs(number: int) -> bool:

@@ -153,9 +153,7 @@ def _check_status(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
             "name them the other way round"
         )
     if set(theirs.tolist()) <= {"lost"}:
-        raise InputError(
-            f"{truth.path}: calls every row lost, so there is nothing to measure against; name a truth file"
-        )
+        raise InputError(f"{truth.path}: calls every row lost, so nothing can be measured; name a truth file")
 
 
 def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair], partial: bool) -> None:

@@ -173,9 +173,8 @@ def check_normalise(how: str) -> str:
     except ValueError:
         pixels = math.nan
     if not 0 < pixels < math.inf:
-        raise UsageError(
-            f"--normalise {how!r}: give size, mouth, eyes, two parts as nose:mouth_left, or a number of pixels above 0"
-        )
+        wanted = "size, mouth, eyes, two parts as nose:mouth_left, or a number of pixels above 0"
+        raise UsageError(f"--normalise {how!r}: give {wanted}")
     return how
 
 

@@ -14,18 +14,10 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Whole
+from facetrack_cli.evaluation import points as errors
 from facetrack_cli.evaluation import trust
 from facetrack_cli.evaluation.boxes import BoxMeasures, measure_boxes
 from facetrack_cli.evaluation.measure import Measure, Value, measures_of
-from facetrack_cli.evaluation.points import (
-    FAILURE,
-    Occlusion,
-    PointMeasures,
-    RecoveryMeasures,
-    measure_points,
-    measure_recovery,
-    occlusions,
-)
 from facetrack_cli.evaluation.rows import Pair, Rows, Unit, check_normalise, column, rows_of, unit_of
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
@@ -37,7 +29,7 @@ class Options:
     """
 
     normalise: str = "size"
-    failure: float = FAILURE
+    failure: float = errors.FAILURE
     size: tuple[int, int] | None = None
 
 
@@ -49,9 +41,9 @@ class Measured:
 
     target: str
     part: str
-    points: PointMeasures | None
+    points: errors.PointMeasures | None
     boxes: BoxMeasures | None
-    occlusions: RecoveryMeasures | None
+    occlusions: errors.RecoveryMeasures | None
     lost: trust.LostMeasures | None
     confidence: trust.ConfidenceMeasures | None
     coverage: trust.CoverageMeasures | None
@@ -90,7 +82,7 @@ class Evaluation:
     units: Mapping[str, str]
     parts: tuple[Measured, ...]
     all: Measured
-    occlusions: tuple[Occlusion, ...]
+    occlusions: tuple[errors.Occlusion, ...]
     notes: tuple[str, ...]
 
     @property
@@ -122,8 +114,8 @@ def evaluate(
     units = _units(pairs, options.normalise, reference)
     every = [(pair, rows_of(pair, units[pair.ours.target].at(pair.ours.frame))) for pair in pairs]
     rows = tuple(one for _, one in every)
-    found = occlusions(rows)
-    whole = replace(_measured("all", "", every, options), occlusions=measure_recovery(found))
+    found = errors.occlusions(rows)
+    whole = replace(_measured("all", "", every, options), occlusions=errors.measure_recovery(found))
     parts = tuple(_measured(one.target, one.part, [(pair, one)], options) for pair, one in every)
     texts = {target: unit.text for target, unit in units.items()}
     evaluation = Evaluation(options, rows, texts, parts, whole, found, ())
@@ -157,7 +149,7 @@ def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], option
     return Measured(
         target,
         part,
-        measure_points(points, options.failure) if points else None,
+        errors.measure_points(points, options.failure) if points else None,
         _boxes(boxed, options.size) if boxed else None,
         None,
         trust.measure_lost(rows),

@@ -113,10 +113,9 @@ def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
         return ["--init", "haar", *(at if init.frame else [])]
     if init.origin == "--box" and first is not None and first.box is not None:
         return ["--box", ",".join(f"{side:.12g}" for side in first.box), *(at if init.frame else [])]
-    try:
+    same = False
+    with contextlib.suppress(FacetrackError):
         same = read_init(Path(init.origin)).frame == init.frame
-    except FacetrackError:
-        same = False
     return ["--init", init.origin, *([] if same else at)]
 
 
@@ -126,10 +125,7 @@ def _corrections(start: Start) -> list[Correction]:
 
 
 def _rate_words(source: ClipHeader) -> list[str]:
-    path = Path(source.path)
-    try:
+    path, folder, rate = Path(source.path), False, Fraction(source.fps).limit_denominator(1001)
+    with contextlib.suppress(FacetrackError, OSError, ValueError):
         folder = listing(path) is not None or (not path.exists() and not path.suffix)
-    except (FacetrackError, OSError, ValueError):
-        folder = False
-    rate = Fraction(source.fps).limit_denominator(1001)
     return ["--fps", str(rate)] if folder and rate != FOLDER_FPS else []

@@ -90,7 +90,6 @@ def make_report(
     again = command(header, last, run)
     document = template.render(
         title=title,
-        version=__version__,
         header=header,
         clock=clock,
         history=history,
@@ -98,10 +97,7 @@ def make_report(
         identities=list(text.identities(table, clock)),
         mean=float(np.mean(means)) if means else None,
         warnings=[*header.warnings, *found.notes],
-        bins=_BINS,
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
-        most_parts=MOST_PARTS,
-        most_spans=MOST_SPANS,
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,
         images=found.found,
@@ -115,7 +111,6 @@ def make_report(
         init=init_yaml(header),
         command=again,
         words=shlex.split(again),
-        corrected=CORRECTED,
         relative=not Path(header.source.path).is_absolute(),
     )
     return Page(_UNFIT.sub("\ufffd", document).encode(), tuple(found.notes))
@@ -145,14 +140,14 @@ def _template() -> Template:
 
     folder = Path(__file__).parent
     loader, strict = jinja2.FileSystemLoader(folder), jinja2.StrictUndefined
-    environment = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=strict, trim_blocks=True, lstrip_blocks=True
-    )
+    trim: Any = {"trim_blocks": True, "lstrip_blocks": True}
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=strict, **trim)
     filters = (text.count, text.lasting, text.names, text.number, text.percent)
     environment.filters |= {"clock": at_clock, **{one.__name__: one for one in filters}}
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
-    environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}"}
+    environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
+    environment.globals |= {"bins": _BINS, "most_parts": MOST_PARTS, "most_spans": MOST_SPANS, "corrected": CORRECTED}
     return environment.get_template("report.html.j2")
 
 

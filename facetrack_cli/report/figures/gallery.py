@@ -97,9 +97,7 @@ def calibrated(gallery: Gallery) -> str:
     """When a patch counts as a frontal face in its place, in words."""
     slope, offset = gallery.calibration
     if not slope:
-        return (
-            f"p_f is {gallery.most_frontal / 2:.2f} for whatever is seen: the gallery does not tell faces from others"
-        )
+        return f"p_f is {gallery.most_frontal / 2:.2f} for any patch: the gallery does not tell faces from others"
     half, tenths = -offset / slope, math.log(9) / slope
     return (
         f"p_f is half of its most at a log density of {half:.0f}, a tenth at {half - tenths:.0f} and nine tenths at "
@@ -109,18 +107,15 @@ def calibrated(gallery: Gallery) -> str:
 
 def stranger(gallery: Gallery) -> str:
     """Who is none of them, in words."""
-    return (
-        f"none of them: below a log ratio of {gallery.threshold:.0f}; {100 * gallery.errors:.0f} % of either error here"
-    )
+    errors = f"{100 * gallery.errors:.0f} % of either error here"
+    return f"none of them: below a log ratio of {gallery.threshold:.0f}; {errors}"
 
 
 def _total(space: Subspace) -> float:
     return max(float(space.values.sum() + space.rho * (space.mean.size - len(space.vectors))), 1e-12)
 
 
-def _face(
-    page: Axes, patch: NDArray[np.floating[Any]], shape: tuple[int, int], x: float, y: float, height: float
-) -> float:
+def _face(page: Axes, patch: NDArray[Any], shape: tuple[int, int], x: float, y: float, height: float) -> float:
     """Draw a patch (d,) of zero mean and unit variance in grey, smoothly enlarged, in a frame; how wide it is."""
     wide = height * shape[1] / shape[0]
     grey = np.asarray(patch, np.float64).reshape(shape)

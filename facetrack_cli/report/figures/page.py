@@ -73,12 +73,12 @@ class _Page:
         self.lines = lines_of(table, pairs)
         self.paired = [(line, line.pair, error(line.pair)) for line in self.lines if line.pair is not None]
         self.many = len(self.lines) > MANY
-        # more strokes take long and show no more
-        bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS
+        bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS  # more take long, show no more
         self.pen = Pen(bins, float(self.frames[-1] - self.frames[0] + 1) / BINS)
         self.judged = bool((table.status != "").any())
         self.gone = [status for status in ("lost", "absent") if (table.status == status).any()]
         self.truth = {status for _, pair, _ in self.paired for status in {*pair.truth.status.tolist()}}
+        self.alone = len(self.lines) == 1 and bool(self.paired) and known(spread(table))
         self.corrected = np.unique(np.concatenate([line.ours.frame[line.ours.corrected] for line in self.lines]))
 
     def figure(self, title: str) -> Figure:
@@ -213,14 +213,10 @@ class _Page:
         yield from panels(table, lines, self.pen)
         if any(known(wrong) for _, _, wrong in self.paired):
             notes = [bands, self._shaded("hidden in the ground truth" if "hidden" in self.truth else "")]
-            notes += ["bands: 50 and 90 % by the spread"] if self._alone() else []
+            notes += ["bands: 50 and 90 % by the spread"] if self.alone else []
             yield Panel("error (px)", notes, 1.15, self._error)
         if any(pair.is_box for _, pair, _ in self.paired):
             yield Panel("overlap (IoU)", [bands, "with the true box"], 0.85, self._overlap)
-
-    def _alone(self) -> bool:
-        """Whether there is only one part, with ground truth and a known spread."""
-        return len(self.lines) == 1 and bool(self.paired) and known(spread(self.table))
 
     def _shaded(self, what: str) -> str:
         if not what or self.many:
@@ -273,7 +269,7 @@ class _Page:
     def _error(self, axes: Axes) -> None:
         self.pen.shade_parts(axes, [pair.truth for _, pair, _ in self.paired], "hidden")
         style.limit(axes, [wrong for _, _, wrong in self.paired], 0.0)
-        if self._alone():
+        if self.alone:
             (line,) = self.lines
             sigma = spread(line.ours) / math.sqrt(2)  # along one axis
             for reach, alpha in ((2.146, 0.16), (1.177, 0.2)):  # radii of a circular normal distribution's 90 and 50 %
@@ -282,12 +278,9 @@ class _Page:
 
     def _overlap(self, axes: Axes) -> None:
         axes.set(ylim=_UNIT, yticks=[0, 0.5, 1])
-        boxes = [(line, pair) for line, pair, _ in self.paired if pair.is_box]
-        shares = [iou(pair.ours.boxes, pair.truth.boxes) for _, pair in boxes]
-        shares = [
-            np.where(pair.truth.status == "absent", np.nan, v) for (_, pair), v in zip(boxes, shares, strict=True)
-        ]
-        self._strokes(axes, [(line, pair.ours.frame, v) for (line, pair), v in zip(boxes, shares, strict=True)])
+        boxes = [(line, *pair) for line, pair, _ in self.paired if pair.is_box]
+        shares = [np.where(true.status == "absent", np.nan, iou(ours.boxes, true.boxes)) for _, ours, true in boxes]
+        self._strokes(axes, [(line, ours.frame, v) for (line, ours, _), v in zip(boxes, shares, strict=True)])
 
     def _positive(self, axes: Axes, of: Of, ends: tuple[float, float] | None = None) -> None:
         shown = [(line, line.ours.frame, of(line.ours)) for line in self.lines]

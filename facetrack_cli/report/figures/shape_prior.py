@@ -88,9 +88,8 @@ def _modes(figure: Any, prior: ShapePrior, base: Array, looks: Sequence[dict[str
     figure.suptitle("Principal modes, and their share of the variance", size=9, weight="bold", ha="left", x=0.04)
     flat = prior.shapes.reshape(len(prior.shapes), -1)
     _, strength, ways = np.linalg.svd(flat - flat.mean(0), full_matrices=False)
-    ways = (
-        ways * np.where(ways[np.arange(len(ways)), np.abs(ways).round(6).argmax(1)] < 0, -1.0, 1.0)[:, None]
-    )  # a fixed sign
+    largest = ways[np.arange(len(ways)), np.abs(ways).round(6).argmax(1)]
+    ways = ways * np.where(largest < 0, -1.0, 1.0)[:, None]  # a fixed sign
     variance = strength**2 / len(flat)
     share = variance / max(float(variance.sum()), 1e-12)
     count = min(MODES, int((share > LEAST_SHARE).sum()))
