@@ -146,16 +146,10 @@ def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], option
     rows = [one for _, one in every]
     points = [one for pair, one in every if not pair.is_box]
     boxed = [(pair, one) for pair, one in every if pair.is_box]
-    return Measured(
-        target,
-        part,
-        errors.measure_points(points, options.failure) if points else None,
-        _boxes(boxed, options.size) if boxed else None,
-        None,
-        trust.measure_lost(rows),
-        trust.measure_confidence(rows),
-        trust.measure_coverage(rows),
-    )
+    of_points = errors.measure_points(points, options.failure) if points else None
+    of_boxes = _boxes(boxed, options.size) if boxed else None
+    trusted = trust.measure_lost(rows), trust.measure_confidence(rows), trust.measure_coverage(rows)
+    return Measured(target, part, of_points, of_boxes, None, *trusted)
 
 
 def _boxes(those: Sequence[tuple[Pair, Rows]], size: tuple[int, int] | None) -> BoxMeasures:

@@ -6,9 +6,9 @@ import base64
 import hashlib
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 NAME: Final = "report.html"
 MOST_PARTS, MOST_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
@@ -73,7 +70,7 @@ def make_report(
     truth that does not fit; UsageError without matplotlib or Jinja2.
     """
     plots.need_matplotlib()
-    template = _template()
+    render = _template()
     table = read_trajectory(trajectory_of(run))
     header = read_header(table)
     clock = Clock(table, header.source.fps)
@@ -88,7 +85,7 @@ def make_report(
     means = [part.mean for part in history.parts if np.isfinite(part.mean)]
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MOST_SPANS]
     again = command(header, last, run)
-    document = template.render(
+    document = render(
         title=title,
         header=header,
         clock=clock,
@@ -132,8 +129,8 @@ def trajectory_of(run: Path) -> Path:
     raise InputError(f"{run}: has no trajectory.json; {remedy}")
 
 
-def _template() -> Template:
-    """The page's template, which escapes whatever is put into it. UsageError without Jinja2."""
+def _template() -> Callable[..., str]:
+    """Renders the page's template, which escapes whatever is put into it. UsageError without Jinja2."""
     with needed("reports", "jinja2"):
         import jinja2
         from markupsafe import Markup
@@ -148,7 +145,7 @@ def _template() -> Template:
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
     environment.globals |= {"bins": _BINS, "most_parts": MOST_PARTS, "most_spans": MOST_SPANS, "corrected": CORRECTED}
-    return environment.get_template("report.html.j2")
+    return environment.get_template("report.html.j2").render
 
 
 def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list[Pair], Mapping[str, Any]]:

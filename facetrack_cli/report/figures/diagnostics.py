@@ -151,8 +151,7 @@ def _identity(table: Trajectory, target: str, pen: Pen, whose: str) -> Panel:
     frame, names, values = table.beliefs(target)
     most = np.where(np.isfinite(values), values, -1.0)
     peak = most.max(axis=0)
-    # the likeliest at the end first
-    rank: list[int] = np.lexsort((-peak, -np.round(most[-1], 2))).tolist()
+    rank: list[int] = np.lexsort((-peak, -np.round(most[-1], 2))).tolist()  # the likeliest at the end first
     leading = rank[:NAMED]
     if len(names) > NAMED:
         leading = [k for k in leading if peak[k] > 0.1] or leading[:1]

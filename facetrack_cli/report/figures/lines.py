@@ -167,8 +167,7 @@ def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
     lengths = [len(label) for label in labels]
     for rows in range(1, len(labels)):
         columns = math.ceil(len(labels) / rows)
-        # as matplotlib deals them out: the first columns have one more
-        widest = [max(column) for column in np.array_split(lengths, columns)]
+        widest = [max(column) for column in np.array_split(lengths, columns)]  # as matplotlib deals them out
         if sum(0.068 * most + 0.56 for most in widest) <= width - 0.2:
             return columns, rows
     return 1, len(labels)

@@ -62,8 +62,7 @@ def _title(table: Trajectory) -> str:
     clip, name = said(table, "source", "path"), said(table, "recipe", "name")
     if isinstance(clip, str):
         return PurePath(clip).name + (f", {name}" if isinstance(name, str) else "")
-    # a run's folder is named after clip and recipe
-    folder = table.path.resolve().parent.name
+    folder = table.path.resolve().parent.name  # of a run, named after clip and recipe
     return folder if table.path.stem == "trajectory" and folder else table.path.name
 
 
@@ -169,8 +168,7 @@ class _Page:
             found.append(f"lost in {share} of {over}" if any(lost) else "never lost")
         if len(self.corrected):
             found.append(f"corrected by hand in {len(self.corrected):,} of them")
-        # hidden rows are left out, as in eval
-        wrong = [error[~np.isin(pair.truth.status, UNSEEN)] for _, pair, error in self.paired]
+        wrong = [error[~np.isin(pair.truth.status, UNSEEN)] for _, pair, error in self.paired]  # as in eval
         if wrong and known(every := np.concatenate(wrong)):
             found.append(f"median error {np.nanmedian(every):.2f} px")
         if self.table.header.get("complete") is False:
