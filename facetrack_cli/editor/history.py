@@ -28,9 +28,8 @@ class Step(NamedTuple):
 
 
 class Fixer:
-    """A run, and its corrections and rows `now`, which a call that fails or is stopped leaves as they were.
-
-    One call at a time may change them; other threads may read them meanwhile.
+    """A run, and its corrections and rows `now`, which a call that fails or is stopped leaves as they were. One call at
+    a time may change them; other threads may read them meanwhile.
     """
 
     def __init__(self, run: Run, read: Read) -> None:
@@ -41,10 +40,9 @@ class Fixer:
         at_first = (completed_by(one, run.rows) if one.frame <= run.last else one for one in run.start.corrections)
         self._at_first = self._ordered(at_first)
         plans = {name: self._plan(name, self._at_first) for name in run.rows.targets}
-        tracks = {name: [Track(name, one.begin, one.first, one.stop) for one in plan] for name, plan in plans.items()}
-        self._known: Mapping[str, list[Track]] = tracks
+        self._known = {name: [Track(**vars(one)) for one in plan] for name, plan in plans.items()}
         self._past: list[Step] = []
-        self._take(Step(self._at_first, {name: tuple(those) for name, those in tracks.items()}))
+        self._take(Step(self._at_first, {name: tuple(those) for name, those in self._known.items()}))
 
     @property
     def start(self) -> Start:
@@ -75,8 +73,7 @@ class Fixer:
         """Remove a correction; what follows is tracked from the one before it, if it was not already."""
         if self.find(frame, target) is None:
             raise InputError(f"{target} has no correction at frame {frame}")
-        rest = [one for one in self.corrections if (one.frame, one.target) != (frame, target)]
-        self._become(rest, report, stop)
+        self._become([one for one in self.corrections if (one.frame, one.target) != (frame, target)], report, stop)
 
     def undo(self) -> None:
         """Undo the last step; nothing is tracked for it."""
@@ -84,9 +81,8 @@ class Fixer:
             self._take(self._past.pop())
 
     def apply(self, corrections: Sequence[Correction], *, report: Report = silent, stop: Stop = never) -> None:
-        """Have these corrections alone. What they leave open is where the track before them is.
-
-        Those past the run's end are kept for a longer run.
+        """Have these corrections alone, those past the run's end too. What they leave open is where the track before
+        is.
         """
         for one in corrections:
             self.check(one, beyond=True)

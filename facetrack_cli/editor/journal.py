@@ -1,7 +1,5 @@
-"""Several files of a run replaced together: all of them or none, whatever ends the program meanwhile.
-
-New files are written beside the old ones. Once they are whole, a journal says so; if they are then not renamed, the
-next program that opens the run does it.
+"""Several files of a run replaced together: all of them or none, whatever ends the program meanwhile. Once all new
+files are written beside the old ones, a journal says so; whoever opens the run next renames what is left.
 """
 
 import contextlib
@@ -20,10 +18,7 @@ _PART: Final = re.compile(r"\..+-(\d+)\.part\b")
 
 
 def announce(folder: Path, files: Iterable[Path], instead: Sequence[Path] = ()) -> None:
-    """Record that what is `beside` each of these files is whole, and that those `instead` are to be removed.
-
-    `finish` follows; not after an OSError.
-    """
+    """Record that what is `beside` these files is whole, and those `instead` to be removed. `finish` follows."""
     names = {}
     for path in files:
         with beside(path).open("rb") as whole:
@@ -35,9 +30,8 @@ def announce(folder: Path, files: Iterable[Path], instead: Sequence[Path] = ()) 
 
 
 def finish(folder: Path) -> None:
-    """Replace what is announced and not replaced yet; it may be interrupted, and repeated. Raises OutputError.
-
-    Files that were written since, as by another run, stay.
+    """Replace what is announced and not replaced yet; it may be interrupted, and repeated. Raises OutputError. Files
+    that were written since, as by another run, stay.
     """
     journal = folder / JOURNAL
     try:
@@ -87,11 +81,10 @@ def _read(journal: Path) -> dict[str, Any] | None:
 
 
 def _stamp(path: Path) -> list[int] | None:
-    try:
+    with contextlib.suppress(FileNotFoundError):
         found = path.stat()
-    except FileNotFoundError:
-        return None
-    return [found.st_size, found.st_mtime_ns]
+        return [found.st_size, found.st_mtime_ns]
+    return None
 
 
 def _runs(number: int) -> bool:

@@ -53,7 +53,6 @@ class Store:
         self._lock = threading.Lock()
         self._end = 0
         try:
-            # without a buffer: what does not fit is forgotten
             self._file: Any = tempfile.TemporaryFile(prefix="facetrack-fix-", buffering=0)  # noqa: SIM115
         except OSError as e:
             raise OutputError(f"no temporary file can be made: {e.strerror or e}; set TMPDIR to a folder") from e
@@ -137,9 +136,8 @@ class Tracking:
     def track(
         self, tasks: Sequence[Task], rows: Trajectory, *, report: Report = silent, stop: Stop = never
     ) -> list[Track]:
-        """The tracks of tasks of different targets; with mutual exclusion, `rows` say where the others are.
-
-        Raises StoppedError once `stop` says so, InputError if the clip is not the run's.
+        """The tracks of tasks of different targets; with mutual exclusion, `rows` say where the others are. Raises
+        StoppedError once `stop` says so, InputError if the clip is not the run's.
         """
         live = [_Live(self._run, task, self._start) for task in tasks]
         frames = frames_of(tasks)
@@ -162,16 +160,13 @@ class Tracking:
         frame = self._read(index)
         then = float(self._run.rows.parts[0].time_s[index - self._run.first])
         if abs(frame.time_s - then) > _APART_S:
-            raise InputError(
-                f"{self._run.clip}: frame {index} is at {frame.time_s:.4f} s, and in the run at {then:.4f} s; "
-                "name the run's clip with --clip"
-            )
+            times = f"is at {frame.time_s:.4f} s, and in the run at {then:.4f} s"
+            raise InputError(f"{self._run.clip}: frame {index} {times}; name the run's clip with --clip")
         return frame
 
     def _covers(self, one: _Live, now: Sequence[_Live], rows: Trajectory, index: int) -> list[Cover]:
-        """What the other targets explain, by their state or their recorded rows.
-
-        As in a run, targets before it are where they are in this frame, those after it where they were.
+        """What the other targets explain, by state or recorded row: those before it in this frame, those after it in
+        the last.
         """
         found: list[Cover | None] = []
         running = {other.task.target: other for other in now}
@@ -208,8 +203,7 @@ class _Live:
         self.begun = False
         self.state: Any = None
         self._collected = Collector()
-        # a stream of its own for each target, as in a run
-        spawned = (self.place,) if self.place else ()
+        spawned = (self.place,) if self.place else ()  # a stream of its own for each target, as in a run
         self._rng = np.random.default_rng(np.random.SeedSequence(run.recipe.seed, spawn_key=spawned))
 
     def step(self, frame: Frame, covers: Sequence[Cover]) -> None:
@@ -221,5 +215,4 @@ class _Live:
         self._collected.add(result.rows)
 
     def track(self, store: Store) -> Track:
-        at = store.add(as_written(self._collected.trajectory()))
-        return Track(self.task.target, self.task.begin, self.task.first, self.task.stop, at)
+        return Track(**vars(self.task), at=store.add(as_written(self._collected.trajectory())))

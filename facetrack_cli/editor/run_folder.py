@@ -37,9 +37,8 @@ _FRAME: Final = re.compile(rb'\{(?:"type":"frame",)?"frame":(\d{1,15}),')
 
 @dataclass(frozen=True)
 class Run:
-    """A run. `rows` are those of its JSON, `files` its trajectories with their `stamp` when they were opened.
-
-    `start` includes the corrections that it was made with; `fps` is None for a video.
+    """A run: the `rows` of its JSON, the `start` with its corrections, its trajectories `files` with their `stamp` when
+    they were opened; `fps` is None for a video.
     """
 
     folder: Path
@@ -87,17 +86,15 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     if clip is None and not _is_there(path):
         raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
     recipe = _recipe(main, rows.header["recipe"], [Path(), folder, folder.parent, path.parent])
-    start = header.init.start
     fps = None if listing(path) is None else Fraction(header.source.fps).limit_denominator(1001)
-    run = Run(folder, rows, header, recipe, start, path, fps, stamped)
+    run = Run(folder, rows, header, recipe, header.init.start, path, fps, stamped)
     _check_rows(main, run)
     return run
 
 
 def read_files(files: Mapping[Format, Path]) -> Trajectory:
-    """The rows of a run's JSON, or else its JSON lines; its other trajectories must hold the same.
-
-    Raises InputError, with the line, for what is not byte for byte as a run writes it, and for a file that differs.
+    """The rows of a run's JSON, or else its JSON lines; its other trajectories must hold the same. Raises InputError,
+    with the line, for what is not byte for byte as a run writes it, and for a file that differs.
     """
     main = files["json"] if "json" in files else files["jsonl"]
     last = None
@@ -247,8 +244,7 @@ def _recipe(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) ->
         return kind.model_validate(known, context={"path": main.parent / f"{name}.yaml", "root": None})
     except ValidationError as e:
         first = e.errors()[0]
-        key = ".".join(str(step) for step in first["loc"])
-        wrong = f"{key}: {first['msg'].lower()}"
+        wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
         raise InputError(f"{main}: this version of facetrack does not know its recipe ({wrong}); {_AGAIN}") from None
 
 
@@ -266,8 +262,7 @@ def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
 
 def _check_rows(main: Path, run: Run) -> None:
     """InputError if the corrections are not as a run has them, or the rows not what this recipe makes of this start."""
-    start = run.start
-    places = [(one.frame, one.target) for one in start.corrections]
+    start, places = run.start, [(one.frame, one.target) for one in run.start.corrections]
     frames = [frame for frame, _ in places]
     ours = all(one.target in start.targets and one.frame > start.frame for one in start.corrections)
     empty = any(not (one.absent or one.given.box is not None or one.given.points) for one in start.corrections)

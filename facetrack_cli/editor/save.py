@@ -38,7 +38,6 @@ class _Plain:
 
 def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Stop = never) -> list[str]:
     """Write the rows of now, the corrections, and with `video` the video, if the run has one; a line on each file.
-
     Raises OutputError or InputError if something cannot be written, StoppedError once `stop` says so; the folder is
     then as it was.
     """
@@ -90,9 +89,8 @@ def _check(run: Run) -> None:
 
 
 def repaint(run: Run, path: Path, rows: Trajectory, report: Report, stop: Stop) -> tuple[str, ...]:
-    """Write the run's annotated video `beside` its path, without particles, which rows do not have; its warnings.
-
-    Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
+    """Write the annotated video `beside` its path, without particles, which rows do not have; its warnings. Raises
+    StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
     """
     total, done = run.last - run.first + 1, 0
     with open_source(run.clip, fps=run.fps, start=run.first, stop=run.last + 1) as source:

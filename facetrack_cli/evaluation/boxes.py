@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.core.types import Array, Mask, Whole
+from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.evaluation.measure import COUNT, PERCENT, UNIT, Measure, Value, mean
 
 SUCCESS_THRESHOLDS: Array = np.linspace(0.0, 1.0, 21)  # overlap; OTB
@@ -80,10 +80,9 @@ def centre_errors(ours: Array, truth: Array) -> Array:
 
 
 def normalised_errors(ours: Array, truth: Array) -> Array:
-    """(T,) distance of the centres, each axis in widths and heights of the true box.
-
-    The normalised precision of TrackingNet (Müller et al. 2018) and LaSOT (Fan et al. 2019). Sides below one pixel
-    count as one, as in `normalized_center_error` of got10k's later sources; 0.1.3 on PyPI does not have it.
+    """(T,) distance of the centres, each axis in widths and heights of the true box: the normalised precision of
+    TrackingNet (Müller et al. 2018) and LaSOT (Fan et al. 2019). Sides below one pixel count as one, as in
+    `normalized_center_error` of got10k's later sources; 0.1.3 on PyPI does not have it.
     """
     return _length((_centres(ours) - _centres(truth)) / np.maximum(1.0, truth[:, 2:]))
 
@@ -99,12 +98,13 @@ def within(ours: Array, truth: Array, share: float = 0.5) -> Mask:
 
 def share_above(values: Array, thresholds: Array) -> Array:
     """(K,) share of values (T,) strictly above each threshold (K,): a success curve. nan when there are no values."""
-    return _shares(len(values) - np.searchsorted(np.sort(values), thresholds, side="right"), len(values))
+    below = np.searchsorted(np.sort(values), thresholds, side="right")
+    return np.asarray((len(values) - below) / (len(values) or np.nan))
 
 
 def share_up_to(values: Array, thresholds: Array) -> Array:
     """(K,) share of values (T,) at or below each threshold (K,): a precision curve. nan when there are no values."""
-    return _shares(np.searchsorted(np.sort(values), thresholds, side="right"), len(values))
+    return np.asarray(np.searchsorted(np.sort(values), thresholds, side="right") / (len(values) or np.nan))
 
 
 def measure_boxes(
@@ -140,11 +140,9 @@ def measure_boxes(
     # nan all over, so that no half of a box is compared with anything
     ours = np.where(np.isfinite(ours).all(axis=1, keepdims=True), ours, np.nan)
     otb = np.where(given[:, None], truth, ours)
-
     overlap = np.where(counts, np.nan_to_num(iou(otb, truth)), np.nan)
-    distance, normalised = (
-        np.where(np.isnan(one), np.inf, one) for one in (centre_errors(otb, truth), normalised_errors(otb, truth))
-    )
+    errors = centre_errors(otb, truth), normalised_errors(otb, truth)
+    distance, normalised = (np.where(np.isnan(one), np.inf, one) for one in errors)
     success = share_above(overlap[counts], SUCCESS_THRESHOLDS)
     precision = share_up_to(distance[counts], PRECISION_THRESHOLDS)
     normalised_precision = share_up_to(normalised[counts], NORMALISED_THRESHOLDS)
@@ -181,13 +179,6 @@ def _centres(boxes: Array) -> Array:
 
 def _length(offsets: Array) -> Array:
     return np.asarray(np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2))
-
-
-def _shares(counts: Whole, of: int) -> Array:
-    return np.asarray(counts / of) if of else np.full(len(counts), np.nan)
-
-
-# --- regions of VOT ----------------------------------------------------------------------------------------------
 
 
 def vot_overlaps(

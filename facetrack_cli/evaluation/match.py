@@ -153,9 +153,7 @@ def _check_status(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
             "name them the other way round"
         )
     if set(theirs.tolist()) <= {"lost"}:
-        raise InputError(
-            f"{truth.path}: calls every row lost, so there is nothing to measure against; name a truth file"
-        )
+        raise InputError(f"{truth.path}: calls every row lost, so nothing can be measured; name a truth file")
 
 
 def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair], partial: bool) -> None:
@@ -165,11 +163,8 @@ def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
     spans = f"the truth has frames {_span(theirs)}, the trajectory {_span(ours)}"
     moved = f"--shift {_shift(truth, -first)}" if first == last != 0 else ""
     if not both:
-        remedy = f"if it counts from another frame, {moved}"
-        raise InputError(
-            f"{truth.path}: {spans}: no frame in common; "
-            f"{remedy if moved else 'move the truth by --shift N, or name its own'}"
-        )
+        remedy = f"if it counts from another frame, {moved}" if moved else "move the truth by --shift N or name its own"
+        raise InputError(f"{truth.path}: {spans}: no frame in common; {remedy}")
     if partial:
         return
     rest = f"--partial measures the {both} that both have"
@@ -177,12 +172,10 @@ def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
     if moved and abs(first) >= (stride if first > 0 else 1):
         by = "one" if abs(first) == 1 else str(abs(first))
         raise InputError(f"{truth.path}: {spans}: shifted by {by}? {moved}; if not, {rest}")
-    uneven = ""
-    if not 0 <= first < stride:
+    if not 0 <= first < stride or not -stride < last <= 0:
         uneven = f"begins at frame {theirs[0]}, the trajectory at {ours[0]}"
-    elif not -stride < last <= 0:
-        uneven = f"ends at frame {theirs[-1]}, the trajectory {'goes on to' if last < 0 else 'ends at'} {ours[-1]}"
-    if uneven:
+        if 0 <= first < stride:
+            uneven = f"ends at frame {theirs[-1]}, the trajectory {'goes on to' if last < 0 else 'ends at'} {ours[-1]}"
         raise InputError(f"{truth.path}: {uneven}: {rest}, --shift N moves the truth")
     for one in named:
         missing = np.setdiff1d(one.truth.frame, one.ours.frame)
@@ -195,7 +188,7 @@ def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
 
 
 def _shift(truth: Trajectory, more: int) -> int:
-    """The value of --shift that moves the truth by `more` frames than it was moved already."""
+    """The --shift that moves the truth by `more` frames than it was moved already."""
     return int(truth.header.get("shift", 0)) + more
 
 
@@ -216,9 +209,6 @@ def _check_places(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
             f"{truth.path}: {where.sum()} of its {where.size} places are outside of the picture of {size[0]}x{size[1]} "
             f"pixels that {trajectory.path} was made from; it is of another clip or size: name the right one"
         )
-
-
-# --- rows of other frames under the same numbers -----------------------------------------------------------------
 
 
 class Shift(NamedTuple):
@@ -316,7 +306,7 @@ def _track(ours: Trajectory, truth: Trajectory) -> _Track | None:
     """None where too little is known."""
     mine, true = (np.stack([one.x, one.y], axis=1) for one in (ours, truth))
     tracked = np.isfinite(mine).all(axis=1) & (ours.status != "lost")
-    seen = np.isfinite(true).all(axis=1) & ~np.isin(truth.status, ("hidden", "absent"))
+    seen = np.isfinite(true).all(axis=1) & ~np.isin(truth.status, NOT_SEEN)
     rows = np.flatnonzero(seen)[:: 1 + int(seen.sum()) // MOST_ROWS]
     if rows.size < 2 or not tracked.any():
         return None

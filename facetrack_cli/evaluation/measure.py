@@ -21,9 +21,8 @@ Value: TypeAlias = float | int | None
 
 @dataclass(frozen=True)
 class Measure:
-    """`title`: the head of its column, in two lines; `write`: a value as text; `better`: None where neither is.
-
-    A measure that is `rare` has a column only where one of its values is not 0; one without a title has none.
+    """`title`: the head of its column, in two lines, without one it has none; `write`: a value as text; `better`: None
+    where neither is. One that is `rare` has a column only where one of its values is not 0.
     """
 
     title: str

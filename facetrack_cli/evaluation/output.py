@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
@@ -29,10 +29,7 @@ DASH: Final = "\N{EN DASH}"
 
 @dataclass(frozen=True)
 class About:
-    """What was compared: the files, how the ground truth was read, and by how many frames it was shifted.
-
-    `results_read_as` says how a trajectory that is not facetrack's own was read.
-    """
+    """What was compared: the files, how they were read (the trajectory: if not facetrack's own), and the shift."""
 
     trajectory: Path
     truth: Path
@@ -72,20 +69,15 @@ def _groups(one: Measured) -> dict[str, Any]:
         if getattr(one, group) is not None
     }
     if one.boxes is not None:
-        curves = {name: getattr(one.boxes, name).tolist() for name in CURVES}
-        out["boxes"]["curves"] = {
-            name: [v if math.isfinite(v) else None for v in each] for name, each in curves.items()
-        }
+        curves = [(name, getattr(one.boxes, name).tolist()) for name in CURVES]
+        out["boxes"]["curves"] = {name: [v if math.isfinite(v) else None for v in each] for name, each in curves}
     if one.confidence is not None:
         out["confidence"]["bins"] = [asdict(each) for each in one.confidence.bins]
     return out
 
 
 def to_csv(evaluation: Evaluation, about: About) -> str:
-    """A header and a row a part, then one of all parts together, whose target is "all".
-
-    The columns are the same whatever was measured: trajectory, truth, target, part, and all MEASURES.
-    """
+    """A header with all MEASURES, a row a part, then one of all parts together, whose target is "all"."""
     out = io.StringIO()
     write = csv.writer(out, lineterminator="\n")
     write.writerow(["trajectory", "truth", "target", "part", *MEASURES])
@@ -94,8 +86,6 @@ def to_csv(evaluation: Evaluation, about: About) -> str:
         write.writerow([about.trajectory, about.truth, one.target, one.part, *values])
     return out.getvalue()
 
-
-# --- tables ------------------------------------------------------------------------------------------------------
 
 _TABLES: Final = {
     "points": ("POINTS", "distance to the ground truth"),
@@ -111,8 +101,9 @@ _TABLES: Final = {
 
 def to_text(evaluation: Evaluation, about: About, *, colour: bool = False) -> str:
     """All tables; with `colour`, with the escapes of a terminal."""
-    system: Literal["standard"] | None = "standard" if colour else None
-    console = Console(width=WIDTH, force_terminal=colour, color_system=system, markup=False, emoji=False)
+    console = Console(
+        width=WIDTH, force_terminal=colour, color_system="standard" if colour else None, markup=False, emoji=False
+    )
     with console.capture() as captured:
         for block in _blocks(evaluation, about):
             console.print(block, soft_wrap=isinstance(block, Text))

@@ -1,10 +1,9 @@
-"""Errors of points against the ground truth, and the recovery of parts after occlusions.
-
-Errors are Euclidean distances in pixels; a *normalised* error is divided by a length of the ground truth (rows.py).
-Failure rate and AUC are those of the facial landmark literature (300-W, COFW, WFLW), with a row for an image.
+"""Errors of points, Euclidean distances in pixels, against the ground truth, and the recovery of parts after
+occlusions. A *normalised* error is divided by a length of the ground truth (rows.py). Failure rate and AUC are those of
+the facial landmark literature (300-W, COFW, WFLW), with a row for an image.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -69,10 +68,7 @@ class Occlusion:
 
 @dataclass(frozen=True)
 class RecoveryMeasures:
-    """How many occlusions there are, those that can be decided, and those of these after which the parts come back.
-
-    `recovered` is the share of the decided ones; the median and the worst frames to return are of those that come back.
-    """
+    """How many occlusions there are, can be decided, and end with a return; `recovered` is the share of the decided."""
 
     occlusions: Annotated[int, Measure("", COUNT)]
     decided: Annotated[int, Measure("", COUNT)]
@@ -83,10 +79,7 @@ class RecoveryMeasures:
 
 
 def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeasures:
-    """Errors over all rows of the parts, each row counting once; `failure` is a normalised error.
-
-    Rows that a correction gave are left out.
-    """
+    """Errors over all rows of the parts but those that a correction gave; `failure` is a normalised error."""
     parts = [part.take(~part.later) for part in parts]
     error, unit, visible, hidden = (column(parts, name) for name in ("error", "unit", "visible", "hidden"))
     seen, missing = visible & np.isfinite(error), visible & np.isinf(error)
@@ -115,10 +108,7 @@ def measure_points(parts: Sequence[Rows], failure: float = FAILURE) -> PointMeas
 
 
 def auc(errors: Array, limit: float) -> Value:
-    """Area under the cumulative distribution of `errors` (R,) from 0 to `limit`, divided by `limit`; None without rows.
-
-    The distribution is a step function, so the area is exact; infinite errors add nothing.
-    """
+    """Area under the cumulative distribution of `errors` (R,) from 0 to `limit`, over `limit`; None without rows."""
     return mean(np.clip(1 - errors / limit, 0.0, 1.0))
 
 
@@ -134,7 +124,7 @@ def occlusions(parts: Sequence[Rows]) -> tuple[Occlusion, ...]:
     return tuple(one for name in targets for one in _of_target([part for part in parts if part.target == name]))
 
 
-def _of_target(parts: Sequence[Rows]) -> list[Occlusion]:
+def _of_target(parts: Sequence[Rows]) -> Iterator[Occlusion]:
     frames = np.unique(column(parts, "frame"))
     # a part without a row in a frame is not known to be covered there, nor to be near
     covered, near, judged, by_hand = np.zeros((4, len(frames), len(parts)), dtype=np.bool_)
@@ -143,23 +133,14 @@ def _of_target(parts: Sequence[Rows]) -> list[Occlusion]:
         covered[at, k], near[at, k], judged[at, k], by_hand[at, k] = part.covered, part.near, part.judged, part.by_hand
     stretches = spans(np.any(covered, axis=1))
     nexts = [*[first for first, _ in stretches], len(frames)][1:]
-    found = []
     for (first, end), until in zip(stretches, nexts, strict=True):
         those = np.flatnonzero(covered[first:end].any(axis=0))
-        held = (end + a for a, b in spans(np.all(near[end:until, those], axis=1)) if b - a >= HELD)
-        back = next(held, None)
+        back = next((end + a for a, b in spans(np.all(near[end:until, those], axis=1)) if b - a >= HELD), None)
         helped = by_hand[first : until if back is None else back + 1, those].any()
-        found.append(
-            Occlusion(
-                target=parts[0].target,
-                parts=tuple(parts[k].part for k in those.tolist()),
-                first=int(frames[first]),
-                last=int(frames[end - 1]),
-                frames_to_return=None if back is None else int(frames[back] - frames[end]),
-                decided=int(judged[end:until, those].all(axis=1).sum()) >= HELD and not bool(helped),
-            )
-        )
-    return found
+        after = None if back is None else int(frames[back] - frames[end])
+        decided = int(judged[end:until, those].all(axis=1).sum()) >= HELD and not bool(helped)
+        names = tuple(parts[k].part for k in those.tolist())
+        yield Occlusion(parts[0].target, names, int(frames[first]), int(frames[end - 1]), after, decided)
 
 
 def measure_recovery(found: Sequence[Occlusion]) -> RecoveryMeasures | None:

@@ -1,7 +1,5 @@
-"""A trajectory beside its ground truth, row by row: the arrays that every measure is computed from, and the lengths
-by which errors are normalised.
-
-Axes: R rows of one part, one a frame, in the order of their frames.
+"""A trajectory beside its ground truth: the (R,) rows that measures are computed from, and lengths that normalise
+errors.
 """
 
 from __future__ import annotations
@@ -128,11 +126,9 @@ class Pair(NamedTuple):
 
     @property
     def is_box(self) -> bool:
-        """Whether the pair is measured as boxes: one is declared a box, and both have a size in some row."""
+        """Whether one is declared a box, and both have a size in some row: it is measured as boxes."""
         return self.declared_box and all(bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in self)
 
-
-# --- lengths -------------------------------------------------------------------------------------------------------
 
 # names of the two parts, tried in this order
 NAMED = {"mouth": (("mouth_left", "mouth_right"),), "eyes": (("eye_left", "eye_right"), ("point_37", "point_46"))}
@@ -177,16 +173,14 @@ def check_normalise(how: str) -> str:
     except ValueError:
         pixels = math.nan
     if not 0 < pixels < math.inf:
-        raise UsageError(
-            f"--normalise {how!r}: give size, mouth, eyes, two parts as nose:mouth_left, or a number of pixels above 0"
-        )
+        wanted = "size, mouth, eyes, two parts as nose:mouth_left, or a number of pixels above 0"
+        raise UsageError(f"--normalise {how!r}: give {wanted}")
     return how
 
 
 def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) -> Unit:
-    """The length of one target, whose ground truth is `truth`, for increasing `frames` (F,).
-
-    Raises UsageError where the ground truth does not have the two parts that `how` names.
+    """The length of one target with ground truth `truth`, for increasing `frames` (F,). UsageError if `how` does not
+    fit.
     """
     one = truth[0]
     if how in NAMED or ":" in how:
@@ -205,7 +199,6 @@ def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) 
 
 
 def _pair(how: str, truth: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory]:
-    """The two parts that `how` names."""
     wanted = NAMED.get(how) or (tuple(how.split(":")),)
     there = {s.part: s for s in truth}
     for one, other in wanted:

@@ -14,26 +14,11 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Whole
+from facetrack_cli.evaluation import points as errors
+from facetrack_cli.evaluation import trust
 from facetrack_cli.evaluation.boxes import BoxMeasures, measure_boxes
 from facetrack_cli.evaluation.measure import Measure, Value, measures_of
-from facetrack_cli.evaluation.points import (
-    FAILURE,
-    Occlusion,
-    PointMeasures,
-    RecoveryMeasures,
-    measure_points,
-    measure_recovery,
-    occlusions,
-)
 from facetrack_cli.evaluation.rows import Pair, Rows, Unit, check_normalise, column, rows_of, unit_of
-from facetrack_cli.evaluation.trust import (
-    ConfidenceMeasures,
-    CoverageMeasures,
-    LostMeasures,
-    measure_confidence,
-    measure_coverage,
-    measure_lost,
-)
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 
@@ -44,25 +29,24 @@ class Options:
     """
 
     normalise: str = "size"
-    failure: float = FAILURE
+    failure: float = errors.FAILURE
     size: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One part, or with an empty `part` and the target "all", all of them together. What was not measured is None.
-
-    `occlusions` is measured of all parts together alone.
+    """One part, or with an empty `part` and the target "all", all of them together, which alone have `occlusions`. What
+    was not measured is None.
     """
 
     target: str
     part: str
-    points: PointMeasures | None
+    points: errors.PointMeasures | None
     boxes: BoxMeasures | None
-    occlusions: RecoveryMeasures | None
-    lost: LostMeasures | None
-    confidence: ConfidenceMeasures | None
-    coverage: CoverageMeasures | None
+    occlusions: errors.RecoveryMeasures | None
+    lost: trust.LostMeasures | None
+    confidence: trust.ConfidenceMeasures | None
+    coverage: trust.CoverageMeasures | None
 
     @property
     def name(self) -> str:
@@ -89,9 +73,8 @@ MEASURES: Final[Mapping[str, Measure]] = {
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What was measured of one trajectory, on the `rows` that it shares with the ground truth.
-
-    `units` says by what length the errors of each target are normalised; `notes` why figures are not defined, and more.
+    """What was measured on the `rows` shared with the ground truth; `units`: the length that normalises each target's
+    errors.
     """
 
     options: Options
@@ -99,7 +82,7 @@ class Evaluation:
     units: Mapping[str, str]
     parts: tuple[Measured, ...]
     all: Measured
-    occlusions: tuple[Occlusion, ...]
+    occlusions: tuple[errors.Occlusion, ...]
     notes: tuple[str, ...]
 
     @property
@@ -120,7 +103,6 @@ def evaluate(
     reference: Sequence[Trajectory] = (),
 ) -> Evaluation:
     """Measure the pairs of `match`. Lengths are taken from their ground truth, and from the parts in `reference`.
-
     Raises InputError without any row, UsageError for a length that the ground truth does not have.
     """
     options = options or Options()
@@ -132,8 +114,8 @@ def evaluate(
     units = _units(pairs, options.normalise, reference)
     every = [(pair, rows_of(pair, units[pair.ours.target].at(pair.ours.frame))) for pair in pairs]
     rows = tuple(one for _, one in every)
-    found = occlusions(rows)
-    whole = replace(_measured("all", "", every, options), occlusions=measure_recovery(found))
+    found = errors.occlusions(rows)
+    whole = replace(_measured("all", "", every, options), occlusions=errors.measure_recovery(found))
     parts = tuple(_measured(one.target, one.part, [(pair, one)], options) for pair, one in every)
     texts = {target: unit.text for target, unit in units.items()}
     evaluation = Evaluation(options, rows, texts, parts, whole, found, ())
@@ -164,16 +146,10 @@ def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], option
     rows = [one for _, one in every]
     points = [one for pair, one in every if not pair.is_box]
     boxed = [(pair, one) for pair, one in every if pair.is_box]
-    return Measured(
-        target,
-        part,
-        measure_points(points, options.failure) if points else None,
-        _boxes(boxed, options.size) if boxed else None,
-        None,
-        measure_lost(rows),
-        measure_confidence(rows),
-        measure_coverage(rows),
-    )
+    of_points = errors.measure_points(points, options.failure) if points else None
+    of_boxes = _boxes(boxed, options.size) if boxed else None
+    trusted = trust.measure_lost(rows), trust.measure_confidence(rows), trust.measure_coverage(rows)
+    return Measured(target, part, of_points, of_boxes, None, *trusted)
 
 
 def _boxes(those: Sequence[tuple[Pair, Rows]], size: tuple[int, int] | None) -> BoxMeasures:

@@ -1,7 +1,6 @@
-"""How far `lost`, `confidence` and the posterior's spread can be trusted, against the ground truth.
-
-Counted are rows, one for each frame and part, without those that the tracker was given. A row is *near* as rows.py has
-it, *covered* if the ground truth calls it hidden or absent, *gone* if it is covered or not near.
+"""How far `lost`, `confidence` and the posterior's spread can be trusted, against the ground truth. Rows are counted,
+without those that the tracker was given: *near* as in rows.py, *covered* if hidden or absent in the ground truth,
+*gone* if covered or not near.
 """
 
 import math
@@ -113,19 +112,15 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
     lost, visible, covered, near, judged = (column(parts, name) for name in names)
     if not len(lost):
         return None
-    until_lost: list[int] = []
-    until_back: list[int] = []
-    stretches = [
-        (part, helped, span) for part, helped in zip(parts, by_hand, strict=True) for span in spans(part.covered)
-    ]
+    delays: tuple[list[int], list[int]] = [], []  # until lost, until back
+    each = zip(parts, by_hand, strict=True)
+    stretches = [(part, helped, span) for part, helped in each for span in spans(part.covered)]
     for part, helped, (first, end) in stretches:
-        begin = part.frame[first]
-        for called in part.frame[first:end][part.lost[first:end]][:1]:
-            if not np.any((helped >= begin) & (helped <= called)):
-                until_lost.append(called - begin)
-        for back in part.frame[end:][~part.lost[end:] & part.near[end:]][:1]:
-            if not np.any((helped >= begin) & (helped <= back)):
-                until_back.append(back - part.frame[end])
+        called = part.frame[first:end][part.lost[first:end]]
+        back = part.frame[end:][~part.lost[end:] & part.near[end:]]
+        for delay, at, begin in zip(delays, (called, back), (first, end), strict=True):
+            if len(at) and not np.any((helped >= part.frame[first]) & (helped <= at[0])):
+                delay.append(at[0] - part.frame[begin])
     known = covered | judged  # a hidden row is gone, wherever it is
     gone = covered | (judged & ~near)
     return LostMeasures(
@@ -140,9 +135,9 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
         tracked_near=share(~lost & judged, near),
         tracked_visible_near=share(~lost & judged & visible, near),
         spans=len(stretches),
-        spans_called=len(until_lost),
-        delay_lost=median(np.array(until_lost)),
-        delay_back=median(np.array(until_back)),
+        spans_called=len(delays[0]),
+        delay_lost=median(np.array(delays[0])),
+        delay_back=median(np.array(delays[1])),
     )
 
 
@@ -194,9 +189,8 @@ def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
 
 
 def mahalanobis_squared(offset: Array, std: Array) -> Array:
-    """(R,) squared Mahalanobis distance of offsets (R, 2) for deviations (R, 2) along the axes.
-
-    Along an axis without spread it is 0 if the offset is, else infinite.
+    """(R,) squared Mahalanobis distance of offsets (R, 2) for deviations (R, 2) along the axes; along an axis without
+    spread it is 0 if the offset is, else infinite.
     """
     flat = std == 0
     with np.errstate(over="ignore"):  # of a tiny std: infinitely far is right
@@ -206,9 +200,8 @@ def mahalanobis_squared(offset: Array, std: Array) -> Array:
 
 
 def auroc(score: Array, positive: Mask) -> Value:
-    """Area under the ROC curve, exact: the chance that a positive scores above a negative, ties counting half.
-
-    score (R,) finite, positive (R,). None if all rows are positive, or none is.
+    """Exact area under the ROC curve of score (R,): the chance that a positive (R,) scores above a negative, ties
+    counting half. None if all rows are positive, or none is.
     """
     positives = int(np.sum(positive))
     negatives = len(score) - positives

@@ -64,10 +64,9 @@ def init_yaml(header: Header) -> str:
 
 
 def command(header: Header, last: int, folder: Path | None = None) -> str:
-    """The command that makes the run again, up to the frame `last`.
-
-    A recipe that is not a shipped one, but for some keys, is a file NAME.yaml. Corrections are in the init file that
-    the run began with, or the one in the run's `folder`; else in a file `CORRECTED`, to be made of `init_yaml`.
+    """The command that makes the run again, up to the frame `last`. A recipe that differs from the shipped ones is a
+    file NAME.yaml. Corrections are in the run's init file or in its `folder`; else in `CORRECTED`, to be made as an
+    init file.
     """
     words = ["facetrack", "run", header.source.path, *_recipe_words(header), "--seed", str(header.seed)]
     words += [*_init_words(header.init, folder), "--stop", str(last + 1), *_rate_words(header.source), "-o", "again"]
@@ -114,10 +113,9 @@ def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
         return ["--init", "haar", *(at if init.frame else [])]
     if init.origin == "--box" and first is not None and first.box is not None:
         return ["--box", ",".join(f"{side:.12g}" for side in first.box), *(at if init.frame else [])]
-    try:
+    same = False
+    with contextlib.suppress(FacetrackError):
         same = read_init(Path(init.origin)).frame == init.frame
-    except FacetrackError:
-        same = False
     return ["--init", init.origin, *([] if same else at)]
 
 
@@ -127,10 +125,7 @@ def _corrections(start: Start) -> list[Correction]:
 
 
 def _rate_words(source: ClipHeader) -> list[str]:
-    path = Path(source.path)
-    try:
+    path, folder, rate = Path(source.path), False, Fraction(source.fps).limit_denominator(1001)
+    with contextlib.suppress(FacetrackError, OSError, ValueError):
         folder = listing(path) is not None or (not path.exists() and not path.suffix)
-    except (FacetrackError, OSError, ValueError):
-        folder = False
-    rate = Fraction(source.fps).limit_denominator(1001)
     return ["--fps", str(rate)] if folder and rate != FOLDER_FPS else []

@@ -1,7 +1,4 @@
-"""What happened in a run: when each part was lost and tracked again, and which frames show it best.
-
-Frames are source frames; a lost span ends before the frame in which the part is tracked, corrected or absent.
-"""
+"""What happened in a run, in source frames: when each part was lost and tracked again, and the frames that show it."""
 
 import math
 from bisect import bisect
@@ -51,10 +48,7 @@ class Stretch(NamedTuple):
 
 
 class LostSpan(NamedTuple):
-    """One part lost once, in frames `first` to `last`; `back`: where it is tracked again, None if never.
-
-    `lowest` is its least confidence, nan if there is none. `by_hand`: a correction, or its mark as absent, ended it.
-    """
+    """A part lost in `first` to `last`; `back`: where it is tracked again, if so; `by_hand`: a correction ended it."""
 
     name: str
     first: int
@@ -76,9 +70,8 @@ class CorrectedFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class PartHistory:
-    """What happened to one part; confidences are nan where unknown, `worst` is the frame of the lowest.
-
-    `judged`: the tracker reports a status after the first frame, or a confidence.
+    """One part; confidences are nan where unknown, `worst` is the frame of the lowest; `judged`: its status is
+    reported.
     """
 
     name: str
@@ -190,10 +183,9 @@ def _least(values: Array) -> float:
 
 
 def key_frames(history: RunHistory, first: int, last: int, most: int = MOST_FRAMES) -> list[KeyFrame]:
-    """The frames to show, at most `most`: the first, the last, that of the lowest mean confidence, and of events.
-
-    Of too many events, those where the longest episodes begin and end; then, one by one, the event furthest in time
-    from all those taken.
+    """At most `most` frames: the first, the last, that of the lowest mean confidence, and of events. Of too many
+    events, those where the longest episodes begin and end, then, one by one, the event furthest in time from all those
+    taken.
     """
     found = history.events
     events = sorted({frame for frame, _ in found})

@@ -1,7 +1,4 @@
-"""Images of a run's key frames: the clip's own frames with the overlay drawn on them, else those of annotated.mp4.
-
-A clip is decoded once, up to the last frame that is wanted; of an image folder, only the images wanted are read.
-"""
+"""Images of key frames, decoded in one pass: the clip's frames with the overlay drawn on them, else annotated.mp4's."""
 
 import base64
 import math
@@ -60,9 +57,8 @@ class KeyImages:
 def key_images(
     table: Trajectory, header: Header, wanted: Sequence[int], given: Path | None, annotated: Path | None, report: Report
 ) -> KeyImages:
-    """Images of the `wanted` frames: from the clip `given` or the header's, else from the MP4 `annotated`.
-
-    Raises InputError if the clip `given` is not the run's; what is wrong with the header's becomes a note.
+    """Images of the `wanted` frames, from the clip `given` or the header's, else from the MP4 `annotated`. Raises
+    InputError if the clip `given` is not the run's; what is wrong with the header's becomes a note.
     """
     maker = _Maker(table, header)
     best = maker.read(given or Path(header.source.path), wanted, report)

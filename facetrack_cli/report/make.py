@@ -6,9 +6,9 @@ import base64
 import hashlib
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 NAME: Final = "report.html"
 MOST_PARTS, MOST_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
@@ -73,7 +70,7 @@ def make_report(
     truth that does not fit; UsageError without matplotlib or Jinja2.
     """
     plots.need_matplotlib()
-    template = _template()
+    render = _template()
     table = read_trajectory(trajectory_of(run))
     header = read_header(table)
     clock = Clock(table, header.source.fps)
@@ -88,9 +85,8 @@ def make_report(
     means = [part.mean for part in history.parts if np.isfinite(part.mean)]
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MOST_SPANS]
     again = command(header, last, run)
-    document = template.render(
+    document = render(
         title=title,
-        version=__version__,
         header=header,
         clock=clock,
         history=history,
@@ -98,10 +94,7 @@ def make_report(
         identities=list(text.identities(table, clock)),
         mean=float(np.mean(means)) if means else None,
         warnings=[*header.warnings, *found.notes],
-        bins=_BINS,
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
-        most_parts=MOST_PARTS,
-        most_spans=MOST_SPANS,
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,
         images=found.found,
@@ -115,7 +108,6 @@ def make_report(
         init=init_yaml(header),
         command=again,
         words=shlex.split(again),
-        corrected=CORRECTED,
         relative=not Path(header.source.path).is_absolute(),
     )
     return Page(_UNFIT.sub("\ufffd", document).encode(), tuple(found.notes))
@@ -137,23 +129,23 @@ def trajectory_of(run: Path) -> Path:
     raise InputError(f"{run}: has no trajectory.json; {remedy}")
 
 
-def _template() -> Template:
-    """The page's template, which escapes whatever is put into it. UsageError without Jinja2."""
+def _template() -> Callable[..., str]:
+    """Renders the page's template, which escapes whatever is put into it. UsageError without Jinja2."""
     with needed("reports", "jinja2"):
         import jinja2
         from markupsafe import Markup
 
     folder = Path(__file__).parent
     loader, strict = jinja2.FileSystemLoader(folder), jinja2.StrictUndefined
-    environment = jinja2.Environment(
-        loader=loader, autoescape=True, undefined=strict, trim_blocks=True, lstrip_blocks=True
-    )
+    trim: Any = {"trim_blocks": True, "lstrip_blocks": True}
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=strict, **trim)
     filters = (text.count, text.lasting, text.names, text.number, text.percent)
     environment.filters |= {"clock": at_clock, **{one.__name__: one for one in filters}}
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
-    environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}"}
-    return environment.get_template("report.html.j2")
+    environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
+    environment.globals |= {"bins": _BINS, "most_parts": MOST_PARTS, "most_spans": MOST_SPANS, "corrected": CORRECTED}
+    return environment.get_template("report.html.j2").render
 
 
 def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list[Pair], Mapping[str, Any]]:

@@ -30,9 +30,8 @@ DOUBT: Final = 0.5  # a confidence below this is worth a look
 
 
 class FixSession(Session):
-    """The corrections of one run, in a `fixer`; `unsaved` ones, of a session that was not saved, are applied first.
-
-    With `video`, Save also writes the annotated video again, if there is one.
+    """The corrections of one run; `unsaved` ones of the last session are applied first. With `video`, Save also writes
+    the annotated video again, if there is one.
     """
 
     mode: ClassVar[Literal["fix"]] = "fix"
@@ -230,9 +229,8 @@ def cells(rows: Trajectory, first: int, stop: int) -> list[list[list[Any]]]:
     """Of each frame in [first, stop) and each part: x, y, w, h, angle, confidence, status, whether by hand, corners."""
     some = rows.between(first, stop)
     numbers = np.stack([getattr(some, name) for name in ("x", "y", "w", "h", "angle", "confidence")], axis=1).tolist()
-    found = outlines(some)
     shapes: list[Any] = [None] * len(some)
-    if found is not None:
+    if (found := outlines(some)) is not None:
         shapes = [None if math.isnan(shape[0][0]) else shape for shape in np.round(found, 2).tolist()]
     lines = [
         [*(None if math.isnan(value) else value for value in row), *others]

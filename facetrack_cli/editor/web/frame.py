@@ -81,10 +81,7 @@ def draft_of(frame: int, targets: Mapping[str, TargetStart]) -> Draft:
 
 
 class OnceCache(Generic[_Key, _Value]):
-    """A thread-safe LRU cache that computes a value once; `most` bounds the sum of the values' `size`.
-
-    Errors are not kept.
-    """
+    """A thread-safe LRU cache that computes a value once, no error; `most` bounds the sum of the values' `size`."""
 
     def __init__(self, most: int, size: Callable[[_Value], int]) -> None:
         self._kept: Cache[_Key, _Value] = Cache(most)
@@ -144,10 +141,7 @@ def _encode(suffix: str, image: Image, options: tuple[int, int]) -> bytes:
 
 
 class Proposer:
-    """Proposes the faces of any frame, each computed once. All run in one thread, which keeps the cascades.
-
-    `points` are those that the recipe requires of the first target.
-    """
+    """Proposes the faces of a frame once, in one thread, which keeps the cascades; `points` are the first target's."""
 
     def __init__(self, frames: Frames, recipe: Recipe | None, points: Sequence[str]) -> None:
         self._frames, self._recipe = frames, recipe

@@ -30,10 +30,9 @@ _ABOUT_BOXES: Final = {
 
 
 class PickSession(Session):
-    """A start to be chosen, at first in `frame`, where the `box` of a face may give the first draft.
-
-    `begun` is the start of the file that will be replaced. Save writes to `out`, and an image to `preview`; without
-    `out` the start is left in `saved`. Raises InputError for a frame or box that cannot be.
+    """A start to be chosen, at first in `frame`, where the `box` of a face may give the first draft; `begun` is that of
+    the file to be replaced. Save writes to `out`, and an image to `preview`; without `out` the start is left in
+    `saved`. Raises InputError for a frame or box that cannot be.
     """
 
     mode: ClassVar[Literal["pick"]] = "pick"
@@ -115,10 +114,7 @@ def requirement(target: str, points: Sequence[str], box: Literal["needed", "opti
 
 
 def requirements(recipe: Recipe | None) -> list[Json]:
-    """The `requirement` of each target, or a single one for all targets where the recipe names none.
-
-    Without a recipe it is a face and the five points that can be placed.
-    """
+    """The `requirement` of each target, or one for all where the recipe names none: without a recipe, of a face."""
     if not isinstance(recipe, ParticlesRecipe):
         points = PARTS if recipe is None else recipe.points
         return [requirement(TARGET, points, _box_for(points))]
@@ -139,9 +135,7 @@ def start_of(
     draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, begun: Start | None
 ) -> Start:
     """The start of a draft, to 0.01 px, which a run accepts; with what of the earlier start `begun` is `carried`.
-
-    `size` is (width, height), `frames` their number where it is certain. Raises RefusedError (422), with all that is
-    missing.
+    `frames` is their number where it is certain. Raises RefusedError (422), with all that is missing.
     """
     chosen = draft.placed()
     if recipe is not None:

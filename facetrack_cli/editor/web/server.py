@@ -1,7 +1,6 @@
-"""The page's server: on the loopback address alone, and only for those who know the token in its address.
-
-A page of another site cannot use it: the host that the browser was sent to must be a loopback name, since a name of
-that site may resolve to this machine (DNS rebinding), and requests with an origin must come from this very page.
+"""The page's server: on the loopback address alone, and only for those who know the token in its address. A page of
+another site cannot use it: the host must be a loopback name, since a name of that site may resolve to this machine (DNS
+rebinding), and requests with an origin must come from this very page.
 """
 
 import contextlib
@@ -18,8 +17,7 @@ import webbrowser
 from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib import resources
-from pathlib import PurePath
+from pathlib import Path
 from typing import Any, Final
 from urllib.parse import parse_qs
 
@@ -51,8 +49,7 @@ _BODY = TypeAdapter(dict[str, Any])
 @lru_cache(maxsize=1)
 def assets() -> Mapping[str, Answer]:
     """The files of the page by name; no other file is ever served."""
-    files = resources.files("facetrack_cli.editor.web").joinpath("assets").iterdir()
-    kinds = [(file, KINDS.get(PurePath(file.name).suffix)) for file in files]
+    kinds = [(file, KINDS.get(file.suffix)) for file in Path(__file__).with_name("assets").iterdir()]
     return {file.name: Answer(file.read_bytes(), kind=f"{kind}; charset=utf-8") for file, kind in kinds if kind}
 
 

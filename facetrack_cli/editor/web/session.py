@@ -1,7 +1,4 @@
-"""What choosing targets and correcting them have in common: one draft, which several windows may change.
-
-Long work runs as the one job, in its own thread. Every method is thread-safe.
-"""
+"""What choosing targets and correcting them share: one draft, and one job in a thread. All methods are thread-safe."""
 
 import threading
 import time
@@ -53,10 +50,8 @@ class Route(NamedTuple):
 
 
 class Session(ABC):
-    """One page, until it is saved or stopped; a subclass saves, and may add routes.
-
-    `about`: {"clip", "recipe", "requirements", "free", "saves_to"} and more, for the page. Frames go from `first` to
-    `last`, None for the clip's last one.
+    """One page, until it is saved or stopped. `about`: {"clip", "recipe", "requirements", "free", "saves_to"} and more,
+    for the page. Frames go from `first` to `last`, None for the clip's last one.
     """
 
     mode: ClassVar[Literal["pick", "fix"]]
@@ -97,9 +92,8 @@ class Session(ABC):
             self.revision += 1
 
     def begin(self, what: str, work: Callable[[Report], None], *, saves: Draft | None = None) -> None:
-        """Run `work` as the job, whose error becomes the message. RefusedError (409) as `refuse_if_busy`.
-
-        The job that `saves` a draft is refused (409) if there is another one by now; until it ends, none is accepted.
+        """Run `work` as the job, whose error becomes the message. RefusedError (409) as `refuse_if_busy`, and if the
+        job `saves` a draft that is not the last one any more; until it ends, none is accepted.
         """
         with self.lock:
             self.refuse_if_busy()

@@ -3,35 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.trust import ConfidenceMeasures
+from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.lines import Pen, columns_for, quantiles
-from facetrack_cli.report.figures.style import (
-    COLOURS,
-    GUIDE,
-    STATUS,
-    clean,
-    frame_axis,
-    heading,
-    limit,
-    line_style,
-    new_figure,
-    style,
-)
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from facetrack_cli.report.figures.style import Axes, Figure
 
 Curves = Mapping[str, tuple[Array, Array]]
 BINS = 1000
 SQUARE = (6.4, 4.6)  # inches, with the legend beside
 WIDE = (10.0, 4.0)
-_MARK: Final[Any] = {**GUIDE, "linewidth": 0.9, "linestyle": (0, (3, 2)), "zorder": 1}
+_MARK: Final[Any] = {**style.GUIDE, "linewidth": 0.9, "linestyle": (0, (3, 2)), "zorder": 1}
 
 
 def success_figure(curves: Curves, *, title: str = "Success") -> Figure:
@@ -44,20 +30,14 @@ def success_figure(curves: Curves, *, title: str = "Success") -> Figure:
 
 
 def precision_figure(curves: Curves, *, title: str = "Precision", at: float = 20.0) -> Figure:
-    """As `success_figure`, for the distance of the centres: the share of frames within a threshold (n,) in pixels.
-
-    The legend has the share within `at` pixels.
-    """
+    """As `success_figure`: the share of centres within a distance (n,) in pixels; the legend has that within `at`."""
     return _curves(curves, f"at {at:g} px", title, ("distance threshold (px)", "share of frames within it"), at)
 
 
 def cumulative_error_figure(
     curves: Curves, *, threshold: float, unit: str = "px", title: str = "Cumulative error"
 ) -> Figure:
-    """As `success_figure`, for the share of rows whose error is below a value (n,) in `unit`.
-
-    The legend has the share below `threshold`.
-    """
+    """As `success_figure`: the share of rows with an error below (n,) in `unit`; the legend: below `threshold`."""
     names = f"error ({unit})", "share of rows below it"
     return _curves(curves, f"below {threshold:.3g} {unit}", title, names, threshold)
 
@@ -70,12 +50,12 @@ def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], ma
         return float(np.mean(values if mark is None else [np.interp(mark, at, row) for row in values]))
 
     longest = max((len(label) for label in curves), default=0)
-    with style():
-        figure = new_figure(SQUARE[0] + 0.055 * max(0, min(longest, 40) - 12), SQUARE[1])
+    with style.style():
+        figure = style.new_figure(SQUARE[0] + 0.055 * max(0, min(longest, 40) - 12), SQUARE[1])
         axes = figure.subplots()
         handles = {}
         for number, (label, (at, values)) in enumerate(curves.items()):
-            look = line_style(number)
+            look = style.line_style(number)
             if len(values) > 1:
                 low, high = values.min(axis=0), values.max(axis=0)
                 axes.fill_between(at, low, high, color=look["color"], alpha=0.15, linewidth=0)
@@ -86,10 +66,10 @@ def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], ma
         axes.set(ylim=(0, 1.015), xlabel=names[0], ylabel=names[1])
         axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
         several = any(len(values) > 1 for _, values in curves.values())
-        heading(axes, title, "band: range over seeds" if several else "")
+        style.heading(axes, title, "band: range over seeds" if several else "")
         scores = {label: score(label) for label in curves}
         best = sorted(curves, key=lambda label: -scores[label])
-        labels = [f"{scores[label]:.3f}  {clean(label, 40)}" for label in best]
+        labels = [f"{scores[label]:.3f}  {style.clean(label, 40)}" for label in best]
         bold: Any = {"title": measure, "title_fontproperties": {"weight": "bold", "size": 9}, "alignment": "left"}
         figure.legend([handles[label] for label in best], labels, loc="outside right upper", handlelength=2.8, **bold)
         return figure
@@ -98,23 +78,22 @@ def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], ma
 def error_over_time_figure(
     frames: Whole, errors: Mapping[str, Array], hidden: Mask, unit: str = "px", *, title: str = "Error over time"
 ) -> Figure:
-    """Median over seeds of the error in each frame, the band from the 10 to the 90 % quantile, `hidden` (T,) shaded.
-
-    `errors` are (S, T) by label, in `unit`, nan where not known.
+    """Median over seeds of `errors` (S, T) in `unit` by label, nan where not known, the band from the 10 to the 90 %
+    quantile; `hidden` (T,) is shaded.
     """
-    with style():
+    with style.style():
         figure, axes, pen = _over_time(frames, list(errors))
         pen.shade(axes, frames, hidden, "hidden", 0.2)
         drawn = [quantiles(e.astype(np.float64), (0.1, 0.5, 0.9)) for e in errors.values()]
         several = any(len(e) > 1 for e in errors.values())
-        limit(axes, [q for three in drawn for q in three], 0.0, 6)
+        style.limit(axes, [q for three in drawn for q in three], 0.0, 6)
         for number, (low, middle, high) in enumerate(drawn):
-            look = line_style(number)
+            look = style.line_style(number)
             if several:
                 pen.band(axes, frames, low, high, look["color"], 0.15)
             pen.line(axes, frames, middle, linewidth=1.3, **look)
         notes = ["line: median over seeds, band: 10 to 90 %"] if several else []
-        heading(axes, title, "; ".join([*notes, *(["shaded: hidden"] if hidden.any() else [])]))
+        style.heading(axes, title, "; ".join([*notes, *(["shaded: hidden"] if hidden.any() else [])]))
         axes.set_ylabel(f"error ({unit})")
         return figure
 
@@ -127,55 +106,54 @@ def spread_figure(
     *,
     title: str = "Spread over seeds",
 ) -> Figure:
-    """The distance of the farthest run from the median of all, `distances` (T,) in pixels by part.
-
-    `parting` is the frame where the first run leaves the others, and `limits` the most by part, in pixels.
+    """The distance (T,) in pixels of the farthest run from the median of all, by part, and the most that it may be,
+    `limits`; `parting` is the frame where the first run leaves the others.
     """
-    with style():
+    with style.style():
         figure, axes, pen = _over_time(frames, list(distances))
-        limit(axes, list(distances.values()), 0.0, 6)
+        style.limit(axes, list(distances.values()), 0.0, 6)
         for number, value in enumerate(distances.values()):
-            pen.line(axes, frames, value, linewidth=1.2, **line_style(number))
+            pen.line(axes, frames, value, linewidth=1.2, **style.line_style(number))
         for end in sorted(set(limits.values())):
             if end < axes.get_ylim()[1]:
                 axes.axhline(end, **_MARK)
         if parting is not None:
-            axes.axvline(parting, color=STATUS["lost"], linewidth=1.2, zorder=1)
+            axes.axvline(parting, color=style.STATUS["lost"], linewidth=1.2, zorder=1)
             late = parting > (float(frames[0]) + float(frames[-1])) / 2
             place: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "top"}
             place |= {"xytext": (-5 if late else 5, -3), "ha": "right" if late else "left", "fontsize": 8.5}
             box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
             axes.annotate(f"runs part ways at frame {parting:,}", (parting, 1), bbox=box, **place)
-        heading(axes, title, "the farthest run's distance from the median" + ("; dashed: limit" if limits else ""))
+        note = "the farthest run's distance from the median" + ("; dashed: limit" if limits else "")
+        style.heading(axes, title, note)
         axes.set_ylabel("distance (px)")
         return figure
 
 
 def calibration_figure(measures: ConfidenceMeasures, *, title: str = "Confidence against the ground truth") -> Figure:
-    """The share of rows near the ground truth and of visible rows in each bin of confidence, and the number of rows.
-
-    On the diagonal, confidence is the chance of being near. Bins without rows are left out; some bin must have rows.
+    """By bin of confidence, the share of rows near the ground truth and of visible rows, and the number of rows. On the
+    diagonal, confidence is the chance of being near. Bins without rows are left out; some bin must have rows.
     """
     filled = [b for b in measures.bins if b.rows]
     mean, near, visible = np.array([(b.mean_confidence, b.near, b.visible) for b in filled], np.float64).T
-    with style():
-        figure = new_figure(5.6, 5.8)
+    with style.style():
+        figure = style.new_figure(5.6, 5.8)
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.2, 1]})
         upper.plot([0, 1], [0, 1], **_MARK, label="ideal: equal to confidence")
-        upper.vlines(mean, mean, near, color=STATUS["lost"], linewidth=1.0, alpha=0.55, zorder=1.5)
-        upper.plot(mean, near, "o-", color=COLOURS[0], linewidth=1.5, markersize=5, label="near the ground truth")
+        upper.vlines(mean, mean, near, color=style.STATUS["lost"], linewidth=1.0, alpha=0.55, zorder=1.5)
+        upper.plot(mean, near, "o-", color=style.COLOURS[0], linewidth=1.5, markersize=5, label="near the ground truth")
         if (visible < 1).any():
-            marked: dict[str, Any] = {"color": COLOURS[1], "linewidth": 1.2, "markersize": 4}
+            marked: dict[str, Any] = {"color": style.COLOURS[1], "linewidth": 1.2, "markersize": 4}
             upper.plot(mean, visible, "s--", **marked, label="visible in the ground truth")
         upper.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.04), ylabel="share of rows")
         ece = measures.ece
-        heading(upper, title, "" if ece is None else f"expected calibration error {ece:.3f}")
+        style.heading(upper, title, "" if ece is None else f"expected calibration error {ece:.3f}")
         middle, rows = [(b.low + b.high) / 2 for b in filled], [b.rows for b in filled]
-        lower.bar(middle, rows, 0.09, color=STATUS["hidden"], linewidth=0)
+        lower.bar(middle, rows, 0.09, color=style.STATUS["hidden"], linewidth=0)
         lower.set(yscale="log", ylim=(0.7, 1.8 * max(rows)), xlabel="confidence", ylabel="rows")
         lower.yaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
         lower.yaxis.minorticks_off()
-        heading(lower, "Rows", "log scale")
+        style.heading(lower, "Rows", "log scale")
         handles, labels = upper.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), handlelength=2.6)
         return figure
@@ -185,13 +163,13 @@ def _over_time(frames: Whole, labels: Sequence[str]) -> tuple[Figure, Axes, Pen]
     """A wide figure with a legend above and frames below."""
     from matplotlib.lines import Line2D
 
-    names = [clean(label, 40) for label in labels]
+    names = [style.clean(label, 40) for label in labels]
     columns, rows = columns_for(names, WIDE[0])
     top = 0.1 + 0.2 * rows
-    figure = new_figure(WIDE[0], WIDE[1] + top)
+    figure = style.new_figure(WIDE[0], WIDE[1] + top)
     head, body = cast("Any", figure.subfigures(2, 1, height_ratios=[top, WIDE[1]]))
-    handles = [Line2D([], [], linewidth=1.5, **line_style(number)) for number in range(len(labels))]
+    handles = [Line2D([], [], linewidth=1.5, **style.line_style(number)) for number in range(len(labels))]
     head.legend(handles, names, loc="center left", ncols=columns, handlelength=2.8, borderaxespad=0.3)
     axes = body.subplots()
-    frame_axis(axes, frames)
+    style.frame_axis(axes, frames)
     return figure, axes, Pen(BINS, float(frames[-1] - frames[0] + 1) / BINS)

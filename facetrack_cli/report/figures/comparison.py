@@ -6,7 +6,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.boxes import PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
-from facetrack_cli.evaluation.experiments.compare import CUMULATIVE_AT, Entry, Score, aligned
+from facetrack_cli.evaluation.experiments.compare import CUMULATIVE_AT, Score, aligned
 from facetrack_cli.evaluation.experiments.compare_text import Comparison
 from facetrack_cli.evaluation.experiments.repeat import Repetition
 from facetrack_cli.evaluation.experiments.sheet import clip_name
@@ -20,7 +20,8 @@ def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     entries = [place.entry for place in comparison.places if place.entry.scores]
 
     def curves(at: Array, of: Callable[[Score], Array | None]) -> dict[str, tuple[Array, Array]]:
-        return {entry.label: (at, values) for entry in entries if (values := _stacked(entry, of)) is not None}
+        found = {entry.label: [one for score in entry.scores if (one := of(score)) is not None] for entry in entries}
+        return {label: (at, np.stack(values)) for label, values in found.items() if values}
 
     clip = clip_name(comparison.clip)
     if success := curves(SUCCESS_THRESHOLDS, lambda score: score.success):
@@ -28,9 +29,8 @@ def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     if precision := curves(PRECISION_THRESHOLDS, lambda score: score.precision):
         yield "precision.png", render(plots.precision_figure(precision, title=f"Precision on {clip}"))
     if cumulative := curves(100 * CUMULATIVE_AT, lambda score: score.cumulative):
-        figure = plots.cumulative_error_figure(
-            cumulative, threshold=100 * FAILURE, unit="% of the size", title=f"Cumulative error on {clip}"
-        )
+        labels = {"unit": "% of the size", "title": f"Cumulative error on {clip}"}
+        figure = plots.cumulative_error_figure(cumulative, threshold=100 * FAILURE, **labels)
         yield "cumulative.png", render(figure)
     frame, errors = aligned(entries)
     hidden = np.unique(np.concatenate([score.hidden for entry in entries for score in entry.scores]))
@@ -48,9 +48,3 @@ def repeat_figures(found: Repetition) -> Iterator[tuple[str, bytes]]:
         title=f"{len(found.seeds)} runs of {found.label} on {clip_name(found.clip)}",
     )
     yield "spread.png", render(figure)
-
-
-def _stacked(entry: Entry, of: Callable[[Score], Array | None]) -> Array | None:
-    """(S, n)."""
-    found = [values for score in entry.scores if (values := of(score)) is not None]
-    return np.stack(found) if found else None

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures.lines import Line, Panel, Pen
-from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, clean, limit
+from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, Axes, clean, limit
 from facetrack_cli.trajectory.diagnostics import AFFINE, POSTERIOR, SURE, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from facetrack_cli.evaluation.rows import Pair
 
 NAMED = 5  # people with a colour and a name, of more the most likely
 MOST = 6  # targets with a panel each for who they are
@@ -155,8 +151,7 @@ def _identity(table: Trajectory, target: str, pen: Pen, whose: str) -> Panel:
     frame, names, values = table.beliefs(target)
     most = np.where(np.isfinite(values), values, -1.0)
     peak = most.max(axis=0)
-    # the likeliest at the end first
-    rank: list[int] = np.lexsort((-peak, -np.round(most[-1], 2))).tolist()
+    rank: list[int] = np.lexsort((-peak, -np.round(most[-1], 2))).tolist()  # the likeliest at the end first
     leading = rank[:NAMED]
     if len(names) > NAMED:
         leading = [k for k in leading if peak[k] > 0.1] or leading[:1]

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.report.figures.style import FAINT, GRID, WIDTH, clean, new_figure, style
+from facetrack_cli.report.figures.style import FAINT, GRID, WIDTH, Axes, Figure, clean, new_figure, style
 from facetrack_cli.tracking.identity.gallery import Gallery
 from facetrack_cli.tracking.identity.subspaces import Subspace
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # lengths are inches
 MARGIN, GAP, LINE = 0.2, 0.1, 0.14
@@ -28,10 +24,7 @@ ROOM: Final = 1.5  # what it has where there is room
 
 
 def gallery_figure(gallery: Gallery, *, title: str) -> Figure:
-    """Faces in grey, with the numbers of the list that `gallery show` prints; the height grows with the people.
-
-    A name that has no room on two lines is cut.
-    """
+    """Faces in grey, numbered as in the list of `gallery show`; a name that has no room on two lines is cut."""
     rows, cols = gallery.shape
     aspect, count, inner = cols / rows, len(gallery.names), WIDTH - 2 * MARGIN + GAP
     # as many columns as make rows of about equal length, with faces no smaller than they must be
@@ -104,9 +97,7 @@ def calibrated(gallery: Gallery) -> str:
     """When a patch counts as a frontal face in its place, in words."""
     slope, offset = gallery.calibration
     if not slope:
-        return (
-            f"p_f is {gallery.most_frontal / 2:.2f} for whatever is seen: the gallery does not tell faces from others"
-        )
+        return f"p_f is {gallery.most_frontal / 2:.2f} for any patch: the gallery does not tell faces from others"
     half, tenths = -offset / slope, math.log(9) / slope
     return (
         f"p_f is half of its most at a log density of {half:.0f}, a tenth at {half - tenths:.0f} and nine tenths at "
@@ -116,18 +107,15 @@ def calibrated(gallery: Gallery) -> str:
 
 def stranger(gallery: Gallery) -> str:
     """Who is none of them, in words."""
-    return (
-        f"none of them: below a log ratio of {gallery.threshold:.0f}; {100 * gallery.errors:.0f} % of either error here"
-    )
+    errors = f"{100 * gallery.errors:.0f} % of either error here"
+    return f"none of them: below a log ratio of {gallery.threshold:.0f}; {errors}"
 
 
 def _total(space: Subspace) -> float:
     return max(float(space.values.sum() + space.rho * (space.mean.size - len(space.vectors))), 1e-12)
 
 
-def _face(
-    page: Axes, patch: NDArray[np.floating[Any]], shape: tuple[int, int], x: float, y: float, height: float
-) -> float:
+def _face(page: Axes, patch: NDArray[Any], shape: tuple[int, int], x: float, y: float, height: float) -> float:
     """Draw a patch (d,) of zero mean and unit variance in grey, smoothly enlarged, in a frame; how wide it is."""
     wide = height * shape[1] / shape[0]
     grey = np.asarray(patch, np.float64).reshape(shape)

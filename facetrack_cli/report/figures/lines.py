@@ -5,19 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.numbers import spans, union
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.report.figures.style import COLOURS, DASHES, INK, STATUS, clean, line_style
+from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.report.figures.style import COLOURS, DASHES, INK, STATUS, Axes, clean, line_style
 from facetrack_cli.trajectory.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from facetrack_cli.evaluation.rows import Pair
 
 MANY = 12  # parts that have a line of their own in every panel
 
@@ -48,9 +44,8 @@ class Line:
 
 
 def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
-    """A line for each part. The parts of a single target differ by colour; more than `MANY` have a range of colours.
-
-    Of several targets each has one colour, as in the annotated video, and its parts differ by their dashes.
+    """A line for each part. The parts of a single target differ by colour, of more than `MANY` by a range of colours;
+    of several targets each has the colour of the annotated video, and its parts differ by their dashes.
     """
     import matplotlib
     from matplotlib.colors import to_hex
@@ -92,9 +87,8 @@ class Pen:
     least: float
 
     def line(self, axes: Axes, frame: Whole, value: Array, dot: str = ".", **look: Any) -> None:
-        """A line, with gaps where a value is unknown, a dot for one alone, a wedge for one beyond the axis.
-
-        Of a long series the range is pale and the mean strong, so that lines do not hide each other.
+        """A line, with gaps where a value is unknown, a dot for one alone, a wedge for one beyond the axis. Of a long
+        series the range is pale and the mean strong, so that lines do not hide each other.
         """
         x, y, means = envelope(frame, value, self.bins)
         if means is None:
@@ -135,9 +129,8 @@ class Pen:
             self.shade(axes, frame, mask, status, alpha)
 
     def status(self, axes: Axes, lines: Sequence[Line]) -> None:
-        """A row a part, with a diamond where it was given; below it the status in the ground truth.
-
-        Of many parts only bars are drawn.
+        """A row a part, with a diamond where it was given; below it the status in the ground truth. Many have bars
+        only.
         """
         many = len(lines) > MANY
         truth = not many and any(line.pair is not None for line in lines)
@@ -174,8 +167,7 @@ def columns_for(labels: Sequence[str], width: float) -> tuple[int, int]:
     lengths = [len(label) for label in labels]
     for rows in range(1, len(labels)):
         columns = math.ceil(len(labels) / rows)
-        # as matplotlib deals them out: the first columns have one more
-        widest = [max(column) for column in np.array_split(lengths, columns)]
+        widest = [max(column) for column in np.array_split(lengths, columns)]  # as matplotlib deals them out
         if sum(0.068 * most + 0.56 for most in widest) <= width - 0.2:
             return columns, rows
     return 1, len(labels)
@@ -201,10 +193,8 @@ class Drawn(NamedTuple):
 
 
 def envelope(frame: Whole, value: Array, bins: int) -> Drawn:
-    """A line through (T,) values, broken where values or frames are missing.
-
-    More than two rows a bin are thinned to the least and the greatest value in each of `bins` equal spans of frames, so
-    that no peak is lost, and their means.
+    """A line through (T,) values, broken where values or frames are missing. More than two rows a bin are thinned to
+    the least and the greatest value in each of `bins` equal spans of frames, so that no peak is lost, and their means.
     """
     known = np.flatnonzero(np.isfinite(value))
     if not known.size:
@@ -243,9 +233,8 @@ def alone(y: Array) -> Mask:
 
 
 def frame_spans(frame: Whole, mask: Mask, least: float = 0.0) -> list[tuple[float, float]]:
-    """(start, end) of each span of rows where `mask` holds, half a step wider at either end.
-
-    Spans less than `least` frames apart become one, and each is at least so wide: one frame of a long clip is seen.
+    """(start, end) of each span where `mask` holds, half a step wider at either end, and at least `least` frames wide,
+    so that one frame of a long clip is seen; spans closer than that become one.
     """
     if not mask.any():
         return []

@@ -7,38 +7,20 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
 from facetrack_cli.report.figures.lines import MANY, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
-from facetrack_cli.report.figures.style import (
-    CORRECTED,
-    FAINT,
-    STATUS,
-    TRUTH,
-    WIDTH,
-    clean,
-    frame_axis,
-    heading,
-    limit,
-    new_figure,
-    numbers,
-    second_axis,
-    style,
-)
+from facetrack_cli.report.figures.style import Axes, Figure
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
-
-    from facetrack_cli.evaluation.rows import Pair
 
 BINS = 1000  # about the pixels across a panel
 UNSEEN = ("hidden", "absent")
@@ -48,7 +30,7 @@ _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angl
 
 
 def page_figure(
-    table: Trajectory, pairs: Sequence[Pair] | None = None, *, title: str | None = None, width: float = WIDTH
+    table: Trajectory, pairs: Sequence[Pair] | None = None, *, title: str | None = None, width: float = style.WIDTH
 ) -> Figure:
     """Position, size, confidence, status, particles, spread, diagnostics and error over time, as far as known.
 
@@ -56,7 +38,7 @@ def page_figure(
     Of more than `MANY` parts, all panels but position and size show the median, the middle 80 % and the range. Raises
     InputError where nothing is known.
     """
-    with style():
+    with style.style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
 
 
@@ -80,8 +62,7 @@ def _title(table: Trajectory) -> str:
     clip, name = said(table, "source", "path"), said(table, "recipe", "name")
     if isinstance(clip, str):
         return PurePath(clip).name + (f", {name}" if isinstance(name, str) else "")
-    # a run's folder is named after clip and recipe
-    folder = table.path.resolve().parent.name
+    folder = table.path.resolve().parent.name  # of a run, named after clip and recipe
     return folder if table.path.stem == "trajectory" and folder else table.path.name
 
 
@@ -91,12 +72,12 @@ class _Page:
         self.lines = lines_of(table, pairs)
         self.paired = [(line, line.pair, error(line.pair)) for line in self.lines if line.pair is not None]
         self.many = len(self.lines) > MANY
-        # more strokes take long and show no more
-        bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS
+        bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS  # more take long, show no more
         self.pen = Pen(bins, float(self.frames[-1] - self.frames[0] + 1) / BINS)
         self.judged = bool((table.status != "").any())
         self.gone = [status for status in ("lost", "absent") if (table.status == status).any()]
         self.truth = {status for _, pair, _ in self.paired for status in {*pair.truth.status.tolist()}}
+        self.alone = len(self.lines) == 1 and bool(self.paired) and known(spread(table))
         self.corrected = np.unique(np.concatenate([line.ours.frame[line.ours.corrected] for line in self.lines]))
 
     def figure(self, title: str) -> Figure:
@@ -112,11 +93,11 @@ class _Page:
         top = above + 0.185 * rows
         body = sum(panel.height + 0.27 for panel in panels) + 0.55
         below = [] if foot is None else [foot.height + 0.75]
-        figure = new_figure(self.width, top + body + sum(below))
+        figure = style.new_figure(self.width, top + body + sum(below))
         pieces: Any = figure.subfigures(2 + len(below), 1, height_ratios=[top, body, *below])
         head, rest = pieces[:2]
-        head.text(0.012, 1 - 0.09 / top, clean(title, int(self.width * 8)), va="top", weight="bold", size=12)
-        head.text(0.012, 1 - 0.31 / top, "\n".join(lines), va="top", size=8.5, color=FAINT)
+        head.text(0.012, 1 - 0.09 / top, style.clean(title, int(self.width * 8)), va="top", weight="bold", size=12)
+        head.text(0.012, 1 - 0.31 / top, "\n".join(lines), va="top", size=8.5, color=style.FAINT)
         if legend:
             place = {"loc": "upper left", "bbox_to_anchor": (0.004, 1 - (above - 0.02) / top)}
             spacing = {"handlelength": 2.4, "columnspacing": 1.6, "labelspacing": 0.35}
@@ -126,24 +107,24 @@ class _Page:
         if foot is not None:  # has an axis of its own
             axes = pieces[2].subplots()
             foot.draw(axes)
-            heading(axes, foot.title, self._fitting(foot))
+            style.heading(axes, foot.title, self._fitting(foot))
         return figure
 
-    def _stack(self, figure: SubFigure, panels: Sequence[Panel]) -> None:
+    def _stack(self, figure: Any, panels: Sequence[Panel]) -> None:
         heights = {"height_ratios": [panel.height for panel in panels]}
-        grid: Any = figure.subplots(len(panels), 1, sharex=True, squeeze=False, gridspec_kw=heights)
+        grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False, gridspec_kw=heights)
         column: list[Axes] = list(grid[:, 0])
         for axes, panel in zip(column, panels, strict=True):
             panel.draw(axes)
             axes.tick_params(bottom=False, left=False)
         if len(self.corrected):  # below the axis of time
             bottom = column[-1].get_xaxis_transform()
-            column[-1].plot(self.corrected, 0.0 * self.corrected, transform=bottom, **CORRECTED)
+            column[-1].plot(self.corrected, 0.0 * self.corrected, transform=bottom, **style.CORRECTED)
         most = max(3, min(11, int(1.1 * self.width)))
-        frame_axis(column[-1], self.frames, most)
-        timed = second_axis(column[0], self.table, most)
+        style.frame_axis(column[-1], self.frames, most)
+        timed = style.second_axis(column[0], self.table, most)
         for axes, panel in zip(column, panels, strict=True):
-            heading(axes, panel.title, self._fitting(panel), 13 if timed and axes is column[0] else 0)
+            style.heading(axes, panel.title, self._fitting(panel), 13 if timed and axes is column[0] else 0)
 
     def _fitting(self, panel: Panel) -> str:
         """The first of a panel's notes, as far as they fit."""
@@ -165,14 +146,14 @@ class _Page:
             what = f"{of}{len(group)} parts, {group[0].ours.part} to {group[-1].ours.part}"
             colours = [group[round(i * (len(group) - 1) / 5)].colour for i in range(6)]
             handles = tuple(Line2D([], [], color=colour, linewidth=2) for colour in colours)
-            found[clean(what if len(group) > 1 else target or group[0].name, 60)] = handles
+            found[style.clean(what if len(group) > 1 else target or group[0].name, 60)] = handles
         if self.paired and not self.many:
-            found["ground truth"] = Line2D([], [], **TRUTH)
-        found |= {status: Patch(color=STATUS[status], linewidth=0) for status in self.gone}
+            found["ground truth"] = Line2D([], [], **style.TRUTH)
+        found |= {status: Patch(color=style.STATUS[status], linewidth=0) for status in self.gone}
         if len(self.corrected):
-            found["corrected by hand"] = Line2D([], [], **CORRECTED)
+            found["corrected by hand"] = Line2D([], [], **style.CORRECTED)
         unseen = [status for status in UNSEEN if status in self.truth and not self.many]
-        return found | {f"{one} in the ground truth": Patch(color=STATUS[one], linewidth=0) for one in unseen}
+        return found | {f"{one} in the ground truth": Patch(color=style.STATUS[one], linewidth=0) for one in unseen}
 
     def _summary(self) -> list[str]:
         count = len(self.frames)
@@ -187,8 +168,7 @@ class _Page:
             found.append(f"lost in {share} of {over}" if any(lost) else "never lost")
         if len(self.corrected):
             found.append(f"corrected by hand in {len(self.corrected):,} of them")
-        # hidden rows are left out, as in eval
-        wrong = [error[~np.isin(pair.truth.status, UNSEEN)] for _, pair, error in self.paired]
+        wrong = [error[~np.isin(pair.truth.status, UNSEEN)] for _, pair, error in self.paired]  # as in eval
         if wrong and known(every := np.concatenate(wrong)):
             found.append(f"median error {np.nanmedian(every):.2f} px")
         if self.table.header.get("complete") is False:
@@ -231,14 +211,10 @@ class _Page:
         yield from panels(table, lines, self.pen)
         if any(known(wrong) for _, _, wrong in self.paired):
             notes = [bands, self._shaded("hidden in the ground truth" if "hidden" in self.truth else "")]
-            notes += ["bands: 50 and 90 % by the spread"] if self._alone() else []
+            notes += ["bands: 50 and 90 % by the spread"] if self.alone else []
             yield Panel("error (px)", notes, 1.15, self._error)
         if any(pair.is_box for _, pair, _ in self.paired):
             yield Panel("overlap (IoU)", [bands, "with the true box"], 0.85, self._overlap)
-
-    def _alone(self) -> bool:
-        """Whether there is only one part, with ground truth and a known spread."""
-        return len(self.lines) == 1 and bool(self.paired) and known(spread(self.table))
 
     def _shaded(self, what: str) -> str:
         if not what or self.many:
@@ -249,11 +225,11 @@ class _Page:
         """A line for each part and its ground truth; `down`: values increase downwards."""
         ours = [of(line.ours) for line in self.lines]
         true = [] if self.many else [of(pair.truth) for _, pair, _ in self.paired]  # of many, it would hide the lines
-        limit(axes, ours + true, floor, 2 if floor is not None else 4)
+        style.limit(axes, ours + true, floor, 2 if floor is not None else 4)
         for line, value in zip(self.lines, ours, strict=True):
             self.pen.line(axes, line.ours.frame, value, **line.look)
         for (_, pair, _), value in zip(self.paired, true, strict=False):
-            self.pen.line(axes, pair.truth.frame, value, dot="o", **TRUTH)
+            self.pen.line(axes, pair.truth.frame, value, dot="o", **style.TRUTH)
         if down:
             axes.invert_yaxis()
 
@@ -276,13 +252,13 @@ class _Page:
             low = max(0.8, min(0.7 * float(np.nanmin(every)), high / 15))
             axes.set(yscale="log", ylim=(low, high))
             axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 120 * low else (1,)))
-            axes.yaxis.set_major_formatter(lambda value, _: numbers([value])[0])
+            axes.yaxis.set_major_formatter(lambda value, _: style.numbers([value])[0])
             axes.yaxis.minorticks_off()
         else:
-            limit(axes, counts, 0.0, 2)
+            style.limit(axes, counts, 0.0, 2)
         distinct = {value.tobytes(): line for line, value in zip(self.lines, counts, strict=True)}
         for line in distinct.values():
-            colour = STATUS["hidden"] if len(distinct) == 1 or self.many else line.colour
+            colour = style.STATUS["hidden"] if len(distinct) == 1 or self.many else line.colour
             look: dict[str, Any] = {"color": colour, "linewidth": 2.2, "alpha": 0.55, "zorder": 1.5}
             self.pen.line(axes, line.ours.frame, _particles(line.ours), **look)
         if sampled:
@@ -290,8 +266,8 @@ class _Page:
 
     def _error(self, axes: Axes) -> None:
         self.pen.shade_parts(axes, [pair.truth for _, pair, _ in self.paired], "hidden")
-        limit(axes, [wrong for _, _, wrong in self.paired], 0.0)
-        if self._alone():
+        style.limit(axes, [wrong for _, _, wrong in self.paired], 0.0)
+        if self.alone:
             (line,) = self.lines
             sigma = spread(line.ours) / math.sqrt(2)  # along one axis
             for reach, alpha in ((2.146, 0.16), (1.177, 0.2)):  # radii of a circular normal distribution's 90 and 50 %
@@ -300,17 +276,14 @@ class _Page:
 
     def _overlap(self, axes: Axes) -> None:
         axes.set(ylim=_UNIT, yticks=[0, 0.5, 1])
-        boxes = [(line, pair) for line, pair, _ in self.paired if pair.is_box]
-        shares = [iou(pair.ours.boxes, pair.truth.boxes) for _, pair in boxes]
-        shares = [
-            np.where(pair.truth.status == "absent", np.nan, v) for (_, pair), v in zip(boxes, shares, strict=True)
-        ]
-        self._strokes(axes, [(line, pair.ours.frame, v) for (line, pair), v in zip(boxes, shares, strict=True)])
+        boxes = [(line, *pair) for line, pair, _ in self.paired if pair.is_box]
+        shares = [np.where(true.status == "absent", np.nan, iou(ours.boxes, true.boxes)) for _, ours, true in boxes]
+        self._strokes(axes, [(line, ours.frame, v) for (line, ours, _), v in zip(boxes, shares, strict=True)])
 
     def _positive(self, axes: Axes, of: Of, ends: tuple[float, float] | None = None) -> None:
         shown = [(line, line.ours.frame, of(line.ours)) for line in self.lines]
         if ends is None:
-            limit(axes, [value for _, _, value in shown], 0.0)
+            style.limit(axes, [value for _, _, value in shown], 0.0)
         else:
             axes.set_ylim(ends)
         self._strokes(axes, shown)

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
 from facetrack_cli.core.types import Array
 from facetrack_cli.report.figures.lines import columns_for
-from facetrack_cli.report.figures.style import FAINT, INK, WIDTH, clean, line_style, new_figure, style
+from facetrack_cli.report.figures.style import FAINT, INK, WIDTH, Axes, Figure, clean, line_style, new_figure, style
 from facetrack_cli.tracking.models.shape_prior import ShapePrior
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # displacements have no place of their own: a neutral face, in mouth widths from the nose, to draw them on
 PLACES: Final = {
@@ -30,10 +26,9 @@ LEAST_SHARE: Final = 0.005  # of the variance, of a mode that is shown
 
 
 def prior_figure(prior: ShapePrior, sigma: float, *, title: str) -> Figure:
-    """The training shapes as a cloud of points for each part, and the principal modes as small sketches.
-
-    `sigma` is the standard deviation of the kernel, in the prior's unit: the radius of the ring in the corner. Ellipses
-    are at two standard deviations. Parts without a place in PLACES stand on a circle around the stable one.
+    """The training shapes as a cloud for each part, with ellipses of two standard deviations, and the principal modes.
+    `sigma`, the standard deviation of the kernel in the prior's unit, is the radius of the ring in the corner. Parts
+    without a place in PLACES stand on a circle around the stable one.
     """
     moving = [k for k, name in enumerate(prior.parts) if name != prior.stable]
     around = {k: 2 * np.pi * number / len(moving) for number, k in enumerate(moving)}
@@ -93,9 +88,8 @@ def _modes(figure: Any, prior: ShapePrior, base: Array, looks: Sequence[dict[str
     figure.suptitle("Principal modes, and their share of the variance", size=9, weight="bold", ha="left", x=0.04)
     flat = prior.shapes.reshape(len(prior.shapes), -1)
     _, strength, ways = np.linalg.svd(flat - flat.mean(0), full_matrices=False)
-    ways = (
-        ways * np.where(ways[np.arange(len(ways)), np.abs(ways).round(6).argmax(1)] < 0, -1.0, 1.0)[:, None]
-    )  # a fixed sign
+    largest = ways[np.arange(len(ways)), np.abs(ways).round(6).argmax(1)]
+    ways = ways * np.where(largest < 0, -1.0, 1.0)[:, None]  # a fixed sign
     variance = strength**2 / len(flat)
     share = variance / max(float(variance.sum()), 1e-12)
     count = min(MODES, int((share > LEAST_SHARE).sum()))

@@ -1,7 +1,4 @@
-"""The style of all figures, how one becomes a file, and axes: limits, ticks, frames below and seconds above.
-
-Equal numbers give equal bytes, whatever matplotlib settings the user has.
-"""
+"""The style of all figures, files of them (equal numbers give equal bytes), axes: limits, ticks, frames and seconds."""
 
 from __future__ import annotations
 
@@ -23,8 +20,10 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+else:  # matplotlib is loaded with the first figure
+    Axes = Figure = Any
 
 DPI: Final = 120.0
 WIDTH: Final = 10.0  # inches
@@ -67,10 +66,7 @@ def needed(what: str, package: str) -> Iterator[None]:
 
 @cache
 def need_matplotlib() -> None:
-    """UsageError where matplotlib is missing or broken.
-
-    What it logs on its first import, on its font cache or the home folder, is suppressed: it changes no figure.
-    """
+    """UsageError where matplotlib is missing or broken. What it logs on its first import changes no figure."""
     log = logging.getLogger("matplotlib")
     before = log.level
     log.setLevel(logging.ERROR)
@@ -165,10 +161,8 @@ def limit(axes: Axes, values: Iterable[Array], floor: float | None = None, ticks
 
 
 def limits(values: Iterable[Array], floor: float | None = None) -> tuple[float, float] | None:
-    """Limits a little wider than `values`, at least 1 apart, None where nothing is known.
-
-    Where the whole range is more than eight times that of the middle 98 % of the rows, they follow the middle: a few
-    rows far outside do not compress all others.
+    """Limits a little wider than `values`, at least 1 apart, None where nothing is known. Where the whole range is over
+    eight times that of the middle 98 %, they follow the middle: a few rows far outside do not compress the others.
     """
     every = np.concatenate([v[np.isfinite(v)] for v in values] or [np.empty(0)])
     if not every.size:
