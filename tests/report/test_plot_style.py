@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facetrack_cli.cli.commands.plot import FORMS
+from facetrack_cli.cli.options import FIGURES
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report.figures import style as plot_style
@@ -67,7 +67,7 @@ def test_twelve_lines_differ_in_colour_or_dash():
     assert not {plot_style.line_style(i)["color"] for i in range(12)} & {plot_style.STATUS["lost"]}
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", FIGURES)
 def test_same_numbers_give_the_same_bytes_whatever_the_user_has_set(form):
     import matplotlib
 

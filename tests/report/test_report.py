@@ -219,7 +219,7 @@ def test_the_page_is_whole_accessible_and_alone(tmp_path):
 
 
 def test_the_template_escapes_what_is_put_into_it():
-    environment = report._template().environment
+    environment = report._template().__self__.environment
     made = environment.from_string('<a href="{{ x }}">{{ y }}{{ z | names }}</a>').render(x='"', y="<&>", z=["<b>"])
     assert made == '<a href="&#34;">&lt;&amp;&gt;&lt;b&gt;</a>'
     with pytest.raises(jinja2.UndefinedError):
@@ -300,7 +300,7 @@ def test_bad_input_gets_one_line(tmp_path, capsys):
     assert "no folder" in refused(capsys, run, "-o", tmp_path / "no" / "x.html", code=ExitCode.USAGE)
     assert "is a folder" in refused(capsys, run, "-o", tmp_path, code=ExitCode.USAGE)
     assert "is not one of" in refused(capsys, run, "--truth-format", "xml", code=ExitCode.USAGE)
-    assert "give one with --truth" in refused(capsys, run, "--truth-format", "otb", code=ExitCode.USAGE)
+    assert "give its file with --truth" in refused(capsys, run, "--truth-format", "otb", code=ExitCode.USAGE)
     assert "no such file" in refused(capsys, run, "--clip", tmp_path / "none.mp4")
     small = write_video(tmp_path / "small.mp4", frames=30, size=(32, 24))
     assert "is 32x24, not 64x48" in refused(capsys, run, "--clip", small)
