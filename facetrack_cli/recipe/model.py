@@ -66,9 +66,8 @@ class ParticleFilter(Section):
 
     def mistakes(self) -> Iterable[Refusal]:
         given = self.components
-        strangers = [self._mismatch(key, given[key]) for key in _KINDS if key in given and not self._fits(given[key])]
-        if strangers:
-            yield from strangers
+        if strangers := [key for key in _KINDS if key in given and self.target.type not in given[key].goes_with]:
+            yield from (self._mismatch(key, given[key]) for key in strangers)
             return
         for one in given.values():
             yield from one.mismatches(self)
@@ -76,15 +75,12 @@ class ParticleFilter(Section):
             message = f"particles times parts is {self.hypotheses:,}; no more than {MOST_HYPOTHESES:,} fit into memory"
             yield Refusal(("filter", "particles"), message)
 
-    def _fits(self, given: Component | type[Component]) -> bool:
-        return self.target.type in given.goes_with
-
     def _mismatch(self, key: str, given: Component) -> Refusal:
         """What is said of a section that does not go with the type of the target."""
         said = f'does not go with target type "{self.target.type}"'
         if not isinstance(given, Kind):
             return Refusal((key,), f"{key} {said}; remove it, or follow an affine target")
-        fitting = [name for name, one in sections.registered(_KINDS[key]).items() if self._fits(one)]
+        fitting = [name for name, one in sections.registered(_KINDS[key]).items() if self.target.type in one.goes_with]
         message = f'{key} type "{given.type}" {said}; write {" or ".join(fitting) or "null"}'
         return Refusal((key, "type"), message)
 

@@ -17,9 +17,8 @@ Factor: TypeAlias = Annotated[float, Field(gt=0, le=100)]
 Entry: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]  # or powers of A overflow, stable or not
 Pair: TypeAlias = Annotated[tuple[Entry, Entry], Field(strict=False)]
 Noise: TypeAlias = Annotated[tuple[LengthOrNone, ...], Field(strict=False, min_length=1, max_length=2)]
-Share: TypeAlias = Annotated[
-    tuple[Annotated[float, Field(ge=0, le=1e6)], ...], Field(strict=False, min_length=1, max_length=2)
-]
+Deviation: TypeAlias = Annotated[float, Field(ge=0, le=1e6)]
+Share: TypeAlias = Annotated[tuple[Deviation, ...], Field(strict=False, min_length=1, max_length=2)]
 
 
 class Scaled(Target):

@@ -20,10 +20,10 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.random import Generator
 
-from facetrack_cli.core.types import BOX, Correction, Frame, Mask, TargetStart
+from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
 from facetrack_cli.tracking.loop import Cover, Target
 from facetrack_cli.tracking.target import ParticleTarget
-from facetrack_cli.trajectory.trajectory import DECIMALS, Status, TargetResult, Trajectory, build
+from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, build
 
 STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets
 
@@ -104,7 +104,9 @@ class CorrectedTarget:
         """The state after `frame`, in which a `complete` correction says where the target is."""
         given, absent = correction.given, correction.hidden(self.parts)
         if len(absent) == len(self.parts):
-            return replace(state, inner=None), _marked(self._absent(frame), absent)
+            result = self._absent(frame)
+            rows = replace(result.rows, by_hand=np.isin(self.parts, absent))
+            return replace(state, inner=None), result._replace(rows=rows)
         if self.anew.points and given.box is not None and not given.points:
             given = self.anew.place(frame, correction)
         by_hand = tuple(part for part in self.parts if part in given.points or not self.anew.points)
@@ -117,15 +119,18 @@ class CorrectedTarget:
         if self.anew.learn if correction.learn is None else correction.learn:
             target = self.anew.build(frame, given)
             inner, result = target.begin(rng, frame)
-            # what is kept is where the tracker was, though it is learned anew
-            result = _with_status(result, np.ones(len(self.parts), np.bool_), "tracked")
         else:
             target = self.target
             assert isinstance(target, ParticleTarget)
             anew = by_hand if correction.learn is None and self.anew.points else ()
             inner, result = target.restart(rng, frame, state.first, given, absent, anew)
-        result = _with_status(result, np.isin(self.parts, by_hand), "init", confidence=1.0)
-        return replace(state, target=target, inner=inner, rng=rng), _marked(result, (*by_hand, *absent))
+        rows, sure = result.rows, np.isin(self.parts, by_hand)
+        # what is kept is where the tracker was, though it may be learned anew
+        others = np.where(target is not self.target, "tracked", rows.status)
+        judged = np.where(sure & ~np.isnan(rows.confidence), 1.0, rows.confidence)
+        marked = np.isin(self.parts, (*by_hand, *absent))
+        rows = replace(rows, status=np.where(sure, "init", others), confidence=judged, by_hand=marked)
+        return replace(state, target=target, inner=inner, rng=rng), result._replace(rows=rows)
 
     def _absent(self, frame: Frame) -> TargetResult:
         """The result while nothing of the target is visible."""
@@ -162,20 +167,6 @@ def completed(correction: Correction, rows: Trajectory) -> Correction:
 def all_or(absent: Sequence[str], parts: Sequence[str]) -> tuple[str, ...] | Literal[True]:
     """The absent ones of `parts`, as a correction has them: True for all."""
     return True if set(absent) >= set(parts) else tuple(absent)
-
-
-def _with_status(result: TargetResult, those: Mask, status: Status, confidence: float | None = None) -> TargetResult:
-    """The result with `those` parts (K,) of this status, and of this confidence if they have any."""
-    rows = replace(result.rows, status=np.where(those, status, result.rows.status))
-    if confidence is not None:
-        judged = those & ~np.isnan(rows.confidence)
-        rows = replace(rows, confidence=np.where(judged, confidence, rows.confidence))
-    return result._replace(rows=rows)
-
-
-def _marked(result: TargetResult, by_hand: Sequence[str]) -> TargetResult:
-    parts = [part for _, part in result.rows.names]
-    return result._replace(rows=replace(result.rows, by_hand=np.isin(parts, by_hand)))
 
 
 @dataclass(frozen=True)

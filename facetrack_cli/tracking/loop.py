@@ -1,8 +1,4 @@
-"""The loop over frames: bind, step, estimate, judge; a result a frame.
-
-A tracker is a tuple of targets, put together by `build.py`: particle filters, or what is wrapped to stand beside them
-(`opencv.py`). What a target knows of a clip is a value that this loop carries from frame to frame.
-"""
+"""The loop over frames: bind, step, estimate, judge; a result a frame. `build.py` puts the targets together."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias

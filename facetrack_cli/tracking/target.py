@@ -188,8 +188,7 @@ class ParticleTarget:
         if state.absent is not None:
             particles = particles._replace(x=self.follow(particles.x, state.absent))
         estimated = estimate(particles, best=self.best)
-        judgement = state.judgement
-        if judgement is not None:
+        if (judgement := state.judgement) is not None:
             assert self.confidence is not None
             distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
             judgement = confidence.judge(self.confidence, judgement, distance)

@@ -42,9 +42,8 @@ def _targets(recipe: Recipe, start: Start) -> Tracker:
             raise recipe.error("tracker", str(e)) from None
         kind, origin = recipe.tracker, start.origin
         return tuple(opencv.OpenCvTarget(name, box_of(start, name), kind, origin) for name in start.targets)
-    missing = [name for name in recipe.followed if name not in start.targets]
-    if missing:
-        raise InputError(f"{start.origin}: has no {', '.join(missing)}, which the recipe follows; add a box of each")
+    if missing := ", ".join(name for name in recipe.followed if name not in start.targets):
+        raise InputError(f"{start.origin}: has no {missing}, which the recipe follows; add a box of each")
     exclusion = recipe.exclusion if isinstance(recipe, ParticlesRecipe) else None
     return tuple(
         _target(recipe, key, name, start, None if exclusion and name in exclusion.first else exclusion)

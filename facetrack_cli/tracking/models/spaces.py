@@ -201,9 +201,8 @@ class Context:
 def place_points(settings: points.Points, start: Start, name: str) -> Placed:
     """Points where the start has them; the unit is the largest distance of two, or the box's size around one."""
     placed, parts = start.targets[name], settings.parts
-    missing = [part for part in parts if part not in placed.points]
-    if missing:
-        raise InputError(f"{start.origin}: {name} has no point for {', '.join(missing)}; the recipe wants them")
+    if missing := ", ".join(part for part in parts if part not in placed.points):
+        raise InputError(f"{start.origin}: {name} has no point for {missing}; the recipe wants them")
     x0 = np.array([placed.points[part] for part in parts], dtype=float)
     unit = size_of_points(x0) if len(parts) > 1 else size_of_box(start, name)
     if not unit:

@@ -12,9 +12,7 @@ repeated from theta + nu until eps = phi(T{z_t; theta + nu}, a_t) settles; the b
 Adaptive noise (eq. 13). r_t / r_0 = eta(eps) = a + (b - a) tanh(eps / c): tight after a good prediction, wide after a
 bad one. phi is that of the likelihood, the mean squared distance from the appearance in its standard deviations.
 
-Beyond the paper: `samples` makes a step faster; with `towards: appearance` errors do not add up over frames; `search`
-first looks for the expected patch around, by normalised correlation, and begins there if the error is less.
-
+Beyond the paper, `search` first looks for the expected patch around and begins there if the error is less.
 V and S come from the eigenvectors of Y^T Y (J x J), and B is never written out: -B D = -X V_q S_q^-2 V_q^T Y^T D.
 """
 
@@ -76,8 +74,7 @@ class PredictedWalk(AffineWalk):
         """The flow after a frame with the estimate `state` (1, 6) and the particles x (J, 1, 6)."""
         factor = self.patches.factor(state)
         patch = self.patches.read(frame, state[None], factor)[0]
-        velocity = self.settings.velocity
-        if velocity is None:
+        if (velocity := self.settings.velocity) is None:
             return Flow(state, patch, np.zeros((6, 0)), np.zeros((0, len(patch)), np.float32))
         # evenly, since particles of a filter that resamples come in order
         most = min(velocity.samples or len(x), len(x))

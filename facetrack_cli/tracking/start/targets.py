@@ -49,20 +49,16 @@ def name_targets(
     if first not in given and head_as in given:
         given[first] = given.pop(head_as)
         corrections = [replace(one, target=first) if one.target == head_as else one for one in corrections]
-    strangers = ", ".join(name for name in given if name not in names)
-    if strangers:
-        raise InputError(
-            f"{start.origin}: has {strangers}, which the recipe does not know; it follows {known}: "
-            "rename them in the init file, or in the recipe"
-        )
+    if strangers := ", ".join(name for name in given if name not in names):
+        remedy = f"it follows {known}: rename them in the init file, or in the recipe"
+        raise InputError(f"{start.origin}: has {strangers}, which the recipe does not know; {remedy}")
     head = given[first].box if first in given else None
     if head is None:
         remedy = f"add one, as in {first}: {{box: [x, y, w, h]}}, or look for a face with --init haar"
         what = f"has no box of {first}, which the recipe begins with; it follows {known}"
         raise InputError(f"{start.origin}: {what}: {remedy}")
     check_size(start.origin, first, head)
-    missing = [name for name in names if name not in given]
-    if missing:
+    if missing := [name for name in names if name not in given]:
         assert frame is not None
         taken = [one.box for name, one in given.items() if name != first and one.box is not None]
         try:
