@@ -1,4 +1,4 @@
-"""How well recipes track the points of clips with truth, over many seeds: tables in docs/results.md.
+"""How well recipes track the points of clips with ground truth, over many seeds: tables in docs/results.md.
 
     python benchmarks/accuracy.py sample_videos/occlusion.mp4 --config factorized --config independent --seeds 20
 
@@ -35,7 +35,7 @@ WITHIN = 35
 def runs_of(
     clip: Path, recipes: Mapping[str, Recipe], seeds: int, jobs: int
 ) -> Iterator[tuple[str, Sequence[SeedRun], list[list[Pair]]]]:
-    """Of each recipe in turn its label and its runs, one a seed, each with its pairs with the clip's truth."""
+    """Of each recipe in turn its label and its runs, one a seed, each with its pairs with the clip's ground truth."""
     truth = read_truth(default_truth(clip))
     plans = [
         Plan(label, clip, recipe, Begin(clip).find(recipe, truth), tuple(range(seeds)))
@@ -47,7 +47,7 @@ def runs_of(
 def paired(
     plans: Sequence[Plan], truth: Trajectory, jobs: int, *, partial: bool = False
 ) -> Iterator[tuple[str, Sequence[SeedRun], list[list[Pair]]]]:
-    """Of each plan in turn its label and its runs, one a seed, each with its pairs with the truth."""
+    """Of each plan in turn its label and its runs, one a seed, each with its pairs with the ground truth."""
     for ended in run_plans(plans, jobs):
         if ended.error is not None:
             raise ended.error
@@ -110,7 +110,7 @@ def main() -> None:
             each = [evaluate(those) for those in pairs]
             if i == 0:
                 if all(part.figures["points.mean_px"] is None for part in each[0].parts):
-                    raise SystemExit(f"{clip}: its truth has no points; of boxes: benchmarks/regions.py")
+                    raise SystemExit(f"{clip}: its ground truth has no points; of boxes: benchmarks/regions.py")
                 print(heading(clip, each[0], given.seeds))
             print(row(label, runs, each), flush=True)
 

@@ -5,7 +5,7 @@
     python benchmarks/adaptive.py --clips clips --table shift
 
 Every tracker begins once, with the first true box, and is left alone; the seeds are 0 on. --clips is a folder with a
-folder for each clip, which holds a video or pictures and groundtruth.csv; zoom and lamp are among the samples.
+folder for each clip, which holds a video or images and groundtruth.csv; zoom and lamp are among the samples.
 
     auc       success AUC ± its standard deviation over seeds / precision at 20 px (runs that end lost: the median
               overlap of the last tenth of the frames is below 0.1), as OTB has them
@@ -16,8 +16,8 @@ folder for each clip, which holds a video or pictures and groundtruth.csv; zoom 
               the latter has more confidence than one of the former
     shift     mean distance in pixels of the true place from the last one, and from that predicted by eq. 12
 
-An estimate is a parallelogram, most truth an upright box. For overlaps it counts as the upright box with its centre and
-the lengths of its sides (--polygons: as it is).
+An estimate is a parallelogram, most ground truth an upright box. For overlaps it counts as the upright box with its
+centre and the lengths of its sides (--polygons: as it is).
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def trust_table(found: Found, clips: Sequence[str], configs: Sequence[str]) -> N
 
 def shift_row(clip: Path, config: str) -> list[float]:
     """Mean distance of the true place from the last one, and from it by one step of eq. 12 with the printed sign, by
-    one step with ours, and by all of its steps. In every frame all begins anew at the truth of the last one.
+    one step with ours, and by all of its steps. In every frame all begins again at the ground truth of the last one.
     """
     cv2.setNumThreads(1)
     truth = read_truth(default_truth(clip))

@@ -59,7 +59,7 @@ class Run:
         return tail is not None and tail < TAIL_IOU
 
     def polygon_auc(self) -> float:
-        """Success AUC with the overlap of the parallelograms and the true boxes, turned where the truth is."""
+        """Success AUC with the overlap of the parallelograms and the true boxes, turned where the ground truth is."""
         known = np.isfinite(self.truth).all(axis=1)
         overlap = np.array(
             [overlap_of(a, b) for a, b in zip(self.corners[known], self._true_corners[known], strict=True)]
@@ -119,7 +119,7 @@ def follow(clip: Path, config: str, seeds: int, start: Start | None = None, more
     tracker = build_tracker(recipe, begin)
     found = []
     for seed in range(seeds if recipe.random else 1):
-        # what is derived from a picture is kept in its frame
+        # what is derived from an image is kept in its frame
         fresh = (Frame(frame.index, frame.time_s, frame.bgr) for frame in frames)
         found.append(run_of(track(tracker, fresh, seed, clip=str(clip)), true))
     return found

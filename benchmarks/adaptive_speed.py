@@ -4,9 +4,9 @@
     python benchmarks/adaptive_speed.py CLIP X Y W H               any clip and the face's box in its first frame
     python benchmarks/adaptive_speed.py --recipes adaptive --crf 18
 
-The clip is scaled to 640x480 and encoded anew (H.264), since a step is weighed against decoding that very file. What is
-timed is the whole step, once the frame is decoded: predict, move, weigh, estimate, judge, learn. Trackers and decoders
-take turns, and of each frame the least time of several rounds counts. J is the mean number of particles.
+The clip is scaled to 640x480 and encoded again (H.264), since a step is weighed against decoding that very file. What
+is timed is the whole step, once the frame is decoded: predict, move, weigh, estimate, judge, learn. Trackers and
+decoders take turns, and of each frame the least time of several rounds counts. J is the mean number of particles.
 
 To reach: 100 particles, always so many, at most a quarter of decoding. OPENBLAS_NUM_THREADS and --threads (of OpenCV)
 are the user's own unless set.
@@ -60,7 +60,7 @@ def pictures(clip: Path, box: list[float]) -> tuple[list[Image], Start]:
         read = [frame.bgr for frame in source]
     height, width = read[0].shape[:2]
     zoom = SIZE[0] / width, SIZE[1] / height
-    if zoom[0] > 1:  # a picture that was enlarged is smoother than a camera's
+    if zoom[0] > 1:  # an image that was enlarged is smoother than a camera's
         rng = np.random.default_rng(0)
         large = [cv2.resize(one, SIZE, interpolation=cv2.INTER_CUBIC) for one in read]
         noise = (rng.normal(0, 1.5, (SIZE[1], SIZE[0], 1)) for _ in large)

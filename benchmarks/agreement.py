@@ -1,4 +1,4 @@
-"""A long clip without truth: how far each recipe stays from what the Haar start finds anew, over many seeds.
+"""A long clip without ground truth: how far each recipe stays from what the Haar start finds again, over many seeds.
 
     python benchmarks/agreement.py CLIP --config factorized --config independent --seeds 10
 
@@ -27,7 +27,7 @@ from facetrack_cli.video.source import open_source
 
 
 def detections(path: Path, every: int) -> tuple[Start, dict[int, Array]]:
-    """The start of the clip, and the points (K, 2) found anew in every so many frames that show a face."""
+    """The start of the clip, and the points (K, 2) found again in every so many frames that show a face."""
     parts = load_recipe("factorized").points
     found: dict[int, Array] = {}
     start: Start | None = None
@@ -47,7 +47,7 @@ def detections(path: Path, every: int) -> tuple[Start, dict[int, Array]]:
 
 
 def run(path: Path, start: Start, found: dict[int, Array], config: str, seed: int) -> tuple[Array, float, Array]:
-    """Distances (T, K) to the points found anew, the share of part-frames called lost, and whether the end is right."""
+    """Distances (T, K) to the points found again, the share of part-frames called lost, whether the end is right."""
     tracker = build_tracker(load_recipe(config), start)
     off, lost, rows = [], 0, 0
     with open_source(path, start=start.frame) as source:
@@ -71,7 +71,7 @@ def main() -> None:
     given = parser.parse_args()
     start, found = detections(given.clip, given.every)
     size = size_of_points(found[start.frame])
-    print(f"{given.clip.name}: start at frame {start.frame}, size {size:.1f} px, {len(found)} frames found anew\n")
+    print(f"{given.clip.name}: start at frame {start.frame}, size {size:.1f} px, {len(found)} frames found again\n")
     print("| recipe | seeds | median distance | mean distance | agrees | called lost | wrong at the end |")
     print("|---|---|---|---|---|---|---|")
     for config in given.config:

@@ -1,4 +1,4 @@
-"""An annotator who is simulated, for `corrections.py`: he knows the truth, and puts right what is wrong."""
+"""An annotator who is simulated, for `corrections.py`: he knows the ground truth, and puts right what is wrong."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class Work:
         )
 
     def _frame(self, t: int) -> Frame:
-        """Afresh: what is derived from a picture is kept in its frame, and would fill the memory."""
+        """Afresh: what is derived from an image is kept in its frame, and would fill the memory."""
         frame = self.frames[t]
         return Frame(frame.index, frame.time_s, frame.bgr)
 
@@ -158,7 +158,7 @@ def _places(result: TargetResult) -> Array:
 
 
 def _first_wrong(wrong: Sequence[Mask], seen: Mask, since: int) -> int | None:
-    """The frame from which, up to now, some part was wrong in as many frames with a truth as he watches."""
+    """The frame from which, up to now, some part was wrong in as many frames with a ground truth as he watches."""
     if not wrong[-1].any():
         return None
     rows = list(islice((t for t in range(len(wrong) - 1, since - 1, -1) if seen[t].any()), WATCHED))

@@ -8,24 +8,24 @@
 
 He watches the run, and when a part was wrong in 5 visible frames on end he goes back to the first of them and puts
 right what is wrong there; the other parts are kept where they were. From there it is tracked on. He corrects the same
-target at most once in 5 frames. A point is wrong when it is further from the truth than a quarter of the distance of
-the corners of the mouth at the start (without those: of the largest distance of two points); a box when its overlap
-with the true one is below 0.3, and he gives the true box. Targets are taken one by one. Seeds are 0 on.
+target at most once in 5 frames. A point is wrong when it is further from the ground truth than a quarter of the
+distance of the corners of the mouth at the start (without those: of the largest distance of two points); a box when its
+overlap with the true one is below 0.3, and he gives the true box. Targets are taken one by one. Seeds are 0 on.
 
     alone       nobody corrects
-    default     what is put right is learned anew there: a box, or those points alone
+    default     what is corrected is learned again there: a box, or those points alone
     kept        with `learn: false`: all is known as the first frame taught it
-    all         with `learn: true`: all points are learned anew, those that are kept and the size too
+    all         with `learn: true`: all points are learned again, those that are kept and the size too
 
 A cell: corrections of each 1,000 frames, their mean and standard deviation over seeds / mean error of points over
 visible rows in pixels, or mean overlap of boxes / frames in which nothing that is visible is wrong, % / where the clip
 has covered points, the mean error of what is visible beside them.
 
---haar takes for the truth of a clip without one what the Haar start finds in every so many frames on its own; 5 frames
-on end are then 5 of these. --absent compares, for points, the annotator with one who also marks what is covered absent
-where its cover begins, and gives it again where it comes back; `marks` are these corrections, of each 1,000 frames too.
---miss is how far his hand is off: its standard deviation in each axis, in the distance of the corners of the mouth, or
-in widths and heights of the true box.
+--haar takes for the ground truth of a clip without one what the Haar start finds in every so many frames on its own; 5
+frames on end are then 5 of these. --absent compares, for points, the annotator with one who also marks what is covered
+absent where its cover begins, and gives it again where it comes back; `marks` are these corrections, of each 1,000
+frames too. --miss is how far his hand is off: its standard deviation in each axis, in the distance of the corners of
+the mouth, or in widths and heights of the true box.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def ways_of(recipe: Recipe, *, absent: bool) -> dict[str, Way]:
     found = {**alone, "default": Way(corrects=True)}
     if not isinstance(recipe, OpenCvRecipe):
         found["kept"] = Way(corrects=True, learn=False)
-    if recipe.points:  # boxes are learned anew by default
+    if recipe.points:  # boxes are learned again by default
         found["all"] = Way(corrects=True, learn=True)
     return found
 
@@ -152,7 +152,7 @@ def rows(config: str, clip: Path, columns: Sequence[str], given: argparse.Namesp
     for start, frames, truth in clips_of(clip, recipe, given):
         work = Work(recipe, start, frames, truth, given.miss)
         cells = dict.fromkeys(columns, "")
-        # the pictures go to the processes once
+        # the images go to the processes once
         with ProcessPoolExecutor(given.jobs, initializer=_held.append, initargs=(work,)) as pool:
             for name, way in ways_of(recipe, absent=given.absent).items():
                 runs = list(pool.map(partial(_run, way=way), range(given.seeds if recipe.random else 1)))

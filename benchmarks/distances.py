@@ -1,6 +1,6 @@
 """How the distances of the correlation likelihood grow with the error in x: figure 5 of Odobez et al. 2003.
 
-    python benchmarks/distances.py                                    docs/distances.png anew
+    python benchmarks/distances.py                                    docs/distances.png again
     python benchmarks/distances.py CLIP --frame 20 -o distances.png --csv distances.csv
     python benchmarks/distances.py --speed                            what 200 and 2,000 particles take
 
@@ -76,7 +76,7 @@ def profile(likelihood: Correlation, before: Frame, now: Frame, centre: tuple[fl
 
 
 def shifted(picture: Image, dx: int) -> Image:
-    """The picture moved by whole pixels; its border is repeated."""
+    """The image moved by whole pixels; its border is repeated."""
     columns = np.clip(np.arange(picture.shape[1]) - dx, 0, picture.shape[1] - 1)
     return np.ascontiguousarray(picture[:, columns])
 
@@ -91,7 +91,7 @@ class Scene(NamedTuple):
 
 
 def scenes(picture: Image, size: int, count: int, rng: np.random.Generator) -> Iterator[Scene]:
-    """An object from anywhere in the picture, so large that a displaced patch stays on it, at a random place of it."""
+    """An object from anywhere in the image, so large that a displaced patch stays on it, at a random place of it."""
     side, height, width = size + 2 * REACH, *picture.shape[:2]
     beyond = round((1 - SHARE) * size) + REACH + MOTION  # how far the mixed patch may reach over the object's edge
     for number in range(count):
@@ -181,7 +181,7 @@ def table_of(found: Sequence[Profile]) -> None:
 
 
 def speed() -> None:
-    """What one frame takes, its picture made grey and reduced included, as a share of decoding it."""
+    """What one frame takes, its image made grey and reduced included, as a share of decoding it."""
     from speed import best, decode, enlarged
 
     rng, frames = np.random.default_rng(0), 200
@@ -202,7 +202,7 @@ def speed() -> None:
                     model.score(model.init(before, x[0]), Frame(1, 0.0, now.bgr), x, parents)
 
                 works = [lambda name=name: work(name) for name in NAMES]
-                # the first one after decoding waits for the picture to come from memory; it does not count
+                # the first one after decoding waits for the image to come from memory; it does not count
                 _, *ours, theirs = best(works[0], *works, lambda: decode(path), times=15)
                 shares = " | ".join(f"{seconds / theirs * frames:.2f}" for seconds in ours)
                 print(f"| {side}x{side} | {count:,} | {shares} |", flush=True)
@@ -227,7 +227,7 @@ def main() -> None:
         picture = next(iter(source)).bgr
     need = given.size + 2 * REACH + 2 * (round((1 - SHARE) * given.size) + REACH + MOTION), given.size + 2 * REACH
     if picture.shape[1] < need[0] or picture.shape[0] < need[1]:
-        parser.error(f"{given.clip}: patches of {given.size} pixels need a picture of at least {need[0]}x{need[1]}")
+        parser.error(f"{given.clip}: patches of {given.size} pixels need an image of at least {need[0]}x{need[1]}")
     grid = given.grid or given.size
     found = profiles(picture, given.size, given.patches, grid, given.saturation, given.seed)
     table_of(found)

@@ -107,7 +107,7 @@ def tracking(config: str, overrides: list[str], frames: list[Image], start: Star
     built = build_tracker(recipe, Start(0, {name: start.targets[name] for name in names}, start.origin))
 
     def work() -> list[float]:
-        # as new, or the reduced pictures of the last round would be there already
+        # as new, or the reduced images of the last round would be there already
         fresh = (Frame(i, i / 25, frame) for i, frame in enumerate(frames))
         return seconds_each(track(built, fresh, 0))[1:]
 

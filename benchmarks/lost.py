@@ -1,11 +1,11 @@
-"""Whether `lost` means what it says: status against truth, over many seeds: the table in docs/confidence.md.
+"""Whether `lost` means what it says: status against ground truth, over many seeds: the table in docs/confidence.md.
 
     python benchmarks/lost.py sample_videos/expressions.mp4 sample_videos/occlusion.mp4 --seeds 10 \\
         --config factorized --config factorized_robust
 
 What is measured is what `facetrack eval` measures, over the rows of all seeds together, one a frame and part, without
-the first frame. A row is *hidden* if truth says so, *near* if it is off by less than a sixth of the target's initial
-size (a box: if it overlaps the true one by more than half), *gone* if it is hidden or not near.
+the first frame. A row is *hidden* if ground truth says so, *near* if it is off by less than a sixth of the target's
+initial size (a box: if it overlaps the true one by more than half), *gone* if it is hidden or not near.
 
     precision     of the rows called lost, those hidden; in brackets, those gone
     recall        of the hidden rows, those called lost

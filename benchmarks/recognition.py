@@ -13,9 +13,9 @@ Galleries are made in a folder for the time of the run, by `facetrack gallery fi
     end       its posterior in the last frame, mean; and who is next, in the first run
     alone     share of frames whose patch at the estimate, without those before it, is most like the right person
     lead      by how many nats, in the median of the frames
-    truth     alone, of patches at the true boxes, where the clip has them
+    ground truth     alone, of patches at the true boxes, where the clip has them
     p_f       of the patches at the estimates, median
-    AUC       success AUC with recognition and without, where the clip has a truth
+    AUC       success AUC with recognition and without, where the clip has a ground truth
     overlap   mean overlap of the two tracks
 """
 
@@ -64,7 +64,7 @@ def people(folder: Path, clips: Mapping[str, Path]) -> Path:
 
 
 def boxed(folder: Path, clip: Path) -> None:
-    """A person's pictures out of a folder of frames, each with its true box in an init file."""
+    """A person's images out of a folder of frames, each with its true box in an init file."""
     (truth,) = read_truth(default_truth(clip)).parts
     folder.mkdir(parents=True)
     wanted = {int(truth.frame[i]): truth.boxes[i] for i in np.linspace(0, len(truth) - 1, PICTURES).round().astype(int)}
@@ -126,7 +126,7 @@ def same(a: Run, b: Run) -> float:
 
 
 def true_states(run: Run) -> Array:
-    """(T, 6) of the true boxes, rolled where the truth is."""
+    """(T, 6) of the true boxes, rolled where the ground truth is."""
     turn, scale = np.radians(np.nan_to_num(run.true_angle)), run.truth[:, 2:] / run.boxes[0, 2:]
     c, s = np.cos(turn), np.sin(turn)
     maps = [c * scale[:, 0], -s * scale[:, 1], s * scale[:, 0], c * scale[:, 1]]

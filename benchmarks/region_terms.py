@@ -6,8 +6,8 @@
         --config histogram_correlation
 
 A parent lies on the true box of the frame before; children, of the true scale, lie at every whole pixel within 20 of
-the true place. Printed of each recipe: how far beside the truth correlation's best child lies, and by how much it has
-more log-likelihood there than at the truth, for correlation and for the other factors of the recipe.
+the true place. Printed of each recipe: how far beside the ground truth correlation's best child lies, and by how much
+it has more log-likelihood there than at the ground truth, for correlation and for the other factors of the recipe.
 """
 
 from __future__ import annotations

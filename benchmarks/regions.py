@@ -1,4 +1,4 @@
-"""How far region recipes are from the truth, by target and by span of the clip: tables of docs/results.md, "Regions".
+"""Errors of region recipes, by target and by span of the clip: tables of docs/results.md, "Regions".
 
     python benchmarks/regions.py sample_videos/hands.mp4 --particles 100 --particles 200 --span 0-139 --span 0-249 \
         --config histogram --config histogram_correlation --figure docs/regions-hands.png
@@ -49,7 +49,7 @@ AWAY = 5  # rows
 
 @dataclass(frozen=True)
 class Case:
-    """A recipe with so many particles, and its pairs with the truth, a list a seed."""
+    """A recipe with so many particles, and its pairs with the ground truth, a list a seed."""
 
     label: str
     particles: int

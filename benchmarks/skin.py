@@ -2,7 +2,8 @@
 
     python benchmarks/skin.py                     table 1: a face is covered in three ways
     python benchmarks/skin.py --hands             table 2: a head and two hands that sign
-    python benchmarks/skin.py --clips clips       table 1 on real clips, the folders in clips/ that hold a truth, with
+    python benchmarks/skin.py --clips clips       table 1 on real clips, the folders in clips/ that hold a ground truth,
+    with
                                                   the options that go beyond the paper
 
 Recipes are named as for `facetrack compare`, the seeds are 0 on; a tracker without chance runs once. A cell is
@@ -89,7 +90,7 @@ def rate(targets: Sequence[Boxes]) -> Rate:
 
 
 def names_aside(a: Boxes, b: Boxes) -> list[Boxes]:
-    """Two targets, exchanged in the frames in which both together are nearer to each other's truth."""
+    """Two targets, exchanged in the frames in which both together are nearer to each other's ground truth."""
     straight = normalised_errors(a.ours, a.truth) + normalised_errors(b.ours, b.truth)
     crossed = normalised_errors(b.ours, a.truth) + normalised_errors(a.ours, b.truth)
     swap = (crossed < straight)[:, None]
@@ -139,7 +140,7 @@ def cell(rates: Sequence[Rate]) -> str:
 
 
 def real_clips(folder: Path) -> Iterator[Path]:
-    """The clip in each folder that has a true box in every frame: its one video, or its pictures."""
+    """The clip in each folder that has a true box in every frame: its one video, or its images."""
     for truth in sorted(folder.glob("*/groundtruth.csv")):
         videos = [path for path in truth.parent.iterdir() if path.is_file() and path != truth]
         yield videos[0] if videos else truth.parent / "img"

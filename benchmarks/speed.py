@@ -132,7 +132,7 @@ def tracker() -> None:
             built = build_tracker(load_recipe(config), start)
 
             def work() -> None:
-                # as new, or the reduced pictures of the last round would be there already
+                # as new, or the reduced images of the last round would be there already
                 fresh = (Frame(frame.index, frame.time_s, frame.bgr) for frame in frames)
                 for _ in track(built, fresh, 0):
                     pass

@@ -1,4 +1,4 @@
-"""A rendered clip and its three files, the video, the truth and the init file beside it: the same for every clip."""
+"""A rendered clip and its three files, video, ground truth and init file: the same for every clip."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Clip:
-    """Pictures (H, W, 3) BGR of one size, rows of truth frame by frame, and where each target begins."""
+    """Pictures (H, W, 3) BGR of one size, rows of ground truth frame by frame, and where each target begins."""
 
     pictures: list[NDArray[np.uint8]]
     truth: list[TruthRow]
@@ -61,7 +61,7 @@ def start_of(row: TruthRow) -> Start:
 
 
 def write_video(path: Path, pictures: list[NDArray[np.uint8]], crf: int = CRF) -> None:
-    """The pictures as H.264, the same bytes for the same pictures."""
+    """The images as H.264, the same bytes for the same images."""
     # one thread and bit-exact headers, so that the same frames give the same file
     params = ["-crf", str(crf), "-preset", "veryslow", "-g", "50", "-flags", "+cgop", "-threads", "1", "-fflags",
               "+bitexact", "-flags:v", "+bitexact+cgop", "-movflags", "+faststart"]  # fmt: skip
@@ -90,7 +90,7 @@ def write_truth(path: Path, rows: list[TruthRow]) -> None:
 
 def write_init(path: Path, starts: Mapping[str, Start]) -> None:
     """Boxes and points of frame 0, as `facetrack run` reads them."""
-    lines = [f"# {path.name}: the truth of the clip's first frame", "frame: 0"]
+    lines = [f"# {path.name}: the ground truth of the clip's first frame", "frame: 0"]
     for target, start in starts.items():
         box = ", ".join(f"{value}" if isinstance(value, int) else f"{value:.2f}" for value in start.box)
         lines += [f"{target}:", f"  box: [{box}]  # left, top, width, height"]

@@ -1,8 +1,8 @@
 """Scenes of a face that comes nearer and goes, rolls and turns: where its box is, and the proof of it.
 
-A person cut out of a portrait, as in `heads.py`, is placed by a similarity: place, scale and roll. The truth is the
-square of the portrait that a frontal Haar cascade finds, carried along; a turn of the head moves it by the mean shift
-of what is in it.
+A person cut out of a portrait, as in `heads.py`, is placed by a similarity: place, scale and roll. The ground truth is
+the square of the portrait that a frontal Haar cascade finds, carried along; a turn of the head moves it by the mean
+shift of what is in it.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def rotation(angle: float) -> Array:
 
 
 def box(shot: Closeup, t: int) -> tuple[float, float, float, float, float]:
-    """The truth of frame t: middle, width, height, in pixels, and the roll in degrees, clockwise."""
+    """The ground truth of frame t: middle, width, height, in pixels, and the roll in degrees, clockwise."""
     m, k, roll = shot.moments[t], float(shot.scale[t]), float(shot.roll[t])
     shift = k * rotation(roll) @ (shot.turned * (m.yaw, m.pitch))
     x, y = shot.head[t] + shift
@@ -79,7 +79,7 @@ def box(shot: Closeup, t: int) -> tuple[float, float, float, float, float]:
 
 
 def placed(layer: Picture, turn_by: Array, fixed: Array, at: Array) -> Picture:
-    """A layer of the portrait in the fine picture: scaled and rotated by `turn_by`, its point `fixed` at `at`."""
+    """A layer of the portrait in the fine image: scaled and rotated by `turn_by`, its point `fixed` at `at`."""
     a = FINE * turn_by
     k = float(np.sqrt(np.linalg.det(a)))
     if k < 1:  # or fine threads would flicker
@@ -124,7 +124,7 @@ def render(shot: Closeup, t: int) -> Picture:
 
 
 def prove(shot: Closeup, t: int) -> None:
-    """Frame t shows the square where the truth has it: its two halves, drawn, and points of the turned face, looked up.
+    """Frame t shows the square where the ground truth has it: its two halves, drawn, and points of the turned face.
 
     Raises:
         AssertionError: it does not, to 0.1 px and 0.2 degrees; to 0.15 pixels of the portrait for the points.
@@ -149,15 +149,15 @@ def prove(shot: Closeup, t: int) -> None:
     shift = k * rotation(roll) @ (shot.turned * (m.yaw, m.pitch))
     found = np.array([*(np.mean(middles, axis=0) + shift), 2 * np.hypot(*across)])
     bx, by, w, _, angle = box(shot, t)
-    assert np.abs(found - (bx, by, w)).max() < 0.1, f"frame {t}: the face is at {found}, the truth says {bx, by, w}"
+    assert np.abs(found - (bx, by, w)).max() < 0.1, f"frame {t}: the face is at {found}, not {bx, by, w}"
     drawn = float(np.degrees(np.arctan2(across[1], across[0])))
-    assert abs(drawn - angle) < 0.2, f"frame {t}: the face is rolled by {drawn}, the truth says {angle}"
+    assert abs(drawn - angle) < 0.2, f"frame {t}: the face is rolled by {drawn}, the ground truth says {angle}"
     a, origin = shot.portrait.anatomy, shot.portrait.origin
     u, v = np.meshgrid(np.linspace(left + 0.1 * side, left + 0.9 * side, 5), np.linspace(top, a.points["nose"][1], 4))
     points = np.stack([u.ravel(), v.ravel()], axis=1)
     q = to_picture(points, False, a, m, origin).astype(np.float32)
     shown = cv2.remap(face(shot.portrait, m)[1], q[None, :, 0], q[None, :, 1], cv2.INTER_LINEAR)[0]
-    assert np.abs(shown - points).max() < 0.15, f"frame {t}: the picture shows {shown}, not {points}"
+    assert np.abs(shown - points).max() < 0.15, f"frame {t}: the image shows {shown}, not {points}"
 
 
 def alone(portrait: Portrait, cutout: Cutout, exposure: float = 1.0) -> Portrait:

@@ -44,12 +44,12 @@ def motion(path: Array, t: int) -> tuple[float, float]:
 
 
 def panned(keys: Keys, frames: int, seed: int) -> Array:
-    """(frames, 2) a camera held by hand that pans to the sides, so that the face does not rest in the picture."""
+    """(frames, 2) a camera held by hand that pans to the sides, so that the face does not rest in the image."""
     return unsteady(frames, seed, 0.35) + np.stack([track(keys, frames), np.zeros(frames)], axis=1)
 
 
 def face_box(stage: Stage, t: int) -> Box:
-    """The truth of frame t. The box goes with head and scale; what the face does in it does not move it."""
+    """The ground truth of frame t. The box goes with head and scale; what the face does in it does not move it."""
     left, top, right, bottom = stage.cutout.box
     k = ZOOM * float(stage.scale[t])
     x = float(stage.head[t, 0]) + k * (FACE[0] + FACE[2] / 2 - (left + right) / 2)
@@ -84,7 +84,7 @@ def standing(
 
 
 def cover(picture: Picture, thing: Before, soft: float, dark: float) -> Picture:
-    """The picture with the thing and its shadow before it; what moves is blurred while the shutter is open."""
+    """The image with the thing and its shadow before it; what moves is blurred while the shutter is open."""
     steps = np.linspace(-0.5, 0.5, 9) * SHUTTER
     moved = [_moved(thing.layer, u * thing.motion[0], u * thing.motion[1]) for u in steps]
     layer = np.mean(moved, axis=0) if max(map(abs, thing.motion)) > 0.5 else thing.layer
@@ -107,7 +107,7 @@ def covered(at: Box, things: list[Before]) -> float:
 
 
 def _prove(stage: Stage, t: int) -> None:
-    """The head is where the truth has it, and the square of the portrait that is the face lies in the face's box.
+    """The head is where the ground truth has it, and the portrait's square that is the face is in the face's box.
 
     Raises:
         AssertionError: it is not so, to 1 px for the drawn head and to 0.1 px for the square.
@@ -124,7 +124,7 @@ def _prove(stage: Stage, t: int) -> None:
     total, at = alpha.sum(), face_box(stage, t)
     found = (float((alpha * x).sum() / total), float((alpha * y).sum() / total), float(total**0.5))
     off = np.abs(np.array(found) - at[:3]).max()
-    assert off < 0.1, f"frame {t}: the face is at {found}, the truth says {at}"
+    assert off < 0.1, f"frame {t}: the face is at {found}, the ground truth says {at}"
 
 
 def draw(stage: Stage, t: int, things: list[Before], soft: float, dark: float) -> Picture:

@@ -1,4 +1,4 @@
-"""What is behind the faces: a papered wall with a picture on it, and a wall of painted bricks, in cool colours.
+"""What is behind the faces: a papered wall with an image on it, and a wall of painted bricks, in cool colours.
 
 Drawn from fixed seeds, FINE times finer than the clips, (H * FINE, W * FINE, 3) BGR float32.
 """
@@ -18,7 +18,7 @@ def _noise(rng: np.random.Generator, shape: tuple[int, int], sigma: float, stren
 
 
 def _hills(wide: int, high: int) -> Picture:
-    """A framed picture of green hills under a pale sky, in fine pixels."""
+    """A framed image of green hills under a pale sky, in fine pixels."""
     out = np.empty((high, wide, 3), np.float32)
     out[:] = (66, 54, 46)
     rim = 4 * FINE
@@ -32,7 +32,7 @@ def _hills(wide: int, high: int) -> Picture:
 
 
 def papered_wall(width: int, height: int) -> Picture:
-    """A wall papered in grey-blue, with fine stripes and small sprigs, and a picture at the left; in clip pixels."""
+    """A wall papered in grey-blue, with fine stripes and small sprigs, and an image at the left; in clip pixels."""
     rng = np.random.default_rng(51)
     h, w = height * FINE, width * FINE
     y, x = np.mgrid[:h, :w].astype(np.float64) / FINE

@@ -199,6 +199,6 @@ def map_scene() -> MapScene:
 
 
 def map_clip() -> Clip:
-    """The clip, with the truth of the face."""
+    """The clip, with the ground truth of the face."""
     scene = map_scene()
     return face_clip(scene.stage, scene.things, soft=SOFT, dark=DARK, crf=20)

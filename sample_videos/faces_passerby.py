@@ -49,7 +49,7 @@ def _mask(shape: tuple[int, ...], *outline: tuple[tuple[int, int], ...]) -> Pict
 
 
 def _continued(picture: Picture) -> Picture:
-    """The picture with more of the jacket below and at the right: its borders drawn out, with its own grain."""
+    """The image with more of the jacket below and at the right: its borders drawn out, with its own grain."""
     rng = np.random.default_rng(71)
     rows, columns = MORE
     h, w = picture.shape[:2]
@@ -97,7 +97,7 @@ class PassingScene:
     passer: Stage
 
     def things(self, t: int) -> list[Before]:
-        """Who passes, while she is in the picture."""
+        """Who passes, while she is in the image."""
         p = self.passer
         if not -150 < p.head[t, 0] < 478:
             return []
@@ -155,6 +155,6 @@ def passerby_scene() -> PassingScene:
 
 
 def passerby() -> Clip:
-    """The clip, with the truth of the seated person's face."""
+    """The clip, with the ground truth of the seated person's face."""
     scene = passerby_scene()
     return face_clip(scene.stage, scene.things, soft=SOFT, dark=DARK, crf=20)

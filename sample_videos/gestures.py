@@ -15,7 +15,7 @@ from render import expose
 from timeline import Array, track, unrest
 
 FRAMES = 260
-ZOOM = 0.64  # pixels of the picture for one of the portrait
+ZOOM = 0.64  # pixels of the image for one of the portrait
 CLOTH = (62.0, 56.0, 38.0)
 LIGHT = 0.86
 CRF = 19
@@ -58,7 +58,7 @@ def scene() -> Scene:
 
 
 def gestures() -> Clip:
-    """The clip, with the truth of the face."""
+    """The clip, with the ground truth of the face."""
     of = scene()
     rng = np.random.default_rng(75)
     pictures, rows = [], []

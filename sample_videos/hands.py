@@ -1,7 +1,7 @@
 """The clip of two hands over a cluttered desk: they move things, wave together, meet, and cross each other four times.
 
 After the hand experiment of Odobez, Ba & Gatica-Perez (2003), figures 6 and 7. Both hands have the same colours, since
-one is the other's mirror image. All places are in pixels of the picture as the camera at rest would see it.
+one is the other's mirror image. All places are in pixels of the image as the camera at rest would see it.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class Camera:
     roll: float
 
     def see(self, x: float, y: float) -> tuple[float, float]:
-        """Where a place of the desk is in the picture."""
+        """Where a place of the desk is in the image."""
         dx, dy = x - CENTRE[0] - self.x, y - CENTRE[1] - self.y
         c, s = np.cos(self.roll) * self.zoom, np.sin(self.roll) * self.zoom
         return float(CENTRE[0] + c * dx - s * dy), float(CENTRE[1] + s * dx + c * dy)
 
     def look(self, ground: Picture) -> Picture:
-        """The picture (H, W, 3) of the ground, by area means."""
+        """The image (H, W, 3) of the ground, by area means."""
         right, down, at = (np.array(self.see(*p)) for p in ((1.0, 0.0), (0.0, 1.0), (-ORIGIN[0], -ORIGIN[1])))
         a = np.stack([right - self.see(0.0, 0.0), down - self.see(0.0, 0.0)], axis=1)
         # both grids are FINE times finer, with pixel centres at whole numbers
@@ -56,7 +56,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Moment:
-    """One frame: the camera, both hands in the picture, which is the upper one, and what lies where: x, y, degrees."""
+    """One frame: the camera, both hands in the image, which is the upper one, and what lies where: x, y, degrees."""
 
     camera: Camera
     hands: tuple[Pose, Pose]
@@ -181,7 +181,7 @@ def skin(cloth: tuple[float, float, float] = (120.0, 84.0, 60.0), depth: float =
 
 
 def compose(m: Moment, ground: Picture, movable: tuple[Sheet, ...], of: Skin) -> tuple[Picture, tuple[Layer, Layer]]:
-    """The picture (H, W, 3) without noise, and the layers of both hands."""
+    """The image (H, W, 3) without noise, and the layers of both hands."""
     with_things = ground.copy()
     for sheet, (x, y, degrees) in zip(movable, m.things, strict=True):
         place(with_things, sheet, x + ORIGIN[0], y + ORIGIN[1], degrees)
@@ -211,7 +211,7 @@ def _centroid(mask: Picture) -> NDArray[np.float64]:
 
 
 class Proof:
-    """Holds the rendered masks to the truth: what was drawn, measured in the picture, lies where the truth says."""
+    """Holds the rendered masks to the ground truth: what is drawn, measured in the image, is where it says."""
 
     def __init__(self, of: Skin) -> None:
         # the palm does not bend: its area and its centre at scale 1, measured on a drawing three times as large
@@ -240,7 +240,7 @@ class Proof:
 
 
 def hands() -> Clip:
-    """The clip, with the truth of both hands."""
+    """The clip, with the ground truth of both hands."""
     ground, movable, of = desk(), things(), skin()
     proof = Proof(of)
     rng = np.random.default_rng(103)

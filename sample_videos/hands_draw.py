@@ -1,4 +1,4 @@
-"""A hand and its arm as a picture: skin with its grain, creases and nails under one lamp, and a knitted sleeve."""
+"""A hand and its arm as an image: skin with its grain, creases and nails under one lamp, and a knitted sleeve."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Skin:
 
 @dataclass
 class Layer:
-    """A hand and its arm over the whole picture: premultiplied colour (H, W, 3), and coverages (H, W) 0..1."""
+    """A hand and its arm over the whole image: premultiplied colour (H, W, 3), and coverages (H, W) 0..1."""
 
     colour: Picture
     hand: Picture  # palm and fingers
@@ -95,7 +95,7 @@ def _edge(sdf: Picture, scale: float) -> Picture:
 
 
 def _reduced(picture: Picture, window: tuple[int, int, int, int], size: tuple[int, int]) -> Picture:
-    """A fine window (left, top, width, height in pixels of the clip) as part of a whole picture, by area means."""
+    """A fine window (left, top, width, height in pixels of the clip) as part of a whole image, by area means."""
     left, top, w, h = window
     small = cv2.resize(picture, (w, h), interpolation=cv2.INTER_AREA)
     out = np.zeros((size[1], size[0], *picture.shape[2:]), np.float32)
@@ -131,7 +131,7 @@ def _upper_arm(x: Picture, y: Picture, elbow: tuple[float, float], pose: Pose, s
 
 
 def draw(pose: Pose, skin: Skin, size: tuple[int, int]) -> Layer:
-    """The hand at its pose, with its arm to the edge of the picture, in a picture of `size` (width, height)."""
+    """The hand at its pose, with its arm to the edge of the image, in an image of `size` (width, height)."""
     reach = 46 * pose.scale
     ex, ey = pose.elbow
     left, top = int(np.floor(min(pose.x - reach, max(ex - 24, -30)))), int(np.floor(pose.y - reach))

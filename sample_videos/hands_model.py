@@ -32,27 +32,27 @@ WRIST = (-0.2, 30.0)
 
 @dataclass(frozen=True)
 class Pose:
-    """One hand at one frame: where the centre of its box is in the picture, its scale, its turn, and its fingers."""
+    """One hand at one frame: where the centre of its box is in the image, its scale, its turn, and its fingers."""
 
     x: float
     y: float
     scale: float = 1.0
-    turn: float = 0.0  # radians, clockwise in the picture
+    turn: float = 0.0  # radians, clockwise in the image
     curl: float = 0.1  # 0 straight, 1 a fist
     spread: float = 1.0  # of the fingers
-    elbow: tuple[float, float] = (0.0, 400.0)  # in the picture
+    elbow: tuple[float, float] = (0.0, 400.0)  # in the image
     mirrored: bool = False
-    shoulder: tuple[float, float] | None = None  # in the picture; without one the sleeve goes on beyond the elbow
+    shoulder: tuple[float, float] | None = None  # in the image; without one the sleeve goes on beyond the elbow
 
     def to_hand(self, x: Picture, y: Picture) -> tuple[Picture, Picture]:
-        """Hand coordinates of points of the picture."""
+        """Hand coordinates of points of the image."""
         dx, dy = (x - self.x) / self.scale, (y - self.y) / self.scale
         c, s = np.float32(np.cos(self.turn)), np.float32(np.sin(self.turn))
         u, v = c * dx + s * dy, -s * dx + c * dy
         return (-u if self.mirrored else u), v
 
     def to_picture(self, u: float, v: float) -> tuple[float, float]:
-        """A point of the hand in the picture."""
+        """A point of the hand in the image."""
         u = -u if self.mirrored else u
         c, s = np.cos(self.turn), np.sin(self.turn)
         return float(self.x + self.scale * (c * u - s * v)), float(self.y + self.scale * (s * u + c * v))

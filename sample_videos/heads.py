@@ -1,7 +1,7 @@
 """Two clips of a head as a box: before strongly textured leaves with a tree in the way, and turning, before books.
 
 A person, cut out of a portrait, stands before a drawn ground; both move with the camera, the person by itself too.
-The truth is the upright box about the head from hair to chin, which goes with the head and its scale alone.
+The ground truth is the upright box about the head from hair to chin, which goes with the head and its scale alone.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ZOOM = 0.52  # clip pixels for one of the portrait, at scale 1
 SHUTTER = 0.35  # of the time between two frames, in which what moves is blurred
 _TIMES = (-0.5, 0.0, 0.5)
 
-Window = tuple[float, float]  # the portrait's point at the first pixel of a picture of the head
+Window = tuple[float, float]  # the portrait's point at the first pixel of an image of the head
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Stage:
     ground: Picture
     corner: Window  # where the ground's first pixel is while the camera is at rest
     camera: Array  # (n, 2)
-    head: Array  # (n, 2) middle of the head's box in the picture
+    head: Array  # (n, 2) middle of the head's box in the image
     scale: Array  # (n,)
     light: Array  # (n,)
     look: Callable[[int], tuple[Picture, Window]]
@@ -62,13 +62,13 @@ class Stage:
 
 
 def box(stage: Stage, t: int) -> tuple[float, float, float, float]:
-    """The truth of frame t: middle, width and height, in pixels."""
+    """The ground truth of frame t: middle, width and height, in pixels."""
     (x, y), s = stage.head[t], stage.scale[t]
     return float(x), float(y), float(stage.size[0] * s), float(stage.size[1] * s)
 
 
 def placed(layer: Picture, window: Window, stage: Stage, at: Array, scale: float) -> Picture:
-    """A layer of the portrait in the fine picture, its head's box about `at`."""
+    """A layer of the portrait in the fine image, its head's box about `at`."""
     left, top, right, bottom = stage.cutout.box
     k = FINE * ZOOM * scale
     middle = np.array([(left + right) / 2, (top + bottom) / 2])
@@ -79,7 +79,7 @@ def placed(layer: Picture, window: Window, stage: Stage, at: Array, scale: float
 
 
 def _shifted(picture: Picture, x: float, y: float) -> Picture:
-    """A fine drawing with its first pixel's corner at (x, y) of the clip, in the fine picture."""
+    """A fine drawing with its first pixel's corner at (x, y) of the clip, in the fine image."""
     move = np.array([[1, 0, FINE * x], [0, 1, FINE * y]], dtype=np.float64)
     size = (SIZE[0] * FINE, SIZE[1] * FINE)
     return np.asarray(cv2.warpAffine(picture, move, size, flags=cv2.INTER_LINEAR), dtype=np.float32)
@@ -135,7 +135,7 @@ def prove(stage: Stage, t: int) -> None:
         alpha = reduced(placed(drawn, origin, stage, stage.head[t], float(stage.scale[t])))[..., 3]
         found = np.array([*edges(alpha.max(axis=0)), *edges(alpha.max(axis=1))])
         off = np.abs(found - sides)[:checked].max()
-        assert off < within, f"frame {t}: drawn from {found}, the truth says {sides}"
+        assert off < within, f"frame {t}: drawn from {found}, the ground truth says {sides}"
 
 
 def _clip(stage: Stage) -> Clip:

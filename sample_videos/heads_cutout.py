@@ -62,7 +62,7 @@ def _edges_found(picture: NDArray[np.uint8], rough: NDArray[np.uint8]) -> NDArra
 
 
 def spread(picture: Picture, known: Picture) -> Picture:
-    """The picture with what is not known (0 in `known`) filled with the colours about it, near ones first."""
+    """The image with what is not known (0 in `known`) filled with the colours about it, near ones first."""
     out, weight = picture * known[..., None], known.copy()
     result = picture.copy()
     missing = known < 0.5

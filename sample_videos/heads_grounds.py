@@ -137,14 +137,14 @@ def _books(rng: np.random.Generator, canvas: Picture, left: int, right: int, flo
 
 
 def room(width: int, height: int, edge: int) -> Picture:
-    """Bookshelves from the left up to `edge`, then a plain wall with a picture on it; all in clip pixels."""
+    """Bookshelves from the left up to `edge`, then a plain wall with an image on it; all in clip pixels."""
     rng = np.random.default_rng(23)
     h, w, side = height * FINE, width * FINE, edge * FINE
     y, x = np.mgrid[:h, :w].astype(np.float64)
     light = 1.0 - 0.16 * (y / h) - 0.10 * np.abs(x / w - 0.7)
     wall = np.array([138.0, 158.0, 170.0]) * light[..., None] + _noise(rng, (h, w), 10.0 * FINE, 1.5)[..., None]
     out = wall.astype(np.float32)
-    # a framed picture: hills
+    # a framed image: hills
     fx, fy, fw, fh = side + 96 * FINE, 44 * FINE, 70 * FINE, 52 * FINE
     out[fy : fy + fh, fx : fx + fw] = (40, 52, 66)
     inner = out[fy + 4 * FINE : fy + fh - 4 * FINE, fx + 4 * FINE : fx + fw - 4 * FINE]

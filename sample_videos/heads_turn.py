@@ -26,7 +26,7 @@ class Turning:
     alpha: Picture
 
     def at(self, yaw: float) -> Picture:
-        """The head turned by `yaw` radians, positive to the right of the picture: BGR times alpha, and alpha."""
+        """The head turned by `yaw` radians, positive to the right of the image: BGR times alpha, and alpha."""
         y, x = _grid(self.alpha.shape)
         middle, half = _body(y)
         shift = 19.0 * np.sin(yaw) * smoothstep((y - 112) / 42) * (1 - smoothstep((y - 170) / 18))

@@ -146,5 +146,5 @@ def lamp_shot() -> Closeup:
 
 
 def lamp() -> Clip:
-    """The clip, with the truth of the face."""
+    """The clip, with the ground truth of the face."""
     return closeup_clip(lamp_shot())

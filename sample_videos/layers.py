@@ -1,4 +1,4 @@
-"""Layers of a picture, premultiplied BGR and alpha: one over another, FINE times finer and reduced, seen in a box."""
+"""Layers of an image, premultiplied BGR and alpha: one over another, FINE times finer and reduced, seen in a box."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from timeline import Array
 
 
 def over(under: Picture, layer: Picture) -> Picture:
-    """A picture (H, W, 3), or a layer (H, W, 4), with a layer (H, W, 4) before it."""
+    """An image (H, W, 3), or a layer (H, W, 4), with a layer (H, W, 4) before it."""
     out: Picture = under * (1 - layer[..., 3:]) + layer[..., : under.shape[2]]
     return out
 
 
 def reduced(fine: Picture) -> Picture:
-    """A picture FINE times too large, by area means."""
+    """An image FINE times too large, by area means."""
     return np.asarray(cv2.resize(fine, SIZE, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 

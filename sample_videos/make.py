@@ -1,4 +1,4 @@
-"""Render the sample clips and the gallery anew, with init files and truth: `python sample_videos/make.py`.
+"""Render the sample clips and the gallery again, with init files and ground truth: `python sample_videos/make.py`.
 
 Needs the `samples` extra (`pip install -e '.[samples]'`): the portraits are those that scikit-image and matplotlib
 carry.
@@ -35,9 +35,9 @@ Truth = list[dict[str, tuple[float, float]]]
 
 
 def _prove(portrait: Portrait, m: Moment, where: dict[str, tuple[float, float]], above: Array, below: Array) -> None:
-    """The truth is what the picture shows, by two ways back to the portrait.
+    """The ground truth is what the image shows, by two ways back to the portrait.
 
-    The warp is undone at the very points of the truth (to 0.02 px), and the rendered frame's own map, which says
+    The warp is undone at the very points of the ground truth (to 0.02 px), and the rendered frame's own map, which says
     what point of the portrait each pixel shows, is read there between its pixels (to 0.15 px: it is bent there).
 
     Raises:
@@ -50,11 +50,11 @@ def _prove(portrait: Portrait, m: Moment, where: dict[str, tuple[float, float]],
         assert np.abs(back - neutral).max() < 0.02, f"{part}: inverted to {back}, not {neutral}, at {m}"
         shown = below if part == "lip_lower" else above
         at = cv2.remap(shown, np.array([[q[0]]], np.float32), np.array([[q[1]]], np.float32), cv2.INTER_LINEAR)[0, 0]
-        assert np.abs(at - neutral).max() < 0.15, f"{part}: the picture shows {at}, not {neutral}, at {m}"
+        assert np.abs(at - neutral).max() < 0.15, f"{part}: the image shows {at}, not {neutral}, at {m}"
 
 
 def frames(scene: Scene) -> tuple[list[NDArray[np.uint8]], Truth, list[set[str]]]:
-    """The pictures (H, W, 3) BGR, the truth, and the parts hidden, for each frame."""
+    """The images (H, W, 3) BGR, the ground truth, and the parts hidden, for each frame."""
     rng = np.random.default_rng(scene.seed)
     pictures, where, hidden = [], [], []
     for t, m in enumerate(scene.moments):
@@ -85,7 +85,7 @@ def talking_head(scene: Scene) -> Clip:
     return Clip(pictures, rows, {"face": Start((left, top, side, side), {part: points[part] for part in PARTS})})
 
 
-# a clip is a name and a function that renders it: its pictures, its rows of truth, where its targets begin
+# a clip is a name and a function that renders it: its images, its rows of ground truth, where its targets begin
 CLIPS: Mapping[str, Callable[[], Clip]] = {
     "expressions": lambda: talking_head(expressions()),
     "occlusion": lambda: talking_head(occlusion()),

@@ -14,7 +14,7 @@ FINE = 3  # the book is drawn this many times finer than the clip, and reduced a
 
 @dataclass(frozen=True)
 class Held:
-    """An object in the picture: its drawing, FINE times enlarged, the grip in it, where that is and how it tilts."""
+    """An object in the image: its drawing, FINE times enlarged, the grip in it, where that is and how it tilts."""
 
     drawing: Picture
     grip: tuple[float, float]  # in pixels of the clip from the top left of the drawing

@@ -1,4 +1,4 @@
-"""A small gallery of people: five pictures each of the two in the portraits, and of four who are made up.
+"""A small gallery of people: five images each of the two in the portraits, and of four who are made up.
 
 For recognition beside tracking, as in Zhou, Chellappa and Moghaddam, "Adaptive Visual Tracking and Recognition using
 Particle Filters" (ICME 2003), whose gallery has faces in frontal view. `zoom.mp4` shows `hopper`, `lamp.mp4` `collins`.
@@ -27,7 +27,7 @@ from render import SIZE, expose, face
 from warp import Moment
 from zoom import SQUARE as HOPPER
 
-SIDE = 160  # of a picture
+SIDE = 160  # of an image
 PICTURES = 5
 QUALITY = 88  # of JPEG
 

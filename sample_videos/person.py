@@ -1,7 +1,8 @@
 """A person to the waist in dark clothes before a plain wall: the head of a portrait on a drawn body, talking a little.
 
-Places of the person are in the portrait's pixels; `Place` says where they are in the picture. The truth of the face is
-its upright box from brow to chin, as a frontal Haar cascade draws it, which goes with the head and its scale alone.
+Places of the person are in the portrait's pixels; `Place` says where they are in the image. The ground truth of the
+face is its upright box from brow to chin, as a frontal Haar cascade draws it, which goes with the head and its scale
+alone.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from warp import Moment
 
 FACE = (223.0, 114.0, 97.0)  # x and y of the middle of the face's box, and its side
 SHOULDERS = ((109.0, 281.0), (333.0, 281.0))  # the joints, as seen
-BODY_AT = (-180.0, 120.0)  # the first pixel of the picture of the body
+BODY_AT = (-180.0, 120.0)  # the first pixel of the image of the body
 _BODY = (800, 600)  # its width and height
 # right half of the outline of the body, from the collar down, relative to the middle; the left one mirrors it
 _OUTLINE = ((0, 164), (26, 166), (40, 171), (44, 184), (45, 200), (52, 212), (74, 222), (104, 232), (128, 244),
@@ -32,7 +33,7 @@ _MIDDLE = 221.0
 
 @dataclass(frozen=True)
 class Place:
-    """Where the portrait's `anchor` is in the picture, and how many pixels of the picture one of its pixels is."""
+    """Where the portrait's `anchor` is in the image, and how many pixels of the image one of its pixels is."""
 
     x: float
     y: float
@@ -40,16 +41,16 @@ class Place:
     anchor: tuple[float, float] = FACE[:2]
 
     def see(self, px: float, py: float) -> tuple[float, float]:
-        """A point of the portrait in the picture."""
+        """A point of the portrait in the image."""
         return self.x + self.k * (px - self.anchor[0]), self.y + self.k * (py - self.anchor[1])
 
     def lay(self, layer: Picture, at: tuple[float, float] = (0.0, 0.0)) -> Picture:
-        """A layer of the portrait, whose first pixel is its point `at`, in a picture FINE times too large."""
+        """A layer of the portrait, whose first pixel is its point `at`, in an image FINE times too large."""
         x, y = self.see(*at)
         k, half = FINE * self.k, (FINE - 1) / 2
         move = np.array([[k, 0, FINE * x + half], [0, k, FINE * y + half]])
         size = (SIZE[0] * FINE, SIZE[1] * FINE)
-        # the body's cloth is finer than the picture; the wall is drawn in the picture's own grid
+        # the body's cloth is finer than the image; the wall is drawn in the picture's own grid
         return np.asarray(cv2.warpAffine(layer, move, size, flags=cv2.INTER_LINEAR), dtype=np.float32)
 
 
@@ -146,7 +147,7 @@ def prove_face(who: Person, place: Place, box: tuple[float, float, float, float]
     """The rendered head lies about the box (middle, width, height) as the portrait's head about the portrait's face.
 
     Raises:
-        AssertionError: the head's outline above the chin, measured in the picture, is off by 0.3 px or more.
+        AssertionError: the head's outline above the chin, measured in the image, is off by 0.3 px or more.
     """
     skull = np.dstack([who.cutout.skull] * 4)
     alpha = reduced(place.lay(skull))[..., 3]
@@ -155,4 +156,4 @@ def prove_face(who: Person, place: Place, box: tuple[float, float, float, float]
     x, y, w, h = box
     expected = np.array([x + w / FACE[2] * (left - FACE[0]), x + w / FACE[2] * (right - FACE[0]),
                          y + h / FACE[2] * (top - FACE[1]), y + h / FACE[2] * (bottom - FACE[1])])  # fmt: skip
-    assert np.abs(found - expected).max() < 0.3, f"the head is drawn from {found}, the truth says {expected}"
+    assert np.abs(found - expected).max() < 0.3, f"the head is drawn from {found}, the ground truth says {expected}"

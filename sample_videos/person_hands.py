@@ -1,6 +1,6 @@
 """The hands of a person who faces the camera: raised, in the colour of the face, each on an arm from the shoulder.
 
-The back of each hand is to the camera, so the thumbs are outside. The hand at the left of the picture is the left one.
+The back of each hand is to the camera, so the thumbs are outside. The hand at the left of the image is the left one.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def matched_skin(cloth: tuple[float, float, float], scale: float) -> Skin:
 
 @dataclass(frozen=True)
 class Motion:
-    """How a hand goes: the middle of its box (n, 2) in the picture; (n,) scale, turn, curl and spread."""
+    """How a hand goes: the middle of its box (n, 2) in the image; (n,) scale, turn, curl and spread."""
 
     xy: Array
     scale: Array
@@ -108,7 +108,7 @@ class Scene:
     hands: Sequence[Motion]
     front: NDArray[np.int64]  # (n,) 0 or 1
     skin: Skin
-    zoom: float  # pixels of the picture for one of the portrait, at scale 1
+    zoom: float  # pixels of the image for one of the portrait, at scale 1
     shots: int = 3  # odd; moments while the shutter is open, more for faster hands
 
     def place(self, t: float) -> tuple[Place, Place]:
@@ -120,7 +120,7 @@ class Scene:
         return body, Place(x, y, self.zoom * s)
 
     def box(self, t: int) -> tuple[float, float, float, float]:
-        """The truth of the face in frame t: middle, width and height, in pixels."""
+        """The ground truth of the face in frame t: middle, width and height, in pixels."""
         side = float(FACE[2] * self.zoom * self.scale[t])
         return float(self.face[t, 0]), float(self.face[t, 1]), side, side
 
@@ -177,7 +177,7 @@ def hand_covered(layers: Sequence[Layer], front: int) -> tuple[float, float]:
 
 
 def hand_box(pose: Pose) -> tuple[float, float, float, float]:
-    """The truth of a hand: middle, width and height of its box, in pixels."""
+    """The ground truth of a hand: middle, width and height of its box, in pixels."""
     return pose.x, pose.y, BOX[0] * pose.scale, BOX[1] * pose.scale
 
 
@@ -187,7 +187,7 @@ def _centroid(mask: Picture) -> Array:
 
 
 def prove_hand(pose: Pose, layer: Layer, box: tuple[float, float, float, float]) -> None:
-    """The drawn hand is where the truth says: its middle, measured, to 0.1 px, and 97 % of palm and fingers in the box.
+    """The drawn hand is where the ground truth says: its middle to 0.1 px, and 97 % of palm and fingers in the box.
 
     Raises:
         AssertionError: it is not.

@@ -102,7 +102,7 @@ def hopper() -> Portrait:
     path = Path(str(cbook.get_sample_data("grace_hopper.jpg", asfileobj=False)))
     full = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if full is None:
-        raise FileNotFoundError(f"{path}: cannot be read; install matplotlib anew")
+        raise FileNotFoundError(f"{path}: cannot be read; install matplotlib again")
     small = cv2.resize(full.astype(np.float32), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     picture = np.asarray(small, dtype=np.float32)
 

@@ -1,4 +1,4 @@
-"""One frame of a clip: the portrait warped, lit, and seen by a sensor; and the truth that goes with it."""
+"""One frame of a clip: the portrait warped, lit, and seen by a sensor; and the ground truth that goes with it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SIZE = (320, 240)
 
 
 def truth(portrait: Portrait, m: Moment) -> dict[str, tuple[float, float]]:
-    """Where the five parts are in the picture, in pixels."""
+    """Where the five parts are in the image, in pixels."""
     out = {}
     for part in PARTS:
         p = np.array([portrait.anatomy.points[part]])

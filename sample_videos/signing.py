@@ -24,7 +24,7 @@ from render import expose
 from timeline import Array, track, unrest
 
 FRAMES = 250
-ZOOM = 0.52  # pixels of the picture for one of the portrait
+ZOOM = 0.52  # pixels of the image for one of the portrait
 HAND = 0.84  # scale of the hands
 CLOTH = (54.0, 44.0, 40.0)
 LIGHT = 0.88
@@ -89,7 +89,7 @@ def scene() -> Scene:
 
 
 def signing() -> Clip:
-    """The clip, with the truth of the face and of both hands."""
+    """The clip, with the ground truth of the face and of both hands."""
     of = scene()
     rng = np.random.default_rng(64)
     pictures, rows = [], []

@@ -1,4 +1,4 @@
-"""The moving face: smooth maps from the portrait to the picture, and back.
+"""The moving face: smooth maps from the portrait to the image, and back.
 
 A point of the portrait goes through four maps: expression, turn of the head, pose of the head, camera. The lips part,
 so the expression has two branches, one for the skin above the mouth and one for that below; they differ only within the
@@ -152,7 +152,7 @@ def pose(p: Array, a: Anatomy, m: Moment) -> Array:
 
 
 def camera(p: Array, a: Anatomy, m: Moment, origin: Point) -> Array:
-    """From the portrait to the picture; at rest, `origin` is the portrait's point at the picture's top left."""
+    """From the portrait to the image; at rest, `origin` is the portrait's point at the picture's top left."""
     c, s = np.cos(m.cam_roll), np.sin(m.cam_roll)
     d = p - np.array(a.centre)
     out: Array = np.stack([c * d[..., 0] - s * d[..., 1], s * d[..., 0] + c * d[..., 1]], axis=-1)
@@ -188,12 +188,12 @@ def invert(forward: Map, q: Array, tolerance: float = 0.001, rounds: int = 200) 
 
 
 def to_picture(p: Array, below: bool, a: Anatomy, m: Moment, origin: Point) -> Array:
-    """Where points (n, 2) of the portrait are in the picture; `below` chooses the skin below the mouth."""
+    """Where points (n, 2) of the portrait are in the image; `below` chooses the skin below the mouth."""
     return camera(pose(turn((lower if below else upper)(p, a, m), a, m), a, m), a, m, origin)
 
 
 def to_skull(q: Array, a: Anatomy, m: Moment, origin: Point) -> Array:
-    """From the picture (n, 2) to the portrait before any expression: where the teeth are."""
+    """From the image (n, 2) to the portrait before any expression: where the teeth are."""
     p = invert(lambda x: pose(x, a, m), camera_back(q, a, m, origin))
     return invert(lambda x: turn(x, a, m), p)
 

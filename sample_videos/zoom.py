@@ -69,5 +69,5 @@ def zoom_shot() -> Closeup:
 
 
 def zoom() -> Clip:
-    """The clip, with the truth of the face."""
+    """The clip, with the ground truth of the face."""
     return closeup_clip(zoom_shot())

@@ -11,10 +11,10 @@ translation alone.
 
 The constants marked "measured" are statistics of the MUCT landmark database (S. Milborrow, J. Morkel and F. Nicolls,
 2010; 3,755 faces of 276 people, mirrored rows left out), taken from the five points in mouth widths of each person's
-least open mouth: means over people for the neutral face; least squares of the displacements between pictures by the
+least open mouth: means over people for the neutral face; least squares of the displacements between images by the
 frontal camera on the changes of width and opening; and, for the depths, the displacements between simultaneous
-pictures by the five cameras, which see each face from five sides. Everybody in MUCT is nearly neutral (between two
-pictures the mouth opens by 0.5 widths at most, and by less than 0.23 in 95 %), so how far an opening, a smile or a
+images by the five cameras, which see each face from five sides. Everybody in MUCT is nearly neutral (between two
+images the mouth opens by 0.5 widths at most, and by less than 0.23 in 95 %), so how far an opening, a smile or a
 pucker goes is set by hand, from faces that talk and laugh.
 """
 

@@ -133,11 +133,11 @@ class TargetStart:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What is corrected by hand of one target at one frame, from which it begins anew.
+    """What is corrected by hand of one target at one frame, from which it begins again.
 
     `given` is its box, or points of it, without windows; `kept` says where its other points were: what is neither given
     nor kept stays where the tracker has it. `absent` are parts that cannot be seen from there on, True for all.
-    `learn`: whether the appearance is learned anew there; None: of what is given.
+    `learn`: whether the appearance is learned again there; None: of what is given.
     """
 
     frame: int

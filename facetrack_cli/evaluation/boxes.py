@@ -131,7 +131,7 @@ def measure_boxes(
     """
     ours, truth = np.asarray(ours, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     if ours.shape != truth.shape or ours.ndim != 2 or ours.shape[1] != 4:
-        raise ValueError(f"boxes are (T, 4) and as many as those of the truth, not {ours.shape} and {truth.shape}")
+        raise ValueError(f"boxes are (T, 4) and as many as the ground truth's, not {ours.shape} and {truth.shape}")
     known = np.isfinite(truth).all(axis=1)
     counts = known if visible is None else known & visible
     given: Mask = np.asarray(np.arange(len(ours)) == 0 if init is None else init)
@@ -190,7 +190,7 @@ def vot_overlaps(
 ) -> Array:
     """(T,) overlap 0..1 of boxes (T, 4), or of polygons (T, 4, 2) where there are corners without nan, as VOT has it.
 
-    A row without a region of ours (nan) has 0; one without truth has nan. vot-toolkit
+    A row without a region of ours (nan) has 0; one without ground truth has nan. vot-toolkit
     (`vot.region.raster.calculate_overlap`) makes float32 of all numbers, rounds them to whole pixels (halves to the
     even one), paints both regions and counts. What follows from that, and is followed here:
 
@@ -202,8 +202,8 @@ def vot_overlaps(
 
     Two oddities are not followed. Without `size` (its analyses always pass it) vot-toolkit counts wrongly where a
     rectangle has negative coordinates, since it cuts the mask at the absolute coordinate. And it takes a missing region
-    for one at the frame's corner, so that the rectangle around it and truth there can be less than 2 by 2, and their
-    overlap 1; here it is 0.
+    for one at the frame's corner, so that the rectangle around it and ground truth there can be less than 2 by 2, and
+    their overlap 1; here it is 0.
     """
     a, a_low, a_high, a_polygon = _regions(ours, our_corners)
     b, b_low, b_high, b_polygon = _regions(truth, true_corners)
@@ -220,7 +220,7 @@ def vot_overlaps(
     union = count(a_low, a_high) + count(b_low, b_high) - shared
     missing, unknown = np.isnan(a).any(axis=(1, 2)), np.isnan(b).any(axis=(1, 2))
     if (other := (a_polygon | b_polygon) & ~missing & ~unknown).any():
-        # numba takes a quarter of a second to load, and most truth is of rectangles
+        # numba takes a quarter of a second to load, and most ground truth is of rectangles
         from facetrack_cli.tracking.kernels.polygons import count_pixels
 
         pixels = np.empty((int(other.sum()), 2))

@@ -46,13 +46,14 @@ def match(
     """The pairs of what both tables have, on the frames that both have, in the order of the trajectory.
 
     `select` (`face` or `face/nose`) takes a target or part of the trajectory alone. Truth without names goes to the
-    only part there with a size; truth of one target, to the one target there, whatever its name. `note` is given lines
-    about pairs under other names, and about what has no counterpart. Without `partial` both must begin and end
-    together, as far as the truth is dense enough to tell, and no frame of the truth may be missing.
+    only part there with a size; ground truth of one target, to the one target there, whatever its name. `note` is given
+    lines about pairs under other names, and about what has no counterpart. Without `partial` both must begin and end
+    together, as far as the ground truth is dense enough to tell, and no frame of the ground truth may be missing.
 
     Raises InputError for tables that do not belong together, with the remedy: no name or frame in common, a status that
-    truth cannot have, frames of one that the other lacks, truth outside of the frame, and with `check_shift` rows that
-    fit another frame of the truth much better. UsageError for a `select` that names nothing.
+    ground truth cannot have, frames of one that the other lacks, ground truth outside of the frame, and with
+    `check_shift` rows that fit another frame of the ground truth much better. UsageError for a `select` that names
+    nothing.
     """
     named = _pair_names(choose(trajectory, select), truth, select, note)
     _check_status(trajectory, truth, named)
@@ -62,7 +63,7 @@ def match(
         raise InputError(
             f"{truth.path}: fits {trajectory.path} with {-found.lag:+d} added to its frames (median error "
             f"{found.error_at_lag:.1f} px, as it is {found.error:.1f} px): was either file cut and renumbered? "
-            f"--shift {_shift(truth, -found.lag)} --partial moves the truth, --shift 0 measures it as it is"
+            f"--shift {_shift(truth, -found.lag)} --partial moves the ground truth, --shift 0 measures it as it is"
         )
     pairs = []
     for ours, theirs in named:
@@ -83,7 +84,7 @@ def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: C
         renamed = {one.part: one.renamed(ours.target, one.part) for one in theirs}
         found = [Pair(one, renamed[one.part]) for one in ours.parts if one.part in renamed]
         if found and ours.target:
-            note(f"{truth.target} of the truth is taken for {ours.target}: both have one target")
+            note(f"{truth.target} of the ground truth is taken for {ours.target}: both have one target")
             theirs = tuple(renamed.values())
     if not found:
         raise InputError(
@@ -104,9 +105,9 @@ def _remedy(theirs: Sequence[Trajectory], ours: Sequence[Trajectory]) -> str:
     """How two tables come to have parts in common."""
     true, tracked = ({one.part == BOX for one in those} for those in (theirs, ours))
     if (true, tracked) == ({False}, {True}):
-        return "boxes are not measured by points; give truth of boxes, or track by a recipe of points, as factorized"
+        return "boxes are not measured by points; give ground truth of boxes, or track with a recipe of points"
     if (true, tracked) == ({True}, {False}):
-        remedy = "give truth of points, or track by a recipe of regions, as contour_histogram"
+        remedy = "give ground truth of points, or track by a recipe of regions, as contour_histogram"
         return f"points are not measured by boxes; {remedy}"
     return "name targets and parts alike"
 
@@ -115,10 +116,12 @@ def _nameless(ours: Trajectory, truth: Trajectory, note: Callable[[str], None]) 
     """The boxes of ground truth without names, paired with the only part that has a size."""
     boxed = [one for one in ours.parts if np.any(np.isfinite(one.w) & np.isfinite(one.h))]
     if not boxed:
-        raise InputError(f"{truth.path}: holds boxes, and no part of {ours.path} has w and h; give truth of its points")
+        raise InputError(
+            f"{truth.path}: holds boxes, no part of {ours.path} has w and h; give ground truth of its points"
+        )
     if len(boxed) > 1 and len({one.target for one in boxed}) == 1:
         raise InputError(
-            f"{truth.path}: holds boxes, and {ours.path} points, {_names(boxed)}; give truth of these points "
+            f"{truth.path}: holds boxes, and {ours.path} points, {_names(boxed)}; give ground truth of these points "
             "(--target NAME/PART would measure the window around one of them)"
         )
     if len(boxed) > 1:
@@ -149,21 +152,23 @@ def _check_status(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
     # absent rows of ours are those of corrections, unless nothing was tracked
     if np.isin(theirs, OF_TRACK).any() and np.isin(ours, OF_TRUTH).any() and not np.isin(ours, OF_TRACK).any():
         raise InputError(
-            f"{truth.path}: is a trajectory, and {trajectory.path} is truth, as their status says: "
+            f"{truth.path}: is a trajectory, and {trajectory.path} is ground truth, as their status says: "
             "name them the other way round"
         )
     if set(theirs.tolist()) <= {"lost"}:
-        raise InputError(f"{truth.path}: calls every row lost, so nothing can be measured; name a truth file")
+        raise InputError(f"{truth.path}: calls every row lost, so nothing can be measured; name a ground truth file")
 
 
 def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair], partial: bool) -> None:
     ours, theirs = (np.unique(np.concatenate([one.frame for one in those])) for those in zip(*named, strict=True))
     both = len(np.intersect1d(ours, theirs))
     first, last = int(theirs[0] - ours[0]), int(theirs[-1] - ours[-1])
-    spans = f"the truth has frames {_span(theirs)}, the trajectory {_span(ours)}"
+    spans = f"the ground truth has frames {_span(theirs)}, the trajectory {_span(ours)}"
     moved = f"--shift {_shift(truth, -first)}" if first == last != 0 else ""
     if not both:
-        remedy = f"if it counts from another frame, {moved}" if moved else "move the truth by --shift N or name its own"
+        remedy = (
+            f"if it counts from another frame, {moved}" if moved else "move ground truth by --shift N, or name its own"
+        )
         raise InputError(f"{truth.path}: {spans}: no frame in common; {remedy}")
     if partial:
         return
@@ -182,13 +187,13 @@ def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
         if missing.size:
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise InputError(
-                f"{trajectory.path}: no row of {one.ours.name} in frame {missing[0]}{more}, where the truth has one; "
+                f"{trajectory.path}: no row of {one.ours.name} in frame {missing[0]}{more}, where the ground truth does; "
                 f"was it cut? {rest}"
             )
 
 
 def _shift(truth: Trajectory, more: int) -> int:
-    """The --shift that moves the truth by `more` frames than it was moved already."""
+    """The --shift that moves the ground truth by `more` frames than it was moved already."""
     return int(truth.header.get("shift", 0)) + more
 
 
@@ -197,7 +202,7 @@ def _span(frames: Whole) -> str:
 
 
 def _check_places(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair]) -> None:
-    """Visible truth lies in the frame; where most of it does not, it is of another clip or size."""
+    """Visible ground truth lies in the frame; where most of it does not, it is of another clip or size."""
     size = picture_of(trajectory)
     if size is None:
         return
@@ -206,13 +211,13 @@ def _check_places(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
     where = outside[np.isfinite(x) & ~np.isin(status, NOT_SEEN)]
     if where.size and where.mean() > 0.5:
         raise InputError(
-            f"{truth.path}: {where.sum()} of its {where.size} places are outside of the picture of {size[0]}x{size[1]} "
+            f"{truth.path}: {where.sum()} of its {where.size} places are outside of the image of {size[0]}x{size[1]} "
             f"pixels that {trajectory.path} was made from; it is of another clip or size: name the right one"
         )
 
 
 class Shift(NamedTuple):
-    """Rows fit the truth `lag` frames later: what the trajectory calls t is t + lag in the truth. Medians in pixels."""
+    """Rows fit the ground truth `lag` frames later: frame t of the trajectory is t + lag there. Medians in pixels."""
 
     lag: int
     error: float
@@ -222,10 +227,10 @@ class Shift(NamedTuple):
 def find_shift(pairs: Sequence[tuple[Trajectory, Trajectory]]) -> Shift | None:
     """The lag at which (ours, truth) clearly belong together, or None where 0 is as good, or nothing can be said.
 
-    A file that was cut at its head and renumbered fits the truth at another lag than 0. For each lag the errors of all
-    visible rows are pooled. A lag is believed if the median error there is far lower than at 0, with the median offset
-    and without, and if nothing ordinary explains it: a tracker that trails behind, an offset along a straight path, a
-    target at rest, a motion that repeats itself.
+    A file that was cut at its head and renumbered fits the ground truth at another lag than 0. For each lag the errors
+    of all visible rows are pooled. A lag is believed if the median error there is far lower than at 0, with the median
+    offset and without, and if nothing ordinary explains it: a tracker that trails behind, an offset along a straight
+    path, a target at rest, a motion that repeats itself.
     """
     tracks = [track for track in (_track(*pair) for pair in pairs) if track is not None]
     rows = sum(len(track.truth) for track in tracks)
@@ -235,7 +240,7 @@ def find_shift(pairs: Sequence[tuple[Trajectory, Trajectory]]) -> Shift | None:
         return None
     lag = min(usable, key=lambda one: (usable[one].error, abs(one)))
     best, twin = usable[lag], usable.get(-lag)
-    # the first rows of a tracker that trails lie on the truth at lag 0, where it began
+    # the first rows of a tracker that trails lie on the ground truth at lag 0, where it began
     first = np.concatenate([track.first for track in tracks])
     if (
         best.ratio < LOWER
@@ -252,7 +257,7 @@ def find_shift(pairs: Sequence[tuple[Trajectory, Trajectory]]) -> Shift | None:
 class _Compared(NamedTuple):
     rows: int
     error: float  # median at the lag
-    error_at_zero: float  # the lower of the medians at lag 0 over the same truth rows and over the same rows of ours
+    error_at_zero: float  # the lower median at lag 0, over the same rows of ground truth or of ours
     ratio: float
     spread_ratio: float
     closer: float  # share of rows
@@ -282,7 +287,7 @@ def _compare(tracks: Sequence[_Track], lag: int) -> _Compared | None:
 
 
 class _Track(NamedTuple):
-    """One pair: rows of ours with their frames, visible rows of truth with theirs, and the error of the first row."""
+    """One pair: rows of ours and visible rows of ground truth with their frames, and the error of the first row."""
 
     frame: Whole
     ours: Array
@@ -291,7 +296,7 @@ class _Track(NamedTuple):
     first: Array
 
     def errors(self, lag: int) -> tuple[Array, Array, Array]:
-        """(rows, 2) each: ours less truth at the lag; at 0, the same rows of truth; at 0, the same rows of ours."""
+        """(rows, 2) each, ours less ground truth: at the lag; at 0, its rows of ground truth; at 0, its rows of ours."""
         wanted = self.truth_frame - lag
         moved, still = self._ours_at(wanted), self._ours_at(self.truth_frame)
         between = np.stack([np.interp(wanted, self.truth_frame, axis, np.nan, np.nan) for axis in self.truth.T], axis=1)

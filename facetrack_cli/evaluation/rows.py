@@ -206,7 +206,7 @@ def _pair(how: str, truth: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory
             return there[one], there[other]
     missing = " or ".join(" and ".join(part for part in names if part not in there) for names in wanted)
     names = ", ".join(list(there)[:8]) + (", ..." if len(there) > 8 else "")
-    raise UsageError(f"--normalise {how}: the truth has no {missing}; it has {names}")
+    raise UsageError(f"--normalise {how}: the ground truth has no {missing}; it has {names}")
 
 
 def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:
@@ -218,9 +218,9 @@ def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:
     points = np.array(axes) + np.array(absent)[:, None]  # (K, 2, F)
     together = np.flatnonzero(np.isfinite(points).all(axis=(0, 1)))
     if not together.size:
-        return math.nan, "size: no frame of the truth has all points"
+        return math.nan, "size: no frame of the ground truth has all points"
     size = size_of_points(points[:, :, together[0]])
     if size == 0:
-        return math.nan, "size: all points of the truth are at one place"
+        return math.nan, "size: all points of the ground truth are at one place"
     first = frames[together[0]]
     return size, f"size, the largest distance between two points in frame {first}, {size:.1f} px"

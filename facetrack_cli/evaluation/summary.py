@@ -181,7 +181,7 @@ _WHY: Final = (  # a figure that is not defined although the other is, and why
     (
         "occlusions.recovered",
         "occlusions.occlusions",
-        "fewer than 5 rows of known truth follow each occlusion, or corrections do: recovery is not known",
+        "fewer than 5 rows of known ground truth follow each occlusion, or corrections do: recovery is not known",
     ),
     ("lost.precision", "lost.rows", "no row is called lost, so lost has no precision"),
     ("lost.recall", "lost.rows", "the ground truth marks no row as hidden or absent, so lost has no recall"),

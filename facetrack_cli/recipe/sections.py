@@ -111,7 +111,7 @@ class Target(Kind):
     """What is tracked. Its engine takes the section, the start and the target's name, and says where it begins."""
 
     relearns: ClassVar[bool] = True
-    """Whether it is learned anew, by default, where its box is corrected."""
+    """Whether it is learned again, by default, where its box is corrected."""
 
     @property
     def points(self) -> tuple[str, ...]:

@@ -68,7 +68,7 @@ def resume(
     settings: Confidence, first: Judgement, anew: Mask, measure: Measures, learned: Any, frame: Frame, x0: Array,
     windows: Array,
 ) -> Judgement:  # fmt: skip
-    """The judgement where a target begins anew at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
+    """The judgement where a target begins again at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
 
     Parts learned `anew` (K,) are judged from here on, others by the `first` frame; one in doubt is `lost` at once.
     """

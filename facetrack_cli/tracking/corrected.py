@@ -1,13 +1,13 @@
-"""Corrections along the clip: a target that begins anew in each frame in which somebody corrected it.
+"""Corrections along the clip: a target that begins again in each frame in which somebody corrected it.
 
 There its particles stand together, as in the first frame, and its random numbers are of their own stream, (seed,
 target, frame). Parts that are given stand where the correction says; those that are kept, or not spoken of, stand where
 they were, rounded as in the CSV. What follows depends on the first frame, the correction, and the images from there on,
 and on nothing that was tracked before, so that `Resumed` tracks a part of a run with the rows of the whole run.
 
-What is given is learned anew, a box or points; the others keep what the first frame taught. A correction's `learn` says
-otherwise: false learns nothing, true all that is there, with points that are kept and the size of the face. What is
-absent has rows without a place until a later correction gives it. None of this is in the papers.
+What is given is learned again, a box or points; the others keep what the first frame taught. A correction's `learn`
+says otherwise: false learns nothing, true all that is there, with points that are kept and the size of the face. What
+is absent has rows without a place until a later correction gives it. None of this is in the papers.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STREAM: Final = 2**31  # keeps the streams of corrections apart from those of ta
 
 
 class Anew(NamedTuple):
-    """How a target begins anew: whether it is placed by `points`, and whether all of it is learned if nothing is said.
+    """How a target begins again: whether it is placed by `points`, and whether all of it is learned if nothing is said.
 
     `place` finds the visible points in a box given alone, `build` makes the target that learns from a frame.
     """
@@ -125,7 +125,7 @@ class CorrectedTarget:
             anew = by_hand if correction.learn is None and self.anew.points else ()
             inner, result = target.restart(rng, frame, state.first, given, absent, anew)
         rows, sure = result.rows, np.isin(self.parts, by_hand)
-        # what is kept is where the tracker was, though it may be learned anew
+        # what is kept is where the tracker was, though it may be learned again
         others = np.where(target is not self.target, "tracked", rows.status)
         judged = np.where(sure & ~np.isnan(rows.confidence), 1.0, rows.confidence)
         marked = np.isin(self.parts, (*by_hand, *absent))

@@ -56,7 +56,7 @@ class OpenCvTarget:
             tracker.init(frame.bgr, box)
         except cv2.error as e:
             cannot = f"OpenCV's {self.tracker.upper()} cannot begin with the box {list(box)} of {self.name} ({e.err})"
-            remedy = "give one that leaves some of the picture around it"
+            remedy = "give one that leaves some of the image around it"
             raise InputError(f"{self.origin}: {cannot}; {remedy}") from None
         return (tracker, box), self._result(frame, box, "init")
 
@@ -80,7 +80,7 @@ class OpenCvTarget:
         x, y, w, h = (round(side) for side in self.box)
         left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width - 1), min(y + h, height - 1)
         if right - left < LEAST or bottom - top < LEAST:
-            small = f"covers less than {LEAST}x{LEAST} pixels of the picture"
+            small = f"covers less than {LEAST}x{LEAST} pixels of the image"
             raise InputError(f"{self.origin}: the box of {self.name} {small}; give a larger one")
         return left, top, right - left, bottom - top
 

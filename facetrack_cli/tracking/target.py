@@ -58,7 +58,7 @@ class Adapts(Protocol):
 
 @runtime_checkable
 class LearnsParts(Protocol):
-    """A likelihood that can learn some of its parts (K,) anew, as they look in a frame at x0 (K, D)."""
+    """A likelihood that can learn some of its parts (K,) again, as they look in a frame at x0 (K, D)."""
 
     def relearn(self, learned: Any, frame: Frame, x0: Array, parts: Mask) -> Any: ...
 

@@ -165,7 +165,7 @@ def clip_of(table: Trajectory) -> Path | None:
 
 
 def picture_of(table: Trajectory) -> tuple[int, int] | None:
-    """Width and height of its pictures in pixels."""
+    """Width and height of its images in pixels."""
     size = said(table, "source", "size")
     if isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size):
         return size[0], size[1]

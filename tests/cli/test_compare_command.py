@@ -171,7 +171,7 @@ def test_what_does_not_fit_the_truth_is_told_before_anything_runs(facetrack, mon
     far = "".join(f"{n},1106,74,106,106\n" for n in range(4))
     Path("boxes.csv").write_text("frame,x,y,w,h\n" + far, encoding="utf-8")
     code, _, err = facetrack(*arguments, "--config", "mil", "-o", "other")
-    assert code == ExitCode.INPUT and "outside of the picture of 320x240" in err and not started
+    assert code == ExitCode.INPUT and "outside of the image of 320x240" in err and not started
 
 
 def test_a_truth_of_other_frames_is_told_after_the_first_recipe(facetrack):

@@ -274,7 +274,7 @@ def test_files_are_written_beside_the_tables(folder, capsys):
         (["--json", "truth.csv", "--overwrite"], 2, "truth.csv: is read here"),
         (["--plot", "a.pdf"], 2, "let its name end in .png"),
         (["--normalise", "furlong"], 2, "--normalise 'furlong': give size, mouth"),
-        (["--normalise", "left:chin"], 2, "the truth has no chin; it has left, right"),
+        (["--normalise", "left:chin"], 2, "the ground truth has no chin; it has left, right"),
         (["--failure", "0"], 2, "give a normalised error above 0"),
         (["--failure", "nan"], 2, "give a normalised error above 0"),
         (["--truth", "none.csv"], 3, "none.csv: no such file"),
@@ -297,7 +297,7 @@ def test_options_change_what_they_say(folder, capsys):
     assert "12.0 px" in found["units"]["face"], "the size is still that of the whole truth"
     Path("truth.csv").write_text(TRUTH.replace("face", "anna"))
     assert "12.0 px" in measured(capsys, "--target", "face/left")["units"]["face"], "whatever the target's name there"
-    assert "anna of the truth is taken for face: both have one target" in measured(capsys)["notes"]
+    assert "anna of the ground truth is taken for face: both have one target" in measured(capsys)["notes"]
 
 
 def test_the_truth_beside_the_clip(folder, capsys):

@@ -19,7 +19,7 @@ pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plo
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
-    """`IN`: people/ with two persons of three pictures each, single/ with one picture each."""
+    """`IN`: people/ with two persons of three images each, single/ with one image each."""
     folder = tmp_path_factory.mktemp("galleries")
     people_folder(folder / "people", 3)
     people_folder(folder / "single", 1)

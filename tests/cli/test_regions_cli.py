@@ -32,7 +32,7 @@ def starts(box="[100, 60, 40, 52]", points=""):
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
-    """Folders of pictures: `head` and `grey` with boxes to begin with and as truth, `points` with points alone."""
+    """Folders of images: `head` and `grey` with boxes to begin with and as ground truth, `points` with points alone."""
     folder = tmp_path_factory.mktemp("clips")
     for name, grey in (("head", False), ("grey", True), ("points", False)):
         write_pictures(folder / name, [frame.bgr for frame in clip(FRAMES, grey=grey)])
@@ -109,7 +109,7 @@ def test_boxes_at_the_border_are_followed(facetrack, box):
 def test_a_box_too_narrow_for_the_reduced_picture_names_the_setting(facetrack):
     options = ["--set", "likelihood.histogram.max_size=16", "--box", "10,10,6,180"]
     said = refused(run(facetrack, *options, config="histogram"), 3)
-    assert "the box has no pixel of the picture at 1/16 of its size" in said and "likelihood.histogram.max_size" in said
+    assert "the box has no pixel of the image at 1/16 of its size" in said and "likelihood.histogram.max_size" in said
 
 
 def test_a_batch_says_of_which_clip_it_speaks(facetrack, clips):
@@ -220,11 +220,11 @@ def test_boxes_are_not_compared_with_truth_of_points_nor_points_with_truth_of_bo
     compare = ["compare", "IN/head", "--seeds", "1", "-q", "--no-plots"]
     said = refused(facetrack(*compare, "--truth", "IN/points.truth.csv", "--config", "contour"), 3)
     assert "it has head/nose, the trajectory head/box" in said
-    assert "give truth of boxes, or track by a recipe of points, as factorized" in said
+    assert "give ground truth of boxes, or track by a recipe of points, as factorized" in said
     Path("both.yaml").write_text(starts(points=POINTS))
     result = facetrack(*compare, "--init", "both.yaml", "--config", "sir:filter.particles=5")
     assert result[0] == 3
-    assert "give truth of points, or track by a recipe of regions, as contour_histogram" in result[2]
+    assert "give ground truth of points, or track by a recipe of regions, as contour_histogram" in result[2]
 
 
 def test_without_a_start_truth_of_points_says_that_it_has_no_box(facetrack, clips):

@@ -131,7 +131,7 @@ def test_a_likelihood_that_is_off_fails_and_is_told(
 def test_a_changed_recipe_is_told_and_compared_all_the_same(facetrack: Runner, clips: Path) -> None:
     code, out, _ = facetrack("regress", clips, "--set", "motion.sigma=0.25")
     assert code == ExitCode.REGRESSION
-    assert "recipe differs from the golden's: motion.sigma 0.1 -> 0.25; record anew with --update" in out
+    assert "recipe differs from the golden's: motion.sigma 0.1 -> 0.25; record again with --update" in out
     code, out, _ = facetrack("regress", clips, "--set", "confidence.patience=4")
     assert code == ExitCode.DONE and "confidence.patience 3 -> 4" in out and ": ok (" in out
 
@@ -140,7 +140,7 @@ def test_a_clip_that_changed_is_not_compared(facetrack: Runner, clips: Path) -> 
     with (clips / "occlusion.mp4").open("ab") as file:
         file.write(b"\0")
     code, out, _ = facetrack("regress", clips)
-    assert code == ExitCode.REGRESSION and "is not the one recorded; restore it, or record anew" in out
+    assert code == ExitCode.REGRESSION and "is not the one recorded; restore it, or record again" in out
     (clips / "occlusion.mp4").unlink()
     code, out, _ = facetrack("regress", clips)
     assert code == ExitCode.REGRESSION and "is not there; put it back, or remove" in out
@@ -175,7 +175,7 @@ def test_a_golden_with_other_parts_is_told(facetrack: Runner, clips: Path) -> No
     ("arguments", "code", "said"),
     [
         ((), ExitCode.INPUT, "has no goldens; record some with facetrack regress"),
-        (("--update",), ExitCode.INPUT, "has no goldens to record anew; name recipes with --config"),
+        (("--update",), ExitCode.INPUT, "has no goldens to record again; name recipes with --config"),
         (("--update", "--config", "sir"), ExitCode.INPUT, "has no clip with an init file beside it"),
         (("--update", "--config", "nonsense"), ExitCode.USAGE, '"nonsense" is neither a file nor a shipped recipe'),
         (("--update", "--set", "seed=1"), ExitCode.USAGE, "--update records recipes as they are"),

@@ -19,7 +19,7 @@ FRAME = '{"frame": 0, "time_s": 0, "targets": [{"target": "face", "parts": [{"pa
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
-    """A folder with a trajectory, its clip and truth, which is the current one."""
+    """A folder with a trajectory, its clip and ground truth, which is the current one."""
     monkeypatch.chdir(tmp_path)
     Path("trajectory.json").write_text(HEADER + FRAME)
     Path("clip.mp4").write_bytes(b"a clip")

@@ -1,4 +1,4 @@
-"""A frame's reduced pictures."""
+"""A frame's reduced images."""
 
 import cv2
 import numpy as np
@@ -37,7 +37,7 @@ def test_blocks_are_the_same_whatever_was_asked_before(factor, extents, order):
             whole = naive_blocks(picture, f)
             i, j = top // f, left // f
             np.testing.assert_allclose(small, whole[i : i + small.shape[0], j : j + small.shape[1]], atol=1)
-            # all that lies in the picture and in the extent is there
+            # all that lies in the image and in the extent is there
             rows, columns = whole.shape[:2]
             assert left <= max(min(x, (columns - 1) * f), 0)
             assert top <= max(min(y, (rows - 1) * f), 0)

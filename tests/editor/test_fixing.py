@@ -1,4 +1,4 @@
-"""Putting runs right: what is tracked anew is what a whole run from the corrected init file gives."""
+"""Putting runs right: what is tracked again is what a whole run from the corrected init file gives."""
 
 import errno
 import json
@@ -344,8 +344,8 @@ def test_progress_is_told_to_the_end(fixed):
     both = [points("ben", 9, nose=(158.0, 140.0)), points("anna", 9, nose=(158.0, 140.0))]
     one.fixer.put(both, report=lambda done, total: told.append((done, total)))
     assert [done for done, _ in told] == list(range(1, STOP - 9 + 1))
-    assert one.read == [2, *range(9, STOP)]  # both in the same pictures
-    assert {total for _, total in told} == {STOP - 9}  # pictures, not rows
+    assert one.read == [2, *range(9, STOP)]  # both in the same images
+    assert {total for _, total in told} == {STOP - 9}  # images, not rows
 
 
 def test_a_clip_with_other_times_is_refused(fixed):

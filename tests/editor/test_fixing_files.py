@@ -1,4 +1,4 @@
-"""The files of a run that is put right: they hold the same rows, and nothing but the rows changes."""
+"""The files of a run that is corrected: they hold the same rows, and nothing but the rows changes."""
 
 import contextlib
 import itertools
@@ -86,7 +86,7 @@ def run(tmp_path_factory):
 
 
 def pieces_of():
-    """Where some targets were tracked anew, by whom: (target, first frame, seed), the last of which wins."""
+    """Where some targets were tracked again, by whom: (target, first frame, seed), the last of which wins."""
     return st.lists(
         st.tuples(st.sampled_from(list(PARTS)), st.integers(FIRST + 1, FIRST + FRAMES - 1), st.integers(1, 9)),
         max_size=6,

@@ -1,4 +1,4 @@
-"""Runs that are put right though something about them is out of the way."""
+"""Runs that are corrected though something about them is out of the way."""
 
 import contextlib
 import errno
@@ -63,7 +63,7 @@ def nose(frame, x, y):
 
 @pytest.fixture(scope="module")
 def leaving(tmp_path_factory):
-    """A folder of images in which a face leaves the picture to the left, and where it begins."""
+    """A folder of images in which a face leaves the image to the left, and where it begins."""
     folder = tmp_path_factory.mktemp("leaving")
     pictures = folder / "shots"
     pictures.mkdir()
@@ -77,7 +77,7 @@ def leaving(tmp_path_factory):
 
 
 def test_a_part_beyond_the_border_is_kept_there(leaving, tmp_path):
-    """The init file is read again, and the run put right a second time."""
+    """The init file is read again, and the run corrected a second time."""
     run(leaving, "-o", tmp_path / "out")
     put(tmp_path / "out", nose(11, 6, 50))
     with fixing(tmp_path / "out") as fixer:

@@ -1,4 +1,4 @@
-"""What is tracked anew: in which frames, with whose random numbers, and what it sees of the other targets."""
+"""What is tracked again: in which frames, with whose random numbers, and what it sees of the other targets."""
 
 import os
 import shutil

@@ -126,7 +126,7 @@ def test_errors_are_aligned_by_frame():
 
 
 def points(offset, frames=60, status="tracked"):
-    """A face of two points 40 px apart that walks to the right; ours is `offset` (T,) pixels below the truth."""
+    """A face of two points 40 px apart that walks to the right; ours is `offset` (T,) pixels below the ground truth."""
     frame = np.arange(frames)
     x = 50 + 3 * np.abs(np.sin(frame / 5))
     return tuple(
@@ -161,7 +161,7 @@ def test_the_truth_of_the_frames_asked_for_counts():
     truth = truth_of(points(np.where(np.arange(60) < 30, 0.0, 30.0), status="visible"))
     run = run_of(tuple(one.take(one.frame < 30) for one in points(0.0)))
     assert score_run(run, truth, Options(stop=30)).figures["points.mean_px"] == 0
-    with pytest.raises(InputError):  # the clip ended before the truth did
+    with pytest.raises(InputError):  # the clip ended before the ground truth did
         score_run(run, truth, Options())
     late = run_of(tuple(one.take(one.frame > 40) for one in points(0.0)))
     with pytest.raises(InputError, match="no row from frame 41 to 39"):
@@ -260,7 +260,7 @@ def comparison():
     entries = (
         entry("slow", [0.05, 0.07], measure=ranked, rate=10.0, failed=True),
         entry("quick", [0.01, 0.012], measure=ranked, rate=1000.0),
-        Entry("box|only", error=InputError("the truth has no box")),
+        Entry("box|only", error=InputError("the ground truth has no box")),
     )
     return Comparison(Path("a/clip.mp4"), Path("a/clip.truth.csv"), 2, entries, ranked, 2)
 
@@ -273,7 +273,7 @@ def test_the_table(comparison):
     assert broken[:2] == ("–", "box|only") and "not run" in broken
     notes = " ".join(found.notes)
     assert "standard deviation over 2 seeds" in notes and "only ratios between rows" in notes
-    assert "2 processes" in notes and "box|only: not run: the truth has no box" in notes
+    assert "2 processes" in notes and "box|only: not run: the ground truth has no box" in notes
     text = found.markdown()
     table = [line for line in text.splitlines() if line.startswith("|")]
     assert len(table) == 5 and len({len(line) for line in table}) == 1 and "box\\|only" in table[-1]
@@ -283,7 +283,7 @@ def test_the_data(comparison):
     rows = list(csv.DictReader(io.StringIO(comparison.csv())))
     assert [(row["recipe"], row["seed"], row["failed"], row["error"]) for row in rows] == [
         ("slow", "0", "1", ""), ("slow", "1", "1", ""), ("quick", "0", "0", ""), ("quick", "1", "0", ""),
-        ("box|only", "", "", "the truth has no box"),
+        ("box|only", "", "", "the ground truth has no box"),
     ]  # fmt: skip
     assert rows[1]["points.mean_normalised"] == "0.07"
     found = json.loads(comparison.json())

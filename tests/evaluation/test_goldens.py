@@ -190,7 +190,7 @@ def test_every_recipe_that_adapts_has_a_golden_of_both_clips_and_of_who_it_is() 
 def test_a_shipped_golden_is_of_the_clip_and_the_recipe_that_are_here(path: Path) -> None:
     golden = read_golden(path)
     assert checksum(SAMPLES / golden.clip.file) == golden.clip.sha256, (
-        "record anew: facetrack regress sample_videos --update"
+        "record again: facetrack regress sample_videos --update"
     )
     assert differences(completed(golden.settings), to_dict(load_recipe(golden.recipe))) == []
     assert 40 <= len(golden.recorded) <= 100 and 4 <= golden.seeds.tested <= 12

@@ -1,4 +1,4 @@
-"""Pairing a trajectory with its truth: names, frames, lags, pictures; a mismatch is an error that names the remedy."""
+"""Pairing a trajectory with its ground truth: names, frames, lags, images; a mismatch is an error with a remedy."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ def test_trajectory_and_truth_the_wrong_way_round() -> None:
         for words in (("tracked", "lost"), ("visible", "hidden"))
     )
     assert pairs(table(track), table(true, name="gt.txt")) and pairs(table(track), table(track, name="gt.txt"))
-    with pytest.raises(InputError, match=r"run.csv: is a trajectory, and gt.txt is truth.*the other way round"):
+    with pytest.raises(InputError, match=r"run.csv: is a trajectory, and gt.txt is ground truth.*the other way round"):
         pairs(table(true, name="gt.txt"), table(track))
 
 
 def test_truth_that_is_lost_all_along() -> None:
-    with pytest.raises(InputError, match=r"gt.txt: calls every row lost.*name a truth file"):
+    with pytest.raises(InputError, match=r"gt.txt: calls every row lost.*name a ground truth file"):
         pairs(table(box(range(50))), truth(range(50), "head", status=["lost"] * 50))
 
 
@@ -127,7 +127,7 @@ def test_one_target_on_both_sides_pairs_whatever_its_name() -> None:
     notes: list[str] = []
     (pair,) = pairs(table(box(range(50))), truth(range(50), "1"), note=notes.append)
     assert (pair.ours.target, pair.truth.target) == ("head", "head")
-    assert notes == ["1 of the truth is taken for head: both have one target"]
+    assert notes == ["1 of the ground truth is taken for head: both have one target"]
 
 
 def test_nothing_in_common_lists_both_sides() -> None:
@@ -147,7 +147,7 @@ def test_nothing_in_common_lists_both_sides() -> None:
         (range(1, 101), r"frames 1\.\.100, the trajectory 0\.\.99: shifted by one\? --shift -1; .*the 99 that both"),
         (range(7, 107), r"shifted by 7\? --shift -7"),
         (range(200, 300), r"no frame in common; if it counts from another frame, --shift -200"),
-        (range(200, 250), r"no frame in common; move the truth by --shift N"),
+        (range(200, 250), r"no frame in common; move the ground truth by --shift N"),
         (range(61), r"ends at frame 60, the trajectory goes on to 99: --partial measures the 61 that both have"),
         (range(101), r"ends at frame 100, the trajectory ends at 99"),
         (range(5, 100), r"begins at frame 5, the trajectory at 0: --partial measures the 95"),
@@ -205,7 +205,7 @@ def test_partial_is_the_intersection(mine: set[int], others: set[int]) -> None:
 
 
 def cut(lag: int, noise: float, count: int = 250) -> tuple[Trajectory, Trajectory]:
-    """A trajectory whose frame t is frame t + lag of the truth, both numbered from 0."""
+    """A trajectory whose frame t is frame t + lag of the ground truth, both numbered from 0."""
     first = max(lag, 0)
     ours = renumbered(box(range(first, first + count), noise=noise), 0)
     theirs = renumbered(box(range(first - lag, first - lag + count), ""), 0)
@@ -303,15 +303,15 @@ def test_hidden_and_lost_rows_do_not_speak_for_a_lag() -> None:
     assert pairs(replace(ours, status=np.full(250, "lost")), theirs)
 
 
-# --- pictures ---
+# --- images ---
 
 
 def test_truth_outside_of_the_picture() -> None:
     frames, size = range(50), np.full(50, 20.0)
     ours = table(box(frames), source={"size": [320, 240]})
     far = table(one_part("", "box", frames, x=np.arange(50) + 640, y=size, w=size, h=size), name="gt.txt")
-    with pytest.raises(InputError, match=r"50 of its 50 places are outside of the picture of 320x240"):
+    with pytest.raises(InputError, match=r"50 of its 50 places are outside of the image of 320x240"):
         pairs(ours, far)
-    assert pairs(table(box(frames)), far)  # a CSV does not say how large its picture was
+    assert pairs(table(box(frames)), far)  # a CSV does not say how large its image was
     absent = np.where(np.arange(50) < 40, "absent", "visible")
     assert pairs(ours, replace(truth(frames), status=absent))

@@ -1,4 +1,4 @@
-"""Our box measures against got10k and vot-toolkit, to 1e-9: as recorded, and anew if FACETRACK_PEERS says by whom."""
+"""Our box measures against got10k and vot-toolkit, to 1e-9: as recorded, and again if FACETRACK_PEERS says by whom."""
 
 import os
 import time
@@ -81,7 +81,7 @@ def check(case, theirs):
     missing = np.isnan(case.ours).any(axis=1) & ~np.isnan(case.truth).any(axis=1)
     with_nan = theirs.pop("got10k_ao_with_nan")
     assert with_nan is None if missing[1:].any() else with_nan == theirs["got10k"]["ao"]
-    # a row without truth has an overlap for vot-toolkit, which leaves it out of the accuracy
+    # a row without ground truth has an overlap for vot-toolkit, which leaves it out of the accuracy
     unknown = np.isnan(case.truth).any(axis=1)
     theirs["vot_overlap"] = np.where(unknown, np.nan, np.array(theirs["vot_overlap"], dtype=float))
     # no frame to average over is 0 for vot-toolkit, and not known for us

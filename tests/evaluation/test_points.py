@@ -171,7 +171,7 @@ def test_lengths_that_are_not_there():
     assert math.isnan(unit_of("size", TRUTH[:1], box=False, frames=FRAMES).length[0])
     assert "no frame" in unit_of("size", TRUTH, box=False, frames=np.array([0])).text
     for how in ("eyes", "mouth_left:chin"):
-        with pytest.raises(UsageError, match=r"the truth has no .*; it has nose, mouth_left, mouth_right"):
+        with pytest.raises(UsageError, match=r"the ground truth has no .*; it has nose, mouth_left, mouth_right"):
             unit_of(how, TRUTH, box=False, frames=FRAMES)
 
 

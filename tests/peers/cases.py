@@ -1,6 +1,7 @@
 """Boxes for the toolkits and for us, and how measure.py is run over them.
 
-`python -m tests.peers.cases PYTHON` writes expected.json anew, by the Python that has the packages of requirements.txt.
+`python -m tests.peers.cases PYTHON` writes expected.json again, by the Python that has the packages of
+requirements.txt.
 """
 
 import json
@@ -18,7 +19,7 @@ NAN = [np.nan] * 4
 
 
 class Case(NamedTuple):
-    """Boxes (T, 4) of a tracker and the truth; corners (T, 4, 2) or None; (width, height) of the picture."""
+    """Boxes (T, 4) of a tracker and the ground truth; corners (T, 4, 2) or None; (width, height) of the image."""
 
     ours: np.ndarray
     truth: np.ndarray
@@ -59,7 +60,7 @@ def edges():
         ([10, 20, 1, 1], [11, 21, 1, 1]),
         ([10, 20, 0.3, 0.3], [10.1, 20.1, 0.3, 0.3]),  # far below a pixel
         ([10, 20, 1e-7, 1e-7], [10, 20, 1e-7, 1e-7]),
-        ([-10, 5, 30, 40], [5, 5, 30, 40]),  # out of the picture, by a part and whole
+        ([-10, 5, 30, 40], [5, 5, 30, 40]),  # out of the image, by a part and whole
         ([-50, -60, 30, 40], [-45, -55, 30, 40]),
         ([150, 100, 30, 40], [140, 90, 30, 40]),
         ([300, 300, 30, 40], [310, 310, 30, 40]),
@@ -80,7 +81,7 @@ def edges():
 
 
 def walk(rng, rows, size=(320, 240)):
-    """A target on its way and a tracker that slips off it; some rows without truth, some without boxes."""
+    """A target on its way and a tracker that slips off it; some rows without ground truth, some without boxes."""
     centre = rng.uniform(0.2, 0.8, 2) * size + np.cumsum(rng.normal(0, 4, (rows, 2)), axis=0)
     sides = rng.uniform(5, 80, 2) * np.exp(np.cumsum(rng.normal(0, 0.03, (rows, 2)), axis=0))
     off = np.cumsum(rng.normal(0, 1, (rows, 2)), axis=0) * rng.choice([0.02, 0.3, 1.5])

@@ -4,7 +4,7 @@ Run by the Python that has those packages (requirements.txt); imports nothing of
 
     truth.txt, ours.txt          left,top,w,h; nan,nan,nan,nan where there is none
     vot_truth.txt, vot_ours.txt  the same for VOT, where a line may be a polygon x1,y1,..,x4,y4
-    size.txt                     width,height of the picture
+    size.txt                     width,height of the image
 
 Everything runs through the toolkits' own code, but for the normalised precision, which got10k 0.1.3 on PyPI is without:
 there its later definition is written down. NaN is null in the JSON, since it has no other word for it.
@@ -42,7 +42,7 @@ from vot.tracker import Trajectory  # noqa: E402
 
 
 class Dataset(tuple):
-    """One sequence of got10k's datasets, without its pictures; asked for in turn, or by its name."""
+    """One sequence of got10k's datasets, without its images; asked for in turn, or by its name."""
 
     seq_names = ("boxes",)
     return_meta = True
@@ -77,7 +77,7 @@ def otb(ours, truth):
 
 
 def got10k_val(ours, truth, size):
-    """Rows without truth are `cover` 0, as in GOT-10k's own files."""
+    """Rows without ground truth are `cover` 0, as in GOT-10k's own files."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "ours/boxes").mkdir(parents=True)
@@ -109,7 +109,7 @@ class Experiment(UnsupervisedExperiment):
 
 
 def vot(ours, truth, size):
-    """Accuracy by burn-in and ignore_unknown, where the tracker was given the truth in the first frame."""
+    """Accuracy by burn-in and ignore_unknown, where the tracker was given the ground truth in the first frame."""
     length = len(truth)
     data = SequenceData({}, {"object": truth}, {}, {}, length)
     sequence = BasedSequence("boxes", lambda _: data, {"width": size[0], "height": size[1]})
@@ -139,7 +139,7 @@ def measure(folder):
         "iou_clipped": rect_iou(ours.copy(), truth.copy(), bound=size).tolist(),
         "centre_error": center_error(ours, truth).tolist(),
         "otb": otb(ours[known], truth[known]),
-        # rows without truth count as failures, if they are left in
+        # rows without ground truth count as failures, if they are left in
         "otb_success_of_all": otb(ours, truth)["success_score"],
         "normalised": normalised_precision(given[known], truth[known]),
         "got10k": got10k_val(empty, truth, size),

@@ -1,4 +1,4 @@
-"""The report page: the right frames in its pictures, sound HTML whatever names hold, and one line for what is wrong."""
+"""The report page: the right frames in its images, sound HTML whatever names hold, and one line for what is wrong."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Reader(HTMLParser):
             self.text += data
 
 
-# --- pictures: the right ones ------------------------------------------------------------------------------------
+# --- images: the right ones ------------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("no_plot")

@@ -1,4 +1,4 @@
-"""The committed sample clips: complete, small, and true to their pictures."""
+"""The committed sample clips: complete, small, and true to their images."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HEADER = "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,p
 
 
 class Clip(NamedTuple):
-    """pictures (T, H, W, 3) BGR; truth (T, 5, 2) pixels; hidden (T, 5)."""
+    """pictures (T, H, W, 3) BGR; ground truth (T, 5, 2) pixels; hidden (T, 5)."""
 
     name: str
     pictures: np.ndarray
@@ -51,7 +51,7 @@ def test_the_truth_has_a_row_for_each_frame_and_part(clip: Clip) -> None:
     expected = [(str(t), f"{t / 25:.2f}", "face", part) for t in range(len(clip.pictures)) for part in PARTS]
     assert [(r["frame"], r["time_s"], r["target"], r["part"]) for r in rows] == expected
     assert {r["status"] for r in rows} <= {"visible", "hidden"}
-    # the windows of 25 x 25 pixels lie in the picture throughout
+    # the windows of 25 x 25 pixels lie in the image throughout
     assert clip.truth.min() > 12 and clip.truth[..., 0].max() < 307 and clip.truth[..., 1].max() < 227
 
 

@@ -1,4 +1,4 @@
-"""The clips of changing scale, pose and light, and the gallery: the truth is about the face in the pictures."""
+"""The clips of changing scale, pose and light, and the gallery: the ground truth is about the face in the images."""
 
 from __future__ import annotations
 

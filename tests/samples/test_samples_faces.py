@@ -1,4 +1,4 @@
-"""The clips of a face that is covered: the truth is about the face in the pictures, and what should happen does."""
+"""The clips of a face that is covered: the ground truth is about the face in the images, and events happen."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_behind_the_map_there_is_no_skin_but_two_hands_beside_it() -> None:
             # each hand, within two widths of the face
             near = is_skin & within(clip, t, 3.2)
             assert near[:, : x - 26].sum() > 900 and near[:, x + 26 :].sum() > 900, t
-    # and the hands never leave the picture: what is skin beside the face
+    # and the hands never leave the image: what is skin beside the face
     beside = [(skin(p) & ~within(clip, t, 1.7)).sum() for t, p in enumerate(clip.pictures)]
     assert min(beside) > 1000
 
@@ -147,7 +147,7 @@ def test_the_map_comes_from_below_from_the_left_and_from_the_right() -> None:
     pictures = clip.pictures
 
     def pale(t: int) -> tuple[float, float]:
-        """The middle of what is nearly white, the paper: from the face's middle along x, in the picture along y."""
+        """The middle of what is nearly white, the paper: from the face's middle along x, in the image along y."""
         paper = (pictures[t].min(axis=2) > 165) & (np.ptp(pictures[t].astype(int), axis=2) < 40)
         y, x = np.nonzero(cv2.erode(paper.astype(np.uint8), np.ones((2, 2), np.uint8)))
         return float(np.median(x) - clip.boxes[t, 0]), float(np.median(y))

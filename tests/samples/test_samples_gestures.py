@@ -1,4 +1,4 @@
-"""The clip of gestures before a face: complete, small, true to its pictures, and the passes are those it tells of."""
+"""The clip of gestures before a face: complete, small, true to its images, and the passes are those it tells of."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def face(clip: BoxClip, t: int) -> np.ndarray:
 
 
 def alike(clip: BoxClip) -> np.ndarray:
-    """(T,) how well each frame's face correlates with the first one's, -1..1, where the truth says it is."""
+    """(T,) how well each frame's face correlates with the first one's, -1..1, where the ground truth says it is."""
     first = face(clip, 0)[3:-3, 3:-3]
     return np.array([
         cv2.matchTemplate(face(clip, t), first, cv2.TM_CCOEFF_NORMED).max() for t in range(len(clip.boxes))

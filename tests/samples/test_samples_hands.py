@@ -1,4 +1,4 @@
-"""The clip of two hands: complete, small, true to its pictures, and as hard as it says."""
+"""The clip of two hands: complete, small, true to its images, and as hard as it says."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The clips of a head as a box: the truth is about the head that the pictures show, and what should happen does."""
+"""The clips of a head as a box: the ground truth is about the head in the images, and events happen."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def crop(clip: BoxClip, t: int, half: tuple[int, int] = (32, 36)) -> np.ndarray:
 
 
 def moved_inside(clip: BoxClip, t: int, reach: int = 7) -> np.ndarray:
-    """(2,) how far the inside of the head moves from frame t to the next, beyond what the truth says, in pixels."""
+    """(2,) how far the inside of the head moves from frame t to the next, beyond the ground truth, in pixels."""
     patch = crop(clip, t, (INSIDE, INSIDE))
     score = cv2.matchTemplate(crop(clip, t + 1, (INSIDE + reach, INSIDE + reach)), patch, cv2.TM_CCOEFF_NORMED)
     j, i = np.unravel_index(int(score.argmax()), score.shape)
@@ -160,7 +160,7 @@ def test_the_inside_of_the_head_turns_sideways_while_the_box_stays(turning: BoxC
 
 
 def test_the_camera_jumps_near_frame_60(turning: BoxClip) -> None:
-    # the frame of the picture on the wall, which moves with the camera alone
+    # the frame of the image on the wall, which moves with the camera alone
     patch = turning.pictures[56, 10:60, 270:310]
 
     def height(t: int) -> float:

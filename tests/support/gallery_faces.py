@@ -1,4 +1,4 @@
-"""Small pictures of the two portraits that installed packages carry, in other light from picture to picture."""
+"""Small images of the two portraits that installed packages carry, in other light from image to image."""
 
 from functools import cache
 
@@ -25,7 +25,7 @@ def _portrait(name):
 
 
 def face_of(name, number):
-    """A picture of the portrait: the light comes from another side in each, and it tilts a little."""
+    """An image of the portrait: the light comes from another side in each, and it tilts a little."""
     picture = _portrait(name).astype(np.float32)
     height, width = picture.shape[:2]
     light = 1 + 0.35 * np.sin(1.7 * number) * np.linspace(-1, 1, width)[:, None]
@@ -35,7 +35,7 @@ def face_of(name, number):
 
 
 def people_folder(folder, pictures, names=NAMES):
-    """A folder of both persons, with so many pictures each; `names` are what they are called."""
+    """A folder of both persons, with so many images each; `names` are what they are called."""
     for person, name in zip(NAMES, names, strict=True):
         (folder / name).mkdir(parents=True)
         for number in range(pictures):

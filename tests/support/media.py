@@ -20,7 +20,7 @@ Image = NDArray[np.uint8]
 Size = tuple[int, int]
 SIZE: Size = (64, 48)
 
-# by suffix: an encoder for pictures, one for sound, and what it takes to make them small and quick
+# by suffix: an encoder for images, one for sound, and what it takes to make them small and quick
 CODECS = {
     ".mp4": ("-c:v", "libx264", "-preset", "ultrafast", "-c:a", "aac", "-movflags", "+faststart"),
     ".mov": ("-c:v", "mjpeg", "-q:v", "3", "-c:a", "pcm_s16le"),
@@ -41,7 +41,7 @@ def ffmpeg(*arguments: str | Path, stdin: bytes | None = None) -> bytes:
 
 
 def numbered(index: int, size: Size = SIZE) -> Image:
-    """A picture that says which frame (0..255) it is; its grain spreads a clip's bytes evenly over its frames."""
+    """An image that says which frame (0..255) it is; its grain spreads a clip's bytes evenly over its frames."""
     width, height = size
     bits = (index >> (np.arange(width) * 8 // width)) & 1
     row = np.where(bits == 1, 200, 20).astype(np.uint8)
@@ -50,7 +50,7 @@ def numbered(index: int, size: Size = SIZE) -> Image:
 
 
 def number(image: Image) -> int:
-    """The number that `numbered` put into a picture."""
+    """The number that `numbered` put into an image."""
     height, width = image.shape[:2]
     centres = (np.arange(8) * 2 + 1) * width // 16
     bars = image[height // 4 : height * 3 // 4, centres].mean(axis=(0, 2))
@@ -68,9 +68,9 @@ def write_video(
     sound_delay_s: float = 0.0,
     options: Sequence[str] = (),
 ) -> Path:
-    """Write a clip in the container that the suffix names; `frames` is how many numbered ones, or the pictures.
+    """Write a clip in the container that the suffix names; `frames` is how many numbered ones, or the images.
 
-    `times` (s) makes the rate variable. `sound` is an expression of `t` for ffmpeg's aevalsrc, as long as the pictures;
+    `times` (s) makes the rate variable. `sound` is an expression of `t` for ffmpeg's aevalsrc, as long as the images;
     it starts `sound_delay_s` after them, or before them if negative. `options` go last, before the output.
     """
     pictures = [numbered(index, size) for index in range(frames)] if isinstance(frames, int) else list(frames)
@@ -97,7 +97,7 @@ def write_pictures(
     size: Size = SIZE,
     name: Callable[[int], str] = "{}.png".format,
 ) -> Path:
-    """Write a folder of pictures, by default 0.png, 1.png, ..., 10.png without leading zeros."""
+    """Write a folder of images, by default 0.png, 1.png, ..., 10.png without leading zeros."""
     folder.mkdir(parents=True, exist_ok=True)
     pictures = [numbered(index, size) for index in range(frames)] if isinstance(frames, int) else frames
     for index, picture in enumerate(pictures):
@@ -129,7 +129,7 @@ def without_moov(target: Path) -> Path:
 
 
 def sound_only(path: Path) -> Path:
-    """A second of sound without pictures (.m4a, .mp4, .wav)."""
+    """A second of sound without images (.m4a, .mp4, .wav)."""
     ffmpeg("-f", "lavfi", "-i", "sine=frequency=440:duration=1", path)
     return path
 
@@ -143,7 +143,7 @@ def read_sound(path: Path) -> NDArray[np.float64]:
 
 
 def read_timed(path: Path) -> list[tuple[float, Image]]:
-    """All pictures of a file as ffmpeg decodes them, each with its time in seconds."""
+    """All images of a file as ffmpeg decodes them, each with its time in seconds."""
     every = ("-i", path, "-map", "0:v:0", "-fps_mode", "passthrough", "-enc_time_base", "demux")
     info = ffmpeg(*every, "-f", "framehash", "-").decode()
     base = next(Fraction(line.split(":")[1].strip()) for line in info.splitlines() if line.startswith("#tb 0"))

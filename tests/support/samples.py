@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parents[2] / "sample_videos"
 
 
 class TrackClip:
-    """A sample clip up to a frame, to be tracked in process: its start, its frames, and the rows of its truth."""
+    """A sample clip up to a frame, to be tracked in process: its start, frames, and rows of ground truth."""
 
     def __init__(self, name: str, stop: int) -> None:
         path = FOLDER / f"{name}.mp4"
@@ -39,7 +39,7 @@ class BoxClip(NamedTuple):
 
 
 def read_boxes(name: str, targets: int = 1) -> BoxClip:
-    """A clip whose truth has a box for each of so many targets."""
+    """A clip whose ground truth has a box for each of so many targets."""
     rows = read_rows(name)
     shape = (-1,) if targets == 1 else (-1, targets)
     boxes = np.array([[float(r[k]) for k in "xywh"] for r in rows]).reshape(*shape, 4)
@@ -47,13 +47,13 @@ def read_boxes(name: str, targets: int = 1) -> BoxClip:
 
 
 def read_rows(name: str) -> list[dict[str, str]]:
-    """The rows of a clip's truth."""
+    """The rows of a clip's ground truth."""
     with (FOLDER / f"{name}.truth.csv").open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
 def read_pictures(name: str) -> np.ndarray:
-    """All pictures of a clip, (T, H, W, 3) BGR."""
+    """All images of a clip, (T, H, W, 3) BGR."""
     video = cv2.VideoCapture(str(FOLDER / f"{name}.mp4"))
     pictures = []
     while (got := video.read())[0]:
@@ -63,7 +63,7 @@ def read_pictures(name: str) -> np.ndarray:
 
 
 def check_files(clip: BoxClip, frames: int) -> None:
-    """A clip of a face is small, of 25 frames/s and 320x240; its truth has a row for each of `frames`."""
+    """A clip of a face is small, of 25 frames/s and 320x240; its ground truth has a row for each of `frames`."""
     assert (FOLDER / f"{clip.name}.mp4").stat().st_size < 600_000
     video = cv2.VideoCapture(str(FOLDER / f"{clip.name}.mp4"))
     assert video.get(cv2.CAP_PROP_FPS) == 25
@@ -74,7 +74,7 @@ def check_files(clip: BoxClip, frames: int) -> None:
 
 
 def check_init(clip: BoxClip, target: str = "face") -> None:
-    """The init file of a clip of one target is the truth of its first frame."""
+    """The init file of a clip of one target is the ground truth of its first frame."""
     init = YAML(typ="safe").load((FOLDER / f"{clip.name}.init.yaml").read_text(encoding="utf-8"))
     assert set(init) == {"frame", target} and init["frame"] == 0 and set(init[target]) == {"box"}
     left, top, width, height = init[target]["box"]
@@ -84,7 +84,7 @@ def check_init(clip: BoxClip, target: str = "face") -> None:
 
 
 def likeness(a: np.ndarray, b: np.ndarray) -> float:
-    """Correlation of two pictures."""
+    """Correlation of two images."""
     return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
 
 

@@ -17,7 +17,7 @@ def frame(bgr, index=0):
 
 
 def grey(values):
-    """A picture of grey levels (H, W), as three channels that turn into the same grey again."""
+    """An image of grey levels (H, W), as three channels that turn into the same grey again."""
     return frame(np.repeat(np.clip(values, 0, 255).round().astype(np.uint8)[..., None], 3, axis=2))
 
 

@@ -265,7 +265,7 @@ def test_a_golden_holds_who_it_is_and_finds_its_gallery(clips: Path, tmp_path: P
     before = path.read_bytes()
     assert main(["regress", "clips", "--update", "--seeds", "20", "-q"]) == 0
     assert " to test; hopper in 20 of 20)" in capfd.readouterr().out
-    assert path.read_bytes() == before, "recorded anew, with the gallery that it remembers"
+    assert path.read_bytes() == before, "recorded again, with the gallery that it remembers"
 
 
 def test_another_name_fails_and_is_told(clips: Path, tmp_path: Path, capfd) -> None:

@@ -201,7 +201,7 @@ def target(**settings):
 
 
 def followed(made, frames=6):
-    """The states after each frame, and the results, of a picture that moves by JUMP a frame."""
+    """The states after each frame, and the results, of an image that moves by JUMP a frame."""
     rng, shown = np.random.default_rng(0), [
         frame(np.roll(PICTURE, (t * JUMP[1], t * JUMP[0]), axis=(0, 1))) for t in range(frames)
     ]  # fmt: skip

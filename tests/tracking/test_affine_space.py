@@ -1,4 +1,4 @@
-"""Affine states: what noise does to them, and what they are in the picture."""
+"""Affine states: what noise does to them, and what they are in the image."""
 
 import math
 

@@ -203,7 +203,7 @@ def test_w_follows_f_stays_and_s_comes_slowly():
 def test_learning_is_blind_to_what_is_not_seen():
     f = frame(smooth(1))
     learned = MODEL.init(f, state(25, 60))
-    # a third of the box leaves the picture
+    # a third of the box leaves the image
     after = MODEL.learn(learned, f, state(8, 60))
     seen = PATCHES.read(f, state(8, 60), 1)[0] != 0
     assert 0.5 < seen.mean() < 0.9
@@ -240,7 +240,7 @@ def test_the_peak_is_at_the_truth_whatever_is_wrong(model, axis, reach):
     wrong = np.repeat([[0, 0, 1, 0, 0]], 25, axis=0).astype(float)
     wrong[:, axis] += offs
     learned = model.init(frame(smooth(11)), TRUTH)
-    # another picture than the one it was learned in: other light and noise
+    # another image than the one it was learned in: other light and noise
     seen = 0.7 * smooth(11) + 20 + np.random.default_rng(0).normal(scale=4, size=(120, 160))
     x = states(*map(moved, wrong))
     score = model.score(learned, frame(seen), x)[:, 0]
@@ -315,8 +315,8 @@ def test_the_score_falls_as_the_face_leaves_the_picture():
 @pytest.mark.parametrize(
     ("place", "picture", "words"),
     [
-        ((-15, 60), smooth(1), "frame 0: more than half of the box lies outside the picture"),
-        ((900, 60), smooth(1), "frame 0: more than half of the box lies outside the picture"),
+        ((-15, 60), smooth(1), "frame 0: more than half of the box lies outside the image"),
+        ((900, 60), smooth(1), "frame 0: more than half of the box lies outside the image"),
         ((80, 60), np.full((120, 160), 99), "frame 0: the face's box is of one grey level throughout"),
     ],
 )
@@ -353,7 +353,7 @@ def test_a_component_that_is_left_out_needs_no_sigma():
 
 
 def test_patches_are_read_at_the_scale_that_was_learned():
-    # the same face, four times as large: the model's state says how far the picture is reduced
+    # the same face, four times as large: the model's state says how far the image is reduced
     grey = smooth(16, 120, 160, 4)
     large = cv2.resize(grey, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
     learned = MODEL.init(frame(grey), TRUTH)

@@ -1,4 +1,4 @@
-"""The colour template: its peak is at the truth, the light does not move it, and its options do what they say."""
+"""The colour template: its peak is at the ground truth, light does not move it, its options do what they say."""
 
 import numpy as np
 import pytest

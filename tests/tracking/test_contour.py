@@ -1,4 +1,4 @@
-"""The contour: it peaks at the truth, no normal costs more than K, and neither borders nor light look like edges."""
+"""The contour: it peaks at the ground truth, no normal costs more than K, borders and light are no edges."""
 
 import math
 
@@ -60,7 +60,7 @@ def compared(likelihood, picture, boxes):
 
 
 def shifts(axis, reach):
-    """(shifts, boxes): the truth moved along one axis of the state, in pixels or in scale."""
+    """(shifts, boxes): the ground truth moved along one axis of the state, in pixels or in scale."""
     steps = np.linspace(-reach, reach, 41)
     boxes = np.repeat([TRUTH], len(steps), axis=0)
     boxes[:, axis] += steps
@@ -260,7 +260,7 @@ def test_a_hypothesis_does_not_depend_on_the_others(max_size):
 
 @pytest.mark.parametrize("zoom", [2, 4])
 def test_a_large_picture_read_reduced_has_about_the_same_profile(zoom):
-    """As if the clip were smaller: the steps, and with them the contrasts, are those of the reduced picture."""
+    """As if the clip were smaller: the steps, and with them the contrasts, are those of the reduced image."""
     small, large = model(), model((SIZE[0] * zoom, SIZE[1] * zoom), max_size=52)
     for axis, reach in [(0, 15), (1, 15), (2, 0.4)]:
         _, boxes = shifts(axis, reach)

@@ -1,4 +1,4 @@
-"""Corrections along the clip: where a target begins anew, what that depends on, and what is absent."""
+"""Corrections along the clip: where a target begins again, what that depends on, and what is absent."""
 
 from dataclasses import replace
 
@@ -114,7 +114,7 @@ def test_a_part_of_a_run_tracked_anew_is_what_the_whole_run_has(config, which, l
         [name] = clip.start.targets
         said = {"box": clip.box(15)}
     if config == "mil" and learn is False:
-        pytest.skip("OpenCV's trackers begin anew in any case")
+        pytest.skip("OpenCV's trackers begin again in any case")
     correction = given(15, name, **said, learn=learn)
     whole = run(config, clip, given(6, name, **said | {"absent": ()} if which != "absent" else said), correction)
     [target] = build_tracker(load_recipe(config), replace(clip.start, corrections=(correction,)))
@@ -230,7 +230,7 @@ REFUSED = [
     ("histogram", given(5, points={"nose": (3, 3)}), "has no box, which the recipe follows"),
     ("histogram", given(5, box=(3, 3, 2, 2)), "the box of face at frame 5 is smaller than"),
     ("factorized", given(5, points={"nose": (3, 3)}, absent=("lip_upper",), learn=True), "lip_upper cannot be learned"),
-    ("mil", given(5, box=(30, 30, 40, 40), learn=False), "begin anew in any case"),
+    ("mil", given(5, box=(30, 30, 40, 40), learn=False), "begin again in any case"),
 ]
 
 
@@ -284,7 +284,7 @@ def test_what_is_given_is_learned_anew_and_the_others_keep_what_the_first_frame_
 
 
 def test_a_part_learned_anew_is_judged_by_what_it_looks_like_now(face):
-    """In frame 30 the light is another: at the truth, the new template is the better one."""
+    """In frame 30 the light is another: at the ground truth, the new template is the better one."""
     [target] = build_tracker(load_recipe("factorized"), face.start)
     first, _ = target.begin(np.random.default_rng(0), face.frames[0])
     place = TargetStart(points=face.points(30))

@@ -31,7 +31,7 @@ _WAYS = ("given", "kept", "absent", "open")
 
 @st.composite
 def correction(draw, frame, ways=_WAYS):
-    """Of the face at a frame: each part is given, kept, absent or not spoken of, and something is put right."""
+    """Of the face at a frame: each part is given, kept, absent or not spoken of, and something is corrected."""
     way = dict(zip(PARTS, draw(st.lists(st.sampled_from(ways), min_size=5, max_size=5)), strict=True))
     if not {"given", "absent"} & {*way.values()}:
         way[draw(st.sampled_from(PARTS))] = "given"

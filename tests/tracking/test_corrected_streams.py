@@ -1,4 +1,4 @@
-"""Random numbers of corrections, on a picture that stands still: whoever draws the same goes the same way."""
+"""Random numbers of corrections, on an image that stands still: whoever draws the same goes the same way."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ AT = CLIP.points(0)
 
 @pytest.fixture(scope="module")
 def ways():
-    """Of each target and frame, the places of two targets that begin alike, and are put right alike."""
+    """Of each target and frame, the places of two targets that begin alike, and are corrected alike."""
     one = CLIP.start.targets["face"]
     start = Start(0, {"anna": one, "ben": one}, "two.yaml")
 

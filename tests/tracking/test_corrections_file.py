@@ -98,7 +98,7 @@ MISTAKES = {
         BOXES + "- frame: 6\n  head: {box: [1, 2, 0, 4]}\n", 6, "head in frame 6: box[3] must be greater than 0",
     ),
     "NaN": (BOXES + "- frame: 6\n  head: {box: [1, 2, .nan, 4]}\n", 6, "not a finite number"),
-    "beyond any picture": (
+    "beyond any image": (
         HEAD + "- frame: 6\n  points: {nose: [1, 1e7]}\n", 6, "face in frame 6: points.nose[2] must be at most 1000000",
     ),
     "kept beyond": (

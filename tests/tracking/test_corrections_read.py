@@ -1,4 +1,4 @@
-"""What reads a trajectory in which somebody put right what was tracked: tables, measures, exports, plots, reports."""
+"""What reads a trajectory in which somebody corrected what was tracked: tables, measures, exports, plots, reports."""
 
 import json
 import math

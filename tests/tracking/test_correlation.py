@@ -29,7 +29,7 @@ def frame(grey):
 
 
 def moved(grey, dx, dy, scale=1.0, centre=(80.0, 60.0)):
-    """The picture scaled about `centre`, then moved."""
+    """The image scaled about `centre`, then moved."""
     matrix = np.array([[scale, 0, centre[0] * (1 - scale) + dx], [0, scale, centre[1] * (1 - scale) + dy]])
     size = grey.shape[1], grey.shape[0]
     return cv2.warpAffine(grey, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
@@ -74,7 +74,7 @@ scale = st.one_of(st.floats(0.0, 3.0, width=32), st.sampled_from([1e-6, 1e3, -0.
 def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size, grid, factor, picture):
     rng = np.random.default_rng(picture[0] + factor)
     whole = picture[1] * factor + 5 % factor, picture[0] * factor + 3 % factor
-    # in another place of the whole picture than the one before, as a crop is
+    # in another place of the whole image than the one before, as a crop is
     now, before = (rng.integers(0, 256, picture, dtype=np.uint8) for _ in range(2))
     now_view, before_view = (0, 0, *whole), (2 * factor, 3 * factor, whole[0] + 2 * factor, whole[1] + 3 * factor)
     x = np.array(boxes)
@@ -128,7 +128,7 @@ def test_likelihood_is_the_formula_of_the_paper(kind):
 def test_peak_is_at_the_true_motion(kind, size):
     still = texture()
     x = around((80.0, 60.0), reach=6.0, step=1.0)
-    # the matrix moves the picture by (3, -2); the box is larger than its parent by as much as the picture grew
+    # the matrix moves the image by (3, -2); the box is larger than its parent by as much as the image grew
     for grown in (1.0, 1.06):
         x[:, 2] = 0.95 * grown
         now = frame(moved(still, 3, -2, grown))

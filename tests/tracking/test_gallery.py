@@ -37,7 +37,7 @@ FACE = smooth(np.random.default_rng(77), 1)[0]  # what all faces have in common
 
 
 def people(number=4, pictures=6, seed=0, change=0.35):
-    """Patches (number * pictures, D) and whose they are: a face of each, that changes from picture to picture."""
+    """Patches (number * images, D) and whose they are: a face of each, that changes from image to image."""
     rng = np.random.default_rng(seed)
     faces = 1.5 * FACE + smooth(rng, number)
     x = np.repeat(faces, pictures, axis=0) + smooth(rng, number * pictures, change)

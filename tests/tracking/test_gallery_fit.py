@@ -1,4 +1,4 @@
-"""Faces for a gallery: whose folders, which face, and how it is read, from small pictures of the two portraits."""
+"""Faces for a gallery: whose folders, which face, and how it is read, from small images of the two portraits."""
 
 from pathlib import Path
 
@@ -167,7 +167,7 @@ def test_init_files_that_do_not_fit_are_refused(people, text, said):
 def test_what_shows_no_face_is_skipped_with_a_warning_that_names_it(people):
     rng = np.random.default_rng(0)
     cv2.imwrite(str(people / "collins" / "wall.png"), rng.integers(90, 110, (120, 160, 3), np.uint8))
-    (people / "collins" / "broken.jpg").write_text("no picture")
+    (people / "collins" / "broken.jpg").write_text("no image")
     (people / "collins" / "sound.mp3").write_text("no video")
     cv2.imwrite(str(people / "hopper" / "flat.png"), np.full((120, 160, 3), 77, np.uint8))
     (people / "hopper" / "flat.init.yaml").write_text("frame: 0\nbox: [40, 40, 60, 60]\n")
@@ -194,7 +194,7 @@ def test_of_several_faces_the_largest_is_taken_and_said(people):
 
 def test_a_person_of_whom_nothing_is_left_is_refused(people):
     for path in (people / "hopper").iterdir():
-        path.write_text("no picture")
+        path.write_text("no image")
     message = refused(people)
     assert f"{people / 'hopper'}: no face of hopper" in message and "init file" in message
 

@@ -38,7 +38,7 @@ def apart(one, other, size=SIZE):
 
 
 def moved(x=0.0, y=0.0, scale=1.0, turn=0.0, stretch=0.0):
-    """The picture after the target HERE moved, and where that is."""
+    """The image after the target HERE moved, and where that is."""
     c, s = scale * math.cos(math.radians(turn)), scale * math.sin(math.radians(turn))
     a = np.array([[c * (1 + stretch), -s], [s, c * (1 - stretch)]])
     middle, to = HERE[0, :2], HERE[0, :2] + (x, y)
@@ -306,7 +306,7 @@ def test_a_search_finds_what_jumped_and_no_worse_place():
 
 @pytest.mark.parametrize("deform", [(1.2, 0, 0, 1.2), (0.94, -0.34, 0.34, 0.94)])
 def test_a_search_looks_in_the_target_s_own_axes(deform):
-    # the picture turned and enlarged with the target: so is the jump
+    # the image turned and enlarged with the target: so is the jump
     a = np.reshape(deform, (2, 2))
     middle = HERE[0, :2]
     turned = cv2.warpAffine(PICTURE, np.column_stack([a, middle - a @ middle]), PICTURE.shape[::-1])
@@ -343,10 +343,10 @@ from facetrack_cli.tracking.loop import track
 from facetrack_cli.core.types import Frame, Start, TargetStart
 cv2.setNumThreads(int(sys.argv[1]))
 noise = cv2.GaussianBlur(np.random.default_rng(0).normal(size=(240, 320, 3)), (0, 0), 4)
-picture = np.clip(128 + 45 * noise / noise.std(), 0, 255).astype(np.uint8)
+image = np.clip(128 + 45 * noise / noise.std(), 0, 255).astype(np.uint8)
 recipe = load_recipe("adaptive", ["filter.particles=200", "motion.velocity.samples=null"])
 tracker = build_tracker(recipe, Start(0, {"face": TargetStart(box=(100, 80, 90, 100))}, "test"))
-frames = (Frame(t, 0.0, np.roll(picture, (2 * t, -3 * t), axis=(0, 1))) for t in range(5))
+frames = (Frame(t, 0.0, np.roll(image, (2 * t, -3 * t), axis=(0, 1))) for t in range(5))
 found = [one.rows.diagnostics["face"] for one in track(tracker, frames, 0)]
 values = [[one.get(name).tolist() for name in ("affine", "error")] for one in found]
 print(hashlib.sha256(repr(values).encode()).hexdigest())

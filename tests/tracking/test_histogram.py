@@ -1,4 +1,4 @@
-"""The colour histogram: its peak is at the truth, it knows left from right, and it says when there are no colours."""
+"""The colour histogram: its peak is at the ground truth, it knows left from right, and says when there are no colours."""
 
 from functools import cache
 
@@ -179,7 +179,7 @@ def test_peak_is_at_the_truth(scale, max_size):
     score = likelihood.score(learned, now, x)[:, 0]
     assert offsets[int(np.argmax(score))] == (0, 0, 1)
     d = likelihood.distances(learned, now, x)[:, 0]
-    # a reduced picture mixes the colours along the edges
+    # a reduced image mixes the colours along the edges
     assert d.min() < (0.12 if max_size is None else 0.3)
     assert likelihood.distances(learned, now, boxes([(40.0, 150.0)]))[0, 0] > 0.95
 
@@ -285,7 +285,7 @@ def test_value_bins_follow_a_grey_target():
 
 
 def test_a_box_outside_the_picture_cannot_be_learned():
-    with pytest.raises(InputError, match="frame 0: the box lies outside the picture"):
+    with pytest.raises(InputError, match="frame 0: the box lies outside the image"):
         histogram(SIZE).init(frame(scene()), boxes([(-100.0, 20.0)])[0])
 
 

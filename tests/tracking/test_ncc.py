@@ -87,7 +87,7 @@ def test_what_boxes_see_is_in_the_area(boxes, factor, offset, template, picture)
         np.testing.assert_allclose(found[n], (u, v, s), atol=1e-9)
         assert low[0] - 1e-9 <= u <= high[0] + 1e-9
         assert low[1] - 1e-9 <= v <= high[1] + 1e-9
-        # all of the picture under the box, and all that its points are read from
+        # all of the image under the box, and all that its points are read from
         assert naive.area_sum(there, *edges) == pytest.approx(naive.area_sum(everything, *edges))
         np.testing.assert_allclose(naive.patch(there, u, v, s, th, tw), naive.patch(everything, u, v, s, th, tw))
     assert same == all(boxes[n][2] == 1.0 for n in np.flatnonzero(seen))
@@ -129,7 +129,7 @@ def test_the_cheaper_way_is_taken_by_sizes_alone(monkeypatch):
     scaled[3, 0, 2] = 1.01
     assert not dense(scaled)
     scaled[3, 0, 0] = 1e6
-    assert dense(scaled), "what shows nothing of the picture decides nothing"
+    assert dense(scaled), "what shows nothing of the image decides nothing"
 
 
 def test_ncc_is_equation_10_at_whole_places():

@@ -169,7 +169,7 @@ def test_the_frame_remembers_the_last_patches():
     single = patches.read(f, state(70, 60), 1)
     assert patches.read(f, states((70, 60)), 1) is single
     assert patches.read(f, states((71, 60)), 1) is not single
-    # arrays that are gone give their id to others: each must be read anew
+    # arrays that are gone give their id to others: each must be read again
     for k in range(3 * MOST_REMEMBERED):
         y = patches.read(f, states((70 + k, 60), (60, 50)), 1)
         np.testing.assert_array_equal(y, patches.read(frame(smooth(9)), states((70 + k, 60), (60, 50)), 1))

@@ -446,7 +446,7 @@ def test_fit_says_what_is_wrong(tmp_path):
     empty = tmp_path / "empty.csv"
     empty.write_text(",".join(COLUMNS) + "\n")
     for paths, given, error, said in [
-        ([], {}, UsageError, "no truth file"),
+        ([], {}, UsageError, "no ground truth file"),
         ([good, four], {}, InputError, "four.csv: there is no part lip_lower"),
         ([hidden], {}, InputError, "none of its 5 frames"),
         ([flat], {}, InputError, "frame 0.*no scale"),

@@ -26,7 +26,7 @@ SIZE = (16.0, 20.0)
 
 @pytest.fixture(scope="module")
 def shown():
-    """Patches of six people, each of ten pictures, and the names of the people."""
+    """Patches of six people, each of ten images, and the names of the people."""
     return people(6, 10, change=0.2)
 
 

@@ -1,4 +1,4 @@
-"""Regions in large pictures, which are read reduced: the same scene has the same likelihood there, and in its place."""
+"""Regions in large images, which are read reduced: the same scene has the same likelihood there, and in its place."""
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ WIDTH, HEIGHT = 144, 112
 
 
 def scene(centre, zoom=1):
-    """A light head of four colours, and a dark ground that moves with it, in a picture `zoom` times as large."""
+    """A light head of four colours, and a dark ground that moves with it, in an image `zoom` times as large."""
     y, x = (np.mgrid[: HEIGHT * zoom, : WIDTH * zoom] - 0.5 * (zoom - 1)) / zoom
     x, y = x - centre[0], y - centre[1]
     # all borders are two pixels wide
@@ -34,7 +34,7 @@ def enlarged(frame, zoom):
 
 
 def states(places, zoom=1):
-    """(N, 1, 6) of rows (cx, cy, s) of the small picture, in one `zoom` times as large."""
+    """(N, 1, 6) of rows (cx, cy, s) of the small image, in one `zoom` times as large."""
     x = np.zeros((len(places), 1, 6))
     x[:, 0, :3] = places
     x[..., :2] = zoom * x[..., :2] + 0.5 * (zoom - 1)
@@ -53,7 +53,7 @@ MODELS = {
 
 
 def scores(name, zoom, places, reduce=36, picture=scene):
-    """(N,) at places of the small picture, of which one `zoom` times as large is read; the parents are at the truth."""
+    """(N,) at places of the small image, of which one `zoom` times as large is read; parents are at the ground truth."""
     model = MODELS[name](zoom, reduce)
     before, now = picture(TRUTH, zoom), picture(MOVED, zoom)
     parents = states([(*TRUTH, 1.0)] * len(places), zoom)
@@ -78,7 +78,7 @@ def test_a_picture_of_larger_pixels_has_the_same_likelihood(name, zoom):
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize(("zoom", "reduce"), [(1, 36), (2, 36), (4, 36), (8, 36), (4, None)])
 def test_the_peak_is_at_the_truth_in_pictures_of_any_size(name, zoom, reduce):
-    """To 0.3 pixels of the small picture."""
+    """To 0.3 pixels of the small image."""
     steps = np.linspace(-3.0, 3.0, 25)
     off = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     log_p = scores(name, zoom, np.column_stack([off + MOVED, np.ones(len(off))]), reduce)

@@ -1,4 +1,4 @@
-"""Regions in the whole engine: every shipped recipe of a region on a made-up clip, whose truth is known."""
+"""Regions in the whole engine: every shipped recipe of a region on a made-up clip, whose ground truth is known."""
 
 from pathlib import Path
 

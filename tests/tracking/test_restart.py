@@ -1,4 +1,4 @@
-"""A particle filter that begins anew where it is told to: what it takes from the first frame, and what is left out."""
+"""A particle filter that begins again where it is told to: what it takes from the first frame, and what is left out."""
 
 from dataclasses import replace
 
@@ -142,7 +142,7 @@ def test_a_cloud_fills_the_box_that_is_given():
 
 
 def test_a_box_of_another_shape_is_the_unit_from_there_on(head):
-    """What is learned anew is followed as what it is, and not by the first frame's measures."""
+    """What is learned again is followed as what it is, and not by the first frame's measures."""
     left, top, w, h = head.box(5)
     put = run("histogram", head, given(5, "head", box=(left, top, 2 * w, h)))
     assert [part(r, "box").w / part(r, "box").h for r in put[5:]] == pytest.approx([2 * w / h] * len(put[5:]), rel=1e-6)

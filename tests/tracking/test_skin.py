@@ -289,7 +289,7 @@ def test_nothing_of_the_frame_is_changed():
 
 
 def one_column(column, height=15):
-    """Skin in a single column of a picture of cloth."""
+    """Skin in a single column of an image of cloth."""
     bgr = np.full((height, 40, 3), BLUE_WALL[::-1], np.uint8)
     bgr[:, column] = USUAL[::-1]
     return Frame(0, 0.0, bgr)

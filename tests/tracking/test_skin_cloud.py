@@ -1,4 +1,4 @@
-"""Clouds of skin pixels and several targets in the whole engine, on made-up clips whose truth is known."""
+"""Clouds of skin pixels and several targets in the whole engine, on made-up clips whose ground truth is known."""
 
 import cv2
 import numpy as np

@@ -54,7 +54,7 @@ def test_rho_is_that_of_the_twin(max_size, inner):
         assert value == pytest.approx(naive.rho(skin, *boxes), abs=1e-6)
     if inner == 1.0:
         assert found[0] < -0.3, "a face is skin among little skin"
-    assert found[3] == 0.0, "beyond the picture nothing is skin"
+    assert found[3] == 0.0, "beyond the image nothing is skin"
 
 
 def test_skin_is_learned_from_the_box():
@@ -148,7 +148,7 @@ def test_nothing_wild_is_an_error_or_no_number(shape, level, options, start, num
 def test_a_start_outside_of_the_picture_is_refused():
     for cues in ({}, {"skin": None}, {"ncc": None}):
         for place in ((-30, 50), (50, 1000), (np.nan, 50)):
-            with pytest.raises(InputError, match=r"not in the image|outside the picture"):
+            with pytest.raises(InputError, match=r"not in the image|outside the image"):
                 learned(scene(), place, **cues)
         assert learned(scene(), (-10, 5), **cues)[1].k is not None
     with pytest.raises(ValueError, match="neither skin nor ncc"):

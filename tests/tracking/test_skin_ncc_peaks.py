@@ -47,7 +47,7 @@ def pictures(name):
 
 
 def surface(reading, name, condition):
-    """(offsets (N, 2) from the truth in sizes, in pixels, log-likelihoods) on a grid of 2 pixels, 1.5 sizes around."""
+    """(offsets (N, 2) from the ground truth in sizes, in pixels, log-likelihoods) every 2 pixels, 1.5 sizes around."""
     start, worse, second, centre, size = pictures(name)
     bgr = {"start": start, "worse": worse, "second": second}[condition]
     likelihood, known = learned(start, centre, size, sigma=0.1, **READINGS[reading])
@@ -57,13 +57,13 @@ def surface(reading, name, condition):
 
 
 def peak(reading, name, condition):
-    """How far the likelihood's maximum lies from the truth, in pixels."""
+    """How far the likelihood's maximum lies from the ground truth, in pixels."""
     _, off, score = surface(reading, name, condition)
     return float(np.hypot(*off[score.argmax()]))
 
 
 PICTURES = ["made", "textured", "expressions"]
-# k is the value at the start, so there the truth has the highest likelihood by construction; not so with k = 0
+# k is the value at the start, so there the ground truth has the highest likelihood by construction; not so with k = 0
 EXACT_AT_START = [reading for reading in READINGS if "k = 0" not in reading or "zero-mean" in reading]
 # of a face that is darker, with noise: its skin is less like the skin that was learned
 PEAKS_WHEN_WORSE = [

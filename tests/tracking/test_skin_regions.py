@@ -1,4 +1,4 @@
-"""Where hands begin: regions of skin apart from the face, in pictures drawn here."""
+"""Where hands begin: regions of skin apart from the face, in images drawn here."""
 
 import cv2
 import numpy as np
@@ -37,7 +37,7 @@ def found(frame, count, face=FACE):
 
 
 def assert_at(box, shape, zoom=1, off=4):
-    """The box is that of the ellipse, to `off` pixels of the picture before it was enlarged."""
+    """The box is that of the ellipse, to `off` pixels of the image before it was enlarged."""
     x, y, a, b = shape
     expected = (x - a, y - b, 2 * a + 1, 2 * b + 1)
     np.testing.assert_allclose(np.array(box) / zoom, expected, atol=off)

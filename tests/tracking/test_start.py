@@ -120,7 +120,7 @@ MISTAKES = {
     "NaN": (HEAD + "box: [1, 2, .nan, 4]\n", 3, "not a finite number"),
     "infinity": (HEAD + "points: {nose: [1, -.inf]}\n", 3, "not a finite number"),
     "too large to be finite": (HEAD + "points: {nose: [1, 1e999]}\n", 3, "not a finite number"),
-    "beyond any picture": (HEAD + "points: {nose: [1, -1e7]}\n", 3, "face: points.nose[2] must be at least -1000000"),
+    "beyond any image": (HEAD + "points: {nose: [1, -1e7]}\n", 3, "face: points.nose[2] must be at least -1000000"),
     "zero width": (HEAD + "box: [1, 2, 0, 4]\n", 3, "face: box[3] must be greater than 0, not 0"),
     "negative height": (HEAD + "box: [1, 2, 3, -4]\n", 3, "face: box[4] must be greater than 0, not -4"),
     "window without area": (

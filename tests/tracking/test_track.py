@@ -1,4 +1,4 @@
-"""The whole engine in process: every shipped recipe of points on a sample clip, judged by its truth."""
+"""The whole engine in process: every shipped recipe of points on a sample clip, judged by its ground truth."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ RECIPES = [path.stem for path in shipped_recipes() if load_recipe(path.stem).poi
 
 
 class Clip(TrackClip):
-    """Up to a frame, with truth and visibility (T, K) in the recipe's order."""
+    """Up to a frame, with ground truth and visibility (T, K) in the recipe's order."""
 
     def __init__(self, name, stop):
         super().__init__(name, stop)

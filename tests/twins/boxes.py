@@ -15,7 +15,7 @@ def iou(a, b):
 
 
 def clip(box, width, height):
-    """GOT-10k's: the corner is moved into the picture, then the size is cut at its border."""
+    """GOT-10k's: the corner is moved into the image, then the size is cut at its border."""
     left, top = min(max(box[0], 0), width), min(max(box[1], 0), height)
     return [left, top, min(max(box[2], 0), width - left), min(max(box[3], 0), height - top)]
 

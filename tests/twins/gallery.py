@@ -40,7 +40,7 @@ def minus(a, b):
 
 
 def to_own(people):
-    """Differences of each picture to what the other pictures of its person make up; people: lists of pictures."""
+    """Differences of each image to what the other images of its person make up; people: lists of images."""
     return [
         minus(picture, stand_in(pictures[:k] + pictures[k + 1 :]))
         for pictures in people for k, picture in enumerate(pictures) if len(pictures) > 1

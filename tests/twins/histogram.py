@@ -33,9 +33,9 @@ def cell(i, low, side, parts):
 
 
 def counts(pixels, box, size, cols, rows):
-    """{(row, column, bin): pixels} and the pixels of the box, beyond the picture too.
+    """{(row, column, bin): pixels} and the pixels of the box, beyond the image too.
 
-    pixels (H, W) hold bins; box (cx, cy, s), in pixels of this very picture.
+    pixels (H, W) hold bins; box (cx, cy, s), in pixels of this very image.
     """
     cx, cy, s = box
     w, h = s * size[0], s * size[1]

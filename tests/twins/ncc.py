@@ -4,7 +4,7 @@ import math
 
 
 def pixel(picture, x, y):
-    """Bilinear value at (x, y), 0 beyond the picture (H, W)."""
+    """Bilinear value at (x, y), 0 beyond the image (H, W)."""
     height, width = len(picture), len(picture[0])
     value = 0.0
     for j, wy in ((math.floor(y), 1 - y % 1), (math.floor(y) + 1, y % 1)):

@@ -4,9 +4,9 @@ import math
 
 
 def pixel(picture, view, factor, x, y):
-    """Bilinear grey value at (x, y) of the whole picture, which `picture` (H, W) shows from (left, top) on, reduced.
+    """Bilinear grey value at (x, y) of the whole image, which `picture` (H, W) shows from (left, top) on, reduced.
 
-    None beyond the whole picture; between its border and the centres of the outermost blocks, the nearest of these.
+    None beyond the whole image; between its border and the centres of the outermost blocks, the nearest of these.
     """
     left, top, width, height = view
     if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
@@ -55,7 +55,7 @@ def distance(a, b, kind, saturation, outside):
 
 
 def extent(boxes, size, width, height):
-    """(x from, y from, x to, y to) of all boxes (cx, cy, s), cut to the pixels of the picture."""
+    """(x from, y from, x to, y to) of all boxes (cx, cy, s), cut to the pixels of the image."""
     corners = [
         (cx - size[0] * abs(s) / 2, cy - size[1] * abs(s) / 2, cx + size[0] * abs(s) / 2, cy + size[1] * abs(s) / 2)
         for cx, cy, s in boxes

@@ -1,4 +1,4 @@
-"""The overlay of a tracker that adapts: parallelograms, names in doubt, and pictures in the corners."""
+"""The overlay of a tracker that adapts: parallelograms, names in doubt, and images in the corners."""
 
 from __future__ import annotations
 
@@ -86,11 +86,11 @@ def test_half_is_no_doubt() -> None:
     assert np.ptp(above(named("anna", 0.5)).astype(int), axis=2).max() > 100
 
 
-# --- pictures in the corners ---
+# --- images in the corners ---
 
 
 def where(image: Image) -> list[tuple[int, int]]:
-    """The quarters of the picture in which anything differs from the grey ground: (row, column), 0 or 1."""
+    """The quarters of the image in which anything differs from the grey ground: (row, column), 0 or 1."""
     height, width = image.shape[0] // 2, image.shape[1] // 2
     drawn = touched(image)
     return [(r, c) for r in (0, 1) for c in (0, 1) if drawn[r * height :, c * width :][:height, :width].any()]

@@ -460,7 +460,7 @@ def test_a_folder_of_images(tmp_path: Path) -> None:
 
 def test_a_folder_with_a_broken_picture_ends_there(tmp_path: Path) -> None:
     path = media.write_pictures(tmp_path / "frames", 12)
-    (path / "7.png").write_text("no picture")
+    (path / "7.png").write_text("no image")
     with Frames(path) as frames:
         with pytest.raises(InputError, match=r"7.png: is not an image, or of an unknown kind; repair"):
             frames.read(7)

@@ -157,7 +157,7 @@ def test_a_cut_video_gives_what_is_there_and_says_so(tmp_path: Path, suffix: str
         assert "of about 10" in warning
         assert len(frames) <= 100 * share + 8
     assert len(frames) >= 100 * share - 20
-    # the last picture may be half there
+    # the last image may be half there
     assert numbers(frames)[:-1] == list(range(len(frames) - 1))
 
 
@@ -436,7 +436,7 @@ def test_what_to_do_about_a_picture(tmp_path: Path) -> None:
     text, deep = tmp_path / "text", tmp_path / "deep"
     text.mkdir()
     deep.mkdir()
-    (text / "0.png").write_text("no picture")
+    (text / "0.png").write_text("no image")
     with pytest.raises(
         InputError, match=r"0.png: is not an image, or of an unknown kind; repair the image or remove it$"
     ):

@@ -50,7 +50,7 @@ class Comparison:
         """Recipes in their order; those that could not run at the end, and why below."""
         frames = np.concatenate([score.frame for entry in self.entries for score in entry.scores])
         span = f"frames {frames.min()} to {frames.max()}"
-        title = f"{clip_name(self.clip)}: {len(self.entries)} recipes on {span}, truth {self.truth.name}"
+        title = f"{clip_name(self.clip)}: {len(self.entries)} recipes on {span}, ground truth {self.truth.name}"
         fastest = max((entry.frames_per_s or 0.0 for entry in self.entries), default=0.0)
         heads = ("rank", "recipe", *map(_head, self.measures), "failed", "frames\nper s", "time a\nframe")
         return Sheet(title, heads, tuple(self._row(place, fastest) for place in self.places), tuple(self.notes()))

@@ -39,7 +39,7 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 
 Status: TypeAlias = Literal["ok", "fails", "skipped"]
 NO_CLIPS = (".csv", ".json", ".md", ".py", ".txt", ".yaml", ".yml")
-UPDATE = "record anew with --update if that is meant"
+UPDATE = "record again with --update if that is meant"
 
 
 @dataclass(frozen=True)
@@ -321,7 +321,7 @@ def _asked(folder: Path, configs: Sequence[str]) -> list[tuple[Path, str, Golden
     present = find_goldens(folder)
     if not configs:
         if not present:
-            raise InputError(f"{folder}: has no goldens to record anew; name recipes with --config")
+            raise InputError(f"{folder}: has no goldens to record again; name recipes with --config")
         goldens = [read_golden(path) for path in present]
         return [(folder / golden.clip.file, golden.recipe_from(folder), golden) for golden in goldens]
     clips = [path for path in sorted(folder.iterdir()) if path.suffix.lower() not in NO_CLIPS and find_init(path)]

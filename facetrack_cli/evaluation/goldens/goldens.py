@@ -313,7 +313,7 @@ def _json(value: Any) -> str:
 
 def read_golden(path: Path) -> Golden:
     """Raises InputError, in one line, for a file that is no golden of this version."""
-    anew = "record it anew with facetrack regress --update"
+    anew = "record it again with facetrack regress --update"
     try:
         golden = Golden.model_validate_json(path.read_bytes())
     except OSError as e:

@@ -61,7 +61,7 @@ def needed(what: str, package: str) -> Iterator[None]:
         raise UsageError(f"{what} need {missing}, which is not installed: pip install 'facetrack[plot]'") from None
     except (ImportError, ValueError, OSError) as e:
         said = " ".join(str(e).split())
-        raise UsageError(f"{package} cannot be loaded: {said}; install it anew: pip install 'facetrack[plot]'") from e
+        raise UsageError(f"{package} cannot be loaded: {said}; install it again: pip install 'facetrack[plot]'") from e
 
 
 @cache

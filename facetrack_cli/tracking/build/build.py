@@ -102,7 +102,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         if one.learn and points and absent:
             raise InputError(f"{origin}: {', '.join(sorted(absent))} cannot be learned while absent; leave learn out")
         if one.learn is False and kind is None:
-            raise InputError(f"{origin}: OpenCV's trackers begin anew in any case; leave learn out")
+            raise InputError(f"{origin}: OpenCV's trackers begin again in any case; leave learn out")
         if one.learn and not learns and not points:
             raise InputError(f"{origin}: colours are learned in the first frame alone; leave learn out")
 

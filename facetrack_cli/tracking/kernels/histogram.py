@@ -1,6 +1,6 @@
 """Histograms of many boxes at once, compared with one reference (Odobez et al. 2003, section 3.3, "Color model").
 
-A picture is first coded: every pixel holds the number of its bin, among the bins that matter and one for all others.
+An image is first coded: every pixel holds the number of its bin, among the bins that matter and one for all others.
 Boxes are then counted either pixel by pixel (`match_direct`) or from integral histograms (`match_integral`). Counts are
 whole numbers and both end in the same sums in the same order, so both give the same result to the last bit.
 """
@@ -18,11 +18,11 @@ LANES = 16  # the number of bins is padded to a multiple of this, so that loops 
 
 @exact
 def edges(x, size_w, size_h, cols, rows, factor, width, height):
-    """Where boxes (N, 3) = (cx, cy, s) and their sub-regions lie in a picture of width x height, reduced by `factor`.
+    """Where boxes (N, 3) = (cx, cy, s) and their sub-regions lie in an image of width x height, reduced by `factor`.
 
-    Returns ex (N, cols + 1) and ey (N, rows + 1) int64, cut off at the picture: column c of sub-regions holds the
+    Returns ex (N, cols + 1) and ey (N, rows + 1) int64, cut off at the image: column c of sub-regions holds the
     pixels ex[c] <= i < ex[c + 1], those whose centres lie in it; area (N,) float64: the pixels of the whole box, also
-    beyond the picture, and 0 for a box that is none (no positive size, or out of all measure).
+    beyond the image, and 0 for a box that is none (no positive size, or out of all measure).
     """
     n = x.shape[0]
     ex, ey, area = np.zeros((n, cols + 1), np.int64), np.zeros((n, rows + 1), np.int64), np.zeros(n)
@@ -46,7 +46,7 @@ def edges(x, size_w, size_h, cols, rows, factor, width, height):
 
 @exact
 def crop(ex, ey):
-    """What boxes cover of the picture; makes ex and ey, in place, count from its corner and stay within it.
+    """What boxes cover of the image; makes ex and ey, in place, count from its corner and stay within it.
 
     Returns (left, top, right, bottom) around all of them, half open, and the pixels of all boxes together: all 0 if no
     box holds a pixel.
@@ -60,7 +60,7 @@ def crop(ex, ey):
             left, top, right, bottom = x0, y0, x1, y1
         left, top, right, bottom = min(left, x0), min(top, y0), max(right, x1), max(bottom, y1)
         total += (x1 - x0) * (y1 - y0)
-    # boxes beyond the picture are empty, and stay so wherever they are put
+    # boxes beyond the image are empty, and stay so wherever they are put
     for p in range(ex.shape[0]):
         for c in range(ex.shape[1]):
             ex[p, c] = min(max(ex[p, c], left), right) - left

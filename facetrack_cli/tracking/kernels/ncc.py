@@ -1,7 +1,7 @@
 """The sums of a normalised cross-correlation at fractional places and scales (Gonzalez & Collet, eq. 10).
 
-A template of (th, tw) points lies over the picture with its first point at (u, v) and s pixels from point to point.
-What is beyond the picture is 0. The picture is bilinear between the centres of its pixels.
+A template of (th, tw) points lies over the image with its first point at (u, v) and s pixels from point to point.
+What is beyond the image is 0. The image is bilinear between the centres of its pixels.
 """
 
 import math
@@ -15,11 +15,11 @@ LARGEST = 1e6  # the largest scale, pixels from point to point
 
 @exact
 def place(x, factor, offset, th, tw, width, height):
-    """Where the template lies for boxes x (N, 1, D) = (cx, cy, s, ...) in a picture of width x height, reduced.
+    """Where the template lies for boxes x (N, 1, D) = (cx, cy, s, ...) in an image of width x height, reduced.
 
-    cx and cy are pixels of the whole picture; offset (dx, dy) from the box's centre to the template's, in reduced
+    cx and cy are pixels of the whole image; offset (dx, dy) from the box's centre to the template's, in reduced
     pixels at scale 1. Returns (N, 3) = (u, v, s), (0, 0, 1) of what is not seen; whether each is seen, (N,) bool: not
-    beyond the picture, thinner than a pixel or no number; low and high, the ranges of u and v, (2,); area (4,): x0, y0,
+    beyond the image, thinner than a pixel or no number; low and high, the ranges of u and v, (2,); area (4,): x0, y0,
     x1, y1, half-open, the pixels that all cover together, at least one; and whether s is 1 throughout.
     """
     n, u0, v0, u1, v1, same = x.shape[0], np.inf, np.inf, -np.inf, -np.inf, True
@@ -50,7 +50,7 @@ def place(x, factor, offset, th, tw, width, height):
 def _axis(start, step, length, near, far, share_near, share_far):
     """The two pixels that each point of one axis is read from, and their shares; returns the range [first, last) read.
 
-    A pixel beyond the picture of `length` pixels has the share 0, and the nearest one stands in for it.
+    A pixel beyond the image of `length` pixels has the share 0, and the nearest one stands in for it.
     """
     first, last = length, 0
     for i in range(len(near)):
@@ -68,7 +68,7 @@ def _axis(start, step, length, near, far, share_near, share_far):
 
 @fast
 def cross_direct(picture, template, boxes):
-    """Sum of template (th, tw) times picture (H, W) for boxes (N, 3) = (u, v, s), finite, s > 0 -> (N,) float64."""
+    """Sum of template (th, tw) times image (H, W) for boxes (N, 3) = (u, v, s), finite, s > 0 -> (N,) float64."""
     (height, width), (th, tw) = picture.shape, template.shape
     left, right = np.zeros(tw, np.int64), np.zeros(tw, np.int64)
     upper, lower = np.zeros(th, np.int64), np.zeros(th, np.int64)
@@ -96,7 +96,7 @@ def cross_direct(picture, template, boxes):
 
 @exact
 def read_patch(picture, u, v, s, th, tw):
-    """The picture (H, W) uint8 at the points of a template of (th, tw) at (u, v, s) -> (th, tw) float32."""
+    """The image (H, W) uint8 at the points of a template of (th, tw) at (u, v, s) -> (th, tw) float32."""
     height, width = picture.shape
     left, right, a, b = np.zeros(tw, np.int64), np.zeros(tw, np.int64), np.zeros(tw), np.zeros(tw)
     upper, lower, c, d = np.zeros(th, np.int64), np.zeros(th, np.int64), np.zeros(th), np.zeros(th)

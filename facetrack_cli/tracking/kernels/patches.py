@@ -1,4 +1,4 @@
-"""Patches on a fixed grid, of a particle now and of its parent in the picture before, and how far they differ.
+"""Patches on a fixed grid, of a particle now and of its parent in the image before, and how far they differ.
 
 Odobez, Ba & Gatica-Perez 2003, eq. 6 (the patch) and eq. 12 and 13 (its distance from the parent's).
 """
@@ -16,7 +16,7 @@ NOTHING = np.float32(1e9)  # grey level of what is not there: so far from all ot
 def _axis(centre, step, low, whole, count, factor, at, part):
     """Where the points of one axis, `step` apart around `centre`, are read; the range [first, last) of those within.
 
-    The whole picture is `whole` pixels long; the reduced one shows it from `low` on, by `count` pixels. Point i is read
+    The whole image is `whole` pixels long; the reduced one shows it from `low` on, by `count` pixels. Point i is read
     between pixels at[i] and at[i] + 1, by the share part[i] of the latter.
     """
     n, shrink = len(at), 1.0 / factor
@@ -38,14 +38,14 @@ def _axis(centre, step, low, whole, count, factor, at, part):
 def _read(picture, view, factor, box, size, columns, across, lines, down, line, patch):
     """The `patch` of the `box` (cx, cy, s), read bilinearly; `view` as in `patch_distances`, the others are scratch.
 
-    Returns (first row, last row, first column, last column), half-open: the points within the picture, which are set.
+    Returns (first row, last row, first column, last column), half-open: the points within the image, which are set.
     """
     height, width = picture.shape
     one, stride = np.float32(1.0), len(columns) + 1
     r0, r1 = _axis(box[1], box[2] * size[1] / len(lines), view[1], view[3], height, factor, lines, down)
     c0, c1 = _axis(box[0], box[2] * size[0] / len(columns), view[0], view[2], width, factor, columns, across)
     if r1 > r0 and c1 > c0:
-        # a picture of one pixel has no neighbour to the right or below
+        # an image of one pixel has no neighbour to the right or below
         right, below = np.uint64(min(1, width - 1)), np.uint64(min(1, height - 1))
         start = min(columns[c0], columns[c1 - 1])
         end = max(columns[c0], columns[c1 - 1]) + right + np.uint64(1)
@@ -96,10 +96,10 @@ def patch_distances(
 ):
     """Distances `out` (N,) of the patches of x (N, 3) in `now` from those of parents (N, 3) in `before` (eq. 13).
 
-    x and parents are (cx, cy, s), boxes of `size` (w, h) times s; pixels of the whole picture, centres at whole
-    numbers. Both pictures are grey (H, W) uint8, reduced by `factor`; a view is (left, top, width, height): where in
-    the whole picture it begins, and how large that is. The patch is the grid of cols x rows cell centres of the box.
-    A point that lies beyond the whole picture in either of the two adds `outside` in place of rho.
+    x and parents are (cx, cy, s), boxes of `size` (w, h) times s; pixels of the whole image, centres at whole
+    numbers. Both images are grey (H, W) uint8, reduced by `factor`; a view is (left, top, width, height): where in
+    the whole image it begins, and how large that is. The patch is the grid of cols x rows cell centres of the box.
+    A point that lies beyond the whole image in either of the two adds `outside` in place of rho.
     """
     # a border of NOTHING runs around a patch; what ends a row begins the next
     stride = cols + 1

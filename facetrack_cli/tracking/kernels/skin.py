@@ -64,8 +64,8 @@ def _box_sum(integral, box):
 def nested(x, width, height, factor, left, top):
     """Inner boxes, outer ones around them of twice the area, and inner areas (N,), at x (N, 1, D) = (cx, cy, s, ...).
 
-    Inner boxes are width * s by height * s pixels of the whole picture. Boxes (N, 4) are edges x0, y0, x1, y1 in pixels
-    of the picture reduced by `factor` that begins at (left, top) of the whole; what is thinner than a pixel is all 0.
+    Inner boxes are width * s by height * s pixels of the whole image. Boxes (N, 4) are edges x0, y0, x1, y1 in pixels
+    of the image reduced by `factor` that begins at (left, top) of the whole; what is thinner than a pixel is all 0.
     """
     n, longer = x.shape[0], math.sqrt(2.0)
     inner, outer, area = np.zeros((n, 4)), np.zeros((n, 4)), np.zeros(n)
@@ -97,7 +97,7 @@ def differences(integral, inner, outer):
 
 @exact
 def at_points(bgr, table, xy):
-    """table[Cb, Cr] / 255 of the pixel nearest to each point xy (N, 2) -> (N,) float64; 0 beyond the picture."""
+    """table[Cb, Cr] / 255 of the pixel nearest to each point xy (N, 2) -> (N,) float64; 0 beyond the image."""
     height, width = bgr.shape[0], bgr.shape[1]
     out = np.zeros(xy.shape[0])
     for n in range(xy.shape[0]):

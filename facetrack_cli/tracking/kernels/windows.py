@@ -1,4 +1,4 @@
-"""Windows read from a picture, and their colours compared (Patras & Pantic 2004, eq. 8 and 9)."""
+"""Windows read from an image, and their colours compared (Patras & Pantic 2004, eq. 8 and 9)."""
 
 import math
 from typing import Any
@@ -90,7 +90,7 @@ def colour_ratio_distances(
     """Mean robust difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
 
     Template g of part `parts[g]` is `ratios[offsets[g] : offsets[g + 1]]`, divided by its own mean and laid out as
-    `read_window` does, of `sides[g]` = (w, h) pixels. `x` (N, K, 2) are centres in the whole picture; `image`
+    `read_window` does, of `sides[g]` = (w, h) pixels. `x` (N, K, 2) are centres in the whole image; `image`
     (H, W * 3) shows it from (origin_x, origin_y) on, reduced by `factor`. The distance goes to `out[n, parts[g]]`. A
     window darker than `least_mean` is divided by that instead of its mean.
     """
@@ -125,5 +125,5 @@ def extent(x, reach):
 
 
 def flat(image: NDArray[Any]) -> NDArray[Any]:
-    """A picture (H, W, 3) as the flat rows (H, W * 3) that the kernels read, without a copy if it is contiguous."""
+    """An image (H, W, 3) as the flat rows (H, W * 3) that the kernels read, without a copy if it is contiguous."""
     return np.ascontiguousarray(image).reshape(image.shape[0], -1)

@@ -218,12 +218,12 @@ def fit_prior(
     scale: tuple[str, str] = ("mouth_left", "mouth_right"),
     max_shapes: int = 500,
 ) -> Fit:
-    """A prior of `parts` (all that the first file has, if None) from truth or trajectory files.
+    """A prior of `parts` (all that the first file has, if None) from ground truth or trajectory files.
 
     Rows that are hidden, absent, lost or without a position do not count as seen. Raises UsageError or InputError.
     """
     if not paths:
-        raise UsageError("no truth file is named; give one or more, such as clip.truth.csv")
+        raise UsageError("no ground truth file is named; give one or more, such as clip.truth.csv")
     if max_shapes < 1:
         raise UsageError(f"at most {max_shapes} shapes leave no prior; keep 1 or more")
     tables = [read_trajectory(path) for path in paths]

@@ -11,7 +11,7 @@
         points: {mouth_left: [137.2, 153.9]}     # by hand
         kept: {nose: [160, 138.4]}               # where other parts were; optional
         absent: [lip_upper]                      # not visible from there on; or true: all of the target
-        learn: true                              # the appearance is learned anew; optional
+        learn: true                              # the appearance is learned again; optional
 
 There may be several targets, also in a correction. With a single target its keys may stand at the top level, then it is
 called `face`, and beside the `frame` of a correction.
@@ -121,9 +121,9 @@ def as_yaml(start: Start, clip: str = "") -> str:
         lines += [f"{_key(name)}:", *_target_lines(target)]
     if start.corrections:
         lines += [
-            "# What was put right by hand; from each of these frames on the target begins anew.",
+            "# What was corrected by hand; from each of these frames on the target begins again.",
             "# points, box: by hand; kept: where its other points were; absent: not to be seen from there on;",
-            "# learn: whether what it looks like is learned anew there; if it is not said, what is given is.",
+            "# learn: whether what it looks like is learned again there; if it is not said, what is given is.",
             "corrections:",
         ]
     for frame, group in groupby(start.corrections, key=lambda one: one.frame):
@@ -142,7 +142,7 @@ def _target_lines(target: TargetStart) -> list[str]:
     if target.points:
         rows = list(zip(_below(target.points, 4), map(WHAT_PARTS_ARE.get, target.points), strict=True))
         wide = max(len(row) for row, _ in rows)
-        lines.append("  points:  # x, y of each part; left and right as seen in the picture")
+        lines.append("  points:  # x, y of each part; left and right as seen in the image")
         lines += [f"{row:<{wide}}  # {what}" if what else row for row, what in rows]
     if target.windows:
         lines += ["  windows:  # width, height of the window that is compared", *_below(target.windows, 4)]

@@ -4,10 +4,11 @@
 - `got10k`: also from 1 ("All coordinate values are 1-based", its author in got-10k/toolkit#6). Absent is also a box
   without width or height, four times -1, and what `absence.label` marks. Where `cover.label` is 0 the target is hidden.
 - `vot`: as vot-toolkit reads, writes and draws it. Line 1 is frame 0. Polygons are kept as `corners`; their x, y, w, h
-  are the axis-aligned bounding box, width = right - left, and the angle is not known. In truth, the code 0 ("unknown")
-  and regions of nan are absent. A file with a code 1 is a result: 1 is the frame where the tracker was set on the
-  target (status init, no place); 2 is a failure (lost, no place); 0 was not tracked, and has no row.
-- `mot`: truth (motchallenge.net/instructions; MOT16 and later) has nine values, results and MOT15 truth ten, -1 where
+  are the axis-aligned bounding box, width = right - left, and the angle is not known. In ground truth, the code 0
+  ("unknown") and regions of nan are absent. A file with a code 1 is a result: 1 is the frame where the tracker was set
+  on the target (status init, no place); 2 is a failure (lost, no place); 0 was not tracked, and has no row.
+- `mot`: ground truth (motchallenge.net/instructions; MOT16 and later) has nine values, results and MOT15 ground truth
+ten, -1 where
   not known (`MOT_COLUMNS`). Ids become the targets "1", "2", ..., each with the part "box". A row of flag 0 is left
   out, as if the frame were not annotated. A visibility of 0 is "hidden". If every conf of ten values is 0 or 1 it is
   taken for the flag, else for a confidence, and then all rows count, as the benchmark has it.
@@ -81,7 +82,7 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
 
 
 def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
-    """VOT truth or results; line i, from 0, is frame i + `shift`. InputError, with the line, also for masks."""
+    """VOT ground truth or results; line i, from 0, is frame i + `shift`. InputError, with the line, also for masks."""
     lines = Lines.by_frame(path)
     between = delimiter(next((text for text in lines.texts if "," in text), ""))
     shapes = np.array([len(text.split(between)) for text in lines.texts], dtype=np.int64)
@@ -103,7 +104,7 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
     lines.refuse(half, "nan in a polygon; give all eight numbers, or eight times nan")
     with np.errstate(invalid="ignore"):
         far = (np.abs(polygons) > MAX_PIXELS).any(axis=1)
-    lines.refuse(far, "the polygon is farther out than any picture; correct it")
+    lines.refuse(far, "the polygon is farther out than any image; correct it")
     corners = polygons.reshape(-1, 4, 2)
     low, high = corners.min(axis=1), corners.max(axis=1)
     ltwh = np.where((shapes == 8)[:, None], np.concatenate([low, high - low], axis=1), ltwh)

@@ -36,10 +36,10 @@ CONSTRAINTS = {
 }
 """The four that ELAN itself writes into every file, in its own words."""
 VOCABULARIES = {
-    "horizontal": {"left": "moves to the left of the picture", "right": "moves to the right of the picture"},
-    "vertical": {"up": "moves up in the picture", "down": "moves down in the picture"},
-    "tilt": {label: f"turns {label} in the picture plane" for label in ("clockwise", "counterclockwise")},
-    "size": {"approach": "grows in the picture", "recede": "shrinks in the picture"},
+    "horizontal": {"left": "moves to the left of the image", "right": "moves to the right of the image"},
+    "vertical": {"up": "moves up in the image", "down": "moves down in the image"},
+    "tilt": {label: f"turns {label} in the image plane" for label in ("clockwise", "counterclockwise")},
+    "size": {"approach": "grows in the image", "recede": "shrinks in the image"},
     "nods": {"nod": "swings up and down, three times or more", "shake": "swings left and right, three times or more"},
     "still": {"still": "none of the motions of the other tiers for a second or more"},
 }
@@ -149,7 +149,7 @@ def _types(root: ET.Element, kinds: Sequence[str]) -> None:
     for kind in kinds:
         if kind in VOCABULARIES:
             group = ET.SubElement(root, "CONTROLLED_VOCABULARY", CV_ID=kind)
-            ET.SubElement(group, "DESCRIPTION", LANG_REF="eng").text = "motion of the target in the picture plane"
+            ET.SubElement(group, "DESCRIPTION", LANG_REF="eng").text = "motion of the target in the image plane"
             for label, description in VOCABULARIES[kind].items():
                 entry = ET.SubElement(group, "CV_ENTRY_ML", CVE_ID=_entry(kind, label))
                 ET.SubElement(entry, "CVE_VALUE", DESCRIPTION=description, LANG_REF="eng").text = label

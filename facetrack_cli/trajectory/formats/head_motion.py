@@ -1,4 +1,4 @@
-"""Head motion as spans of frames, as far as tracked points or a box can tell it: motion in the picture plane.
+"""Head motion as spans of frames, as far as tracked points or a box can tell it: motion in the image plane.
 
 A turn of the head and a step aside look alike here: both move the face to the left or right of the image.
 
@@ -136,7 +136,7 @@ def _follow(values: Array, good: Mask) -> tuple[Array, Mask]:
     """One signal (T,) for columns (T, M) that move together: the median of their departures from their usual values.
 
     Where other columns are good than in the row before, the step is that of the columns good in both, so that a column
-    that comes or goes makes none. Also whether each row begins anew: it shares no good column with the row before.
+    that comes or goes makes none. Also whether each row begins again: it shares no good column with the row before.
     """
     values = np.where(good, values, np.nan)
     departure = values - _nanmedian(values, axis=0)

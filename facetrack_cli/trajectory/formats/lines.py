@@ -27,22 +27,22 @@ def read_text(path: Path) -> str:
         refuse_pipe(path)
         raw = path.read_bytes()
     except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; name the truth file in it") from None
+        raise InputError(f"{path}: is a folder; name the ground truth file in it") from None
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file; name a truth file") from None
+        raise InputError(f"{path}: no such file; name a ground truth file") from None
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or name another") from e
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(f"{path}: is UTF-16 text; save it as UTF-8")
     if b"\0" in raw[:8192]:
-        raise InputError(f"{path}: is binary; name a truth file in UTF-8 text")
+        raise InputError(f"{path}: is binary; name a ground truth file in UTF-8 text")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as e:
         line = raw.count(b"\n", 0, e.start) + 1
-        raise InputError(f"{path}:{line}: is not UTF-8 text; save the file as UTF-8, or name a truth file") from e
+        raise InputError(f"{path}:{line}: is not UTF-8 text; save it as UTF-8, or name a ground truth file") from e
     if not text.strip():
-        raise InputError(f"{path}: is empty; a truth file has a line a frame")
+        raise InputError(f"{path}: is empty; a ground truth file has a line a frame")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -148,7 +148,7 @@ class Lines:
                 (unknown, "nan in a box that is known by half; give all four numbers, or four times nan"),
                 (ltwh[:, 2:] < 0, "the box has a negative size; a box is left, top, width, height"),
                 (empty, "the box has no area; four zeros say that there is none"),
-                (np.abs(ltwh) > MAX_PIXELS, "the box is farther out than any picture; correct it"),
+                (np.abs(ltwh) > MAX_PIXELS, "the box is farther out than any image; correct it"),
             ):
                 self.refuse(wrong.any(axis=1) & ~absent, why)
         left, top, w, h = np.where(absent[:, None], np.nan, ltwh).T

@@ -82,7 +82,7 @@ def _points(path: Path) -> Array:
         if (x == x) != (y == y):
             raise InputError(f"{place}: nan in half a point; give both numbers, or nan nan")
         if x == x and max(abs(x), abs(y)) > MAX_PIXELS:
-            raise InputError(f"{place}: the point is farther out than any picture; correct it")
+            raise InputError(f"{place}: the point is farther out than any image; correct it")
         found.append([x, y])
     if not closed or len(found) != int(head[1]) or not found:
         raise InputError(f"{path}: {len(found)} points, but n_points says {head[1]}; was the file cut short?")

@@ -39,7 +39,7 @@ _READERS: Final[dict[str, Callable[..., Trajectory]]] = {
 
 
 def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Trajectory:
-    """The truth in a file or folder, read as `form`, one of TRUTH_FORMATS; `auto` goes by the shape.
+    """The ground truth in a file or folder, read as `form`, one of TRUTH_FORMATS; `auto` goes by the shape.
 
     `shift` is added to every frame number. `header["read_as"]` says how it was read, `header["shift"]` is the shift.
     Raises InputError for a file that is broken or of no known shape, UsageError for a shift beyond any clip.
@@ -107,7 +107,7 @@ def recognise(path: Path) -> tuple[Path, str]:
         if (file := next((path / name for name in named if (path / name).is_file()), None)) is not None:
             return recognise(file)
         files = f"trajectory.csv, {', '.join(named)} or .pts files"
-        raise InputError(f"{path}: is a folder without {files}; name the truth file")
+        raise InputError(f"{path}: is a folder without {files}; name the ground truth file")
     return path, "pts" if path.suffix.lower() == ".pts" else _shape(Lines.with_frame(path))
 
 
@@ -134,7 +134,7 @@ def _shape(lines: Lines) -> str:
     if count in MOT_COLUMNS and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
         return "mot"
     remedy = f"name its kind by --truth-format: {', '.join(_READERS)}"
-    raise InputError(f"{place}: {count} values a line are no truth that is known here; {remedy}")
+    raise InputError(f"{place}: {count} values a line are no ground truth that is known here; {remedy}")
 
 
 def _shape_of_header(place: str, first: str) -> str:
@@ -151,7 +151,7 @@ def _shape_of_header(place: str, first: str) -> str:
         why = "are no numbers between commas, tabs or blanks; write decimals with a point"
         raise InputError(f"{place}: {first[:60]!r} {why}")
     headers = f"a header reads {','.join(REQUIRED)} for points or {','.join(BOX_COLUMNS)} for boxes"
-    why = f"begins no truth file that is known here; {headers}, without a header a line is {LTWH}"
+    why = f"begins no ground truth file that is known here; {headers}, without a header a line is {LTWH}"
     raise InputError(f"{place}: {first[:60]!r} {why}")
 
 

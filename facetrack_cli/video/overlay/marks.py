@@ -82,7 +82,7 @@ def mark(image: Image, at: Point, status: Status, colour: Ink, size: float, line
 
 
 class Sprite(NamedTuple):
-    """A picture to lay over another: its colours times opacity, and 255 minus opacity; (h, w, 3) uint8 each."""
+    """An image to lay over another: its colours times opacity, and 255 minus opacity; (h, w, 3) uint8 each."""
 
     ink: Image
     keep: Image

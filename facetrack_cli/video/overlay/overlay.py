@@ -39,7 +39,7 @@ class Overlay:
     """Draws results over their frames; it keeps the last `trail_s` seconds of them, and no more.
 
     `size` is (width, height) of all frames, `fps` their nominal rate, `title` stands in the status bar. Lines and type
-    follow the height. Give the results in their order; a time that goes back starts the trails anew.
+    follow the height. Give the results in their order; a time that goes back starts the trails again.
     """
 
     def __init__(self, size: tuple[int, int], *, fps: float = 25.0, title: str = "", trail_s: float = 1.0) -> None:

@@ -19,7 +19,7 @@ _ITEMS = ("frame", "gauge", "clock", "title", "percent", "scale", "particles")
 
 
 class StatusBar:
-    """Writes what a result says as a whole over the top of pictures `width` pixels wide, capitals `cap` pixels high."""
+    """Writes what a result says as a whole over the top of images `width` pixels wide, capitals `cap` pixels high."""
 
     def __init__(self, width: int, cap: int, line: int, title: str = "") -> None:
         self.height = round(1.9 * cap)

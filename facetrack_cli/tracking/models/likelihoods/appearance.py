@@ -87,7 +87,7 @@ class Appearance:
         if not face.any():
             what = "the face's box is of one grey level throughout"
             if self.patches.inside(frame, x0) < 0.5:
-                what = "more than half of the box lies outside the picture"
+                what = "more than half of the box lies outside the image"
             remedy = "choose another box, or begin elsewhere with --init-frame"
             raise InputError(f"frame {frame.index}: {what}, so that there is no face to follow: {remedy}")
         settings = self.settings

@@ -60,10 +60,10 @@ class Histogram:
         factor = factor_for(max(self.size), self.settings.max_size)
         region, ex, ey, _, pixels = self._read(frame, x0[None], factor)
         if region is None:
-            wrong = "lies outside the picture: choose another box"
+            wrong = "lies outside the image: choose another box"
             if factor > 1:
                 remedy = "give a wider one, or raise likelihood.histogram.max_size"
-                wrong = f"has no pixel of the picture at 1/{factor} of its size: {remedy}"
+                wrong = f"has no pixel of the image at 1/{factor} of its size: {remedy}"
             raise InputError(f"frame {frame.index}: the box {wrong}")
         hsv = _hsv(region)
         if self.settings.value_bins <= 1:

@@ -56,7 +56,7 @@ def learn_template(frame: Frame, size: tuple[float, float], x0: Array, max_size:
     width, height = frame.size
     if any(not (c + 0.5 * n * s > -0.5 and c - 0.5 * n * s < m - 0.5)
            for c, n, m in ((cx, size[0], width), (cy, size[1], height))):  # fmt: skip
-        raise InputError(f"frame {frame.index}: the box lies outside the picture: choose another box")
+        raise InputError(f"frame {frame.index}: the box lies outside the image: choose another box")
     factor = factor_for(max(size), max_size)
     tw, th = (max(round(side / factor), 2) for side in size)
     # at scale 1 on whole pixels, so that the frame is learned as it is, and read again where it was learned
