@@ -187,7 +187,7 @@ def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
         if missing.size:
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise InputError(
-                f"{trajectory.path}: no row of {one.ours.name} in frame {missing[0]}{more}, where the ground truth does; "
+                f"{trajectory.path}: no row of {one.ours.name} in frame {missing[0]}{more}, where ground truth does; "
                 f"was it cut? {rest}"
             )
 
@@ -296,7 +296,7 @@ class _Track(NamedTuple):
     first: Array
 
     def errors(self, lag: int) -> tuple[Array, Array, Array]:
-        """(rows, 2) each, ours less ground truth: at the lag; at 0, its rows of ground truth; at 0, its rows of ours."""
+        """(rows, 2) each, ours less truth: at the lag; at 0, its rows of ground truth; at 0, its rows of ours."""
         wanted = self.truth_frame - lag
         moved, still = self._ours_at(wanted), self._ours_at(self.truth_frame)
         between = np.stack([np.interp(wanted, self.truth_frame, axis, np.nan, np.nan) for axis in self.truth.T], axis=1)

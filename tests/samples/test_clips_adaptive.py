@@ -62,7 +62,7 @@ def test_adapting_keeps_a_face_that_comes_out_of_the_dark() -> None:
 
 @pytest.mark.parametrize("name", ["david/david.webm", "jumping/jumping.mpg"])
 def test_the_predicted_shift_points_to_the_true_place(name: str) -> None:
-    """Eq. 12 from the ground truth of each frame: nearer to that of the next than the last place; as printed, farther."""
+    """Eq. 12 from the ground truth: nearer to that of the next than the last place; as printed, farther."""
     clip = clip_of(name)
     truth, recipe = truth_of(clip), load_recipe("adaptive")
     start = Begin(clip).find(recipe, truth)

@@ -1,4 +1,4 @@
-"""The colour histogram: its peak is at the ground truth, it knows left from right, and says when there are no colours."""
+"""The colour histogram: its peak is at the ground truth, it tells left from right, and says if there are no colours."""
 
 from functools import cache
 

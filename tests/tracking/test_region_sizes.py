@@ -53,7 +53,7 @@ MODELS = {
 
 
 def scores(name, zoom, places, reduce=36, picture=scene):
-    """(N,) at places of the small image, of which one `zoom` times as large is read; parents are at the ground truth."""
+    """(N,) at places of the small image, of which one `zoom` times as large is read; parents at the ground truth."""
     model = MODELS[name](zoom, reduce)
     before, now = picture(TRUTH, zoom), picture(MOVED, zoom)
     parents = states([(*TRUTH, 1.0)] * len(places), zoom)
