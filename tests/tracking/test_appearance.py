@@ -1,5 +1,6 @@
 """The adaptive appearance model W, S, F: its densities, what it learns, and where its peak lies."""
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -138,7 +139,7 @@ def test_nothing_drifts_away_in_thousands_of_frames(seed, alpha, floor, least_si
     rng = np.random.default_rng(seed)
     f, model = frame(smooth(1)), changed(MODEL, density=density, outlier=outlier, mixing=components(*mixing))
     learned = model.init(f, TRUTH)
-    face, pictures = learned.mu[F].copy(), rng.normal(size=(7, PATCHES.points)).astype(np.float32)
+    face, pictures = learned.mu[F].copy(), rng.normal(size=(7, math.prod(PATCHES.shape))).astype(np.float32)
     for k in range(2000):
         # long rests, so that variances go to their floor, and then something else, of which some is unseen
         y = face if k % 500 < 400 else pictures[k % 7] * np.float32(10.0 ** (k % 3 - 1))
@@ -379,8 +380,8 @@ def test_so_many_pixels_count_as_independent():
     f, x = frame(smooth(1)), states((80, 60), (83, 60), (80, 64, 1.1, 0, 0, 1.1))
     learned = MODEL.init(f, TRUTH)
     all_ = MODEL.score(learned, f, x)
-    np.testing.assert_allclose(changed(MODEL, pixels=PATCHES.points).score(learned, f, x), all_)
-    np.testing.assert_allclose(changed(MODEL, pixels=5).score(learned, f, x), all_ * 5 / PATCHES.points)
+    np.testing.assert_allclose(changed(MODEL, pixels=math.prod(PATCHES.shape)).score(learned, f, x), all_)
+    np.testing.assert_allclose(changed(MODEL, pixels=5).score(learned, f, x), all_ * 5 / math.prod(PATCHES.shape))
 
 
 def test_what_is_expected_is_the_mean_of_the_mixture():
