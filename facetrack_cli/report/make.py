@@ -6,7 +6,7 @@ import base64
 import hashlib
 import re
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -70,7 +70,7 @@ def make_report(
     ground truth that does not fit; UsageError without matplotlib or Jinja2.
     """
     plots.need_matplotlib()
-    render = _template()
+    template = _template()
     table = read_trajectory(trajectory_of(run))
     header = read_header(table)
     clock = Clock(table, header.source.fps)
@@ -85,7 +85,7 @@ def make_report(
     means = [part.mean for part in history.parts if np.isfinite(part.mean)]
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MOST_SPANS]
     again = command(header, last, run)
-    document = render(
+    document: str = template.render(
         title=title,
         header=header,
         clock=clock,
@@ -129,8 +129,8 @@ def trajectory_of(run: Path) -> Path:
     raise InputError(f"{run}: has no trajectory.json; {remedy}")
 
 
-def _template() -> Callable[..., str]:
-    """Renders the page's template, which escapes whatever is put into it. UsageError without Jinja2."""
+def _template() -> Any:
+    """The page's jinja2.Template, which escapes whatever is put into it. UsageError without Jinja2."""
     with needed("reports", "jinja2"):
         import jinja2
         from markupsafe import Markup
@@ -145,7 +145,7 @@ def _template() -> Callable[..., str]:
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
     environment.globals |= {"bins": _BINS, "most_parts": MOST_PARTS, "most_spans": MOST_SPANS, "corrected": CORRECTED}
-    return environment.get_template("report.html.j2").render
+    return environment.get_template("report.html.j2")
 
 
 def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list[Pair], Mapping[str, Any]]:
