@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.cli import options
-from facetrack_cli.cli.commands import repeat
 from facetrack_cli.core.errors import ExitCode, UsageError
 from facetrack_cli.evaluation.experiments import compare
+from facetrack_cli.report.figures import style
 from facetrack_cli.runs import seeds as runs
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
@@ -120,7 +119,7 @@ def test_without_matplotlib_the_table_is_there(facetrack, monkeypatch):
     def missing():
         raise UsageError("figures need matplotlib, which is not installed: pip install 'facetrack[plot]'")
 
-    monkeypatch.setattr(options, "need_matplotlib", missing)
+    monkeypatch.setattr(style, "need_matplotlib", missing)
     for command in (["compare", CLIP, *TWO], ["repeat", CLIP, "--config", "sir"]):
         code, out, err = facetrack(*command, *SHORT)
         assert code == 0 and "facetrack[plot]" in err and out
@@ -144,7 +143,7 @@ def test_an_interrupt_keeps_what_is_complete(facetrack, monkeypatch):
         stop.code = ExitCode.INTERRUPTED
         yield from map(runs.Ended, plans if partial else ())
 
-    for module in (compare, repeat):
+    for module in (compare, runs):
         monkeypatch.setattr(module, "run_plans", at_once)
     for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
         code, out, err = facetrack(*command, *SHORT, "-o", "none", "--no-plots")
@@ -280,7 +279,7 @@ def test_repeat_shows_what_there_was_when_it_was_interrupted(facetrack, monkeypa
         return whole(plans, workers, stop, tell, **more)
 
     whole = runs.run_plans
-    monkeypatch.setattr(repeat, "run_plans", interrupted)
+    monkeypatch.setattr(runs, "run_plans", interrupted)
     code, out, _ = facetrack("repeat", CLIP, "--seeds", "3", "--no-plots")
     assert code == ExitCode.INTERRUPTED and "3 runs of factorized on frames 0 to 8" in out
     assert "Interrupted: these are the frames that 3 runs had reached." in out

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.cli.commands import plot
 from facetrack_cli.cli.options import FIGURES
 from facetrack_cli.core import files
+from facetrack_cli.report import figures
 from facetrack_cli.trajectory.writers import COLUMNS
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
@@ -99,9 +99,9 @@ def test_every_form_by_its_ending(capsys, run, form):
 
 def test_truth_adds_the_error(capsys, run, truth, monkeypatch):
     seen = []
-    draw = plot.page_figure
+    draw = figures.page_figure
     monkeypatch.setattr(
-        plot, "page_figure", lambda table, pairs, **more: seen.append((table, pairs)) or draw(table, pairs, **more)
+        figures, "page_figure", lambda table, pairs, **more: seen.append((table, pairs)) or draw(table, pairs, **more)
     )
     assert facetrack(capsys, run, "--truth", truth)[0] == 0
     assert facetrack(capsys, run, "--truth", truth, "--target", "face/chin", "--overwrite")[0] == 0

@@ -220,7 +220,7 @@ def test_boxes_are_not_compared_with_truth_of_points_nor_points_with_truth_of_bo
     compare = ["compare", "IN/head", "--seeds", "1", "-q", "--no-plots"]
     said = refused(facetrack(*compare, "--truth", "IN/points.truth.csv", "--config", "contour"), 3)
     assert "it has head/nose, the trajectory head/box" in said
-    assert "give ground truth of boxes, or track by a recipe of points, as factorized" in said
+    assert "give ground truth of boxes, or track with a recipe of points" in said
     Path("both.yaml").write_text(starts(points=POINTS))
     result = facetrack(*compare, "--init", "both.yaml", "--config", "sir:filter.particles=5")
     assert result[0] == 3

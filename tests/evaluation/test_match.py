@@ -103,7 +103,9 @@ def test_truth_without_names_and_several_boxes_needs_a_choice() -> None:
 
 def test_boxes_are_no_truth_of_points() -> None:
     ours = table(*(box(range(9), "face", part) for part in ("nose", "chin")))
-    with pytest.raises(InputError, match=r"gt.txt: holds boxes, and run.csv points, face/nose, face/chin; give truth"):
+    with pytest.raises(
+        InputError, match=r"gt.txt: holds boxes, and run.csv points, face/nose, face/chin; give ground truth"
+    ):
         pairs(ours, truth(range(9)))
 
 
@@ -147,7 +149,7 @@ def test_nothing_in_common_lists_both_sides() -> None:
         (range(1, 101), r"frames 1\.\.100, the trajectory 0\.\.99: shifted by one\? --shift -1; .*the 99 that both"),
         (range(7, 107), r"shifted by 7\? --shift -7"),
         (range(200, 300), r"no frame in common; if it counts from another frame, --shift -200"),
-        (range(200, 250), r"no frame in common; move the ground truth by --shift N"),
+        (range(200, 250), r"no frame in common; move ground truth by --shift N"),
         (range(61), r"ends at frame 60, the trajectory goes on to 99: --partial measures the 61 that both have"),
         (range(101), r"ends at frame 100, the trajectory ends at 99"),
         (range(5, 100), r"begins at frame 5, the trajectory at 0: --partial measures the 95"),
