@@ -183,8 +183,8 @@ class Extent:
         if self.init is not None and self.box is not None:
             raise UsageError("--init and --box both say where the track starts; give one of them")
         if self.stop is not None and self.stop <= self.start:
-            told = f"after --start {self.start}" if self.start else "at all"
-            raise UsageError(f"--stop {self.stop} leaves no frame {told}; it is the frame to stop before")
+            place = f"after --start {self.start}" if self.start else "at all"
+            raise UsageError(f"--stop {self.stop} leaves no frame {place}; it is the frame to stop before")
         if self.fps is not None and all(one.is_file() for one in clips):
             raise UsageError("--fps is for image folders; a video brings its own rate")
 

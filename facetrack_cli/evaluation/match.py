@@ -15,7 +15,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Array, Whole
 from facetrack_cli.evaluation.rows import Pair
-from facetrack_cli.trajectory.header import picture_of
+from facetrack_cli.trajectory.header import frame_size_of
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -203,7 +203,7 @@ def _span(frames: Whole) -> str:
 
 def _check_places(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair]) -> None:
     """Visible ground truth lies in the frame; where most of it does not, it is of another clip or size."""
-    size = picture_of(trajectory)
+    size = frame_size_of(trajectory)
     if size is None:
         return
     x, y, status = (np.concatenate([getattr(one.truth, name) for one in named]) for name in ("x", "y", "status"))

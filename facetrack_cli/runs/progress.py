@@ -62,8 +62,8 @@ class Bar(Progress):
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-        told = ("description", "fields[count]", "fields[rate]")
-        name, count, rate = (TextColumn(f"{{task.{one}}}", markup=False) for one in told)
+        columns = ("description", "fields[count]", "fields[rate]")
+        name, count, rate = (TextColumn(f"{{task.{one}}}", markup=False) for one in columns)
         console = Console(stderr=True, emoji=False)
         self._bar = Progress(name, BarColumn(), count, rate, TimeRemainingColumn(), console=console, transient=True)
 

@@ -164,7 +164,7 @@ def clip_of(table: Trajectory) -> Path | None:
     return next((p for p in (Path(named), beside / named, beside.parent / named) if is_there(p)), Path(named))
 
 
-def picture_of(table: Trajectory) -> tuple[int, int] | None:
+def frame_size_of(table: Trajectory) -> tuple[int, int] | None:
     """Width and height of its images in pixels."""
     size = said(table, "source", "size")
     if isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size):

@@ -265,7 +265,7 @@ def test_files_are_written_beside_the_tables(folder, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
-        (["--json", "-", "--csv", "-"], 2, "both want standard output"),
+        (["--json", "-", "--csv", "-"], 2, "both name standard output"),
         (["--json", "same", "--csv", "./same"], 2, "name the same file"),
         (["--json", ""], 2, "--json is empty"),
         (["--csv", "."], 2, "is a folder"),

@@ -85,7 +85,7 @@ class Eval:
         from facetrack_cli.evaluation.summary import Options, evaluate
         from facetrack_cli.report.figures.style import need_matplotlib
         from facetrack_cli.trajectory.formats.read import read_results
-        from facetrack_cli.trajectory.header import clip_of, picture_of
+        from facetrack_cli.trajectory.header import clip_of, frame_size_of
 
         files, known = self._files(), self.truth_options
         if self.plot is not None:
@@ -97,7 +97,7 @@ class Eval:
             check_new(path, overwrite=self.overwrite, inputs=(ours.path, theirs.path, clip_of(ours)))
         notes: list[str] = []
         pairs = known.pairs(ours, theirs, notes.append)
-        settings = Options(self.normalise, self.failure, picture_of(ours))
+        settings = Options(self.normalise, self.failure, frame_size_of(ours))
         evaluation = evaluate(pairs, notes, settings, reference=theirs.parts)
         read_as = str(theirs.header.get("read_as", known.truth_format))
         about = About(ours.path, theirs.path, read_as, known.shift or 0, ours.header.get("read_as"))
@@ -121,7 +121,7 @@ class Eval:
         from facetrack_cli.core.files import check_new
 
         if self.json == self.csv == "-":
-            raise UsageError("--json - and --csv - both want standard output; write one of them to a file")
+            raise UsageError("--json - and --csv - both name standard output; write one of them to a file")
         wanted = {"--json": self.json, "--csv": self.csv, "--plot": self.plot}
         files = {name: Path(file) for name, file in wanted.items() if file is not None and file != "-"}
         for name, path in files.items():

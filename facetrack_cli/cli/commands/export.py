@@ -151,12 +151,12 @@ class Export:
 
     def _frames(self, table: Trajectory) -> tuple[tuple[int, int], Callable[[int], str]]:
         """The size of the frames, and the names of their images."""
-        from facetrack_cli.trajectory.header import clip_of, is_there, picture_of
+        from facetrack_cli.trajectory.header import clip_of, is_there, frame_size_of
         from facetrack_cli.video import images
         from facetrack_cli.video.source import open_source
 
         clip = self.media or clip_of(table)
-        size = picture_of(table)
+        size = frame_size_of(table)
         if self.media is not None:
             with open_source(self.media) as opened:
                 found = opened.size

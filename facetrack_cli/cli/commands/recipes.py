@@ -74,7 +74,7 @@ def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
         except RecipeError as error:
             found = [(str(error), error.excerpt)]
         errors += len(found)
-        for line in [part for told in found for part in told if part] or [f"{name}: good"]:
+        for line in [part for problems in found for part in problems if part] or [f"{name}: good"]:
             click.echo(line)
     return ExitCode.USAGE if errors else ExitCode.DONE
 

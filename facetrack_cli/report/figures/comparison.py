@@ -1,4 +1,4 @@
-"""The plots of `compare` and `repeat` as PNG files: names and bytes, which want matplotlib."""
+"""The plots of `compare` and `repeat` as PNG files: names and bytes, which need matplotlib."""
 
 from collections.abc import Callable, Iterator
 

@@ -41,8 +41,8 @@ def gallery_figure(gallery: Gallery, *, title: str) -> Figure:
         page.set(xlim=(0, WIDTH), ylim=(figure.get_figheight(), 0))
         page.set_axis_off()
         _text(page, MARGIN, 0.12, clean(title, 80), size=12, weight="bold")
-        told = f"{count} persons, {sum(gallery.counts)} images; template {rows} points high, {cols} wide"
-        _text(page, MARGIN, 0.37, told, size=8.5, color=FAINT)
+        text = f"{count} persons, {sum(gallery.counts)} images; template {rows} points high, {cols} wide"
+        _text(page, MARGIN, 0.37, text, size=8.5, color=FAINT)
         _spaces(page, gallery, 0.72)
         page.plot((MARGIN, WIDTH - MARGIN), (top, top), color=GRID, linewidth=0.8)
         _text(page, MARGIN, top + 0.1, "Who is in it", weight="bold")
@@ -51,8 +51,8 @@ def gallery_figure(gallery: Gallery, *, title: str) -> Figure:
             _face(page, patch, gallery.shape, x, y, face)
             lines = _lines(f"{number + 1} {name}", step - GAP)
             _text(page, x, y + face + 0.05, *lines, size=8)
-            told = _lines(f"{images} image{'s' * (images > 1)}", step - GAP)[0]
-            _text(page, x, y + face + 0.05 + LINE * len(lines), told, size=8, color=FAINT)
+            text = _lines(f"{images} image{'s' * (images > 1)}", step - GAP)[0]
+            _text(page, x, y + face + 0.05 + LINE * len(lines), text, size=8, color=FAINT)
         return figure
 
 
@@ -61,8 +61,8 @@ def _spaces(page: Axes, gallery: Gallery, top: float) -> None:
     _text(page, MARGIN, top, "Mean face", weight="bold")
     high = min(LEFT, LEFT * gallery.shape[0] / gallery.shape[1])
     _face(page, gallery.frontal.mean, gallery.shape, MARGIN, top + 0.22, high)
-    told = [*textwrap.wrap(calibrated(gallery), 36), "", *textwrap.wrap(stranger(gallery), 36)]
-    _text(page, MARGIN, top + high + 0.3, *told, size=8, color=FAINT)
+    text = [*textwrap.wrap(calibrated(gallery), 36), "", *textwrap.wrap(stranger(gallery), 36)]
+    _text(page, MARGIN, top + high + 0.3, *text, size=8, color=FAINT)
     spaces = (
         ("Frontal faces", "what a face looks like", gallery.frontal),
         ("Intra-personal", "how images of one person differ", gallery.intra),

@@ -67,9 +67,9 @@ def _axis(start, step, length, near, far, share_near, share_far):
 
 
 @fast
-def cross_direct(picture, template, boxes):
+def cross_direct(image, template, boxes):
     """Sum of template (th, tw) times image (H, W) for boxes (N, 3) = (u, v, s), finite, s > 0 -> (N,) float64."""
-    (height, width), (th, tw) = picture.shape, template.shape
+    (height, width), (th, tw) = image.shape, template.shape
     left, right = np.zeros(tw, np.int64), np.zeros(tw, np.int64)
     upper, lower = np.zeros(th, np.int64), np.zeros(th, np.int64)
     a, b = np.zeros(tw, np.float32), np.zeros(tw, np.float32)
@@ -83,7 +83,7 @@ def cross_direct(picture, template, boxes):
         for i in range(th):
             if c[i] + d[i] == 0.0:
                 continue
-            above, below, blend = picture[upper[i], x0:x1], picture[lower[i], x0:x1], line[x0:x1]
+            above, below, blend = image[upper[i], x0:x1], image[lower[i], x0:x1], line[x0:x1]
             for j in range(len(blend)):
                 blend[j] = c[i] * np.float32(above[j]) + d[i] * np.float32(below[j])
             # summed row by row, so that float32 loses nothing
@@ -95,9 +95,9 @@ def cross_direct(picture, template, boxes):
 
 
 @exact
-def read_patch(picture, u, v, s, th, tw):
+def read_patch(image, u, v, s, th, tw):
     """The image (H, W) uint8 at the points of a template of (th, tw) at (u, v, s) -> (th, tw) float32."""
-    height, width = picture.shape
+    height, width = image.shape
     left, right, a, b = np.zeros(tw, np.int64), np.zeros(tw, np.int64), np.zeros(tw), np.zeros(tw)
     upper, lower, c, d = np.zeros(th, np.int64), np.zeros(th, np.int64), np.zeros(th), np.zeros(th)
     _axis(u, s, width, left, right, a, b)
@@ -105,8 +105,8 @@ def read_patch(picture, u, v, s, th, tw):
     out = np.empty((th, tw), np.float32)
     for i in range(th):
         for j in range(tw):
-            out[i, j] = c[i] * (a[j] * picture[upper[i], left[j]] + b[j] * picture[upper[i], right[j]]) + d[i] * (
-                a[j] * picture[lower[i], left[j]] + b[j] * picture[lower[i], right[j]]
+            out[i, j] = c[i] * (a[j] * image[upper[i], left[j]] + b[j] * image[upper[i], right[j]]) + d[i] * (
+                a[j] * image[lower[i], left[j]] + b[j] * image[lower[i], right[j]]
             )
     return out
 

@@ -35,12 +35,12 @@ def _axis(centre, step, low, whole, count, factor, at, part):
 
 
 @inline
-def _read(picture, view, factor, box, size, columns, across, lines, down, line, patch):
+def _read(image, view, factor, box, size, columns, across, lines, down, line, patch):
     """The `patch` of the `box` (cx, cy, s), read bilinearly; `view` as in `patch_distances`, the others are scratch.
 
     Returns (first row, last row, first column, last column), half-open: the points within the image, which are set.
     """
-    height, width = picture.shape
+    height, width = image.shape
     one, stride = np.float32(1.0), len(columns) + 1
     r0, r1 = _axis(box[1], box[2] * size[1] / len(lines), view[1], view[3], height, factor, lines, down)
     c0, c1 = _axis(box[0], box[2] * size[0] / len(columns), view[0], view[2], width, factor, columns, across)
@@ -55,7 +55,7 @@ def _read(picture, view, factor, box, size, columns, across, lines, down, line, 
             at[j] -= start
         for i in range(r0, r1):
             y, fy = lines[i], down[i]
-            upper, lower = picture[y, start:end], picture[y + below, start:end]
+            upper, lower = image[y, start:end], image[y + below, start:end]
             for j in range(len(upper)):
                 line[j] = (one - fy) * np.float32(upper[j]) + fy * np.float32(lower[j])
             row = patch[(i + 1) * stride + 1 + c0 : (i + 1) * stride + 1 + c1]

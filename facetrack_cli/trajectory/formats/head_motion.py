@@ -82,9 +82,9 @@ def head_motion(parts: Sequence[Trajectory]) -> list[Span]:
 
 
 def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
-    """The kinds that can be told of a target with these parts at all: a single point has neither angle nor size."""
-    told = _pose(parts).signals
-    return tuple(kind for kind in KINDS if kind in told or kind not in RATES)
+    """The kinds that can be measured of a target with these parts at all: a single point has neither angle nor size."""
+    signals = _pose(parts).signals
+    return tuple(kind for kind in KINDS if kind in signals or kind not in RATES)
 
 
 def _pose(parts: Sequence[Trajectory]) -> Pose:

@@ -81,21 +81,21 @@ class Recognition:
         n, (w, h), wanted, notes = len(self.names), self.appearance.patches.size, self.gallery.proportion, []
         if wanted is not None and not 1 / MOST_STRETCH <= w / h / wanted <= MOST_STRETCH:
             box = f"the box of {w:.0f}x{h:.0f} pixels is {w / h:.2f} times as wide as high"
-            remedy = "who it is may be told wrongly; begin with a box of their proportions"
+            remedy = "the name may be wrong; begin with a box of their proportions"
             notes.append(f"{box}, and those of the gallery are {wanted:.2f} times: {remedy}")
         return Recognised(self.appearance.init(frame, x0), self.names, np.full(n, -math.log(n)), tuple(notes))
 
     def score(self, learned: Recognised, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a + log sum_l beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6) -> (N, 1)."""
-        told = self._log_joint(learned, frame, x)
-        return self.appearance.score(learned.appearance, frame, x, parents) + logsumexp(told, axis=1)[:, None]
+        joint = self._log_joint(learned, frame, x)
+        return self.appearance.score(learned.appearance, frame, x, parents) + logsumexp(joint, axis=1)[:, None]
 
     def learn(self, learned: Recognised, frame: Frame, state: Array, particles: Particles) -> Recognised:
         """The appearance at the estimate `state` (1, 6), and the posterior by the weights of the particles."""
-        told = self._log_joint(learned, frame, particles.x)
+        joint = self._log_joint(learned, frame, particles.x)
         heavy = particles.log_w > particles.log_w.max() + math.log(_LEAST_WEIGHT)
-        told, log_w = told[heavy], particles.log_w[heavy]
-        each = told - logsumexp(told, axis=1)[:, None]
+        joint, log_w = joint[heavy], particles.log_w[heavy]
+        each = joint - logsumexp(joint, axis=1)[:, None]
         log_beta = normalise(np.maximum(logsumexp(log_w[:, None] + each, axis=0), _NEVER))
         appearance = self.appearance.learn(learned.appearance, frame, state, particles)
         return replace(learned, appearance=appearance, log_beta=log_beta)
@@ -121,20 +121,20 @@ class Recognition:
         # of the array x itself, since `score` and `learn` ask for the same one
         none, sharpness = self.settings.none, self.settings.sharpness
         key = id(x), self.gallery, none, sharpness, factor, self.appearance.patches
-        told = frame.remembered(key)
-        if told is None:
+        joint = frame.remembered(key)
+        if joint is None:
             patches = self.appearance.patches.read(frame, x, factor)
             frontal, log_n = self.gallery.log_scores(patches, sharpness=sharpness, none=none)
             with np.errstate(divide="ignore"):
                 named, nobody = np.log(frontal)[:, None] + log_n, np.log1p(-frontal)[:, None]
-                told = np.logaddexp(named, nobody - math.log(len(self.names))).astype(np.float32)
-            frame.remember(key, x, told)
+                joint = np.logaddexp(named, nobody - math.log(len(self.names))).astype(np.float32)
+            frame.remember(key, x, joint)
         log_beta = learned.log_beta
         if switch := self.settings.switch:
             beta = np.exp(log_beta)
             with np.errstate(divide="ignore"):
                 log_beta = np.log((1.0 - switch) * beta + switch * (1.0 - beta) / (len(beta) - 1))
-        return np.asarray(np.maximum(told.astype(np.float64) + log_beta, _NEVER))
+        return np.asarray(np.maximum(joint.astype(np.float64) + log_beta, _NEVER))
 
 
 def find_gallery(settings: affine.Recognition, shape: tuple[int, int], recipe: Recipe, above: str) -> Gallery:
