@@ -151,7 +151,7 @@ class Export:
 
     def _frames(self, table: Trajectory) -> tuple[tuple[int, int], Callable[[int], str]]:
         """The size of the frames, and the names of their images."""
-        from facetrack_cli.trajectory.header import clip_of, is_there, frame_size_of
+        from facetrack_cli.trajectory.header import clip_of, frame_size_of, is_there
         from facetrack_cli.video import images
         from facetrack_cli.video.source import open_source
 
