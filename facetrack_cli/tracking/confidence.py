@@ -8,7 +8,7 @@ The window at the estimate is compared with the template, and the distance d is 
               of a blank window if that is less. A lower quantile is stricter
     confidence = clip((bad - d) / (bad - good), 0, 1), and 0 for a part that looks like all that is around it
 
-A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, `tracked` once it is above.
+A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, `tracked` once it is not.
 """
 
 from dataclasses import dataclass, fields, replace
