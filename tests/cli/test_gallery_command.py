@@ -78,7 +78,7 @@ def test_fit_and_show(facetrack, clips):
 
 def test_without_matplotlib_show_says_how_to_get_it_and_writes_nothing(facetrack, clips, monkeypatch):
     some_gallery(["anna", "ben"]).save(Path("gallery.npz"))
-    monkeypatch.setattr("facetrack_cli.cli.options.need_matplotlib", missing)
+    monkeypatch.setattr("facetrack_cli.report.figures.style.need_matplotlib", missing)
     code, out, err = facetrack("gallery", "show")
     assert (code, out, err) == (2, "", "facetrack: error: figures need matplotlib\n")
     assert names_here() == ["gallery.npz"]

@@ -20,7 +20,7 @@ from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.source import open_source
 
-CLIPS = Path(os.environ.get("FACETRACK_CLIPS", Path(__file__).parents[3] / "shared" / "clips"))
+CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))
 pytestmark = pytest.mark.clips
 
 
@@ -67,7 +67,7 @@ def test_the_predicted_shift_points_to_the_true_place(name: str) -> None:
     truth, recipe = truth_of(clip), load_recipe("adaptive")
     start = Begin(clip).find(recipe, truth)
     (target,) = build_tracker(recipe, start)
-    guide, model = target.guide, target.likelihood  # type: ignore[attr-defined]
+    motion, model = target.motion, target.likelihood  # type: ignore[attr-defined]
     (true,) = truth.parts
     box = dict(zip(true.frame.tolist(), true.boxes, strict=True))
     width, height = box[start.frame][2:]
@@ -82,8 +82,8 @@ def test_the_predicted_shift_points_to_the_true_place(name: str) -> None:
             if isinstance(last, Frame):
                 here, moved = state(last.index), (state(frame.index) - state(last.index))[0, :2]
                 mixture = model.init(last, here)
-                flow = guide.begin(rng, last, here, target.motion)  # type: ignore[attr-defined]
-                shift = guide.predict(
+                flow = motion.begin(rng, last, here)
+                shift = motion.predict(
                     flow, frame, lambda y, m=mixture: model.error(m, y), lambda m=mixture: model.expected(m)
                 ).shift[0, :2]
                 rows.append([np.linalg.norm(moved - guess) for guess in (np.zeros(2), shift, -shift)])

@@ -22,7 +22,7 @@ from facetrack_cli.tracking.start.points import HALF_WIDTH, MOUTH_Y, TIP_ABOVE_S
 from facetrack_cli.tracking.start.preview import draw_start
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
-CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "../shared/clips"))
+CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))
 NOBODY = np.random.default_rng(7).integers(0, 256, (120, 160, 3), dtype=np.uint8)
 
 

@@ -18,7 +18,7 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.video.source import Source, open_source
 from tests.support import media
 
-CLIPS = Path(os.environ.get("FACETRACK_CLIPS", Path(__file__).parents[3] / "shared" / "clips"))
+CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))
 
 
 def read(path: Path, **options: object) -> tuple[Source, list[Frame]]:
