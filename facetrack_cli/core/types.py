@@ -137,7 +137,7 @@ class Correction:
 
     `given` is its box, or points of it, without windows; `kept` says where its other points were: what is neither given
     nor kept stays where the tracker has it. `absent` are parts that cannot be seen from there on, True for all.
-    `learn`: whether the appearance is learned again there; None: of what is given.
+    `learn`: whether the appearance is learned again there; None: of what is given. None where all is absent.
     """
 
     frame: int
@@ -146,6 +146,10 @@ class Correction:
     kept: Mapping[str, Point] = field(default_factory=dict)
     absent: tuple[str, ...] | Literal[True] = ()
     learn: bool | None = None
+
+    def __post_init__(self) -> None:
+        if self.absent is True:  # nothing is there to be learned
+            object.__setattr__(self, "learn", None)
 
     def hidden(self, parts: Sequence[str]) -> tuple[str, ...]:
         """Those of `parts` that cannot be seen from there on."""

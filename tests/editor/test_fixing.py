@@ -497,7 +497,9 @@ def test_what_is_dragged_goes_over_what_its_frame_has():
     assert merged(5, "t", None, {}, ("b",), old, parts).kept == {}
     gone = Correction(5, "t", absent=True)
     assert merged(5, "t", None, {"b": (3, 3)}, (), gone, parts).absent == ("a", "c")
-    assert merged(5, "t", None, {"b": (3, 3)}, (), replace(old, learn=False), parts).learn is False
+    unlearned = replace(old, learn=False)
+    assert merged(5, "t", None, {"b": (3, 3)}, (), unlearned, parts).learn is False
+    assert merged(5, "t", None, {}, ("a", "b"), unlearned, parts) == gone  # an init file refuses learn: beside it
 
 
 # --- other clips, other folders --------------------------------------------------------------------------------------

@@ -110,7 +110,7 @@ class FixSession(Session):
         self.refuse_if_busy()
         given = self._corrections(draft)
         if learn != "keep":
-            given = [one if one.absent is True else replace(one, learn=learn) for one in given]
+            given = [replace(one, learn=learn) for one in given]
         for one in given:
             self.fixer.check(one)
 

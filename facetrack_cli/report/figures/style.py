@@ -108,8 +108,24 @@ def render(figure: Figure, form: str = "png", *, dpi: float = DPI) -> bytes:
     none = {"png": ["Software"], "svg": ["Date", "Creator"], "pdf": ["CreationDate", "Creator", "Producer"]}
     into = io.BytesIO()
     with style():
+        _lay_out(figure)
         figure.savefig(into, format=form, dpi=dpi, metadata=dict.fromkeys(none[form]))
     return into.getvalue()
+
+
+def _lay_out(figure: Figure) -> None:
+    """Place everything, rounded: the solver of the layout does not give equal last digits each time."""
+    from matplotlib.transforms import Bbox
+
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for axes in figure.axes:
+        axes.set_position(Bbox(axes.get_position(original=True).get_points().round(6)))
+    below = list(figure.subfigs)
+    while below:
+        part = below.pop()
+        part.bbox_relative.set_points(part.bbox_relative.get_points().round(6))
+        below += part.subfigs
 
 
 def line_style(index: int) -> dict[str, Any]:
