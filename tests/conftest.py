@@ -16,10 +16,12 @@ from tests.support.samples import FOLDER
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# property tests try 50 examples; HYPOTHESIS_PROFILE=nightly tries 200
+# property tests try the same 50 examples each time; HYPOTHESIS_PROFILE=nightly tries 200, new ones each time
 for profile, examples in {"default": 50, "nightly": 200}.items():
     unhealthy = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-    settings.register_profile(profile, max_examples=examples, deadline=None, suppress_health_check=unhealthy)
+    settings.register_profile(
+        profile, max_examples=examples, deadline=None, suppress_health_check=unhealthy, derandomize=profile == "default"
+    )
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 
