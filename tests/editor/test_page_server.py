@@ -516,3 +516,10 @@ def test_an_internal_error_is_one_line_and_remembered(client, session, capfd):
     assert client.ask("POST", "api/input", {}).status == 422
     assert client.get("api/state").status == 200
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_request_that_meets_the_end_gets_no_answer_and_is_no_error(client, session, capfd):
+    session.stopping.set()
+    with pytest.raises(ConnectionError):
+        client.ask("POST", "api/boom", {})
+    assert session.first_error is None and capfd.readouterr() == ("", "")

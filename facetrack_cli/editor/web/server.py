@@ -161,6 +161,8 @@ class _Handler(BaseHTTPRequestHandler):
         except (ConnectionError, TimeoutError):  # the page has gone
             raise
         except Exception as e:
+            if self.server.session.stopping.is_set():  # what it needs is closed
+                raise ConnectionAbortedError from e
             answer = Answer({"error": self.server.session.record(e)}, 500)
         self._send(_encoded(answer))
 
