@@ -11,15 +11,13 @@ import errno  # noqa: E402
 import io  # noqa: E402
 import os  # noqa: E402
 import sys  # noqa: E402
-import threading  # noqa: E402
 from collections.abc import Sequence  # noqa: E402
-from types import FrameType  # noqa: E402
-from typing import NoReturn  # noqa: E402
 
 import click  # noqa: E402
 
 from facetrack_cli.cli.app import READER_GONE, cli  # noqa: E402
 from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError  # noqa: E402
+from facetrack_cli.runs.signals import TerminatedError, raising  # noqa: E402
 
 with contextlib.suppress(ValueError):
     signal.signal(signal.SIGINT, _before)
@@ -27,34 +25,16 @@ with contextlib.suppress(ValueError):
 _STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
 
-class _Terminated(BaseException):
-    """SIGTERM, where no loop over frames handles it (runs/signals.py)."""
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line (by default the process's own) and return its exit code."""
     _open_streams()
-    before = signal.getsignal(signal.SIGTERM)
-    listening = threading.current_thread() is threading.main_thread() and before is signal.SIG_DFL
-    if listening:
-        signal.signal(signal.SIGTERM, _terminate)
-    try:
+    with raising():
         code = _run(argv)
-        if argv is None and code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED):
-            # another Ctrl-C while the interpreter shuts down must not change the exit code
-            with contextlib.suppress(ValueError):
-                signal.signal(signal.SIGINT, signal.SIG_IGN)
-        return code
-    except _Terminated:
-        _say("terminated")
-        return ExitCode.TERMINATED
-    finally:
-        if listening:
-            signal.signal(signal.SIGTERM, before)
-
-
-def _terminate(number: int, frame: FrameType | None) -> NoReturn:
-    raise _Terminated
+    if argv is None and code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED):
+        # another Ctrl-C while the interpreter shuts down must not change the exit code
+        with contextlib.suppress(ValueError):
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return code
 
 
 def _open_streams() -> None:
@@ -81,6 +61,9 @@ def _run(argv: Sequence[str] | None) -> int:
     except (KeyboardInterrupt, click.Abort):
         _say("interrupted")
         return ExitCode.INTERRUPTED
+    except TerminatedError:
+        _say("terminated")
+        return ExitCode.TERMINATED
     except BrokenPipeError:
         _forget_output()
         return READER_GONE

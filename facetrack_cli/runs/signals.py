@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
+from typing import Any, ClassVar, NoReturn
 
 from facetrack_cli.core.errors import ExitCode
 
@@ -17,8 +19,14 @@ from facetrack_cli.core.errors import ExitCode
 _CODES = {"SIGINT": ExitCode.INTERRUPTED, "SIGTERM": ExitCode.TERMINATED, "SIGHUP": ExitCode.TERMINATED}
 
 
+class TerminatedError(BaseException):
+    """SIGTERM where no Stop listens."""
+
+
 class Stop:
     """Whether the run is to end. `code` is the exit code of the first wish; `elsewhere` asks another process."""
+
+    before: ClassVar[ExitCode | None] = None  # of a signal that came before any Stop listened
 
     def __init__(self, elsewhere: Callable[[], ExitCode | None] = lambda: None) -> None:
         self.code: ExitCode | None = None
@@ -26,7 +34,7 @@ class Stop:
 
     def __call__(self) -> bool:
         if self.code is None:
-            self.code = self._elsewhere()
+            self.code = Stop.before or self._elsewhere()
         return self.code is not None
 
     @property
@@ -48,3 +56,34 @@ class Stop:
                 for number in known:
                     restored.callback(signal.signal, number, signal.signal(number, note))
             yield self
+
+
+@contextlib.contextmanager
+def raising() -> Iterator[None]:
+    """Where no Stop listens, Ctrl-C raises KeyboardInterrupt and SIGTERM TerminatedError; what is ignored stays so.
+
+    Within an import, which may turn the exception into another one, the process ends at once, as by kill. Python drops
+    what is raised within a `__del__` or a callback: then the next Stop ends at once.
+    """
+
+    def end(number: int, frame: FrameType | None) -> NoReturn:
+        while frame is not None:
+            if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+                signal.signal(number, signal.SIG_DFL)
+                signal.raise_signal(number)
+            frame = frame.f_back
+        Stop.before = _CODES[signal.Signals(number).name]
+        raise KeyboardInterrupt if number == signal.SIGINT else TerminatedError
+
+    def report(dropped: Any) -> None:
+        if not isinstance(dropped.exc_value, KeyboardInterrupt | TerminatedError):
+            reported(dropped)
+
+    reported, sys.unraisablehook = sys.unraisablehook, report
+    with contextlib.ExitStack() as restored:
+        restored.callback(setattr, sys, "unraisablehook", reported)
+        restored.callback(setattr, Stop, "before", None)
+        for number in (signal.SIGINT, signal.SIGTERM) if threading.current_thread() is threading.main_thread() else ():
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+                restored.callback(signal.signal, number, signal.signal(number, end))
+        yield

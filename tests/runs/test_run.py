@@ -23,7 +23,7 @@ from facetrack_cli.core.files import FileSink
 from facetrack_cli.core.types import Image
 from facetrack_cli.recipe.files import shipped_folder
 from facetrack_cli.runs.batch import folders
-from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.signals import Stop, TerminatedError, raising
 from facetrack_cli.trajectory.writers import COLUMNS
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
@@ -673,6 +673,27 @@ def test_signals_leave_a_note_and_are_given_back() -> None:
         assert stop()
         assert (stop.code, stop.reason) == (ExitCode.TERMINATED, "terminated")
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_that_python_drops_before_anything_listens_is_not_lost(
+    number: signal.Signals, code: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    class Struck:
+        def __del__(self) -> None:
+            signal.raise_signal(number)
+
+    with raising():
+        struck = Struck()
+        del struck
+        with Stop().listening() as stop:
+            assert stop()
+            assert stop.code == code
+    assert capfd.readouterr() == ("", "")
+    with raising(), pytest.raises((KeyboardInterrupt, TerminatedError)):
+        signal.raise_signal(number)
+    with raising(), Stop().listening() as stop:
+        assert not stop()
 
 
 def test_a_signal_that_is_ignored_stays_ignored() -> None:
