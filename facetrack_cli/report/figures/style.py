@@ -117,8 +117,11 @@ def _lay_out(figure: Figure) -> None:
     """Place everything, rounded: the solver of the layout does not give equal last digits each time."""
     from matplotlib.transforms import Bbox
 
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")
+    engine = figure.get_layout_engine()
+    if engine is None:  # it is rendered once more
+        return
+    engine.execute(figure)
+    figure.set_layout_engine(None)  # else savefig draws twice, for the engine's sake
     for axes in figure.axes:
         axes.set_position(Bbox(axes.get_position(original=True).get_points().round(6)))
     below = list(figure.subfigs)
