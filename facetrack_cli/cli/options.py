@@ -312,18 +312,18 @@ class Results:
         self, names: Sequence[str], shown: Progress, folder: Folder, found: Comparison | Repetition, figures: Figures
     ) -> None:
         """Write all files, without matplotlib all but the plots, and print the table, or the data."""
+        texts, sheet = (found.json(), found.csv()), found.sheet()
         try:
-            texts = (found.json(), found.csv(), found.sheet().markdown())
-            for name, text in zip(names[: len(texts)], texts, strict=True):
+            for name, text in zip(names, (*texts, sheet.markdown()), strict=False):  # the others are plots
                 folder.write(name, text)
             if not self.no_plots and self._can_draw(shown):
                 for name, png in figures():
                     folder.write(name, png)
         finally:  # what took long is not lost for a full disk
             if self.as_json or self.as_csv:
-                click.echo(found.json() if self.as_json else found.csv(), nl=False)
+                click.echo(texts[0 if self.as_json else 1], nl=False)
             else:
-                found.sheet().show()
+                sheet.show()
         shown.say(f"{found.clip} -> {folder.summary()}")
 
     def _can_draw(self, shown: Progress) -> bool:

@@ -2,11 +2,12 @@
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TypeVar
 
 import numpy as np
 
+from facetrack_cli import __version__
 from facetrack_cli.core.types import Mask
 
 _Number = TypeVar("_Number", int, float)
@@ -15,6 +16,12 @@ _Number = TypeVar("_Number", int, float)
 def dumps(value: object) -> str:
     """A value as JSON on one line, in UTF-8."""
     return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+def document(schema: str, fields: Mapping[str, object], indent: int | None = None) -> str:
+    """A JSON file of version 1 of a schema."""
+    whole = {"schema": schema, "version": 1, "facetrack": __version__, **fields}
+    return json.dumps(whole, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def clock(seconds: float) -> str:

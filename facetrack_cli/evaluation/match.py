@@ -14,7 +14,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Array, Whole
-from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.evaluation.rows import Pair, at
 from facetrack_cli.trajectory.header import frame_size_of
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -134,9 +134,9 @@ def _nameless(ours: Trajectory, truth: Trajectory, note: Callable[[str], None]) 
     return Pair(boxed[0], truth.parts[0])
 
 
-def _names(those: Sequence[Trajectory], most: int = 6) -> str:
+def _names(those: Sequence[Trajectory]) -> str:
     names = [one.name if one.target else f"{one.part} without a name" for one in those]
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
 def _check_status(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair]) -> None:
@@ -298,13 +298,9 @@ class _Track(NamedTuple):
     def errors(self, lag: int) -> tuple[Array, Array, Array]:
         """(rows, 2) each, ours less truth: at the lag; at 0, its rows of ground truth; at 0, its rows of ours."""
         wanted = self.truth_frame - lag
-        moved, still = self._ours_at(wanted), self._ours_at(self.truth_frame)
+        moved, still = (at(frames, self.frame, self.ours) for frames in (wanted, self.truth_frame))
         between = np.stack([np.interp(wanted, self.truth_frame, axis, np.nan, np.nan) for axis in self.truth.T], axis=1)
         return moved - self.truth, still - self.truth, moved - between
-
-    def _ours_at(self, frames: Whole) -> Array:
-        place = np.minimum(np.searchsorted(self.frame, frames), len(self.frame) - 1)
-        return np.where((self.frame[place] == frames)[:, None], self.ours[place], np.nan)
 
 
 def _track(ours: Trajectory, truth: Trajectory) -> _Track | None:

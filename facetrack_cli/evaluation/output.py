@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -13,11 +12,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from facetrack_cli import __version__
-from facetrack_cli.evaluation.measure import HALVES, PERCENT, measures_of
+from facetrack_cli.core.numbers import document
+from facetrack_cli.evaluation.measure import HALVES, PERCENT
 from facetrack_cli.evaluation.points import HELD
 from facetrack_cli.evaluation.rows import NEAR_IOU
-from facetrack_cli.evaluation.summary import GROUPS, MEASURES, Evaluation, Measured
+from facetrack_cli.evaluation.summary import MEASURES, Evaluation, Measured
 from facetrack_cli.evaluation.trust import CalibrationBin
 
 CURVES: Final = ("success", "precision", "normalised_precision")
@@ -41,10 +40,7 @@ class About:
 def to_json(evaluation: Evaluation, about: About) -> str:
     """Figures stand below the first words of their names, as `all.points.mean_px`; what is not defined is null."""
     options, frames = evaluation.options, evaluation.frames
-    whole = {
-        "schema": "facetrack-evaluation",
-        "version": 1,
-        "facetrack": __version__,
+    fields = {
         "trajectory": str(about.trajectory),
         **({"trajectory_read_as": about.results_read_as} if about.results_read_as else {}),
         "truth": {"path": str(about.truth), "read_as": about.read_as, "shift": about.shift},
@@ -57,17 +53,16 @@ def to_json(evaluation: Evaluation, about: About) -> str:
         "occlusions": [asdict(one) for one in evaluation.occlusions],
         "notes": list(evaluation.notes),
     }
-    return json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return document("facetrack-evaluation", fields, indent=1)
 
 
 def _groups(one: Measured) -> dict[str, Any]:
     """What was measured, by the first words of the measures' names; what was not is left out."""
-    found = one.figures
-    out: dict[str, Any] = {
-        group: {name: found[f"{group}.{name}"] for name in measures_of(kind)}
-        for group, kind in GROUPS.items()
-        if getattr(one, group) is not None
-    }
+    out: dict[str, Any] = {}
+    for name, value in one.figures.items():
+        group, _, figure = name.partition(".")
+        if getattr(one, group) is not None:
+            out.setdefault(group, {})[figure] = value
     if one.boxes is not None:
         curves = [(name, getattr(one.boxes, name).tolist()) for name in CURVES]
         out["boxes"]["curves"] = {name: [v if math.isfinite(v) else None for v in each] for name, each in curves}

@@ -144,15 +144,21 @@ class Unit:
 
     def at(self, frames: Whole) -> Array:
         """(R,) lengths for frames (R,); nan where there is none."""
-        return _at(frames, self.frame, self.length)
+        return at(frames, self.frame, self.length)
 
 
-def _at(frames: Whole, known: Whole, values: Array) -> Array:
-    """(R,) values (F,) of the increasing frames `known` (F,) at `frames` (R,); nan for frames that are not there."""
-    if not len(known):
-        return np.full(len(frames), np.nan)
-    place = np.searchsorted(known, frames).clip(max=len(known) - 1)
-    return np.where(known[place] == frames, values[place], np.nan)
+def at(frames: Whole, known: Whole, values: Array) -> Array:
+    """(R, ...) values (F, ...) of the increasing frames `known` (F,) at `frames` (R,); nan for frames not there."""
+    found = np.full((len(frames), *values.shape[1:]), np.nan)
+    there = np.isin(frames, known)
+    found[there] = values[np.searchsorted(known, frames[there])]
+    return found
+
+
+def places(truth: Trajectory, frames: Whole) -> Array:
+    """(R, 2) true centres in these frames; nan where they are not known, or the part is absent."""
+    centres = np.stack([truth.x, truth.y], axis=1)
+    return at(frames, truth.frame, np.where(truth.status[:, None] == "absent", np.nan, centres))
 
 
 def check_normalise(how: str) -> str:
@@ -185,10 +191,10 @@ def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) 
     one = truth[0]
     if how in NAMED or ":" in how:
         one, other = _pair(how, truth)
-        ends = [np.stack([_at(frames, s.frame, s.x), _at(frames, s.frame, s.y)]) for s in (one, other)]
+        ends = [np.stack([at(frames, s.frame, s.x), at(frames, s.frame, s.y)]) for s in (one, other)]
         length, what = np.hypot(*(ends[0] - ends[1])), f"{one.part} to {other.part}"
     elif how == "size" and box:
-        length, what = _at(frames, one.frame, np.sqrt(np.maximum(one.w * one.h, 0))), "size, sqrt(width * height)"
+        length, what = at(frames, one.frame, np.sqrt(np.maximum(one.w * one.h, 0))), "size, sqrt(width * height)"
     else:
         size, text = _size(truth, frames) if how == "size" else (float(how), f"{float(how):g} px")
         return Unit(frames, np.full(len(frames), size), text)
@@ -213,13 +219,11 @@ def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:
     """The unit of recipes and what it is; nan if there is none."""
     if len(truth) < 2:
         return math.nan, "size: one point has none"
-    absent = [_at(frames, s.frame, np.where(s.status == "absent", np.nan, 0.0)) for s in truth]
-    axes = [[_at(frames, s.frame, axis) for axis in (s.x, s.y)] for s in truth]
-    points = np.array(axes) + np.array(absent)[:, None]  # (K, 2, F)
-    together = np.flatnonzero(np.isfinite(points).all(axis=(0, 1)))
+    points = np.stack([places(one, frames) for one in truth])  # (K, F, 2)
+    together = np.flatnonzero(np.isfinite(points).all(axis=(0, 2)))
     if not together.size:
         return math.nan, "size: no frame of the ground truth has all points"
-    size = size_of_points(points[:, :, together[0]])
+    size = size_of_points(points[:, together[0]])
     if size == 0:
         return math.nan, "size: all points of the ground truth are at one place"
     first = frames[together[0]]

@@ -67,7 +67,7 @@ def make_report(
     """The report of the run in the folder `run`, which fetches nothing and runs no script.
 
     Raises InputError for a folder without a JSON trajectory, a broken one, a `clip` that is not the run's, and ground
-    ground truth that does not fit; UsageError without matplotlib or Jinja2.
+    truth that does not fit; UsageError without matplotlib or Jinja2.
     """
     plots.need_matplotlib()
     template = _template()

@@ -18,7 +18,7 @@ from tests.support.samples import FOLDER, read_pictures, read_rows
 
 CUT, FRAMES = 14, 40
 AWAY = {"turning": (-60, 40), "expressions": (40, -30)}
-X, Y, W, H, CONFIDENCE, STATUS, BY_HAND = 0, 1, 2, 3, 5, 6, 7  # of a cell in api/rows
+CONFIDENCE, STATUS, BY_HAND = 5, 6, 7  # of a cell in api/rows
 HEAD = ["--config", "contour_histogram_correlation", "--set", "filter.particles=100"]
 FACE = ["--config", "factorized", "--set", "filter.particles=40"]
 BOXES = ("head", "left_hand", "right_hand")

@@ -34,10 +34,10 @@ def face_of(name, number):
     return np.clip(lit, 0, 255).astype(np.uint8)
 
 
-def people_folder(folder, pictures, names=NAMES):
-    """A folder of both persons, with so many images each; `names` are what they are called."""
-    for person, name in zip(NAMES, names, strict=True):
+def people_folder(folder, pictures):
+    """A folder of both persons, with so many images each."""
+    for name in NAMES:
         (folder / name).mkdir(parents=True)
         for number in range(pictures):
-            cv2.imwrite(str(folder / name / f"{number + 1}.png"), face_of(person, number))
+            cv2.imwrite(str(folder / name / f"{number + 1}.png"), face_of(name, number))
     return folder

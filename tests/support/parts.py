@@ -82,10 +82,10 @@ def affine_walk(sigma, deform, shear=None, scale=(0.2, 5.0), turn=None):
     return AffineWalk(section(affine.AffineWalk, deform=deform, shear=shear, turn=turn), sigma, scale)
 
 
-def predicted(walk, patches, velocity=None, noise=None, particles=100):
+def predicted(walk, patches, velocity=None, noise=None):
     """The walk around a predicted place."""
     settings = walk.settings.model_copy(update={"velocity": velocity, "noise": noise})
-    return PredictedWalk(settings, walk.sigma, walk.scale, patches, particles)
+    return PredictedWalk(settings, walk.sigma, walk.scale, patches, 100)
 
 
 def sir(**settings):

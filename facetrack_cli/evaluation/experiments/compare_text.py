@@ -8,8 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from facetrack_cli.core.numbers import document
 from facetrack_cli.evaluation.experiments.compare import Entry, Place, kind_of, less_is_better, rank
-from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name, document, rounded
+from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name, rounded
 from facetrack_cli.evaluation.summary import MEASURES
 from facetrack_cli.recipe.model import to_dict
 

@@ -26,9 +26,11 @@ from typing import Any, Final
 import numpy as np
 
 from facetrack_cli.core.geometry import size_of_points
+from facetrack_cli.core.numbers import document
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name, document, rounded
+from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name, rounded
 from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.rows import places
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -127,7 +129,8 @@ def spreads(
         kept = [one.take(np.isin(one.frame, frames)) for one in runs]
         positions = np.stack([np.stack([one.x, one.y], axis=1) for one in kept])
         limit = fraction * target_size(tables, first.target)
-        found.append(spread_of(*name, seeds, frames, positions, limit, _truth_at(known.get(name), frames)))
+        true = places(known[name], frames) if name in known else None
+        found.append(spread_of(*name, seeds, frames, positions, limit, true))
     return tuple(found)
 
 
@@ -135,17 +138,6 @@ def matched(table: Trajectory, truth: Trajectory | None) -> list[Trajectory]:
     """The parts of the ground truth under the names of a run's."""
     pairs = [] if truth is None else match(table, truth, partial=True, select=None, check_shift=False)
     return [pair.truth.renamed(pair.ours.target, pair.ours.part) for pair in pairs]
-
-
-def _truth_at(truth: Trajectory | None, frames: Whole) -> Array | None:
-    """(T, 2): the true centres in these frames, nan where they are not known."""
-    if truth is None:
-        return None
-    out = np.full((len(frames), 2), np.nan)
-    _, ours, theirs = np.intersect1d(frames, truth.frame, assume_unique=True, return_indices=True)
-    places = np.stack([truth.x[theirs], truth.y[theirs]], axis=1)
-    out[ours] = np.where(truth.status[theirs, None] == "absent", np.nan, places)
-    return out
 
 
 def spread_of(

@@ -1,6 +1,5 @@
 """What an experiment found, as text: a table on a terminal, piped or as Markdown, and JSON."""
 
-import json
 import math
 import os
 import re
@@ -8,11 +7,10 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import click
 
-from facetrack_cli import __version__
 from facetrack_cli.runs.seeds import OVERRIDES
 
 WIDE: Final = 100  # columns of a table that is not printed on a terminal
@@ -103,12 +101,6 @@ def clip_name(clip: Path) -> str:
     """A clip in titles: a file's name; a folder with the one above it, since so many are called img."""
     place = Path(os.path.abspath(clip))  # noqa: PTH100 -- Path.resolve follows links
     return f"{place.parent.name}/{place.name}" if place.is_dir() and place.parent.name else place.name
-
-
-def document(schema: str, fields: dict[str, Any], indent: int | None = None) -> str:
-    """A JSON file of version 1 of a schema."""
-    whole = {"schema": schema, "version": 1, "facetrack": __version__, **fields}
-    return json.dumps(whole, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def rounded(value: float | None, digits: int) -> float | None:
