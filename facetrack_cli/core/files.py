@@ -280,7 +280,7 @@ class Folder:
 
     def write(self, name: str, data: str | bytes) -> None:
         """Write one file, whole or not at all."""
-        content = data.encode(errors="backslashreplace") if isinstance(data, str) else data
+        content = _bytes(data) if isinstance(data, str) else data
         write_new(self.path / name, content, overwrite=self._overwrite)
         self.written.append(self.path / name)
 

@@ -8,8 +8,9 @@ from typing import Final, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
-from facetrack_cli.editor.retrack import Read, Report, Stop, Store, Task, Track, Tracking, frames_of, never, silent
+from facetrack_cli.editor.retrack import Read, Report, Stop, Store, Task, Track, Tracking, frames_of, silent
 from facetrack_cli.editor.run_folder import Run
+from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.corrected import all_or, completed, is_complete
 from facetrack_cli.tracking.start import name_targets, read_init
 from facetrack_cli.tracking.start.init_file import TARGET

@@ -19,9 +19,10 @@ from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.editor.run_folder import Run
 from facetrack_cli.recipe.model import ParticlesRecipe
+from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.tracking.build.build import build_tracker, tracker_for
 from facetrack_cli.tracking.corrected import CorrectedTarget
-from facetrack_cli.tracking.loop import Cover, Target
+from facetrack_cli.tracking.loop import Cover, Target, stream
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.writers import as_written
@@ -33,17 +34,8 @@ Stop: TypeAlias = Callable[[], bool]
 Place: TypeAlias = tuple[int, int]  # the first byte, and how many
 
 
-class StoppedError(Exception):
-    """The work was stopped on request; nothing has changed."""
-
-
 def silent(done: int, total: int) -> None:
     """Report nothing."""
-
-
-def never() -> bool:
-    """Do not stop."""
-    return False
 
 
 class Store:
@@ -203,8 +195,7 @@ class _Live:
         self.begun = False
         self.state: Any = None
         self._collected = Collector()
-        spawned = (self.place,) if self.place else ()  # a stream of its own for each target, as in a run
-        self._rng = np.random.default_rng(np.random.SeedSequence(run.recipe.seed, spawn_key=spawned))
+        self._rng = stream(run.recipe.seed, self.place)
 
     def step(self, frame: Frame, covers: Sequence[Cover]) -> None:
         if self.begun:

@@ -9,10 +9,11 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, beside, discard
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.journal import announce, finish, sweep
-from facetrack_cli.editor.retrack import Report, Stop, StoppedError, never, silent
+from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import UNSAVED, Run, stamp, write_rows
 from facetrack_cli.report.make import NAME as PAGE
 from facetrack_cli.runs.clip import past_end
+from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.tracking.start import write_init
 from facetrack_cli.tracking.start.init_file import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 MOST_POINTS = 100_000_000  # particles times points of a template: some gigabytes
 MOST_COMPARED = 2_000  # particles that are compared with each other: memory grows with their square
 Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
-Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
 
 

@@ -23,6 +23,15 @@ class TerminatedError(BaseException):
     """SIGTERM where no Stop listens."""
 
 
+class StoppedError(Exception):
+    """The work was stopped on request; nothing has changed."""
+
+
+def never() -> bool:
+    """No wish to stop."""
+    return False
+
+
 class Stop:
     """Whether the run is to end. `code` is the exit code of the first wish; `elsewhere` asks another process."""
 

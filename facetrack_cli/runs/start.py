@@ -12,18 +12,13 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.start import box_start, check_start, find_init, haar_start, name_targets, read_init
-from facetrack_cli.trajectory.trajectory import Trajectory, by_frame
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, by_frame
 from facetrack_cli.video.source import Source, open_source
 
 HAAR: Final = "haar"
 FAR: Final = 0.5  # overlap of the boxes below which a region does not count as found
-_SEEN: Final = ("", "visible", "init", "tracked")
-
-
-def never() -> bool:
-    """No wish to stop."""
-    return False
 
 
 @dataclass(frozen=True)
@@ -142,7 +137,7 @@ def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
         for i in rows:
             target, part = truth.names[truth.which[i]]
             place = boxes[i] if np.isfinite(boxes[i]).all() else np.array([truth.x[i], truth.y[i]])
-            if truth.status[i] not in _SEEN or not np.isfinite(place).all():
+            if truth.status[i] not in SEEN or not np.isfinite(place).all():
                 continue
             if len(place) == 4:
                 found[target] = tuple(place.tolist())

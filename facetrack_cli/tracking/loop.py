@@ -44,6 +44,11 @@ class Target(Protocol):
 Tracker: TypeAlias = tuple[Target, ...]
 
 
+def stream(seed: int, place: int) -> Generator:
+    """Random numbers of the target at a place of its tracker: no target's change by what others draw."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(place,) if place else ()))
+
+
 def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "") -> Iterator[FrameResult]:
     """Track over `frames`, the first of which is the one that the tracker's start belongs to.
 
@@ -51,9 +56,7 @@ def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "
     expected. Equal input gives equal results, bit for bit, also of a target that no other one excludes, whatever comes
     after it. Raises InputError, which names the `clip`, if the first frame does not show what a target needs.
     """
-    # a stream of its own for each target, so that one does not change by what others draw
-    keys = ((i,) if i else () for i in range(len(tracker)))
-    rngs = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key)) for key in keys]
+    rngs = [stream(seed, place) for place in range(len(tracker))]
     after: list[tuple[Any, TargetResult]] = []
     for frame in frames:
         if after:

@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 from numpy.random import Generator
 
-from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import BOX, Box, Frame
+from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.trajectory.trajectory import Status, TargetResult, one_part
 
 LEAST: Final = 6  # pixels: MIL looks for ever for features in a box of 4x4
@@ -27,11 +28,12 @@ def find(tracker: str) -> Callable[[], Any] | None:
     return getattr(module, f"Tracker{tracker.upper()}_create", None)
 
 
-def check(tracker: str) -> None:
+def check(recipe: OpenCvRecipe) -> None:
     """RecipeError if this build of OpenCV has no such tracker."""
-    if find(tracker) is None:
+    if find(recipe.tracker) is None:
         remedy = "pip uninstall opencv-python-headless, then pip install 'opencv-contrib-python-headless<5'"
-        raise RecipeError(f"the installed OpenCV {cv2.__version__} has no {tracker.upper()} tracker; {remedy}")
+        what = f"the installed OpenCV {cv2.__version__} has no {recipe.tracker.upper()} tracker"
+        raise recipe.error("tracker", f"{what}; {remedy}")
 
 
 @dataclass(frozen=True)

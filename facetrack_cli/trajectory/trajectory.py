@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
+SEEN: Final = ("", "visible", "init", "tracked")  # statuses, also of ground truth, of what can be seen
 _OF_POSTERIOR: Final = {"std_x": 3, "std_y": 3, "ess": 1, "identity_prob": 4}
 DECIMALS: Final = {"time_s": 4, **dict.fromkeys("xywh", 3), "angle": 2, "confidence": 4, **_OF_POSTERIOR}
 """The decimals of each column of numbers: the bytes of a file are a function of the values."""
@@ -111,7 +112,7 @@ class Trajectory:
         """A trajectory of each part of one target."""
         return tuple(one for one in self.parts if one.target == target)
 
-    @property
+    @cached_property
     def frames(self) -> Whole:
         """The frames that have a row, increasing."""
         return np.unique(self.frame)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.models.spaces import AffineSpace, affine_state_of_box, estimate, evenly, scale_of
+from facetrack_cli.tracking.models.spaces import AffineSpace, estimate, evenly, scale_of
 from tests.support.parts import affine_walk
 from tests.twins import guide as naive
 
@@ -29,7 +29,7 @@ def shown(*state):
 
 
 def test_a_box_at_the_start_is_itself():
-    (x0,) = affine_state_of_box(100, 50, 41, 61)
+    (x0,) = AffineSpace((41, 61)).at((100, 50, 41, 61))
     np.testing.assert_array_equal(x0, (120, 80, 1, 0, 0, 1))
     windows, angle, corners = shown(*x0)
     assert (tuple(windows), angle) == ((41, 61), 0)

@@ -6,7 +6,7 @@ import pytest
 from facetrack_cli.core.types import Particles
 from facetrack_cli.tracking.models.likelihoods.product import Product
 from facetrack_cli.tracking.models.motion import FirstOrder
-from facetrack_cli.tracking.models.spaces import BoxSpace, estimate, evenly, state_of_box
+from facetrack_cli.tracking.models.spaces import BoxSpace, estimate, evenly
 from facetrack_cli.tracking.resampling import uniform
 from tests.support.parts import auxiliary, factorized, sir
 
@@ -39,7 +39,7 @@ def test_draws_have_the_mean_and_covariance_of_the_dynamics():
 
 def test_one_source_of_noise_moves_place_and_speed_together():
     constant_velocity = FirstOrder((A, np.array([[0.7], [0.7]])), (SCALE_A, np.zeros((2, 1))), 0.1, 10.0)
-    x = np.tile(state_of_box(10, 20, 31, 41), (50, 1, 1))
+    x = np.tile(BoxSpace((31, 41)).at((10, 20, 31, 41)), (50, 1, 1))
     moved = constant_velocity.propagate(np.random.default_rng(1), x)[:, 0]
     np.testing.assert_allclose(moved[:, :2] - x[:, 0, :2], moved[:, 3:5])
     assert moved[:, 0].std() > 0.3 and np.all(moved[:, 5] == 0)
@@ -63,7 +63,7 @@ def test_what_is_expected_is_the_mean_of_the_draws():
 
 def test_scale_stops_at_its_bounds():
     wild = FirstOrder((A, B), (np.eye(2), np.array([[2.0], [1.0]])), 0.5, 2.0)
-    x = np.tile(state_of_box(0, 0, 10, 10), (500, 1, 1))
+    x = np.tile(BoxSpace((10, 10)).at((0, 0, 10, 10)), (500, 1, 1))
     moved = wild.propagate(np.random.default_rng(3), x)
     s, speed = moved[..., 2], moved[..., 5]
     assert s.min() == 0.5 and s.max() == 2.0
@@ -119,7 +119,7 @@ def test_the_bootstrap_filter_agrees_with_a_kalman_filter():
     rng = np.random.default_rng(6)
     a, q, r = whole(A, SCALE_A), whole(B @ B.T, SCALE_B @ SCALE_B.T), 4.0
     h = np.eye(2, 6)
-    truth = state_of_box(20, 20, 21, 21)[0]
+    truth = BoxSpace((21, 21)).at((20, 20, 21, 21))[0]
     mean, cov = truth.copy(), np.zeros((6, 6))
     particles = Particles(np.tile(truth, (20_000, 1, 1)), uniform(20_000))
     off, spread = [], []
@@ -210,6 +210,6 @@ def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
 
 
 def test_a_box_is_its_state():
-    state = state_of_box(10, 20, 31, 42)
+    state = BoxSpace((31, 42)).at((10, 20, 31, 42))
     np.testing.assert_array_equal(state, [[25.0, 40.5, 1.0, 0.0, 0.0, 0.0]])
     np.testing.assert_array_equal(BoxSpace((31, 42)).windows(evenly(2 * state, np.zeros((1, 2)))), [[62, 84]])

@@ -72,10 +72,10 @@ class Fix:
     def _apply(self, fixer: Fixer, init: Path, stop: Stop) -> int:
         """Take the corrections of a file, and save; the exit code."""
         from facetrack_cli.editor.history import corrections_of
-        from facetrack_cli.editor.retrack import StoppedError
         from facetrack_cli.editor.run_folder import UNSAVED
         from facetrack_cli.editor.save import save
         from facetrack_cli.runs.progress import progress
+        from facetrack_cli.runs.signals import StoppedError
 
         folder = fixer.run.folder
         unsaved = folder / UNSAVED

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
 
 
-SUFFIXES = (".yaml", ".yml", ".json")
-
-
 class Init:
     """Write where the track of a clip begins, as a file to edit.
 
@@ -75,6 +72,7 @@ class Init:
     def _check_files(self) -> None:
         """Refuse before the search what would be refused after it."""
         from facetrack_cli.core.files import check_new
+        from facetrack_cli.tracking.start.init_file import SUFFIXES
 
         path, preview = self.path, self.preview
         if path is not None and path.suffix.lower() not in SUFFIXES:

@@ -9,8 +9,8 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeAli
 from pydantic import Field, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError
-from facetrack_cli.editor.retrack import StoppedError
 from facetrack_cli.editor.web.frame import Draft, FrameImages, Json, Proposer
+from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.video.seek import Frames
 
 LINGER_S: Final = 2.0  # after a client was first told of the end

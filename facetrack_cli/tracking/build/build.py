@@ -2,11 +2,10 @@
 
 from dataclasses import replace
 
-from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
 from facetrack_cli.recipe.affine import PatchLikelihood
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticlesRecipe, Recipe, above
-from facetrack_cli.recipe.skin import Exclusion
 from facetrack_cli.tracking import opencv
 from facetrack_cli.tracking.corrected import Anew, CorrectedTarget, is_complete
 from facetrack_cli.tracking.loop import Target, Tracker
@@ -23,7 +22,12 @@ def build_tracker(recipe: Recipe, start: Start) -> Tracker:
 
     Raises InputError where the start or a correction lacks what the recipe needs, RecipeError for parts that disagree.
     """
-    return tuple(_corrected(recipe, start, target) for target in _targets(recipe, start))
+    if isinstance(recipe, OpenCvRecipe):
+        opencv.check(recipe)
+    if missing := ", ".join(name for name in recipe.followed if name not in start.targets):
+        raise InputError(f"{start.origin}: has no {missing}, which the recipe follows; add a box of each")
+    targets = [_target(recipe, start, name) for name in recipe.followed or start.targets]
+    return tuple(_corrected(recipe, start, target) for target in targets)
 
 
 def check_gallery(recipe: Recipe) -> None:
@@ -34,26 +38,12 @@ def check_gallery(recipe: Recipe) -> None:
             find_gallery(given.recognition, (rows, columns), recipe, above(name))
 
 
-def _targets(recipe: Recipe, start: Start) -> Tracker:
+def _target(recipe: Recipe, start: Start, name: str) -> Target:
+    """One target, without its corrections."""
     if isinstance(recipe, OpenCvRecipe):
-        try:
-            opencv.check(recipe.tracker)
-        except RecipeError as e:
-            raise recipe.error("tracker", str(e)) from None
-        kind, origin = recipe.tracker, start.origin
-        return tuple(opencv.OpenCvTarget(name, box_of(start, name), kind, origin) for name in start.targets)
-    if missing := ", ".join(name for name in recipe.followed if name not in start.targets):
-        raise InputError(f"{start.origin}: has no {missing}, which the recipe follows; add a box of each")
-    exclusion = recipe.exclusion if isinstance(recipe, ParticlesRecipe) else None
-    return tuple(
-        _target(recipe, key, name, start, None if exclusion and name in exclusion.first else exclusion)
-        for key in recipe.filters
-        for name in ([key] if key else start.targets)
-    )
-
-
-def _target(recipe: Recipe, key: str, name: str, start: Start, exclusion: Exclusion | None) -> ParticleTarget:
-    given = recipe.filters[key]
+        return opencv.OpenCvTarget(name, box_of(start, name), recipe.tracker, start.origin)
+    key = name if name in recipe.filters else ""
+    given, exclusion = recipe.filters[key], recipe.exclusion if isinstance(recipe, ParticlesRecipe) else None
     placed = given.target.place(start, name)
     context = Context(recipe, above(key), given, start, name, placed)
     return ParticleTarget(
@@ -67,7 +57,7 @@ def _target(recipe: Recipe, key: str, name: str, start: Start, exclusion: Exclus
         prior=None if given.prior is None else given.prior.build(context),
         step=given.filter.build(context),
         confidence=given.confidence if given.likelihood.judges else None,
-        exclusion=exclusion,
+        exclusion=None if exclusion and name in exclusion.first else exclusion,
         scatter=placed.scatter,
         best=given.target.best,
     )
@@ -117,8 +107,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         box = start.targets[target.name].box if points and given.box is None else given.box
         given = replace(given, box=box)
         known = replace(start, frame=frame.index, targets={**start.targets, target.name: given})
-        [anew] = [one for one in _targets(recipe, known) if one.name == target.name]
-        return anew
+        return _target(recipe, known, target.name)
 
     return CorrectedTarget(target, {one.frame: one for one in corrections}, Anew(points, learns, place, build))
 

@@ -186,7 +186,7 @@ class Samples:
     of: Indices
     basis: Array | None = None
 
-    @property
+    @cached_property
     def first(self) -> Mask:
         """(n,): the images themselves."""
         mask = np.zeros(len(self.x), bool)

@@ -21,7 +21,7 @@ from facetrack_cli.core.types import Array, Box, Frame, Start
 from facetrack_cli.core.yaml_tree import printable
 from facetrack_cli.tracking.identity.gallery import name_problem
 from facetrack_cli.tracking.identity.subspaces import Rows
-from facetrack_cli.tracking.models.spaces import Patches, affine_state_of_box
+from facetrack_cli.tracking.models.spaces import AffineSpace, Patches
 from facetrack_cli.tracking.start.checks import check_size, check_start
 from facetrack_cli.tracking.start.haar import find_faces
 from facetrack_cli.tracking.start.init_file import SUFFIXES as INIT_SUFFIXES
@@ -284,7 +284,7 @@ def read_faces(
 def _cut(frame: Frame, box: Box, reading: Reading, number: int, around: int) -> tuple[Rows, Rows]:
     """The patches of the face in the box and of its copies, and those of so many places `around` it."""
     patches, copies = Patches(size=(box[2], box[3]), shape=reading.shape), reading.jitter
-    [x] = affine_state_of_box(*box)
+    [x] = AffineSpace(box[2:]).at(box)
     ways = near(number * copies, copies), off(number * around, around)
     every = np.concatenate([x[None], *(moved(x, box, way) for way in ways)])[:, None]
     read = patches.read(frame, every, patches.factor(every[0]))

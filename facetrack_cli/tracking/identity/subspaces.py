@@ -162,10 +162,10 @@ def fit_moments(
     return Fitted(whole.subspace(rho, basis), tuple(part.subspace(rho, basis) for part in parts))
 
 
-def folds_by(labels: NDArray[np.intp], most: int = FOLDS) -> list[Mask]:
-    """Masks (n,) of the rows to hold out, a label together, `most` masks at most; none with fewer than two labels."""
+def folds_by(labels: NDArray[np.intp]) -> list[Mask]:
+    """Masks (n,) of the rows to hold out, a label together, FOLDS masks at most; none with fewer than two labels."""
     known, index = np.unique(labels, return_inverse=True)
-    return [index % most == k for k in range(min(most, len(known)))] if len(known) > 1 else []
+    return [index % FOLDS == k for k in range(min(FOLDS, len(known)))] if len(known) > 1 else []
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,17 +30,16 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, RecipeError, UsageError
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.core.types import Array
 from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.points import Parzen
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.tracking.models.spaces import Context
 from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
 
 KIND = Kind("facetrack-shape-prior", 1, "shape prior", "facetrack prior fit")
 DEFAULT = "mouth_prior.npz"
-SEEN = ("visible", "init", "tracked", "")
 LEAST_DISTANCE = 0.01  # mouth widths; a shape nearer than this to one that is kept adds nothing
 NARROWEST = 0.05  # mouth widths; a narrower kernel would punish a tracker's own noise
 
@@ -125,7 +124,7 @@ def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) ->
 
 def build(settings: Parzen, context: Context) -> BoundPrior:
     """The prior of a recipe, for its target's parts and where they begin."""
-    prior = load_prior(resolve_file(context.recipe, settings.file))
+    prior = load_prior(resolve_file(context.recipe, settings.file, f"{context.above}prior.file"))
     try:
         return bind(prior, context.settings.points, context.placed.x0, settings.sigma)
     except RecipeError as e:
@@ -263,10 +262,13 @@ def _shapes_of(
     shapes: list[Array] = []
     total = 0
     for target in trajectory.targets:
-        frames, points = _points(trajectory.of_target(target), names)
+        parts = trajectory.of_target(target)
+        frames, known = aligned(parts, "x", "y", "status")
         total += len(frames)
-        seen = np.isfinite(points).all(axis=(1, 2))
-        if not seen.any():
+        order = [k for name in names for k, one in enumerate(parts) if one.part == name]
+        points = np.stack([known["x"], known["y"]], axis=2)[:, order]
+        seen = np.isfinite(points).all(axis=(1, 2)) & np.isin(known["status"][:, order], SEEN).all(axis=1)
+        if len(order) < len(names) or not seen.any():
             continue
         first = points[seen][0]
         left, right = (first[names.index(name)] for name in scale)
@@ -285,18 +287,6 @@ def _shapes_of(
         moves = f"moves {far.max():.0f} times the distance of {scale[0]} and {scale[1]} away from {stable}"
         raise InputError(f"{path}: a part {moves}; correct that row, or name another --scale")
     return FileReport(path, total, len(found)), found
-
-
-def _points(parts: Sequence[Trajectory], names: Sequence[str]) -> tuple[Whole, Array]:
-    """(T,) frames of a target and (T, names, 2) the places of its parts, nan where one is not seen."""
-    frames = np.unique(np.concatenate([one.frame for one in parts]))
-    points = np.full((len(frames), len(names), 2), np.nan)
-    for one in parts:
-        if one.part in names:
-            seen = np.isin(one.status, SEEN)
-            at = np.searchsorted(frames, one.frame[seen])
-            points[at, names.index(one.part)] = np.stack([one.x, one.y], axis=1)[seen]
-    return frames, points
 
 
 def _spread_out(flat: Array, most: int) -> list[int]:

@@ -76,9 +76,8 @@ class BoxSpace(Space):
 
     def at(self, box: Box) -> Array:
         """Its scale is that of the area: the shape stays the start's."""
-        state = state_of_box(*box)
-        state[0, 2] = math.sqrt(box[2] * box[3] / (self.size[0] * self.size[1]))
-        return state
+        scale = math.sqrt(box[2] * box[3] / (self.size[0] * self.size[1]))
+        return np.array([[*centre(box), scale, 0.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ class CloudSpace(Space):
         return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
 
     def at(self, box: Box) -> Array:
-        return state_of_box(*box)
+        return np.array([[*centre(box), 1.0, 0.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -109,9 +108,7 @@ class AffineSpace(Space):
 
     def at(self, box: Box) -> Array:
         """Upright, and as wide and as high as the box."""
-        state = affine_state_of_box(*box)
-        state[0, [2, 5]] = box[2] / self.size[0], box[3] / self.size[1]
-        return state
+        return np.array([[*centre(box), box[2] / self.size[0], 0.0, 0.0, box[3] / self.size[1]]])
 
     def diagnose(self, estimated: Estimate) -> Mapping[str, Any]:
         x, y, *deformation = estimated.state[0].tolist()
@@ -142,19 +139,9 @@ def evenly(x0: Array, windows: Array | None) -> Estimate:
     return Estimate(x0, cov)
 
 
-def affine_state_of_box(left: float, top: float, w: float, h: float) -> Array:
-    """(1, 6): the affine state of a box at the start; pixel centres are whole numbers."""
-    return np.array([[*centre((left, top, w, h)), 1.0, 0.0, 0.0, 1.0]])
-
-
 def scale_of(x: Array) -> Array:
     """How large x (N, 1, 6) are, 1 at the start -> (N, 1): the RMS of the deformation's singular values."""
     return np.asarray(np.sqrt(0.5 * np.sum(np.square(x[..., 2:6]), axis=-1)))
-
-
-def state_of_box(left: float, top: float, w: float, h: float) -> Array:
-    """(1, 6): the state of a box at the start, at rest and of scale 1; pixel centres are whole numbers."""
-    return np.array([[*centre((left, top, w, h)), 1.0, 0.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -219,7 +206,7 @@ def place_box(settings: regions.Region | affine.Affine | skin.Cloud, start: Star
     box = check_size(start.origin, name, box_of(start, name))
     windows, unit = np.array([box[2:]]), size_of_box(start, name)
     if isinstance(settings, skin.Cloud):
-        return Placed(CloudSpace(), state_of_box(*box), windows, unit, (0.25, 4.0), windows)
+        return Placed(CloudSpace(), CloudSpace().at(box), windows, unit, (0.25, 4.0), windows)
     space = AffineSpace(box[2:]) if isinstance(settings, affine.Affine) else BoxSpace(box[2:])
     return Placed(space, space.at(box), windows, unit, settings.scale)
 

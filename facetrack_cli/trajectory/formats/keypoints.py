@@ -25,7 +25,7 @@ import numpy as np
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.select import Around, enclose
-from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory, aligned
+from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned
 
 EDGES = (
     ("nose", "lip_upper"),
@@ -35,7 +35,6 @@ EDGES = (
     ("mouth_right", "lip_lower"),
 )
 """How the parts of the shipped recipes hang together; other parts are drawn without lines."""
-SEEN = ("", "init", "tracked", "visible")
 
 
 def write_coco(
