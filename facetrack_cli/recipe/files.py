@@ -48,7 +48,7 @@ def read_recipe(path: Path) -> str:
         raise error_of(refused.problems) from None
 
 
-def resolve_file(recipe: Recipe, name: str, key: str = "") -> Path:
+def resolve_file(recipe: Recipe, name: str, key: str) -> Path:
     """A file that the recipe names, at `key` as in `prior.file`: beside it, or shipped; RecipeError if nowhere."""
     try:
         return find_file(recipe, name, key)
@@ -63,13 +63,11 @@ def read_file(path: Path) -> Source:
         raise RecipeError(f"{path}: cannot be read: {error.strerror}; check the file's permissions") from None
 
 
-def find_file(recipe: Recipe, name: str, key: str = "") -> Path:
-    span, root = Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1), recipe._root
-    if root is not None and key:
-        node, _, exact = locate(root, tuple(key.split(".")))
+def find_file(recipe: Recipe, name: str, key: str) -> Path:
+    span = Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1)
+    if recipe._root is not None:
+        node, _, exact = locate(recipe._root, tuple(key.split(".")))
         span = node.span if exact else span
-    elif root is not None:
-        span = next((node.span for _, node in root.walk() if node.value == name), span)
     # that of --set is the working directory
     folders = list(dict.fromkeys([span.source.folder, recipe.path.parent, shipped_folder()]))
     for folder in folders:

@@ -226,17 +226,18 @@ def test_files_are_sought_beside_the_recipe_then_among_the_shipped(write, tmp_pa
     text = read_recipe(next(path for path in shipped_recipes() if path.stem == "factorized"))
     path = write(text, "recipes/mine.yaml")
     recipe = load_recipe(path)
-    assert resolve_file(recipe, "mouth_prior.npz").parent == shipped_recipes()[0].parent
+    assert resolve_file(recipe, "mouth_prior.npz", "prior.file").parent == shipped_recipes()[0].parent
     (tmp_path / "recipes" / "mouth_prior.npz").touch()
-    assert resolve_file(recipe, "mouth_prior.npz") == tmp_path / "recipes" / "mouth_prior.npz"
+    assert resolve_file(recipe, "mouth_prior.npz", "prior.file") == tmp_path / "recipes" / "mouth_prior.npz"
     # a name given on the command line is meant from where the user stands
     (tmp_path / "own.npz").touch()
     with pytest.raises(RecipeError):
-        resolve_file(recipe, "own.npz")
-    assert resolve_file(load_recipe(path, ["prior.file=own.npz"]), "own.npz").resolve() == tmp_path / "own.npz"
+        resolve_file(recipe, "own.npz", "prior.file")
+    mine = load_recipe(path, ["prior.file=own.npz"])
+    assert resolve_file(mine, "own.npz", "prior.file").resolve() == tmp_path / "own.npz"
     bad = load_recipe(write(text.replace("mouth_prior.npz", "mouse_prior.npz"), "recipes/mine.yaml"))
     with pytest.raises(RecipeError, match=r'mine.yaml:\d+:9: there is no file "mouse_prior.npz"') as caught:
-        resolve_file(bad, "mouse_prior.npz")
+        resolve_file(bad, "mouse_prior.npz", "prior.file")
     assert under_caret(caught.value.excerpt) == "mouse_prior.npz"
     assert len(check_recipe(str(bad.path))) == 1
 

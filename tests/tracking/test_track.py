@@ -1,14 +1,18 @@
 """The whole engine in process: every shipped recipe of points on a sample clip, judged by its ground truth."""
 
+import re
+import shutil
+
 import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Frame, Start, TargetStart
-from facetrack_cli.recipe.files import shipped_recipes
+from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.models.shape_prior import default_prior_path
 from tests.support.results import parts_of
 from tests.support.samples import TrackClip
 
@@ -165,6 +169,16 @@ def test_lengths_scale_with_the_target_and_windows_of_the_init_file_win():
 def test_a_start_without_a_part_is_refused_by_name():
     with pytest.raises(InputError, match="mouth_left"):
         build_tracker(load_recipe("factorized"), Start(0, {"face": TargetStart(points={"nose": (1, 2)})}, "clip.yaml"))
+
+
+def test_a_prior_of_the_command_line_is_sought_there_whatever_else_has_its_name(expressions, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "elsewhere").mkdir()
+    recipe = tmp_path / "elsewhere" / "mine.yaml"
+    text = (shipped_folder() / "factorized.yaml").read_text()
+    recipe.write_text(re.sub("(?m)^description: .*", "description: own.npz", text))
+    shutil.copy(default_prior_path(), tmp_path / "own.npz")
+    assert build_tracker(load_recipe(recipe, ["prior.file=own.npz"]), expressions.start)
 
 
 def test_a_prior_for_other_parts_is_refused():

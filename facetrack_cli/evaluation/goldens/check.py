@@ -108,7 +108,7 @@ def _gallery(recipe: Recipe) -> Path | None:
     """The gallery of a recipe, if it names one; RecipeError if there is no such file."""
     if not isinstance(recipe, ParticleRecipe) or recipe.recognition is None or recipe.recognition.gallery is None:
         return None
-    return resolve_file(recipe, recipe.recognition.gallery)
+    return resolve_file(recipe, recipe.recognition.gallery, "recognition.gallery")
 
 
 def _recognising(recipe: Recipe, folder: Path, golden: Golden | None, gallery: Path | None) -> Recipe:
