@@ -3,8 +3,6 @@
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 from pathlib import Path
 
@@ -21,6 +19,7 @@ from facetrack_cli.editor.web.server import run_page, serving
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.video.seek import Frames
+from tests.support.browser import READY
 from tests.support.page_client import Client, wait_for
 from tests.support.results import file_rows
 from tests.support.samples import FOLDER
@@ -322,31 +321,18 @@ def test_interrupted_without_a_page_leaves_the_run_as_it_was(facetrack, out, mon
     assert (out / CORRECTED).is_file()
 
 
-READY = "open this page: "
-
-
-def start(folder, *arguments):
-    environment = {**os.environ, "PYTHONPATH": str(FOLDER.parent), "PYTHONUNBUFFERED": "1"}
-    words = [sys.executable, "-m", "facetrack_cli", "fix", str(folder), *arguments]
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=environment)
-    said = []
-    while not (line := process.stderr.readline()).startswith(READY):
-        assert line, said
-        said.append(line)
-    return process, Client(line.removeprefix(READY).strip()), said
-
-
-def test_interrupted_it_keeps_the_corrections_and_goes_on_with_them(out):
+def test_interrupted_it_keeps_the_corrections_and_goes_on_with_them(command, out):
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    process, client, _ = start(out)
+    running = command("fix", out)
+    client = Client(running.url)
     client.put_draft(8, face=NOSE)
     client.ask("POST", "api/track", {"base": 1})
     client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    running.process.send_signal(signal.SIGINT)
+    code, _, err = running.ended()
     client.close()
     kept = out / UNSAVED
-    assert process.returncode == 130
+    assert code == 130
     assert err.splitlines()[-1] == (
         f"facetrack: interrupted; the corrections are kept in {kept}, all else is as it was; "
         f"facetrack fix {out} goes on with them"
@@ -354,8 +340,9 @@ def test_interrupted_it_keeps_the_corrections_and_goes_on_with_them(out):
     assert {path.name: path.read_bytes() for path in out.iterdir() if path != kept} == before
     assert [one.frame for one in read_init(kept).corrections] == [8]
 
-    process, client, said = start(out)
-    assert said == [f"{kept}: one correction was not saved the last time; the page begins with it\n"]
+    running = command("fix", out)
+    client = Client(running.url)
+    assert running.said == [f"{kept}: one correction was not saved the last time; the page begins with it\n"]
     client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
     message = client.get("api/state").json["message"]
     assert message.startswith("the corrections of the last session, which were not saved, are applied")
@@ -363,8 +350,8 @@ def test_interrupted_it_keeps_the_corrections_and_goes_on_with_them(out):
     client.ask("POST", "api/undo", {})
     client.until(lambda state: state["rows_revision"] == 2)
     client.close()
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    running.process.send_signal(signal.SIGINT)
+    code, _, err = running.ended()
     assert err.splitlines()[-1] == "facetrack: interrupted; nothing was written"
     assert not kept.exists()
 

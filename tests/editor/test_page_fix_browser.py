@@ -181,8 +181,8 @@ def test_a_lost_head_is_corrected_with_the_mouse(command, windows, out):
     messages = window.save()
     for name in ("trajectory.csv", "trajectory.json", "corrected.init.yaml"):
         assert f"{folder / name}: written" in messages
-    code, err = running.ended()
-    assert code == 0 and f"{folder / 'corrected.init.yaml'}: written" in err
+    code, _, err = running.ended()
+    assert code == 0 and not running.said and f"{folder / 'corrected.init.yaml'}: written" in err
     after = lines(folder)
     assert list(after) == list(before) and after[None] == before[None]
     assert [key[0] for key in after if after[key] != before[key]] == [*range(CUT, FRAMES)]

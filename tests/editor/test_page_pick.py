@@ -1,7 +1,6 @@
 """facetrack init --pick without a browser: what the page receives and sends, what is saved, how the command ends."""
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -41,7 +40,6 @@ POINTS = {"nose": [160, 138.37], "mouth_left": [137.65, 153.77], "mouth_right": 
 FACE = {"box": [112, 79, 98, 98], "points": POINTS}
 HANDS = {"head": {"box": [135, 44, 50, 50]}, "left_hand": {"box": [82, 138, 48, 57]},
          "right_hand": {"box": [188, 131, 50, 60]}}  # fmt: skip
-READY = "open this page: "
 LIGHT = ("errors", "options")
 
 
@@ -351,43 +349,6 @@ def test_any_draft_is_a_start_that_is_read_back_or_lacks_something(config, tmp_p
 # --- the command -----------------------------------------------------------------------------------------------------
 
 
-class Started:
-    """`facetrack init ... --pick` as a process of its own."""
-
-    def __init__(self, *arguments, cwd):
-        environment = {**os.environ, "PYTHONPATH": str(FOLDER.parent), "PYTHONUNBUFFERED": "1"}
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "facetrack_cli", "init", *map(str, arguments), "--pick"],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd, env=environment,
-        )  # fmt: skip
-
-    def client(self):
-        self.first = self.process.stderr.readline()
-        assert self.first.startswith(READY), self.first + self.process.stderr.read()
-        self.hint = self.process.stderr.readline()
-        return Client(self.first.removeprefix(READY).strip())
-
-    def ended(self):
-        out, err = self.process.communicate(timeout=120)
-        self.last = err.splitlines()[-1]
-        return self.process.returncode, out, err
-
-
-@pytest.fixture
-def start(tmp_path):
-    started = []
-
-    def call(*arguments):
-        started.append(Started(*arguments, cwd=tmp_path))
-        return started[-1]
-
-    yield call
-    for one in started:
-        if one.process.poll() is None:
-            one.process.kill()
-        one.process.communicate()
-
-
 def free_port():
     import socket
 
@@ -396,12 +357,14 @@ def free_port():
         return link.getsockname()[1]
 
 
-def test_picked_saved_and_run(clips, start, tmp_path, facetrack):
+def test_picked_saved_and_run(clips, command, tmp_path, facetrack):
     port = free_port()
-    saved = start(clips / "face", "--port", port, "-o", tmp_path / "a.init.yaml", "--preview", tmp_path / "look.png")
-    printed = start(clips / "face", "-o", "-", "--config", "factorized")
+    pick = ("init", clips / "face", "--pick")
+    saved = command(*pick, "--port", port, "-o", tmp_path / "a.init.yaml", "--preview", tmp_path / "look.png")
+    printed = command(*pick, "-o", "-", "--config", "factorized")
     for one in (saved, printed):
-        client = one.client()
+        client = Client(one.url)
+        assert not one.said
         assert (client.port == port) == (one is saved)
         assert client.put_draft(1, face=FACE).status == 200
         assert client.save().status == 202
@@ -432,25 +395,28 @@ def test_picked_saved_and_run(clips, start, tmp_path, facetrack):
         assert np.allclose((part["x"], part["y"]), POINTS[part["part"]], atol=0.01)
 
 
-def test_stopped_before_it_is_saved(clips, start, tmp_path):
+def test_stopped_before_it_is_saved(clips, command, tmp_path):
     interrupted, terminated = (130, "interrupted"), (143, "terminated")
     cases = [("SIGINT", *interrupted, True), ("SIGTERM", *terminated, True), ("SIGINT", *interrupted, False)]
     folders = [tmp_path / str(number) for number in range(len(cases))]
     for folder in folders:
         folder.mkdir()
-    running = [start(clips / "face", "-o", folder / "a.init.yaml") for folder in folders]
+    running = [command("init", clips / "face", "--pick", "-o", folder / "a.init.yaml") for folder in folders]
     for one, folder, (number, code, said, chosen) in zip(running, folders, cases, strict=True):
-        client = one.client()
+        client = Client(one.url)
+        assert not one.said
         if chosen:
             client.put_draft(1, face={"points": {"nose": [3.14159, 4]}})
         one.process.send_signal(getattr(signal, number))
-        assert one.ended()[:2] == (code, "")
+        *ended, err = one.ended()
+        assert ended == [code, ""]
+        last = err.splitlines()[-1]
         client.close()
         kept = folder / "a.init.unsaved.yaml"
         if not chosen:
-            assert one.last == f"facetrack: {said}; nothing was written" and not list(folder.iterdir())
+            assert last == f"facetrack: {said}; nothing was written" and not list(folder.iterdir())
             continue
-        assert one.last == f"facetrack: {said}; what was chosen is kept in {kept}; the same command goes on with it"
+        assert last == f"facetrack: {said}; what was chosen is kept in {kept}; the same command goes on with it"
         assert [path.name for path in folder.iterdir()] == [kept.name]
         again = read_init(kept)
         assert (again.frame, again.targets["face"].points) == (1, {"nose": (3.14, 4)})

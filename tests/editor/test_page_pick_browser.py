@@ -66,8 +66,8 @@ def test_a_box_and_five_points_are_picked_and_saved(command, windows, tmp_path):
     face = start.targets["face"]
     assert (start.frame, list(start.targets), list(face.box)) == (0, ["face"], BOX)
     near(face.points, POINTS, 0.6)
-    code, err = running.ended()
-    assert code == 0 and f"{saved}: written" in err
+    code, _, err = running.ended()
+    assert code == 0 and not running.said and f"{saved}: written" in err
 
 
 def test_a_point_is_dragged_under_the_magnifier(clips, pick, windows):
@@ -510,8 +510,8 @@ def test_a_command_that_was_stopped_is_reported(command, windows, tmp_path):
     window.click(160, 138)
     window.until_sent()
     running.process.terminate()
-    code, err = running.ended()
-    assert code == 143 and "a.init.unsaved.yaml" in err
+    code, _, err = running.ended()
+    assert code == 143 and not running.said and "a.init.unsaved.yaml" in err
     window.until("window.facetrack.offline")
     assert window.visible("offline") and "No answer" in window.text("offline")
     window.click(137, 154)

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from functools import cached_property
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -354,7 +355,7 @@ class Windows:
 
 
 class Command:
-    """`facetrack ARGUMENTS` as a process of its own that serves a page at `url`."""
+    """`facetrack ARGUMENTS` as a process of its own that serves a page."""
 
     def __init__(self, *arguments):
         environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "PYTHONUNBUFFERED": "1"}
@@ -362,14 +363,21 @@ class Command:
             [sys.executable, "-m", "facetrack_cli", *map(str, arguments)],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
         )  # fmt: skip
-        first = self.process.stderr.readline()
-        assert first.startswith(READY), first + self.process.stderr.read()
-        self.url = first.removeprefix(READY).strip()
+
+    @cached_property
+    def url(self):
+        """The page's address, once it is served; `said` are the lines before it, `hint` is the one after it."""
+        self.said = []
+        while not (line := self.process.stderr.readline()).startswith(READY):
+            assert line, self.said
+            self.said.append(line)
+        self.hint = self.process.stderr.readline()
+        return line.removeprefix(READY).strip()
 
     def ended(self):
-        """Exit code and what it said after its address."""
-        _, err = self.process.communicate(timeout=120)
-        return self.process.returncode, err
+        """Exit code, standard output, and what it said after its address."""
+        out, err = self.process.communicate(timeout=120)
+        return self.process.returncode, out, err
 
     def close(self):
         if self.process.poll() is None:
