@@ -138,7 +138,7 @@ def jobs_option(text: str) -> Any:
     return option("-j --jobs N", text, type=Whole(min=1), default=1, show_default=False)
 
 
-CONFIG = option("--config RECIPE", "Recipe: a file, or a name.", default="factorized")
+CONFIG = option("--config RECIPE", "Recipe: a file, or a name [default: factorized; with --box correlation_filter].")
 OVERRIDES = option("--set KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
 GALLERY = option(
     "--gallery FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."

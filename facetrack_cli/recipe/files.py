@@ -21,6 +21,11 @@ def shipped_recipes() -> list[Path]:
     return sorted(shipped_folder().glob("*.yaml"))
 
 
+def default_recipe(*, box: bool) -> str:
+    """The recipe that is taken where none is named; `box`: where a box says what is followed."""
+    return "correlation_filter" if box else "factorized"
+
+
 def find_recipe(name_or_path: str) -> Path:
     """The file of a recipe: a path that exists, else a shipped one by its name, with or without `.yaml`."""
     path, folder = Path(name_or_path), False

@@ -177,6 +177,8 @@ class ParticleRecipe(ParticleFilter, Recipe):
 
     type: Literal["particle_filter"] = "particle_filter"
     """A particle filter; may be left out."""
+    exclusion: Exclusion | None = None
+    """How targets exclude each other where there are several; null: each is followed independently."""
 
     @property
     def filters(self) -> Mapping[str, ParticleFilter]:

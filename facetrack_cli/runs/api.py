@@ -11,6 +11,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
+from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.clip import Job, Memory, track_clip
@@ -28,7 +29,7 @@ IMAGES = "the images"
 
 def track_video(
     path: str | Path,
-    recipe: str | Path | Recipe = "factorized",
+    recipe: str | Path | Recipe | None = None,
     *,
     init: Init | None = None,
     seed: int | None = None,
@@ -39,7 +40,8 @@ def track_video(
 ) -> Trajectory:
     """Track a video file, or a folder of images, from its start to its end; what `facetrack run` does, in memory.
 
-    `recipe` is a recipe, the name of a shipped one, or a file. `init` says where the track starts: an init file; "haar"
+    `recipe` is a recipe, the name of a shipped one, or a file; None: correlation_filter where `init` is a box, else
+    factorized. `init` says where the track starts: an init file; "haar"
     to look for a face; a box (left, top, width, height) in pixels; a `Start`. None: the init file beside the clip, else
     a face. `start` and `stop` are the first frame and the frame to stop before, `fps` the rate of a folder of images.
     `report` is called with the frames done and the frames in all, if that is known.
@@ -50,7 +52,7 @@ def track_video(
     """
     job = Job(
         Path(path),
-        _recipe(recipe, seed),
+        _recipe(recipe, seed, init),
         None,
         video=False,
         init=_init(init, start),
@@ -65,7 +67,7 @@ def track_video(
 
 def track_frames(
     images: Iterable[Image],
-    recipe: str | Path | Recipe = "factorized",
+    recipe: str | Path | Recipe | None = None,
     *,
     init: Init | None = None,
     seed: int | None = None,
@@ -77,7 +79,7 @@ def track_frames(
     those of `track_video`, but there is nothing beside the images: None looks for a face, in at most 250 images.
     Raises InputError for images that are none, or no start in them.
     """
-    chosen = _recipe(recipe, seed)
+    chosen = _recipe(recipe, seed, init)
     frames = _frames(images, fps)
     begin = _init(init, 0)
     if begin is None or begin == HAAR:
@@ -100,7 +102,9 @@ def draw(result: FrameResult, overlay: Overlay | None = None) -> Image:
     return (overlay or Overlay(result.frame.size)).draw(result)
 
 
-def _recipe(recipe: str | Path | Recipe, seed: int | None) -> Recipe:
+def _recipe(recipe: str | Path | Recipe | None, seed: int | None, init: Init | None) -> Recipe:
+    if recipe is None:
+        recipe = default_recipe(box=init is not None and not isinstance(init, str | Path | Start))
     if not isinstance(recipe, Recipe):
         recipe = load_recipe(str(recipe))
     return recipe if seed is None else recipe.model_copy(update={"seed": seed})

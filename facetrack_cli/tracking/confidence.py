@@ -55,13 +55,17 @@ def judge(settings: Confidence, last: Judgement, distance: Array) -> Judgement:
     """The judgement of the next frame, whose windows at the estimates have `distance` (K,) from the templates."""
     span = last.bad - last.good
     confidence = np.where(span > 1e-6, np.clip((last.bad - distance) / np.maximum(span, 1e-6), 0.0, 1.0), 0.0)
-    doubtful = confidence < settings.lost_below
-    below = np.where(doubtful, last.below + 1, 0)
     good = last.good
     if settings.memory is not None:
-        good = np.where(doubtful, good, good + (distance - good) / settings.memory)
+        good = np.where(confidence < settings.lost_below, good, good + (distance - good) / settings.memory)
+    return decide(settings, replace(last, good=good), confidence)
+
+
+def decide(settings: Confidence, last: Judgement, confidence: Array) -> Judgement:
+    """The judgement of the next frame, with this confidence (K,)."""
+    below = np.where(confidence < settings.lost_below, last.below + 1, 0)
     status = tuple(np.where(below >= settings.patience, "lost", "tracked").tolist())
-    return Judgement(good, last.bad, confidence, below, status)
+    return Judgement(last.good, last.bad, confidence, below, status)
 
 
 def resume(

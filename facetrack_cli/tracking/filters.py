@@ -11,7 +11,8 @@ import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.types import Array, Info, Mask, Particles, Whole
-from facetrack_cli.recipe import filters
+from facetrack_cli.recipe import correlation_filter, filters
+from facetrack_cli.tracking.guides import Arrived, Guides
 from facetrack_cli.tracking.resampling import SCHEMES, effective_sample_size, logsumexp, normalise, uniform
 
 
@@ -40,6 +41,12 @@ class FrameModel(Protocol):
     def log_likelihood(self, x: Array, parents: Array) -> Array: ...  # (N, K): log p(y | x) of each part
     def log_prior(self, x: Array) -> Array: ...  # (N,): log p(x) of the shape, up to a constant; zeros without a prior
     def propose_part(self, rng: Generator, x: Array, part: int) -> Array: ...  # (N, D): from the prior given the others
+    @property
+    def guides(self) -> Guides: ...  # modes of the likelihood, of a box that may be hidden
+    def forecast(self, particles: Particles) -> tuple[Array, Array]: ...  # mean and std (3,) of p(z | Y_{t-1})
+    def arrive(
+        self, rng: Generator, z: Array, particles: Particles, *, found: bool = False
+    ) -> Arrived: ...  # ... and how it may come to z
 
 
 # in place of log 0, so that a ratio of two zeros is 1 and not a NaN: where nothing is likely, nothing is preferred
@@ -139,6 +146,48 @@ def number(settings: filters.Adaptive, ahead: Ahead) -> int:
         return settings.particles
     change = {None: 0.0, True: -settings.entropy, False: settings.entropy}[ahead.entropy_fell]
     return max(round(settings.particles * (ahead.noise + change)), settings.least)
+
+
+def guided(settings: correlation_filter.Guided, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+    """Proposes from the modes of the likelihood too, with exact weights (after Zhang et al. 2017, 2018).
+
+    Places and log scales z are drawn from q(z) = g * sum_j a_j N(z; mode_j) + (1 - g) * p(z | Y_{t-1}), g = `guided`,
+    whatever their parents, so that a weight is over all parents (a marginal particle filter; Klaas et al. 2005):
+
+        w(z, v) = L(z)^v p(z, v | Y_{t-1}) / q(z),  v = 1 where the target is visible, 0 where it is hidden
+
+    Particles carry both, their sum as weight and the share of v = 1 as a coordinate (Rao-Blackwellised). A hidden
+    target may return at a mode that re-detection found.
+    """
+    n, guides = settings.particles, model.guides.after(*model.forecast(particles))
+    pairs = round(settings.guided * n / 2)
+    # some are drawn from either, or q would not cover what the other one covers
+    drawn = 2 * min(max(pairs, 1), (n - 2) // 2) if settings.guided > 0 else 0
+    parents = SCHEMES["systematic"](rng, particles.log_w, (n - drawn + 1) // 2)
+    moved = model.propagate(rng, particles.x[np.repeat(parents, 2)[: n - drawn]])[:, 0, :3]
+    z = np.vstack([guides.draw(rng, drawn), np.column_stack([moved[:, :2], np.log(moved[:, 2])])])
+    x, log_visible, log_hidden, returns, spread = model.arrive(rng, z, particles, found=bool(guides.anew.any()))
+    with np.errstate(divide="ignore"):
+        log_g = np.log([drawn / n, 1 - drawn / n])
+    log_q = np.logaddexp(log_g[0] + guides.log_density(z), log_g[1] + np.logaddexp(log_visible, log_hidden))
+    if (found := guides.elsewhere(spread)) is not None and returns > 0:
+        log_return = np.log(returns) + found.log_density(z)
+        log_visible = np.logaddexp(log_visible, log_return)
+        x[rng.random(n) < np.exp(log_return - log_visible), 0, 3:-1] = 0.0  # what returns has no velocity yet
+    log_visible = log_visible + model.log_likelihood(x, x)[:, 0]
+    total = np.logaddexp(log_visible, log_hidden)
+    x[:, 0, -1] = np.exp(log_visible - total)
+    log_w = normalise(np.maximum(total - log_q, LEAST))
+    return Particles(x, log_w), Info(np.full(1, float(effective_sample_size(log_w))))
+
+
+def peak(settings: correlation_filter.Peak, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+    """The highest mode, as trackers by correlation filters take it."""
+    guides = model.guides
+    z = guides.mean[[int(np.argmax(np.where(guides.anew, -np.inf, guides.log_w)))]]
+    x = model.arrive(rng, z, particles).x
+    x[:, :, 3:-1], x[:, :, -1] = 0.0, 1.0  # no velocity, and always visible
+    return Particles(x, np.zeros(1)), Info(np.ones(1))
 
 
 def _weighted(model: FrameModel, x: Array, parents: Array, log_proposed: Array | float = 0.0) -> Stepped:

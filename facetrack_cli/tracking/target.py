@@ -15,9 +15,11 @@ from facetrack_cli.recipe.skin import Exclusion
 from facetrack_cli.tracking import confidence
 from facetrack_cli.tracking.confidence import Judgement, Measures
 from facetrack_cli.tracking.filters import Ahead, Step
+from facetrack_cli.tracking.guides import Arrived, Guides
 from facetrack_cli.tracking.loop import Cover, log_weights
+from facetrack_cli.tracking.models.motion import VisibleWalk
 from facetrack_cli.tracking.models.shape_prior import BoundPrior
-from facetrack_cli.tracking.models.spaces import Estimate, PointSpace, Space, estimate, evenly
+from facetrack_cli.tracking.models.spaces import Estimate, PointSpace, Space, VisibleBoxSpace, evenly
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
 from facetrack_cli.tracking.resampling import uniform
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, NOISE, POSTERIOR, Diagnostic, Diagnostics
@@ -54,6 +56,14 @@ class Adapts(Protocol):
     def error(self, learned: Any, patches: Any) -> Array: ...  # (N,): phi(y, a_t) of patches y (N, d)
     def expected(self, learned: Any) -> Any: ...  # (d,): the mean patch
     def insets(self, learned: Any) -> tuple[tuple[str, Image], ...]: ...  # small grey images, each with its name
+
+
+@runtime_checkable
+class Looks(Protocol):
+    """A likelihood that looks at a frame once, before any particle is drawn, and proposes where they should be."""
+
+    def look(self, learned: Any, frame: Frame, expected: Array) -> Any: ...  # around the expected state (K, D)
+    def guides(self, learned: Any) -> Guides: ...
 
 
 @runtime_checkable
@@ -183,15 +193,22 @@ class ParticleTarget:
     def advance(
         self, rng: Generator, state: State, frame: Frame, covers: Sequence[Cover] = ()
     ) -> tuple[State, TargetResult]:
+        if self._looks is not None:
+            expected = self.motion.expect(state.estimated.state[None])[0]
+            state = replace(state, learned=self._looks.look(state.learned, frame, expected))
         bound = Bound(self, state, frame, covers)
         particles, info = self.step(rng, state.particles, bound)
         if state.absent is not None:
             particles = particles._replace(x=self.follow(particles.x, state.absent))
-        estimated = estimate(particles, best=self.best)
+        estimated = self.space.estimate(particles, best=self.best)
         if (judgement := state.judgement) is not None:
             assert self.confidence is not None
-            distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
-            judgement = confidence.judge(self.confidence, judgement, distance)
+            if isinstance(self.space, VisibleBoxSpace):
+                presence = self.space.presence(particles, estimated)
+                judgement = confidence.decide(self.confidence, judgement, presence)
+            else:
+                distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
+                judgement = confidence.judge(self.confidence, judgement, distance)
         learned = self.likelihood.learn(state.learned, frame, estimated.state, particles)
         before, absent = state.reported.get(ENTROPY.name), state.absent
         state = State(particles, estimated, learned, judgement, self._diagnose(learned), absent=absent)
@@ -207,6 +224,10 @@ class ParticleTarget:
     @cached_property
     def _adapts(self) -> Adapts | None:
         return self.likelihood if isinstance(self.likelihood, Adapts) else None
+
+    @cached_property
+    def _looks(self) -> Looks | None:
+        return self.likelihood if isinstance(self.likelihood, Looks) else None
 
     @cached_property
     def _reports(self) -> Reports | None:
@@ -307,6 +328,19 @@ class Bound:
     def _of_present(self, log_p: Array) -> Array:
         """log_p (..., K), in which parts that are not to be seen say nothing."""
         return log_p if self.state.absent is None else np.where(self.state.absent, 0.0, log_p)
+
+    @property
+    def guides(self) -> Guides:
+        assert self.target._looks is not None
+        return self.target._looks.guides(self.state.learned)
+
+    def forecast(self, particles: Particles) -> tuple[Array, Array]:
+        assert isinstance(self.target.motion, VisibleWalk)
+        return self.target.motion.forecast(particles)
+
+    def arrive(self, rng: Generator, z: Array, particles: Particles, *, found: bool = False) -> Arrived:
+        assert isinstance(self.target.motion, VisibleWalk)
+        return self.target.motion.arrive(rng, z, particles, found=found)
 
     def propose_part(self, rng: Generator, x: Array, part: int) -> Array:
         if self.target.prior is None:

@@ -171,6 +171,11 @@ def test_every_recipe_of_skin_has_a_golden_of_each_clip_that_it_was_made_for() -
     assert {f"signing.{recipe}.json" for recipe in several} <= found
 
 
+def test_the_recipe_of_any_box_has_a_golden_of_faces_that_are_covered() -> None:
+    found = {path.name for path in find_goldens(SAMPLES)}
+    assert {"map.correlation_filter.json", "passerby.correlation_filter.json"} <= found
+
+
 def is_affine(recipe: Recipe) -> bool:
     return isinstance(recipe, ParticleRecipe) and recipe.target.type == "affine"
 

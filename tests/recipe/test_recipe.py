@@ -39,6 +39,7 @@ STEPS = [
     "adaptive_recognition",
 ]
 AFFINE = [*STEPS, "adaptive_robust"]
+BOXES = ["correlation_filter"]
 OPENCV = ["csrt", "kcf", "mil", "mosse"]
 
 GOOD = """\
@@ -90,7 +91,9 @@ def under_caret(excerpt):
 
 
 def test_the_shipped_recipes_are_all_there():
-    assert [path.stem for path in shipped_recipes()] == sorted(NAMES + OPENCV + REGIONS + SKIN + SEVERAL + AFFINE)
+    assert [path.stem for path in shipped_recipes()] == sorted(
+        NAMES + OPENCV + REGIONS + SKIN + SEVERAL + AFFINE + BOXES
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -144,6 +147,16 @@ def test_a_recipe_that_adapts_reads_like_a_method_section(name):
         recipe.recognition is not None and (recipe.recognition.none or recipe.recognition.sharpness != 1),
     ]
     assert any(beyond) == (name == "adaptive_robust"), "what goes beyond the paper is in no recipe that is published"
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_a_recipe_of_a_box_names_the_papers_of_its_pieces(name):
+    assert check_recipe(name) == []
+    path = next(path for path in shipped_recipes() if path.stem == name)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 40 and max(map(len, lines)) <= 120
+    assert lines[0].startswith("# Ours") and all(paper in " ".join(lines[:6]) for paper in ("ECO", "DSST", "Staple"))
+    assert len(load_recipe(name).description) <= 100
 
 
 def test_each_step_from_the_fixed_template_adapts_one_thing_more():
@@ -531,7 +544,7 @@ def test_schema_describes_every_field():
         assert reference.removeprefix("#/$defs/") in schema["$defs"]
     of_filter = schema["$defs"]["ParticleRecipe"]["properties"]["filter"]["oneOf"]
     kinds = [ref["$ref"].rpartition("/")[2] for ref in of_filter]
-    assert kinds == ["Sir", "Auxiliary", "Factorized", "Independent", "Adaptive"]
+    assert kinds == ["Sir", "Auxiliary", "Factorized", "Independent", "Adaptive", "Guided", "Peak"]
     length = json.dumps(schema["$defs"]["LengthPerPart"])
     assert '"maximum": 1000000.0' in length and "px" in length
     assert schema["$defs"]["ColourRatio"]["properties"]["robust"]["enum"][0] == "l1"

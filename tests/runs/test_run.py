@@ -244,9 +244,13 @@ def test_haar_can_be_asked_for_beside_an_init_file(run: Runner) -> None:
 
 
 def test_a_box_is_enough(run: Runner) -> None:
-    code, out, _ = run(SAMPLE, *SMALL, "--box", "110,93,99,99", "--init-frame", 3, "--stop", 6, "-o", "-")
+    within = ["--box", "110,93,99,99", "--init-frame", 3, "--stop", 6, "-o", "-"]
+    code, out, _ = run(SAMPLE, *SMALL, "--config", "factorized", *within)
     assert code == 0
     assert [line.split(",")[0] for line in out.splitlines()[1::5]] == ["3", "4", "5"]
+    code, out, _ = run(SAMPLE, *SMALL, *within)
+    rows = [line.split(",") for line in out.splitlines()[1:]]
+    assert code == 0 and [(row[0], row[3]) for row in rows] == [("3", "box"), ("4", "box"), ("5", "box")]
 
 
 def test_an_init_file_with_a_box_alone_is_enough(run: Runner) -> None:
@@ -286,7 +290,8 @@ def test_an_init_file_with_a_box_alone_is_enough(run: Runner) -> None:
         (["--init-frame", "30"], 3, "frame 30 is past the end, the clip has 30 frames"),
         (["--init", "haar", "--start", "99"], 3, "frame 99 is past the end"),
         (["--init", "haar"], 3, "no face found in frames 0 to 29"),
-        (["--box", "500,500,10,10"], 3, "not in the frame"),
+        (["--box", "500,500,10,10"], 3, "outside the frame of 128x96"),
+        (["--box", "500,500,10,10", "--config", "factorized"], 3, "not in the frame"),
         (["--config", "independent", "--init", "outside.yaml"], 3, "outside the frame of 128x96"),
     ],
 )
@@ -757,8 +762,9 @@ def test_the_header_is_the_schema(run: Runner, clip: Path) -> None:
         (["--init", ""], 2, "--init is empty"),
         (["--config", ""], 2, '"" is neither a file nor a shipped recipe'),
         (["-o", "o" * 300], 2, "cannot be written: File name too long"),
-        (["--box", "60,-400000,2,800000"], 3, "far larger than the frame of 128x96 pixels"),
-        (["--box", "-400000,-400000,800000,800000"], 3, "far larger than the frame of 128x96 pixels"),
+        (["--box", "60,-400000,2,800000"], 3, "smaller than 6x6 pixels"),
+        (["--box", "-400000,-400000,800000,800000"], 3, "larger than the frame of 128x96"),
+        (["--box", "60,-400000,2,800000", "--config", "sir"], 3, "far larger than the frame of 128x96 pixels"),
         (["--init-frame", "500"], 3, "(frame 500 is where --init-frame begins)"),
     ],
 )

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from functools import partial
 
-from facetrack_cli.recipe import affine, filters, points, regions, skin
+from facetrack_cli.recipe import affine, correlation_filter, filters, points, regions, skin
 from facetrack_cli.recipe.sections import type_of
 from facetrack_cli.tracking import filters as steps
 from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
@@ -14,7 +14,7 @@ from facetrack_cli.tracking.models.likelihoods.histogram import Histogram
 from facetrack_cli.tracking.models.likelihoods.recognition import Recognition
 from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
 from facetrack_cli.tracking.models.likelihoods.skin_ncc import SkinNcc
-from facetrack_cli.tracking.models.motion import AffineWalk
+from facetrack_cli.tracking.models.motion import AffineWalk, VisibleWalk
 from facetrack_cli.tracking.models.velocity import PredictedWalk
 
 
@@ -88,6 +88,11 @@ def predicted(walk, patches, velocity=None, noise=None):
     return PredictedWalk(settings, walk.sigma, walk.scale, patches, 100)
 
 
+def visible_walk(sigma, hidden, unit=20.0, limits=(0.1, 10.0), **settings):
+    """Sigma and hidden in pixels."""
+    return VisibleWalk(section(correlation_filter.VisibleWalk, **settings), unit, (sigma, hidden), limits)
+
+
 def sir(**settings):
     return partial(steps.sir, section(filters.Sir, **settings))
 
@@ -103,3 +108,11 @@ def factorized(reweight="prior", **settings):
 
 def adaptive(particles, **settings):
     return section(filters.Adaptive, particles=particles, **settings)
+
+
+def guided(particles, share):
+    return partial(steps.guided, section(correlation_filter.Guided, particles=particles, guided=share))
+
+
+def peak():
+    return partial(steps.peak, section(correlation_filter.Peak))

@@ -160,7 +160,7 @@ def test_messages_know_of_it(plugged, tmp_path):
         'unknown likelihood type "grey_diference"; did you mean "grey_difference"?'
     )
     assert refused("likelihood.type=nothing").endswith(
-        "it is one of: colour_ratio, product, skin_ncc, skin, appearance, grey_difference"
+        "it is one of: colour_ratio, product, skin_ncc, skin, appearance, correlation_filter, grey_difference"
     )
     wrong = 'likelihood type "grey_difference" does not go with target type "region"; write product or skin_ncc'
     assert wrong in refused(PLUGGED, config="histogram")

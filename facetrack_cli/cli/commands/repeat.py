@@ -34,7 +34,7 @@ class Repeat:
     """
 
     clip: Path = argument("INPUT")
-    config: str = options.CONFIG
+    config: str | None = options.CONFIG
     seeds: int = option("--seeds N", "Runs, from seed 0 on.", type=Whole(min=2), default=20)
     set: tuple[str, ...] = options.OVERRIDES
     gallery: str | None = options.GALLERY
@@ -52,6 +52,7 @@ class Repeat:
     def run(self) -> int:
         from facetrack_cli.evaluation.experiments.repeat import Repetition, matched, spreads
         from facetrack_cli.evaluation.experiments.sheet import clip_name
+        from facetrack_cli.recipe.files import default_recipe
         from facetrack_cli.report.figures.comparison import repeat_figures
         from facetrack_cli.runs.batch import title
         from facetrack_cli.runs.seeds import Plan, load_recipes, refuse_seed, run_plans
@@ -61,7 +62,8 @@ class Repeat:
         clip, results = self.clip, self.results
         self.extent.check(clip)
         refuse_seed(self.set)
-        [recipe] = load_recipes([(self.config, self.set)], self.gallery)
+        config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
+        [recipe] = load_recipes([(config, self.set)], self.gallery)
         truth = None if self.truth is None else read_truth(self.truth)
         name = f"{title(clip)}-{recipe.name}-repeat"
         with results.open(clip, self.out, name, "repeat", ["spread.png"]) as (stopped, shown, publish):

@@ -35,8 +35,8 @@ class Run:
     Each INPUT gets a folder with annotated.mp4, trajectory.csv and trajectory.json. The track starts from --init or
     --box, else from <clip>.init.yaml beside the clip, else from the first face that a Haar cascade finds.
 
-    Recipes of points follow the features of a face; within --box the image says where they are. Recipes of regions
-    follow whatever is in the box.
+    Without --config, whatever is in --box is followed as a box; else the features of a face are. Recipes of points
+    look for these features within --box.
 
     With several INPUTs, --out holds a folder for each; one that fails does not stop the others.
 
@@ -44,7 +44,7 @@ class Run:
     Examples:
       facetrack run clip.mp4
       facetrack run clip.mp4 --config sir --set filter.particles=500 -o out
-      facetrack run clip.mp4 --config histogram --box 110,93,56,64
+      facetrack run clip.mp4 --box 110,93,56,64
       facetrack run clip.mp4 --config adaptive_recognition --gallery people.npz
       facetrack run frames/ --fps 25 -o - | head
       find . -name '*.mp4' -print0 | xargs -0 facetrack run -j 4 --no-video
@@ -56,7 +56,7 @@ class Run:
     """
 
     inputs: tuple[Path, ...] = argument("INPUT...", nargs=-1, required=True)
-    config: str = options.CONFIG
+    config: str | None = options.CONFIG
     set: tuple[str, ...] = options.OVERRIDES
     seed: int | None = option("--seed N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
     gallery: str | None = options.GALLERY
@@ -76,6 +76,7 @@ class Run:
     quiet: bool = options.QUIET
 
     def run(self) -> int:
+        from facetrack_cli.recipe.files import default_recipe
         from facetrack_cli.runs.batch import absolute
         from facetrack_cli.runs.clip import Job
         from facetrack_cli.runs.progress import progress
@@ -85,7 +86,8 @@ class Run:
 
         self.extent.check(*self.inputs)
         seed = () if self.seed is None else (f"seed={self.seed}",)
-        [recipe] = load_recipes([(self.config, (*self.set, *seed))], self.gallery)
+        config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
+        [recipe] = load_recipes([(config, (*self.set, *seed))], self.gallery)
         if self.fail_on_lost and not recipe.judges:
             raise UsageError(
                 f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "

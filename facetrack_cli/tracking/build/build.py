@@ -5,7 +5,7 @@ from dataclasses import replace
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
 from facetrack_cli.recipe.affine import PatchLikelihood
-from facetrack_cli.recipe.model import OpenCvRecipe, ParticlesRecipe, Recipe, above
+from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.tracking import opencv
 from facetrack_cli.tracking.corrected import Anew, CorrectedTarget, is_complete
 from facetrack_cli.tracking.loop import Target, Tracker
@@ -43,7 +43,10 @@ def _target(recipe: Recipe, start: Start, name: str) -> Target:
     if isinstance(recipe, OpenCvRecipe):
         return opencv.OpenCvTarget(name, box_of(start, name), recipe.tracker, start.origin)
     key = name if name in recipe.filters else ""
-    given, exclusion = recipe.filters[key], recipe.exclusion if isinstance(recipe, ParticlesRecipe) else None
+    given, exclusion = (
+        recipe.filters[key],
+        recipe.exclusion if isinstance(recipe, ParticleRecipe | ParticlesRecipe) else None,
+    )
     placed = given.target.place(start, name)
     context = Context(recipe, above(key), given, start, name, placed)
     return ParticleTarget(

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.geometry import centre, size_of_points
 from facetrack_cli.core.types import Array, Box, Frame, Particles, Start, factor_for
-from facetrack_cli.recipe import affine, points, regions, skin
+from facetrack_cli.recipe import affine, correlation_filter, points, regions, skin
 from facetrack_cli.recipe.model import ParticleFilter, Recipe
 from facetrack_cli.tracking.kernels.affine import boxes_extent, read_patches
+from facetrack_cli.tracking.resampling import normalise
 from facetrack_cli.tracking.start.checks import box_of, check_size, size_of_box
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostic
 
+VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
 MOST_FACTOR = 256  # a face of 13 times 256 pixels or more is read with gaps
 
 
@@ -48,6 +50,9 @@ class Space(Protocol):
 
     def windows(self, estimated: Estimate) -> Array: ...
 
+    def estimate(self, particles: Particles, *, best: bool) -> Estimate:
+        return estimate(particles, best=best)
+
     def outline(self, estimated: Estimate) -> Outline | None:
         return None
 
@@ -78,6 +83,32 @@ class BoxSpace(Space):
         """Its scale is that of the area: the shape stays the start's."""
         scale = math.sqrt(box[2] * box[3] / (self.size[0] * self.size[1]))
         return np.array([[*centre(box), scale, 0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class VisibleBoxSpace(BoxSpace):
+    """A box that may be hidden (ours): state (1, 6) = (x, y, s, speeds of x and y, P(visible))."""
+
+    def at(self, box: Box) -> Array:
+        state = super().at(box)
+        state[0, VISIBLE] = 1.0
+        return state
+
+    def estimate(self, particles: Particles, *, best: bool) -> Estimate:
+        """The mean given that the target is visible, or, if it rather is hidden, given that; and P(visible)."""
+        shown = particles.x[:, 0, VISIBLE]
+        visible = float(np.sum(np.exp(particles.log_w) * shown))
+        with np.errstate(divide="ignore"):
+            log_w = normalise(particles.log_w + np.log(shown if visible >= 0.5 else 1 - shown))
+        found = estimate(Particles(particles.x, log_w), best=best)
+        found.state[0, VISIBLE] = visible
+        return found
+
+    def presence(self, particles: Particles, estimated: Estimate) -> Array:
+        """(1,): the probability that the target is visible and its centre within half a box of the estimate."""
+        off = np.abs(particles.x[:, 0, :2] - estimated.state[0, :2])
+        near = (off <= 0.5 * self.windows(estimated)[0]).all(axis=1)
+        return np.array([min(float(np.sum(np.exp(particles.log_w) * particles.x[:, 0, VISIBLE] * near)), 1.0)])
 
 
 @dataclass(frozen=True)
@@ -201,13 +232,19 @@ def place_points(settings: points.Points, start: Start, name: str) -> Placed:
     return Placed(PointSpace(windows), x0, windows, unit)
 
 
-def place_box(settings: regions.Region | affine.Affine | skin.Cloud, start: Start, name: str) -> Placed:
+def place_box(
+    settings: regions.Region | correlation_filter.Box | affine.Affine | skin.Cloud, start: Start, name: str
+) -> Placed:
     """A target that fills its box, whose mean side is the unit; particles of a cloud begin all over it."""
     box = check_size(start.origin, name, box_of(start, name))
     windows, unit = np.array([box[2:]]), size_of_box(start, name)
     if isinstance(settings, skin.Cloud):
         return Placed(CloudSpace(), CloudSpace().at(box), windows, unit, (0.25, 4.0), windows)
-    space = AffineSpace(box[2:]) if isinstance(settings, affine.Affine) else BoxSpace(box[2:])
+    kinds: dict[type, type[AffineSpace | BoxSpace]] = {
+        affine.Affine: AffineSpace,
+        correlation_filter.Box: VisibleBoxSpace,
+    }
+    space = kinds.get(type(settings), BoxSpace)(box[2:])
     return Placed(space, space.at(box), windows, unit, settings.scale)
 
 

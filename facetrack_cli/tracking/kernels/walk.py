@@ -1,0 +1,50 @@
+"""How likely places are, given all particles of the frame before (a marginal particle filter; Klaas et al. 2005)."""
+
+import math
+
+import numpy as np
+
+from facetrack_cli.tracking.kernels.compiled import exact
+
+
+@exact
+def arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which):
+    """log sum_m w_m p(z_n | m) of places and log scales z (N, 3), where the target is visible, and where it is hidden.
+
+    A particle m of the last frame is expected at `mean` (M, 3), with standard deviations `step` (M, 2), visible and
+    hidden, along x and y, and `scale` of the log scale; `log_shown`, `log_hidden` (M,) are the logarithms of its weight
+    times the probability of either. Sums go to `shown`, `hidden` (N,). `which` (N,) is the m from which z_n came, or
+    M + m where it was hidden, drawn by u (N,), uniform in 0..1.
+    """
+    many = len(mean)
+    logs, factor, parts = np.empty((2, many)), np.empty((2, many)), np.empty(2 * many)
+    for m in range(many):
+        for k in range(2):
+            factor[k, m] = -0.5 / step[m, k] ** 2
+            logs[k, m] = -2.0 * math.log(step[m, k]) - math.log(scale) - 1.5 * math.log(2.0 * math.pi)
+        logs[0, m] += log_shown[m]
+        logs[1, m] += log_hidden[m]
+    for n in range(len(z)):
+        top = -math.inf
+        for m in range(many):
+            dx, dy, ds = z[n, 0] - mean[m, 0], z[n, 1] - mean[m, 1], (z[n, 2] - mean[m, 2]) / scale
+            away = dx * dx + dy * dy
+            for k in range(2):
+                value = logs[k, m] + factor[k, m] * away - 0.5 * ds * ds
+                parts[k * many + m] = value
+                top = max(top, value)
+        sums = np.zeros(2)
+        for k in range(2):
+            for m in range(many):
+                value = math.exp(parts[k * many + m] - top)
+                parts[k * many + m] = value
+                sums[k] += value
+        shown[n] = math.log(sums[0]) + top if sums[0] > 0.0 else -math.inf
+        hidden[n] = math.log(sums[1]) + top if sums[1] > 0.0 else -math.inf
+        left, chosen = u[n] * (sums[0] + sums[1]), 2 * many - 1
+        for i in range(2 * many):
+            left -= parts[i]
+            if left <= 0.0 and parts[i] > 0.0:
+                chosen = i
+                break
+        which[n] = chosen

@@ -1,0 +1,337 @@
+"""A target by the response of a correlation filter, with its scale, its colours, and whether it is there.
+
+Ours, of published pieces; each has a file of its own in `models/correlation_filter`:
+
+    features.py  gradients, grey and colours of a window, reduced (Danelljan et al. 2017, ECO)
+    trained.py   the filter and how it is learned (2015, SRDCF; ECO; Li et al. 2018, STRCF)
+    scale.py     the filter of scale (2014, DSST)
+    colour.py    colours of target and surroundings (Bertinetto et al. 2016, Staple)
+
+With R the response to a window and Rm its highest value, the log-likelihood ratio of a target visible at x = (place,
+log scale) against one that is hidden is
+
+    log L(x) = evidence - z^2 / 2 + log sum_j (R_j / Rm)^sharpness N(x; x_j, std_j^2) / c,  z = max(mu - Rm, 0) / sigma
+
+R_j are the highest local maxima of R, as LMCF looks at several (Wang et al. 2017). mu and sigma are the running mean
+and standard deviation of Rm while the target is visible, as LMCF compares peaks with their means. std_j is that of
+R^sharpness beside the peak (Laplace's approximation), so that a blurred frame says less about the place; of the scale,
+that of the response over scales to the power `scales.sharpness`. The volume c makes `evidence` the logarithm of the
+Bayes factor for a peak of usual height, where the target is as likely in one place as in another within a box and a
+tenth of log scale. Far from all peaks L is about 0, and a target there must be hidden.
+
+All is learned in proportion to P(visible), and a little while the target is hidden: a face that turns away and one that
+is covered look alike, and after some seconds what is seen is taken for the target. While it is hidden, windows on a
+lattice over the whole frame, those near the last place first, are compared with this filter and with that of the first
+frames together; what both find is a mode as well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from facetrack_cli.core.types import Array, Frame, Particles
+from facetrack_cli.recipe import correlation_filter as recipe
+from facetrack_cli.tracking.guides import Guides
+from facetrack_cli.tracking.kernels.cells import read_cubic
+from facetrack_cli.tracking.models.correlation_filter.colour import ColourModel, Colours
+from facetrack_cli.tracking.models.correlation_filter.features import Features, Single
+from facetrack_cli.tracking.models.correlation_filter.scale import ScaleTrainer, TrainedScale
+from facetrack_cli.tracking.models.correlation_filter.trained import UPSAMPLED, Trained, Trainer, peaks
+from facetrack_cli.tracking.models.spaces import VISIBLE, Context
+from facetrack_cli.tracking.resampling import logsumexp
+
+FIRST = 10  # frames from which the filter for re-detection is learned
+_MEMORY = 50.0  # frames over which it is learned how high peaks are
+_USUAL = (0.75, 0.15)  # mean and standard deviation of peaks, in terms of that of the first window itself
+_PRIOR = 10.0  # frames that these count for
+_SIGMA = (0.1, 0.2)  # the least and the largest sigma, in terms of mu
+_LEAST = 1e-3  # of R / Rm and of S / Sm, whose logarithms are taken
+_SCALE_STD = 0.03
+_OFF = 0.25  # mean sides of the box; a peak further off the middle of the window is looked at once more
+_LEARNS = 0.05  # P(visible) below which nothing is learned
+_LATTICE = 0.4  # distance of two windows of re-detection, in sides of the window
+_MOST = 64  # windows of the lattice along a side of the frame, of a target that is tiny
+_SPEED = 0.5  # mean sides of the box a frame, by which re-detection widens
+
+
+class Heights(NamedTuple):
+    """Running mean and standard deviation of peaks, and how many frames they are learned from."""
+
+    mean: float
+    std: float
+    frames: float
+
+    def z(self, height: float) -> float:
+        """How many standard deviations a height is below the mean; 0 above it."""
+        least, most = (share * self.mean for share in _SIGMA)
+        return max(self.mean - height, 0.0) / max(min(max(self.std, least), most), 1e-9)
+
+    def learn(self, height: float, share: float) -> Heights:
+        frames = min(self.frames + share, _MEMORY)
+        rate = share / frames
+        off = min(max(height - self.mean, -2 * self.std), 2 * self.std)  # a mean that few bad frames do not move
+        return Heights(self.mean + rate * off, math.sqrt((1 - rate) * (self.std**2 + rate * off**2)), frames)
+
+
+class View(NamedTuple):
+    """A window around `centre` (2,): its response with colours, `raw` without, and that of the first frames."""
+
+    centre: Array
+    response: Single
+    raw: Single
+    first: Single
+
+    def heights(self, peak: Array) -> tuple[float, float]:
+        """How high both filters' responses are within a cell of a peak (column, row, height)."""
+        column, row = round(float(peak[0])), round(float(peak[1]))
+        rows, columns = (slice(max(k - UPSAMPLED, 0), k + UPSAMPLED + 1) for k in (row, column))
+        return float(self.raw[rows, columns].max()), float(self.first[rows, columns].max())
+
+
+class Seen(NamedTuple):
+    """What a frame shows: its modes, with log L at each, and how high R and the first frames' response are there."""
+
+    guides: Guides
+    heights: tuple[float, float]
+    candidate: Array | None
+
+
+class Learned(NamedTuple):
+    """What is known of the clip. `first` are the filters of the first frames, `hidden` how long it has been hidden.
+
+    `candidate` (2,) is the best place elsewhere of the last frame, which is looked at again.
+    """
+
+    features: Features
+    filters: Trained
+    first: Single
+    scales: TrainedScale | None
+    colours: Colours | None
+    heights: Heights
+    first_heights: Heights
+    frames: int = 1
+    hidden: int = 0
+    candidate: Array | None = None
+    seen: Seen | None = None
+
+
+@dataclass(frozen=True)
+class CorrelationFilter:
+    """`size`: width and height of the box at the start, in pixels; `limits`: of its scale."""
+
+    settings: recipe.CorrelationFilter
+    size: tuple[float, float]
+    limits: tuple[float, float]
+
+    @classmethod
+    def build(cls, settings: recipe.CorrelationFilter, context: Context) -> CorrelationFilter:
+        return cls(settings, context.placed.size, context.placed.scale)
+
+    @cached_property
+    def _unit(self) -> float:
+        """The mean side of the box at the start, in pixels."""
+        return math.sqrt(self.size[0] * self.size[1])
+
+    @cached_property
+    def _trainer(self) -> Trainer:
+        one = self.settings
+        per_pixel = one.cells / (one.window * self._unit)
+        box = (max(self.size[0] * per_pixel, 1.0), max(self.size[1] * per_pixel, 1.0))
+        temporal = one.inertia if one.learn == "temporal" else None
+        return Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3), temporal=temporal)
+
+    @cached_property
+    def _scale_trainer(self) -> ScaleTrainer | None:
+        one = self.settings.scales
+        return None if one is None else ScaleTrainer(self.size, one.count, one.step)
+
+    @cached_property
+    def _colour_model(self) -> ColourModel:
+        side = self.settings.window * self._unit
+        return ColourModel((self.size[0] / side, self.size[1] / side))
+
+    def _side(self, scale: float) -> float:
+        """Side of the window in pixels."""
+        return self.settings.window * self._unit * scale
+
+    def init(self, frame: Frame, x0: Array) -> Learned:
+        centre, scale = x0[0, :2], float(x0[0, 2])
+        features = Features.learn(frame, centre, self._side(scale), self.settings.cells, self.settings.components)
+        x, window = features.read(frame, centre, self._side(scale))
+        filters = self._trainer.begin(x)
+        top = float(self._trainer.respond(filters.filters, x).max())
+        heights = Heights(_USUAL[0] * top, _USUAL[1] * top, _PRIOR)
+        colours = None
+        if features.colour and self.settings.colour > 0:
+            colours = self._colour_model.learn(None, window, 1.0)
+        scales, trainer = None, self._scale_trainer
+        if trainer is not None:
+            scales = trainer.learn(None, trainer.read(frame, centre, scale), 1.0)
+        return Learned(features, filters, filters.filters, scales, colours, heights, heights)
+
+    def look(self, learned: Learned, frame: Frame, expected: Array) -> Learned:
+        """With what the frame shows around the place (1, D) where the target is `expected`."""
+        one, centre, scale = self.settings, expected[0, :2], float(np.clip(expected[0, 2], *self.limits))
+        view = self._view(learned, frame, centre, scale)
+        found = peaks(view.response, 0.5, one.modes)
+        off = (found[0, :2] - len(view.response) // 2) * self._sample(scale)
+        if float(np.hypot(*off)) > _OFF * self._unit * scale:  # near the border of a window responses are low
+            view = self._view(learned, frame, centre + off, scale)
+            found = peaks(view.response, 0.5, one.modes)
+        heights = view.heights(found[0])
+        log_l = one.evidence - 0.5 * learned.heights.z(heights[0]) ** 2
+        log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _LEAST))
+        modes = [self._modes(view, scale, found, log_l)]
+        log_s, std = self._scale_at(learned, frame, modes[0].mean[0, :2], scale)
+        modes[0].mean[:, 2] += log_s
+        modes[0].std[:, 2] = std
+        candidate = None
+        if (anew := self._detect(learned, frame, expected, scale)) is not None:
+            modes.append(anew)
+            candidate = anew.mean[0, :2]
+        guides = Guides(*(np.concatenate(column) for column in zip(*modes, strict=True)))
+        return learned._replace(seen=Seen(guides, heights, candidate))
+
+    def _sample(self, scale: float) -> float:
+        """Pixels between two samples of a response."""
+        return self._side(scale) / (UPSAMPLED * self.settings.cells)
+
+    def _view(self, learned: Learned, frame: Frame, centre: Array, scale: float) -> View:
+        x, window = learned.features.read(frame, centre, self._side(scale))
+        raw, first = (self._trainer.respond(of, x) for of in (learned.filters.filters, learned.first))
+        response = raw
+        if learned.colours is not None:
+            score = self._colour_model.respond(learned.colours, window, len(raw))
+            if score is not None:
+                share = self.settings.colour
+                response = (1 - share) * raw + np.float32(share * learned.heights.mean) * score
+        return View(centre, response, raw, first)
+
+    def _detect(self, learned: Learned, frame: Frame, expected: Array, scale: float) -> Guides | None:
+        """A mode found elsewhere, where the target is hidden: the best of a few windows, looked at once more."""
+        best: tuple[float, Array] | None = None
+        middle = UPSAMPLED * self.settings.cells // 2
+        for place in self._elsewhere(learned, frame, expected):
+            view = self._view(learned, frame, place, scale)
+            both = view.raw / np.float32(learned.heights.mean) + view.first / np.float32(learned.first_heights.mean)
+            [top] = peaks(both, 1.0, 1)
+            if best is None or top[2] > best[0]:
+                best = float(top[2]), place + (top[:2] - middle) * self._sample(scale)
+        if best is None:
+            return None
+        view = self._view(learned, frame, best[1], scale)
+        found = peaks(view.response, 1.0, 1)
+        raw, first = view.heights(found[0])
+        log_l = self.settings.evidence - 0.5 * (learned.heights.z(raw) ** 2 + learned.first_heights.z(first) ** 2)
+        return self._modes(view, scale, found, np.array([log_l]), anew=True)
+
+    def _modes(self, view: View, scale: float, found: Array, log_l: Array, *, anew: bool = False) -> Guides:
+        """The peaks `found` (J, 3) of a response as Gaussians of place and log scale, which is left open."""
+        n, sharpness, sample, response = len(view.response), self.settings.sharpness, self._sample(scale), view.response
+        usual = UPSAMPLED * self._trainer.sigma
+        widths = np.array([_widths(response, one, usual) for one in found])
+        mean = np.column_stack([view.centre + (found[:, :2] - n // 2) * sample, np.full(len(found), math.log(scale))])
+        std = np.column_stack([widths * sample / math.sqrt(sharpness), np.full(len(found), _SCALE_STD)])
+        return Guides(mean, std, log_l, np.full(len(found), anew))
+
+    def _scale_at(self, learned: Learned, frame: Frame, place: Array, scale: float) -> tuple[float, float]:
+        """Mean and standard deviation of the change of log scale at a place, by S^sharpness times a broad prior."""
+        trainer, settings = self._scale_trainer, self.settings.scales
+        if trainer is None or settings is None or learned.scales is None:
+            return 0.0, _SCALE_STD
+        response = trainer.respond(learned.scales, trainer.read(frame, place, scale))
+        response = response - response.min()
+        if float(response.max()) < 1e-9:  # flat, as far outside of the frame
+            return 0.0, _SCALE_STD
+        w = (response / float(response.max())) ** settings.sharpness
+        w *= np.exp(-0.5 * (trainer.log_scales / _SCALE_STD) ** 2)
+        w /= w.sum()
+        mean = float(np.sum(w * trainer.log_scales))
+        between = math.log(settings.step) ** 2 / 12  # of a scale that is known to the nearest one
+        variance = max(float(np.sum(w * (trainer.log_scales - mean) ** 2)), between)
+        # the prior of the motion comes once more: it is taken out here
+        precision = max(1 / variance - 1 / _SCALE_STD**2, 1 / (4 * _SCALE_STD) ** 2)
+        return mean / (variance * precision), 1 / math.sqrt(precision)
+
+    def _elsewhere(self, learned: Learned, frame: Frame, expected: Array) -> list[Array]:
+        """Where else to look for a target that is hidden: a few places of a lattice, the nearest first, in turn."""
+        count = self.settings.detect
+        if not learned.hidden or not count:
+            return []
+        step = _LATTICE * self._side(float(expected[0, 2]))
+        across, down = (np.arange(min(max(round(n / step), 1), _MOST)) for n in frame.size)
+        x, y = np.meshgrid((across + 0.5) / len(across) * frame.size[0], (down + 0.5) / len(down) * frame.size[1])
+        places = np.column_stack([x.ravel(), y.ravel()])
+        away = np.hypot(*(places - expected[0, :2]).T)
+        order = np.argsort(away, kind="stable")
+        reach = step + _SPEED * self._unit * float(expected[0, 2]) * learned.hidden
+        order = order[: max(int(np.sum(away <= reach)), 1)]
+        begin = (learned.hidden - 1) * count
+        chosen = [places[order[k % len(order)]] for k in range(begin, begin + min(count, len(order)))]
+        return chosen if learned.candidate is None else [learned.candidate, *chosen]
+
+    def score(self, learned: Learned, frame: Frame, x: Array, parents: Array) -> Array:
+        """(N, 1): log L of x (N, 1, D), the Gaussians of the modes; 0 far from all."""
+        assert learned.seen is not None
+        guides = learned.seen.guides
+        z = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])])
+        off = np.sum(((z[:, None] - guides.mean) / guides.std) ** 2, axis=2)
+        # so that the mean of L over a box and a tenth of log scale is its evidence
+        volume = (
+            (2 * math.pi) ** 1.5 * np.prod(guides.std, axis=1) / (0.1 * self._unit**2 * np.exp(2 * guides.mean[:, 2]))
+        )
+        return logsumexp(guides.log_w - np.log(volume) - 0.5 * off, axis=1)[:, None]
+
+    def guides(self, learned: Learned) -> Guides:
+        assert learned.seen is not None
+        return learned.seen.guides
+
+    def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
+        """In proportion to P(visible), the last number of the `state` (1, D)."""
+        one, seen = self.settings, learned.seen
+        visible = float(np.clip(state[0, VISIBLE], 0, 1))
+        frames = learned.frames + 1
+        if seen is not None:
+            heights, first_heights = learned.heights, learned.first_heights
+            heights, first = heights.learn(seen.heights[0], visible), first_heights.learn(seen.heights[1], visible)
+            learned = learned._replace(heights=heights, first_heights=first)
+        hidden = learned.hidden + 1 if visible < 0.5 else 0
+        candidate = seen.candidate if hidden and seen is not None else None
+        learned = learned._replace(hidden=hidden, candidate=candidate, seen=None, frames=frames)
+        share = one.hidden_rate + (1 - one.hidden_rate) * visible
+        step = 1 if frames <= FIRST else one.every
+        if share < _LEARNS or frames % step:
+            return learned
+        centre, scale = state[0, :2], float(state[0, 2])
+        x, window = learned.features.read(frame, centre, self._side(scale))
+        rate = min(step * share * one.rate, 1.0) if one.learn == "memory" else share
+        filters = self._trainer.learn(learned.filters, x, rate)
+        scales, trainer, colours = learned.scales, self._scale_trainer, learned.colours
+        if trainer is not None and one.scales is not None:
+            rate = min(step * share * one.scales.rate, 1.0)
+            scales = trainer.learn(scales, trainer.read(frame, centre, scale), rate)
+        if colours is not None:
+            colours = self._colour_model.learn(colours, window, step * share)
+        if frames <= FIRST:
+            learned = learned._replace(first=filters.filters)
+        return learned._replace(filters=filters, scales=scales, colours=colours)
+
+    def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
+        """(N, 1) of zeros: whether the target is visible is part of the state."""
+        return np.zeros(x.shape[:2])
+
+
+def _widths(response: Single, peak: Array, usual: float) -> tuple[float, float]:
+    """Standard deviations along x and y, in samples, of the Gaussian that falls as the response does beside a peak."""
+    column, row, height = peak.tolist()
+    at = [column - usual, column + usual, column, column], [row, row, row - usual, row + usual]
+    values = np.empty(4)
+    read_cubic(response, np.array(at[0]), np.array(at[1]), values)
+    shares = np.clip(0.5 * (values[::2] + values[1::2]) / height, 0.3, 0.9)
+    x, y = (usual / np.sqrt(-2 * np.log(shares))).tolist()
+    return x, y

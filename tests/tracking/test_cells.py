@@ -1,0 +1,142 @@
+"""The kernels of the correlation filter against their plain twins, and what they make of flat and tiny images."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.tracking.kernels import cells
+from tests.twins import cells as naive
+
+seeds = st.integers(0, 10_000)
+
+
+def gradients(grey, cell):
+    height, width = grey.shape
+    out = np.full((cells.CHANNELS, height // cell, width // cell), np.nan, np.float32)
+    cells.gradients(np.asarray(grey, np.float32), cell, out)
+    return out
+
+
+def singles(rng, *shape):
+    return rng.standard_normal(shape).astype(np.float32)
+
+
+@given(seed=seeds, rows=st.integers(1, 5), columns=st.integers(1, 5), cell=st.sampled_from([2, 3, 4, 8]))
+def test_gradients_are_what_their_plain_twin_says(seed, rows, columns, cell):
+    grey = np.random.default_rng(seed).random((rows * cell, columns * cell), np.float32)
+    np.testing.assert_allclose(gradients(grey, cell), naive.gradients(grey.astype(float), cell), atol=2e-5)
+
+
+def test_little_contrast_is_not_blown_up():
+    """By the 1e-4 beside the energy, what is nearly flat has gradients in proportion to its contrast."""
+    noise = np.random.default_rng(0).random((16, 24))
+    less, more = (gradients(k * noise, 4) for k in (1e-5, 1e-4))
+    np.testing.assert_allclose(10 * less, more, rtol=0.02, atol=2e-4)
+    assert 0 < more.max() < 0.1
+
+
+@pytest.mark.parametrize("degrees", range(0, 360, 20))
+def test_a_ramp_lies_in_the_bin_of_its_direction(degrees):
+    y, x = np.mgrid[:24, :24]
+    a = np.deg2rad(degrees)
+    found = gradients(0.5 + 0.01 * (np.cos(a) * x + np.sin(a) * y), 4)[:, 2:-2, 2:-2]
+    k = degrees // 20
+    assert np.all(found[:18].argmax(axis=0) == k)
+    assert np.all(found[18:27].argmax(axis=0) == k % 9)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("shape", [(2, 2), (4, 4), (8, 20), (32, 12)])
+def test_flat_images_have_no_gradients(level, shape):
+    np.testing.assert_array_equal(gradients(np.full(shape, level), 2), 0.0)
+
+
+def test_light_that_is_added_changes_nothing_and_contrast_little():
+    grey = 0.5 * np.random.default_rng(1).random((24, 32))
+    np.testing.assert_allclose(gradients(grey, 4), gradients(grey + 0.4, 4), atol=1e-4)
+    np.testing.assert_allclose(gradients(grey, 4), gradients(0.5 * grey, 4), atol=1e-3)
+
+
+@given(
+    seed=seeds,
+    x=st.floats(-10, 50),
+    y=st.floats(-10, 40),
+    sides=st.lists(st.tuples(st.floats(2, 60), st.floats(2, 60)), min_size=1, max_size=3),
+    rows=st.integers(1, 3),
+    columns=st.integers(1, 3),
+)
+def test_gradients_of_scales_are_those_of_windows_read_bilinearly(seed, x, y, sides, rows, columns):
+    image = np.random.default_rng(seed).integers(0, 256, (31, 43), np.uint8)
+    out = np.full((len(sides), cells.CHANNELS, rows, columns), np.nan, np.float32)
+    cells.gradients_of_scales(image, x, y, np.array(sides), 4, out)
+    assert np.isfinite(out).all()
+    whole = [naive.window(image, x, y, *both, (4 * rows, 4 * columns)) for both in sides]
+    theirs = np.array([naive.gradients(one, 4) for one in whole])
+    # a direction halfway between two bins may fall into either
+    assert np.mean(np.abs(out - theirs) > 1e-3) < 0.1
+
+
+def test_gradients_of_scales_inside_of_the_image():
+    image = np.random.default_rng(2).integers(0, 256, (61, 83), np.uint8)
+    sides = np.array([(20.3, 31.7), (27.1, 40.9), (33.3, 52.1)])
+    out = np.empty((3, cells.CHANNELS, 4, 3), np.float32)
+    cells.gradients_of_scales(image, 40.2, 30.7, sides, 4, out)
+    whole = [naive.window(image, 40.2, 30.7, *both, (16, 12)) for both in sides]
+    np.testing.assert_allclose(out, [naive.gradients(one, 4) for one in whole], atol=1e-4)
+
+
+@given(seed=seeds, count=st.integers(1, 6), features=st.integers(1, 9), places=st.integers(1, 12))
+def test_project_is_what_its_plain_twin_says(seed, count, features, places):
+    rng = np.random.default_rng(seed)
+    components, of, taper = singles(rng, count, features), singles(rng, features, places), singles(rng, places)
+    out = np.full((count, places), np.nan, np.float32)
+    cells.project(components, of, taper, out)
+    np.testing.assert_allclose(out, naive.project(components, of, taper), atol=1e-4)
+
+
+@given(seed=seeds, channels=st.integers(1, 6), places=st.integers(1, 10), rate=st.sampled_from([0.0, 0.02, 0.5, 1.0]))
+def test_a_memory_is_a_matrix_for_each_frequency(seed, channels, places, rate):
+    rng = np.random.default_rng(seed)
+    memory = np.zeros((channels * (channels + 1) // 2, 2, places), np.float32)
+    whole = np.zeros((places, channels, channels), complex)
+    for share in (1.0, rate, 0.3):
+        x = singles(rng, 2, channels, places)
+        cells.remember(memory, x, np.float32(share))
+        whole = naive.remember(whole, x, share)
+    np.testing.assert_allclose(naive.matrices(memory, channels), whole, atol=1e-5)
+    v, out = singles(rng, 2, channels, places), np.full((2, channels, places), np.nan, np.float32)
+    cells.multiply(memory, v, out)
+    np.testing.assert_allclose(naive.complexes(out), naive.multiply(whole, v), atol=1e-4)
+    for matrix in naive.matrices(memory, channels):
+        assert np.linalg.eigvalsh(matrix).min() > -1e-4
+
+
+@given(seed=seeds, channels=st.integers(1, 6), places=st.integers(1, 10))
+def test_respond_is_what_its_plain_twin_says(seed, channels, places):
+    rng = np.random.default_rng(seed)
+    filters, x = singles(rng, 2, channels, places), singles(rng, 2, channels, places)
+    out = np.full((2, places), np.nan, np.float32)
+    cells.respond(filters, x, out)
+    np.testing.assert_allclose(out[0] + 1j * out[1], naive.respond(filters, x), atol=1e-4)
+
+
+@given(
+    seed=seeds,
+    shape=st.tuples(st.integers(1, 7), st.integers(1, 7)),
+    places=st.lists(st.tuples(st.floats(-4, 12), st.floats(-4, 12)), min_size=1, max_size=8),
+)
+def test_read_cubic_is_what_its_plain_twin_says(seed, shape, places):
+    values = np.random.default_rng(seed).standard_normal(shape)
+    x, y = (np.array(column) for column in zip(*places, strict=True))
+    out = np.full(len(x), np.nan)
+    cells.read_cubic(values, x, y, out)
+    np.testing.assert_allclose(out, [naive.read_cubic(values, *at) for at in places], atol=1e-9)
+
+
+def test_read_cubic_goes_through_the_samples_and_knows_planes():
+    values = np.add.outer(2.0 * np.arange(6), -3.0 * np.arange(9))
+    x, y = np.array([0.0, 8.0, 4.0, 3.25, 5.5]), np.array([0.0, 5.0, 3.0, 2.75, 1.5])
+    out = np.empty(5)
+    cells.read_cubic(values, x, y, out)
+    np.testing.assert_allclose(out, 2 * y - 3 * x)

@@ -1,0 +1,302 @@
+"""The correlation filter in the whole engine: a textured patch over a textured ground, whose ground truth is known."""
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.build.build import build_tracker, tracker_for
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.models.spaces import VISIBLE
+from tests.support.results import parts_of
+
+WIDTH, HEIGHT = 160, 120
+
+
+def texture(height, width, seed, blur=2.0, colour=True):
+    """(height, width, 3) of random blobs, whose mean colour is random too."""
+    rng = np.random.default_rng(seed)
+    noise = cv2.GaussianBlur(rng.normal(0, 1, (height, width, 3)).astype(np.float32), (0, 0), blur)
+    picture = rng.uniform(80, 170, 3) + 45 * noise / noise.std()
+    return picture if colour else np.repeat(picture.mean(axis=2, keepdims=True), 3, axis=2)
+
+
+def paste(ground, patch, x, y, k=1.0):
+    """`ground` with the patch, k times as large, around (x, y), parts of pixels by their share."""
+    h, w = patch.shape[:2]
+    to = np.array([[k, 0, x - k * (w - 1) / 2], [0, k, y - k * (h - 1) / 2]])
+    size = ground.shape[1::-1]
+    share = cv2.warpAffine(np.ones((h, w), np.float32), to, size)[..., None]
+    # beyond its border the patch goes on, so that it is not mixed with black
+    return ground * (1 - share) + cv2.warpAffine(patch, to, size, borderMode=cv2.BORDER_REPLICATE) * share
+
+
+def frame(n, picture):
+    return Frame(n, n / 25, np.clip(picture, 0, 255).round().astype(np.uint8))
+
+
+def clip(places, size=(24, 28), colour=True, frame_size=(WIDTH, HEIGHT), cover=(), seed=1, blur=2.0):
+    """A patch at `places` (x, y) or (x, y, scale), None where it is gone; in frames `cover` something is before it."""
+    ground = texture(frame_size[1], frame_size[0], seed + 100, 1.5 * blur, colour)
+    patch, other = texture(size[1], size[0], seed, blur, colour), texture(size[1] + 16, size[0] + 16, seed + 50, blur)
+    frames = []
+    for n, place in enumerate(places):
+        picture = ground if place is None else paste(ground, patch, *place)
+        if n in cover:
+            picture = paste(picture, other, *place[:2])
+        frames.append(frame(n, picture))
+    return frames
+
+
+def path(count=30, x=60.0, y=55.0):
+    return [(x + 25 * np.sin(n / 8), y + 12 * (1 - np.cos(n / 6)), 1 + 0.12 * np.sin(n / 10)) for n in range(count)]
+
+
+def start(place, size=(24, 28), name="thing"):
+    w, h = size
+    return Start(0, {name: TargetStart(box=(place[0] - (w - 1) / 2, place[1] - (h - 1) / 2, w, h))}, "clip.init.yaml")
+
+
+def run(frames, begin, seed=0, **overrides):
+    return list(track(build_tracker(load_recipe("correlation_filter", overrides), begin), iter(frames), seed))
+
+
+def boxes(results, target=0):
+    return [parts_of(one.targets[target])[0] for one in results]
+
+
+def off(results, places):
+    """How far the centre is off, in shares of the box (frames, 2)."""
+    return np.array([((b.x - p[0]) / b.w, (b.y - p[1]) / b.h) for b, p in zip(boxes(results), places, strict=True)])
+
+
+def statuses(results):
+    return [one.status for one in boxes(results)]
+
+
+def assert_finite(results):
+    for one in boxes(results):
+        assert np.isfinite([one.x, one.y, one.w, one.h, one.confidence, one.ess]).all()
+        assert -1e-9 <= one.confidence <= 1 + 1e-9
+
+
+def assert_followed(results, places):
+    assert_finite(results)
+    assert np.abs(off(results, places)).max() < 0.25
+    assert set(statuses(results)) == {"init", "tracked"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("colour", [True, False])
+def test_a_moving_target_is_followed(colour, seed):
+    places = path()
+    results = run(clip(places, colour=colour, seed=3 * seed + 1), start(places[0]), seed)
+    assert_followed(results, places)
+    scale = np.array([one.w / 24 for one in boxes(results)])
+    assert np.abs(np.log(scale / [p[2] for p in places])).max() < 0.15
+
+
+@pytest.mark.parametrize("size", [(12, 12), (16, 48), (48, 16), (40, 40)])
+def test_small_targets_and_long_ones_are_followed(size):
+    places = [(60 + 1.0 * n, 55 + 0.5 * n) for n in range(25)]
+    assert_followed(run(clip(places, size), start(places[0], size)), places)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        {"likelihood.learn": "temporal"},
+        {"likelihood.scales": None},
+        {"likelihood.colour": 0},
+        {"likelihood.colour": 0.6},
+        {"likelihood.cells": 16},
+        {"likelihood.detect": 0},
+        {"likelihood.modes": 1},
+        {"filter.particles": 20},
+    ],
+    ids=str,
+)
+def test_it_follows_with_other_settings_too(overrides):
+    places = [(60 + 1.0 * n, 55 + 0.5 * n) for n in range(25)]
+    assert_followed(run(clip(places), start(places[0]), **overrides), places)
+
+
+@pytest.mark.parametrize(("key", "values"), [
+    ("likelihood.window", (2, 10)), ("likelihood.sharpness", (0.01, 100)), ("likelihood.peak", (0.01, 1)),
+    ("likelihood.evidence", (-20, 20)), ("likelihood.hidden_rate", (0, 1)), ("likelihood.components", (2, 34)),
+    ("likelihood.scales.count", (3, 65)), ("likelihood.scales.sharpness", (0.1, 100)), ("motion.scale", (1e-6, 1)),
+    ("motion.sigma", (1e-6, 5)), ("motion.hidden", (1e-6, 5)), ("motion.elsewhere", (0, 1)),
+    ("motion.show", (1e-300, 0.999)), ("motion.hide", (1e-300, 0.999)),
+])  # fmt: skip
+def test_settings_at_their_bounds_are_survived(key, values):
+    places = path(14)
+    for value in values:
+        assert_finite(run(clip(places, cover=range(6, 10)), start(places[0]), **{key: value}))
+
+
+def test_the_peak_alone_goes_with_the_target():
+    places = path()
+    results = run(clip(places), start(places[0]), filter={"type": "peak"})
+    assert_finite(results)
+    assert set(statuses(results)[1:]) == {"tracked"}, "it is always visible"
+    assert np.abs(off(results, places)).max() < 0.25
+
+
+@pytest.mark.parametrize("at", [(2.0, 60.0), (158.0, 60.0), (80.0, 1.0), (80.0, 118.0)])
+def test_half_a_box_outside_at_the_start(at):
+    inward = np.sign(np.array([80.0, 60.0]) - at) * (np.abs(np.array([80.0, 60.0]) - at) > 40)
+    places = [(*(np.array(at) + 1.2 * n * inward),) for n in range(20)]
+    results = run(clip(places), start(places[0]))
+    assert_finite(results)
+    assert np.abs(off(results, places))[:10].max() < 0.5
+
+
+@pytest.mark.parametrize("by", [(4.0, 0.0), (-4.0, 1.0), (0.0, -4.0)])
+def test_a_target_that_leaves_the_frame_is_lost(by):
+    places = [(80 + by[0] * n, 60 + by[1] * n) for n in range(45)]
+    results = run(clip(places), start(places[0]))
+    assert_finite(results)
+    assert np.abs(off(results, places))[:10].max() < 0.25
+    assert statuses(results)[-5:] == ["lost"] * 5
+
+
+@pytest.mark.parametrize("level", [0, 127, 255])
+@pytest.mark.parametrize("colour", [0.3, 0.0])
+def test_flat_frames_are_survived(level, colour):
+    frames = [Frame(n, n / 25, np.full((HEIGHT, WIDTH, 3), level, np.uint8)) for n in range(12)]
+    assert_finite(run(frames, start((60, 55)), **{"likelihood.colour": colour}))
+
+
+@pytest.mark.parametrize("learn", ["memory", "temporal"])
+def test_frames_that_turn_black_and_come_back_are_survived(learn):
+    places = [(60.0, 55.0)] * 40
+    frames = clip(places)
+    for n in range(10, 20):
+        frames[n] = Frame(n, n / 25, np.zeros_like(frames[n].bgr))
+    results = run(frames, start(places[0]), **{"likelihood.learn": learn})
+    assert_finite(results)
+    assert statuses(results)[14:20] == ["lost"] * 6
+    assert statuses(results)[-5:] == ["tracked"] * 5
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("colour", [True, False])
+def test_covered_it_is_lost_and_tracked_again_after(colour, seed):
+    places = [(60 + 0.5 * n, 55 + 0.2 * n) for n in range(40)]
+    results = run(clip(places, cover=range(15, 25), colour=colour, seed=3 * seed + 1), start(places[0]), seed)
+    assert_finite(results)
+    status = statuses(results)
+    assert set(status[:15]) == {"init", "tracked"}
+    assert set(status[17:25]) == {"lost"}
+    assert set(status[30:]) == {"tracked"}
+    assert np.abs(off(results, places))[30:].max() < 0.25
+
+
+def test_it_is_found_where_it_returns():
+    """Beyond the window, which is 5 times as large as the box; of 8 targets at most one is missed, none is mistaken."""
+    places, times = [(40.0, 40.0)] * 15 + [None] * 10 + [(250.0, 190.0)] * 45, []
+    for seed in range(8):
+        frames = clip(places, (20, 20), frame_size=(320, 240), seed=3 * seed + 1)
+        results = run(frames, start(places[0], (20, 20)), seed)
+        assert_finite(results)
+        status = statuses(results)
+        assert set(status[18:25]) == {"lost"}
+        found = [n for n in range(25, 70) if status[n] == "tracked"]
+        times.append(len(found))
+        assert not found or np.abs(off([results[n] for n in found], [places[n] for n in found])).max() < 0.25
+    assert sum(n >= 10 for n in times) >= 7
+
+
+def test_log_l_is_highest_at_the_modes():
+    places, recipe = path(), load_recipe("correlation_filter")
+    frames, [target] = clip(places), build_tracker(recipe, start(places[0]))
+    likelihood, x0 = target.likelihood, target.x0
+    learned = likelihood.init(frames[0], x0)
+    learned = likelihood.look(learned, frames[3], x0)
+    guides = likelihood.guides(learned)
+    best = int(guides.log_w.argmax())
+    np.testing.assert_allclose(guides.mean[best, :2], places[3][:2], atol=1.5)
+    x = np.repeat(x0[None], 200, axis=0)
+    z = guides.mean[best] + guides.std[best] * np.random.default_rng(0).normal(0, 1, (200, 3))
+    x[:, 0, :2], x[:, 0, 2] = z[:, :2], np.exp(z[:, 2])
+    top = x[:1].copy()
+    top[0, 0, :2], top[0, 0, 2] = guides.mean[best, :2], np.exp(guides.mean[best, 2])
+    score = likelihood.score(learned, frames[3], np.concatenate([top, x]), x)
+    assert score.shape == (201, 1) and np.isfinite(score).all()
+    assert score[0] >= score[1:].max()
+    far = top + np.array([60, 60, 0, 0, 0, 0])
+    assert likelihood.score(learned, frames[3], far, far)[0, 0] < score[0, 0] - 20
+
+
+def test_the_mean_of_l_over_a_box_and_a_tenth_of_log_scale_is_its_evidence():
+    frames, [target] = clip(path()), build_tracker(load_recipe("correlation_filter"), start(path()[0]))
+    likelihood = target.likelihood
+    learned = likelihood.look(likelihood.init(frames[0], target.x0), frames[2], target.x0)
+    guides = likelihood.guides(learned)
+    sides = [np.arange(0, WIDTH, 0.5), np.arange(0, HEIGHT, 0.5), np.arange(-0.3, 0.3, 0.01)]
+    x = np.zeros((np.prod([len(side) for side in sides]), 1, 6))
+    x[:, 0, :3] = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    x[:, 0, 2] = np.exp(x[:, 0, 2])
+    whole = np.exp(likelihood.score(learned, frames[2], x, x)).sum() * 0.5 * 0.5 * 0.01
+    areas = 24 * 28 * np.exp(2 * guides.mean[:, 2])
+    assert whole == pytest.approx(np.sum(np.exp(guides.log_w) * areas * 0.1), rel=0.02)
+
+
+def test_p_visible_is_part_of_the_state():
+    places = [(60.0, 55.0)] * 25
+    [target] = build_tracker(load_recipe("correlation_filter"), start(places[0]))
+    rng, frames = np.random.default_rng(0), clip(places, cover=range(12, 25))
+    state, _ = target.begin(rng, frames[0])
+    seen = []
+    for one in frames[1:]:
+        state, result = target.advance(rng, state, one)
+        seen.append(state.estimated.state[0, VISIBLE])
+        assert parts_of(result)[0].confidence <= seen[-1] + 1e-9
+    assert min(seen[:11]) > 0.9
+    assert max(seen[13:]) < 0.5
+
+
+def test_equal_seeds_give_equal_bytes():
+    places = path(15)
+    frames = clip(places)
+    one, two, other = (
+        np.array([(b.x, b.y, b.w, b.h, b.confidence, b.ess) for b in boxes(run(frames, start(places[0]), seed))])
+        for seed in (3, 3, 4)
+    )
+    assert one.tobytes() == two.tobytes()
+    assert one.tobytes() != other.tobytes()
+
+
+def test_two_targets_exclude_each_other():
+    """Two that look the same and pass each other closely stay two."""
+    ground, patch = texture(HEIGHT, WIDTH, 200, 3.0), texture(24, 24, 7)
+    places = [[(40 + 1.5 * n, 40.0), (120 - 1.5 * n, 75.0)] for n in range(40)]
+    frames = [frame(n, paste(paste(ground, patch, *a), patch, *b)) for n, (a, b) in enumerate(places)]
+    both = {name: start(at, (24, 24)).targets["thing"] for name, at in zip("ab", places[0], strict=True)}
+    results = run(frames, Start(0, both, "clip.init.yaml"), exclusion={"strength": 0.9})
+    for target in range(2):
+        for found, at in zip(boxes(results, target), places, strict=True):
+            assert np.hypot(found.x - at[target][0], found.y - at[target][1]) < 6
+
+
+def test_a_large_target_in_a_large_frame_is_followed():
+    size, frame_size = (300, 300), (1280, 720)
+    places = [(500 + 12.0 * n, 330 + 3.0 * n) for n in range(8)]
+    frames, begin = clip(places, size, frame_size=frame_size, blur=12.0), start(places[0], size)
+    tracker = tracker_for(load_recipe("correlation_filter"), begin, frame_size)
+    results = list(track(tracker, iter(frames), 0))
+    assert_followed(results, places)
+
+
+def test_a_frame_that_is_tracked_twice_gives_the_same_both_times():
+    places = path(6)
+    frames, [target] = clip(places), build_tracker(load_recipe("correlation_filter"), start(places[0]))
+    states = [target.begin(np.random.default_rng(0), frames[0])[0]]
+    for n in range(1, 6):
+        states.append(target.advance(np.random.default_rng(n), states[-1], frames[n])[0])
+    for n, (before, after) in enumerate(pairwise(states), 1):
+        again, _ = target.advance(np.random.default_rng(n), before, frames[n])
+        np.testing.assert_array_equal(again.particles.x, after.particles.x)

@@ -1,0 +1,294 @@
+"""The guided filter against a Kalman filter, and against posteriors computed on a grid, with P(visible)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.types import Particles
+from facetrack_cli.tracking.guides import Guides
+from facetrack_cli.tracking.models.spaces import VISIBLE
+from facetrack_cli.tracking.resampling import logsumexp, normalise, uniform
+from tests.support.parts import guided, peak, visible_walk
+
+SIGMA, HIDDEN = 3.0, 1.5
+WALK = visible_walk(SIGMA, HIDDEN, scale=0.01)
+OPEN = 0.5  # standard deviation of a likelihood that says nothing of the log scale
+
+
+@dataclass(frozen=True)
+class Modes:
+    """What a filter sees: a mixture of Gaussians of place and log scale as likelihood ratio, and guides at its modes.
+
+    `tops` (J,) are the logarithms of the likelihood at the modes.
+    """
+
+    motion: Any
+    mean: Any
+    std: Any
+    tops: Any
+    anew: Any = False
+    flat: float | None = None
+
+    def propagate(self, rng, x):
+        return self.motion.propagate(rng, x)
+
+    def forecast(self, particles):
+        return self.motion.forecast(particles)
+
+    def arrive(self, rng, z, particles, *, found=False):
+        return self.motion.arrive(rng, z, particles, found=found)
+
+    @property
+    def guides(self):
+        mean = np.atleast_2d(np.asarray(self.mean, float))
+        std = np.broadcast_to(np.asarray(self.std, float), mean.shape).copy()
+        tops = np.broadcast_to(np.asarray(self.tops, float), len(mean)).copy()
+        return Guides(mean, std, tops, np.broadcast_to(self.anew, len(mean)).copy())
+
+    def log_likelihood(self, x, parents):
+        z = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])])
+        return self.at(z)[:, None]
+
+    def at(self, z):
+        if self.flat is not None:
+            return np.full(len(z), self.flat)
+        of = self.guides
+        return logsumexp(of.log_w - 0.5 * np.sum(((z[:, None] - of.mean) / of.std) ** 2, axis=2), axis=1)
+
+
+def states(n, visible=1.0, at=(50.0, 40.0), scale=1.0, velocity=(0.0, 0.0)):
+    return Particles(np.tile([[[*at, scale, *velocity, visible]]], (n, 1, 1)), uniform(n))
+
+
+def weighted(particles, of):
+    return np.exp(particles.log_w) @ of
+
+
+def visible(particles):
+    return float(weighted(particles, particles.x[:, 0, VISIBLE]))
+
+
+# --- a linear-Gaussian case ------------------------------------------------------------------------------------------
+
+SURE = visible_walk(SIGMA, HIDDEN, scale=1e-4, hide=1e-12)
+R = 2.0
+FRAMES = 25
+
+
+def simulate(seed, walk=SURE):
+    """Observed places (FRAMES, 2) of a target that moves as the model says."""
+    rng, a, b = np.random.default_rng(seed), walk.settings.velocity, walk.settings.acceleration
+    x, v, ys = np.array([50.0, 40.0]), np.zeros(2), []
+    for _ in range(FRAMES):
+        v = a * v + np.sqrt(b) * SIGMA * rng.standard_normal(2)
+        x = x + v + np.sqrt(1 - b) * SIGMA * rng.standard_normal(2)
+        ys.append(x + R * rng.standard_normal(2))
+    return np.array(ys)
+
+
+def kalman(ys, walk=SURE):
+    """Means (FRAMES, 2, 2) of place and velocity along x and y, and covariances (FRAMES, 2, 2) of the two."""
+    a, b = walk.settings.velocity, walk.settings.acceleration
+    move = np.array([[1.0, a], [0.0, a]])
+    noise = SIGMA**2 * (np.outer([np.sqrt(b), np.sqrt(b)], [np.sqrt(b), np.sqrt(b)]) + np.diag([1 - b, 0.0]))
+    mean, cov, means, covs = np.array([[50.0, 40.0], [0.0, 0.0]]), np.zeros((2, 2)), [], []
+    for y in ys:
+        mean, cov = move @ mean, move @ cov @ move.T + noise
+        gain = cov[:, 0] / (cov[0, 0] + R**2)
+        mean, cov = mean + np.outer(gain, y - mean[0]), cov - np.outer(gain, cov[0])
+        means.append(mean)
+        covs.append(cov)
+    return np.array(means), np.array(covs)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.7])
+def test_it_agrees_with_a_kalman_filter(share):
+    off, spread, swift = [], [], []
+    for seed in range(3):
+        ys = simulate(seed)
+        means, covs = kalman(ys)
+        rng, particles, step = np.random.default_rng(seed), states(1000), guided(1000, share)
+        for y, mean, cov in zip(ys, means, covs, strict=True):
+            particles, info = step(rng, particles, Modes(SURE, [*y, 0.0], [R, R, OPEN], 20.0))
+            assert 1 <= info.ess[0] <= 1000
+            assert logsumexp(particles.log_w) == pytest.approx(0.0, abs=1e-9)
+            x, v = particles.x[:, 0, :2], particles.x[:, 0, 3:5]
+            off.append((weighted(particles, x) - mean[0]) / np.sqrt(cov[0, 0]))
+            swift.append((weighted(particles, v) - mean[1]) / np.sqrt(cov[1, 1]))
+            spread.append(
+                [
+                    weighted(particles, (of - weighted(particles, of)) ** 2) / one
+                    for of, one in ((x, cov[0, 0]), (v, cov[1, 1]))
+                ]
+            )
+    assert np.sqrt(np.mean(np.square(off))) < 0.06
+    assert np.sqrt(np.mean(np.square(swift))) < 0.09
+    np.testing.assert_allclose(np.mean(spread, axis=(0, 2)), 1.0, atol=0.05)
+
+
+# --- one step against a grid -----------------------------------------------------------------------------------------
+
+STILL = visible_walk(SIGMA, HIDDEN, scale=1e-3)
+STD = (1.5, 2.0, OPEN)
+
+
+def cloud(seed=5, n=40):
+    """Particles of one scale, with speeds and shares of visibility of their own."""
+    rng = np.random.default_rng(seed)
+    x = np.empty((n, 1, 6))
+    x[:, 0, :2], x[:, 0, 2] = rng.normal((50, 40), 2.5, (n, 2)), 1.0
+    x[:, 0, 3:5], x[:, 0, VISIBLE] = rng.normal(0, 2, (n, 2)), rng.random(n)
+    return Particles(x, normalise(rng.normal(0, 0.7, n)))
+
+
+def exact(model, particles, spacing=0.25, returns=None):
+    """Mean place given visible, mean place, E[|x|^2]'s trace given visible, and P(visible), on a grid of places.
+
+    The sum over the parents is plain: a mixture of Gaussians around where each expects to be.
+    """
+    one = model.motion.settings
+    x, y = np.meshgrid(np.arange(10, 95, spacing), np.arange(0, 85, spacing))
+    z = np.column_stack([x.ravel(), y.ravel()])
+    shown, hidden = np.zeros(len(z)), np.zeros(len(z))
+    for w, parent in zip(np.exp(particles.log_w), particles.x[:, 0], strict=True):
+        expected, before = parent[:2] + one.velocity * parent[3:5], parent[VISIBLE]
+        near = before * (1 - one.hide) + (1 - before) * one.show * (1 - one.elsewhere)
+        squared = np.sum((z - expected) ** 2, axis=1)
+        leaves = 0.0 if returns is None else (1 - before) * one.show * one.elsewhere
+        for total, share, sigma in ((shown, near, SIGMA), (hidden, 1 - near - leaves, HIDDEN)):
+            total += w * share * np.exp(-0.5 * squared / sigma**2) / (2 * np.pi * sigma**2)
+    if returns is not None:
+        shown += returns(z)
+    shown *= np.exp(model.at(np.column_stack([z, np.zeros(len(z))])))
+    total = shown.sum() + hidden.sum()
+    mean = shown @ z / shown.sum()
+    spread = shown @ np.sum((z - mean) ** 2, axis=1) / shown.sum()
+    return {
+        "mean": mean, "all": (shown + hidden) @ z / total, "spread": spread, "visible": shown.sum() / total,
+    }  # fmt: skip
+
+
+def sampled(model, particles, n, share, seed):
+    found, _ = guided(n, share)(np.random.default_rng(seed), particles, model)
+    x, w, v = found.x[:, 0, :2], np.exp(found.log_w), found.x[:, 0, VISIBLE]
+    mean = (w * v) @ x / (w @ v)
+    spread = (w * v) @ np.sum((x - mean) ** 2, axis=1) / (w @ v)
+    return {"mean": mean, "all": w @ x, "spread": spread, "visible": w @ v}
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
+@pytest.mark.parametrize("tops", [(0.5, 0.0), (3.0, 2.5), (-3.0, 1.0)])
+def test_one_step_is_the_posterior_on_a_grid_whatever_the_share(tops, share):
+    model = Modes(STILL, [(47.0, 38.0, 0.0), (55.0, 43.0, 0.0)], STD, tops)
+    truth = exact(model, cloud())
+    runs = [sampled(model, cloud(), 500, share, seed) for seed in range(30)]
+    for name, value in truth.items():
+        of = np.array([run[name] for run in runs])
+        error = of.std(axis=0) / np.sqrt(len(runs))
+        assert np.all(np.abs(of.mean(axis=0) - value) < 4 * error + 2e-3 * np.abs(value)), name
+        assert np.all(of.std(axis=0) < {"visible": 0.06, "spread": 3.0}.get(name, 0.8)), name
+
+
+def test_a_mode_found_anew_is_a_place_to_return_to():
+    """log p(z, visible) has a third part then: `show` times `elsewhere`, around the mode."""
+    model = Modes(STILL, [(47.0, 38.0, 0.0), (75.0, 70.0, 0.0)], STD, (-1.0, 5.0), (False, True))
+    particles = cloud()
+    one, before = STILL.settings, visible(particles)
+    size = 0.4 * STILL.unit
+
+    def returns(z):
+        squared = np.sum((z - (75.0, 70.0)) ** 2, axis=1)
+        share = (1 - before) * one.show * one.elsewhere
+        return share * np.exp(-0.5 * squared / size**2) / (2 * np.pi * size**2)
+
+    truth = exact(model, particles, returns=returns)
+    runs = [sampled(model, particles, 1000, 0.7, seed) for seed in range(30)]
+    for name, value in truth.items():
+        of = np.array([run[name] for run in runs])
+        assert np.all(np.abs(of.mean(axis=0) - value) < 4 * of.std(axis=0) / np.sqrt(30) + 0.01 * np.abs(value)), name
+
+
+# --- visible or hidden -----------------------------------------------------------------------------------------------
+
+
+def chain(before, log_l, one=WALK.settings):
+    """P(visible) a frame later, where L is the same everywhere."""
+    near = before * (1 - one.hide) + (1 - before) * one.show * (1 - one.elsewhere)
+    return near * np.exp(log_l) / (near * np.exp(log_l) + 1 - near)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.7])
+def test_p_visible_is_that_of_the_chain(share):
+    """A likelihood that is the same everywhere, and steps that are the same hidden or not."""
+    walk = visible_walk(SIGMA, SIGMA, scale=0.01)
+    particles, rng, before, seen = states(200), np.random.default_rng(0), 1.0, []
+    for log_l in [2.0, -50.0, -50.0, -3.0, 0.0, 1.0, 5.0, 5.0, 0.0]:
+        model = Modes(walk, (50.0, 40.0, 0.0), (SIGMA, SIGMA, 0.01), log_l, flat=log_l)
+        particles, _ = guided(200, share)(rng, particles, model)
+        before = chain(before, log_l)
+        seen.append(visible(particles))
+        assert seen[-1] == pytest.approx(before, rel=1e-6)
+    assert max(seen[1:3]) < 1e-18
+    assert seen[6] > 0.9
+
+
+def test_hidden_targets_come_back_where_steps_differ_too():
+    particles, rng = states(200), np.random.default_rng(0)
+    for _ in range(5):
+        particles, _ = guided(200, 0.7)(rng, particles, Modes(WALK, (50, 40, 0), (3, 3, 0.05), -50.0, flat=-50.0))
+        assert visible(particles) < 1e-15
+        assert np.isfinite(particles.x).all()
+    particles, _ = guided(200, 0.7)(rng, particles, Modes(WALK, (50, 40, 0), (3, 3, 0.05), 5.0, flat=5.0))
+    assert visible(particles) == pytest.approx(chain(0.0, 5.0), abs=0.05)
+
+
+def test_a_likelihood_of_zero_ends_no_track():
+    particles, _ = guided(50, 0.7)(
+        np.random.default_rng(0), states(50), Modes(WALK, (50, 40, 0), (3, 3, 0.05), 0.0, flat=-1e6)
+    )
+    assert np.isfinite(particles.x).all() and np.isfinite(particles.log_w).all()
+    assert visible(particles) == 0.0
+
+
+@pytest.mark.parametrize(("before", "log_l", "taken"), [(0.0, 12.0, True), (0.0, 0.0, False), (1.0, 12.0, False)])
+def test_a_mode_found_anew_is_taken_up_by_a_hidden_target(before, log_l, taken):
+    """Far away. A target that is visible has no reason to be there, and one that is hidden needs evidence."""
+    near = 3.0 if before else -20.0
+    model = Modes(WALK, [(50, 40, 0.0), (150, 120, 0.0)], (2.0, 2.0, 0.03), (near, log_l), anew=(False, True))
+    particles, _ = guided(100, 0.7)(np.random.default_rng(0), states(100, before), model)
+    there = np.hypot(*(particles.x[:, 0, :2] - (150, 120)).T) < 10
+    share = float(weighted(particles, there * particles.x[:, 0, VISIBLE]))
+    assert (share > 0.9) if taken else (share < 0.2)
+    assert before == 0.0 or weighted(particles, there) < 1e-6
+
+
+@pytest.mark.parametrize("n", [4, 5, 10, 101])
+@pytest.mark.parametrize("share", [0.3, 0.7])
+def test_any_number_of_particles_serves(n, share):
+    model = Modes(WALK, [(49, 41, 0.0), (58, 40, 0.1)], (2.0, 2.0, 0.03), (3.0, 1.0))
+    particles, info = guided(n, share)(np.random.default_rng(0), states(n), model)
+    assert particles.x.shape == (n, 1, 6)
+    assert np.isfinite(particles.x).all() and info.ess.shape == (1,)
+    assert logsumexp(particles.log_w) == pytest.approx(0.0, abs=1e-9)
+    assert np.all((particles.x[:, 0, VISIBLE] >= 0) & (particles.x[:, 0, VISIBLE] <= 1))
+
+
+def test_equal_seeds_give_equal_particles_and_leave_their_parents_alone():
+    model, before = Modes(WALK, [(49, 41, 0.0)], (2.0, 2.0, 0.03), 3.0), cloud()
+    copy = before.x.copy()
+    one, two, other = (guided(60, 0.7)(np.random.default_rng(seed), before, model)[0] for seed in (3, 3, 4))
+    for a, b in zip(one, two, strict=True):
+        assert a.tobytes() == b.tobytes()
+    assert not np.array_equal(one.x, other.x)
+    np.testing.assert_array_equal(before.x, copy)
+
+
+def test_the_peak_is_the_highest_mode_that_is_not_anew():
+    model = Modes(
+        WALK, [(49, 41, 0.0), (58, 40, 0.1), (99, 9, 0.0)], (2, 2, 0.03), (1.0, 3.0, 9.0), (False, False, True)
+    )
+    particles, info = peak()(np.random.default_rng(0), states(1), model)
+    np.testing.assert_allclose(particles.x[0, 0, :3], (58, 40, np.exp(0.1)))
+    np.testing.assert_array_equal((particles.log_w, info.ess), ([0.0], [1.0]))

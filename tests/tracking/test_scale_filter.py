@@ -1,0 +1,169 @@
+"""The filter of scale, and the colours of target and surroundings."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.models.correlation_filter.colour import ColourModel
+from facetrack_cli.tracking.models.correlation_filter.scale import ScaleTrainer
+
+CENTRE = np.array([80.3, 59.6])
+STEP = 1.02
+
+
+def texture(height, width, seed=0, blur=2.0):
+    noise = np.random.default_rng(seed).normal(0, 1, (height, width)).astype(np.float32)
+    noise = cv2.GaussianBlur(noise, (0, 0), blur)
+    return np.clip(128 + 45 * noise / noise.std(), 0, 255).astype(np.uint8)
+
+
+def frame(grey):
+    return Frame(0, 0.0, cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+
+
+def zoomed(grey, k, centre=CENTRE):
+    """As large again, around the centre."""
+    to = np.array([[k, 0, (1 - k) * centre[0]], [0, k, (1 - k) * centre[1]]])
+    return cv2.warpAffine(grey, to, grey.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+def trainer(size=(32.0, 40.0), count=33, step=STEP):
+    return ScaleTrainer(size, count, step)
+
+
+def log_scale(one, response):
+    return one.log_scales[int(response.argmax())]
+
+
+@pytest.mark.parametrize("size", [(32.0, 40.0), (20.0, 60.0), (60.0, 20.0), (16.0, 16.0)])
+@pytest.mark.parametrize("k", [0.92, 0.96, 1.0, 1.04, 1.1])
+def test_the_peak_is_at_the_scale(size, k):
+    one, grey = trainer(size), texture(120, 160)
+    known = one.learn(None, one.read(frame(grey), CENTRE, 1.0), 1.0)
+    response = one.respond(known, one.read(frame(zoomed(grey, k)), CENTRE, 1.0))
+    assert response.shape == one.log_scales.shape == (33,)
+    assert log_scale(one, response) == pytest.approx(math.log(k), abs=1.01 * math.log(STEP))
+
+
+def test_what_was_learned_itself_peaks_in_the_middle_with_a_height_of_nearly_1():
+    one, grey = trainer(), texture(120, 160)
+    x = one.read(frame(grey), CENTRE, 1.0)
+    response = one.respond(one.learn(None, x, 1.0), x)
+    assert response.argmax() == 16
+    assert response[16] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_target_read_reduced_has_its_peak_at_its_scale_too():
+    grey, centre = texture(480, 640, blur=8.0), np.array([320.4, 240.8])
+    one = trainer((200.0, 240.0))
+    known = one.learn(None, one.read(frame(grey), centre, 1.0), 1.0)
+    response = one.respond(known, one.read(frame(zoomed(grey, 1.06, centre)), centre, 1.0))
+    assert log_scale(one, response) == pytest.approx(math.log(1.06), abs=1.01 * math.log(STEP))
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.5])
+def test_the_scale_at_which_it_is_looked_for_comes_on_top(scale):
+    one, grey = trainer(), texture(120, 160)
+    known = one.learn(None, one.read(frame(grey), CENTRE, 1.0), 1.0)
+    response = one.respond(known, one.read(frame(zoomed(grey, 1.04 * scale)), CENTRE, scale))
+    assert log_scale(one, response) == pytest.approx(math.log(1.04), abs=1.01 * math.log(STEP))
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.3, 1.0])
+def test_learning_moves_what_is_known_by_its_rate(rate):
+    one = trainer(count=9)
+    first, second = (one.read(frame(texture(120, 160, seed)), CENTRE, 1.0) for seed in (0, 1))
+    known, other = one.learn(None, first, 1.0), one.learn(None, second, 1.0)
+    after = one.learn(known, second, rate)
+    for a, b, found in zip(known, other, after, strict=True):
+        np.testing.assert_allclose(found, (1 - rate) * a + rate * b, rtol=1e-5, atol=1e-6)
+
+
+def test_the_response_is_dssts_equation_6():
+    one = trainer(count=9)
+    x, z = (one.read(frame(texture(120, 160, seed)), CENTRE, 1.0) for seed in (0, 1))
+    signal, other = (np.fft.irfft(of, n=9, axis=0).astype(float) for of in (x, z))
+    n = np.arange(9)
+    y = np.exp(-0.5 * (np.minimum(n, 9 - n) / (9 / 16)) ** 2)
+    # filters h with h * x = y, as a ridge regression of circular shifts: sum_d conj(A) Z / (B + lambda)
+    whole = [np.fft.fft(of, axis=0) for of in (signal, other)]
+    a, b = np.fft.fft(y).conj()[:, None] * whole[0], np.sum(np.abs(whole[0]) ** 2, axis=1)
+    exact = np.fft.ifft(np.sum(a.conj() * whole[1], axis=1) / (b + 0.01)).real
+    found = one.respond(one.learn(None, x, 1.0), z)
+    np.testing.assert_allclose(found, np.roll(exact, 4), atol=1e-3)
+
+
+@pytest.mark.parametrize("level", [0, 128, 255])
+@pytest.mark.parametrize("centre", [(80, 60), (-300, 60), (80, 1000)])
+def test_flat_frames_and_places_far_outside_are_survived(level, centre):
+    one = trainer()
+    x = one.read(frame(np.full((120, 160), level, np.uint8)), np.array(centre, float), 1.0)
+    np.testing.assert_array_equal(one.respond(one.learn(None, x, 1.0), x), 0.0)
+
+
+SIDE = 160
+
+
+def square(inside, outside, noise=0.0, seed=0, side=SIDE, at=(0, 0)):
+    """A window (side, side, 3), in whose middle, moved by `at`, is a square of a fifth of its side."""
+    image = np.full((side, side, 3), outside, float)
+    half, middle = side // 10, side // 2
+    x, y = middle + at[0], middle + at[1]
+    image[y - half : y + half, x - half : x + half] = inside
+    image += noise * np.random.default_rng(seed).normal(0, 1, image.shape)
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+RED, GREEN = (20, 30, 210), (40, 160, 50)
+
+
+@pytest.mark.parametrize("noise", [0.0, 12.0])
+@pytest.mark.parametrize("samples", [32, 64])
+@pytest.mark.parametrize("at", [(0, 0), (30, -20)])
+def test_a_red_square_on_green_is_told_and_found(noise, samples, at):
+    model = ColourModel((0.2, 0.2))
+    known = model.learn(None, square(RED, GREEN, noise), 1.0)
+    assert known.tells > 0.7
+    score = model.respond(known, square(RED, GREEN, noise, 1, at=at), samples)
+    assert score.shape == (samples, samples)
+    assert score.min() >= 0 and score.max() <= 1 + 1e-6
+    row, column = np.argwhere(score > score.max() - 0.02).mean(axis=0)
+    np.testing.assert_allclose([column, row], [samples / 2 + k * samples / SIDE for k in at], atol=0.03 * samples + 1)
+    assert score.max() > 0.7 > 0.2 > np.median(score)
+
+
+@pytest.mark.parametrize("noise", [0.0, 12.0])
+def test_where_colours_are_alike_they_say_nothing(noise):
+    model = ColourModel((0.2, 0.2))
+    known = model.learn(None, square(GREEN, GREEN, noise), 1.0)
+    assert model.respond(known, square(GREEN, GREEN, noise, 1), 64) is None
+
+
+def test_colours_that_become_alike_say_nothing_any_more():
+    model = ColourModel((0.2, 0.2))
+    known = model.learn(None, square(RED, GREEN), 1.0)
+    for _ in range(60):
+        known = model.learn(known, square(GREEN, GREEN), 1.0)
+    assert known.tells < 0.2
+
+
+def test_nothing_is_learned_at_a_rate_of_nothing():
+    model = ColourModel((0.2, 0.2))
+    known = model.learn(None, square(RED, GREEN), 1.0)
+    after = model.learn(known, square(GREEN, RED), 0.0)
+    np.testing.assert_array_equal(after.target, known.target)
+    np.testing.assert_array_equal(after.around, known.around)
+
+
+@pytest.mark.parametrize("box", [(0.02, 0.02), (0.2, 0.02), (0.9, 0.1), (1.5, 1.5), (0.05, 0.6)])
+@pytest.mark.parametrize("image", [square(RED, GREEN, 10.0), square((0, 0, 0), (0, 0, 0)), square(RED, GREEN)[:60]])
+def test_any_box_and_image_gives_finite_scores(box, image):
+    model = ColourModel(box)
+    known = model.learn(None, np.ascontiguousarray(image), 1.0)
+    for histogram in (known.target, known.around):
+        assert histogram.sum() == pytest.approx(1.0, abs=1e-4)
+    score = model.respond(known._replace(tells=1.0), np.ascontiguousarray(image), 64)
+    assert np.isfinite(score).all()

@@ -1,0 +1,246 @@
+"""The correlation filter on a tiny grid: its normal equations, its memory, its temporal term, and the peaks."""
+
+import numpy as np
+import pytest
+
+from facetrack_cli.tracking.models.correlation_filter import trained
+from facetrack_cli.tracking.models.correlation_filter.features import inverse, spectrum
+from facetrack_cli.tracking.models.correlation_filter.trained import UPSAMPLED, Trainer, peaks
+from tests.twins import cells as naive
+
+G, C = 8, 2
+MIDDLE = UPSAMPLED * G
+BOX = (3.0, 2.0)
+
+
+def channels(seed, cells=G, count=C, *, taper=True):
+    """Random channels (C, G, G) with a mean energy of 1 a cell."""
+    x = np.random.default_rng(seed).standard_normal((count, cells, cells))
+    if taper:
+        hann = np.hanning(cells + 2)[1:-1]
+        x *= np.outer(hann, hann)
+    return (x / np.sqrt(np.mean(np.sum(x**2, axis=0)))).astype(np.float32)
+
+
+def trainer(cells=G, **changes):
+    return Trainer(**{"cells": cells, "box": BOX, "sigma": 0.8, **changes})
+
+
+def wanted(sigma=0.8, cells=G):
+    """y (G, G), with place 0 at [0, 0]."""
+    d = np.minimum(np.arange(cells), cells - np.arange(cells))
+    return np.exp(-0.5 * np.add.outer(d**2, d**2) / sigma**2)
+
+
+def shifted(x):
+    """(G G, C G G): the row of c are the channels moved by -c, so that it times f is the response at c."""
+    return np.array(
+        [np.roll(x, (-i, -j), axis=(1, 2)).ravel() for i in range(x.shape[1]) for j in range(x.shape[2])], dtype=float
+    )
+
+
+def dense(windows, weights, w, y):
+    """The filters (C, G, G) by the full linear system of sum_k pi_k |B_k f - y|^2 + |w f|^2, w squared."""
+    rows = [shifted(x) for x in windows]
+    left = sum(pi * b.T @ b for pi, b in zip(weights, rows, strict=True)) + np.diag(np.tile(w.ravel(), C))
+    right = sum(pi * b.T @ y.ravel() for pi, b in zip(weights, rows, strict=True))
+    return np.linalg.solve(left, right).reshape(windows[0].shape)
+
+
+def off_middle(response):
+    return np.array(np.unravel_index(response.argmax(), response.shape)) - len(response) // 2
+
+
+@pytest.mark.parametrize("cells", [4, 8, 14])
+@pytest.mark.parametrize("count", [1, 3])
+def test_spectrum_and_inverse_undo_each_other(cells, count):
+    x = channels(0, cells, count, taper=False)
+    assert spectrum(x).shape == (2, count, cells * (cells // 2 + 1))
+    np.testing.assert_allclose(inverse(spectrum(x), cells), x, atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("box", [BOX, (1.0, 1.0), (6.0, 2.0)])
+def test_enough_steps_solve_the_normal_equations(seed, box):
+    one, x = trainer(box=box, steps=300), channels(seed)
+    known = one.learn(one.begin(spectrum(x)), spectrum(channels(99)), 0.0)
+    exact = dense([x], [1.0], one.wall.astype(float), wanted())
+    np.testing.assert_allclose(inverse(known.filters, G), exact, atol=2e-3 * np.abs(exact).max())
+
+
+def test_the_first_steps_are_nearly_enough():
+    one, x = trainer(), channels(0)
+    exact = dense([x], [1.0], one.wall.astype(float), wanted())
+    np.testing.assert_allclose(inverse(one.begin(spectrum(x)).filters, G), exact, atol=0.02 * np.abs(exact).max())
+
+
+def test_a_memory_of_many_windows_is_their_weighted_sum():
+    one, rate = trainer(steps=60), 0.1
+    windows = [channels(seed) for seed in range(12)]
+    known = one.begin(spectrum(windows[0]))
+    for x in windows[1:]:
+        known = one.learn(known, spectrum(x), rate)
+    weights = [(1 - rate) ** 11, *(rate * (1 - rate) ** (11 - k) for k in range(1, 12))]
+    assert sum(weights) == pytest.approx(1.0)
+    z = [naive.complexes(spectrum(x)) for x in windows]
+    whole = sum(pi * np.einsum("if,jf->fij", a, a.conj()) for pi, a in zip(weights, z, strict=True))
+    np.testing.assert_allclose(naive.matrices(known.matrices, C), whole, atol=1e-4 * np.abs(whole).max())
+    y = np.fft.rfft2(wanted()).ravel()
+    right = sum(pi * a * y.conj() for pi, a in zip(weights, z, strict=True))
+    np.testing.assert_allclose(naive.complexes(known.target), right, atol=1e-4 * np.abs(right).max())
+    exact = dense(windows, weights, one.wall.astype(float), wanted())
+    np.testing.assert_allclose(inverse(known.filters, G), exact, atol=0.01 * np.abs(exact).max())
+
+
+def test_a_rate_of_nothing_leaves_the_memory_as_it_is():
+    one = trainer()
+    known = one.begin(spectrum(channels(0)))
+    after = one.learn(known, spectrum(channels(1)), 0.0)
+    np.testing.assert_array_equal(after.matrices, known.matrices)
+    np.testing.assert_array_equal(after.target, known.target)
+
+
+def test_what_was_known_is_not_changed_by_learning():
+    one = trainer()
+    known = one.begin(spectrum(channels(0)))
+    copies = [np.array(part) for part in known]
+    one.learn(known, spectrum(channels(1)), 0.5)
+    for part, copy in zip(known, copies, strict=True):
+        np.testing.assert_array_equal(part, copy)
+
+
+@pytest.mark.parametrize(("temporal", "least"), [(None, 0.8), (16.0, 0.1)])
+@pytest.mark.parametrize("cells", [14, 16, 32])
+@pytest.mark.parametrize("shape", [(1.0, 1.0), (0.6, 1.6), (1.8, 0.5)])
+def test_the_response_to_what_was_learned_is_a_peak_in_the_middle(temporal, least, cells, shape):
+    box = (shape[0] * cells / 4, shape[1] * cells / 4)
+    one, x = trainer(cells, box=box, temporal=temporal), spectrum(channels(3, cells, 6))
+    response = one.respond(one.begin(x).filters, x)
+    assert response.shape == (UPSAMPLED * cells, UPSAMPLED * cells)
+    assert tuple(off_middle(response)) == (0, 0)
+    assert least < response.max() < 1.1
+
+
+@pytest.mark.parametrize("temporal", [None, 16.0])
+@pytest.mark.parametrize("by", [(0, 1), (2, -3), (-3, 2)])
+def test_a_window_moved_by_cells_moves_the_peak_by_as_much(temporal, by):
+    one, x = trainer(temporal=temporal), channels(4, count=4)
+    filters = one.begin(spectrum(x)).filters
+    moved = one.respond(filters, spectrum(np.roll(x, by, axis=(1, 2))))
+    assert tuple(off_middle(moved)) == (UPSAMPLED * by[0], UPSAMPLED * by[1])
+    still = one.respond(filters, spectrum(x))
+    np.testing.assert_allclose(moved, np.roll(still, (UPSAMPLED * by[0], UPSAMPLED * by[1]), axis=(0, 1)), atol=1e-4)
+
+
+def test_the_response_is_the_correlation_with_the_filters():
+    one, x = trainer(), channels(5)
+    filters = one.begin(spectrum(x)).filters
+    other = channels(6)
+    plain = (shifted(other) @ inverse(filters, G).ravel().astype(float)).reshape(G, G)
+    found = np.fft.ifftshift(one.respond(filters, spectrum(other)))[::UPSAMPLED, ::UPSAMPLED]
+    # between the cells the highest frequency is left out
+    few = np.fft.fft2(plain)
+    few[G // 2], few[:, G // 2] = 0, 0
+    np.testing.assert_allclose(found, np.fft.ifft2(few).real, atol=1e-4)
+
+
+def test_filters_hold_to_the_box():
+    """w is large outside: there filters are small."""
+    one, x = trainer(16, box=(6.0, 6.0)), channels(7, 16, 4)
+    energy = np.sum(inverse(one.begin(spectrum(x)).filters, 16) ** 2, axis=0)
+    assert energy[5:11, 5:11].sum() > 0.8 * energy.sum()
+
+
+@pytest.mark.parametrize("inertia", [0.01, 1.0])
+def test_enough_steps_of_admm_solve_the_normal_equations_too(inertia, monkeypatch):
+    """STRCF, eq. 4, with w^2 and mu in terms of the number of cells."""
+    monkeypatch.setattr(trained, "_ADMM_STEPS", 3000)
+    monkeypatch.setattr(trained, "_GROWTH", 1.0)
+    monkeypatch.setattr(trained, "_PENALTY", 0.1)
+    monkeypatch.setattr(trained, "_WALL", 50.0)
+    one, last, x = trainer(temporal=inertia), channels(8), channels(9)
+    n, rows = G * G, shifted(x)
+    left = rows.T @ rows + n * np.diag(np.tile(one.wall.ravel(), C).astype(float) + inertia)
+    right = rows.T @ wanted().ravel() + n * inertia * last.ravel().astype(float)
+    found = one.learn(trained.Trained(spectrum(last)), spectrum(x), 1.0)
+    exact = np.linalg.solve(left, right).reshape(x.shape)
+    np.testing.assert_allclose(inverse(found.filters, G), exact, atol=0.01 * np.abs(exact).max())
+
+
+def test_inertia_keeps_the_temporal_filter_near_the_last_one():
+    first, second = spectrum(channels(8)), spectrum(channels(9))
+    off = []
+    for inertia in (0.01, 1.0, 100.0, 1e4):
+        one = trainer(temporal=inertia)
+        known = one.begin(first)
+        off.append(float(np.linalg.norm(one.learn(known, second, 1.0).filters - known.filters)))
+    assert off == sorted(off, reverse=True)
+    assert off[-1] < 0.2 * off[0]
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.05, 1.0])
+def test_what_is_seen_with_less_certainty_moves_the_temporal_filter_less(rate):
+    one = trainer(temporal=16.0)
+    known = one.begin(spectrum(channels(8)))
+    less, more = (one.learn(known, spectrum(channels(9)), of).filters - known.filters for of in (rate, 2 * rate + 0.1))
+    assert np.linalg.norm(less) <= np.linalg.norm(more)
+
+
+def test_the_temporal_filter_learns_what_it_sees_again_and_again():
+    one, second = trainer(temporal=1.0), spectrum(channels(9))
+    known = one.begin(spectrum(channels(8)))
+    before = one.respond(known.filters, second)[G, G]
+    for _ in range(20):
+        known = one.learn(known, second, 1.0)
+    after = one.respond(known.filters, second)
+    assert after[G, G] > before
+    assert tuple(off_middle(after)) == (0, 0)
+
+
+@pytest.mark.parametrize("temporal", [None, 16.0])
+def test_a_window_of_zeros_gives_finite_filters(temporal):
+    one, nothing = trainer(temporal=temporal), np.zeros((2, C, G * (G // 2 + 1)), np.float32)
+    known = one.begin(nothing)
+    assert np.isfinite(one.learn(known, nothing, 0.1).filters).all()
+    np.testing.assert_array_equal(one.respond(known.filters, nothing), 0.0)
+
+
+def bumps(*tops, size=24):
+    """Gaussians (x, y, height) of standard deviation 2 samples."""
+    y, x = np.mgrid[:size, :size]
+    return sum(h * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 8) for u, v, h in tops).astype(np.float32)
+
+
+@pytest.mark.parametrize("at", [(11.0, 12.0), (11.3, 12.4), (10.52, 13.49), (7.9, 15.2)])
+def test_the_vertex_of_a_gaussian_is_found(at):
+    [(column, row, height)] = peaks(bumps((*at, 0.7)), 0.5, 3)
+    assert (column, row) == pytest.approx(at, abs=0.05)
+    assert height == pytest.approx(0.7, rel=0.02)
+
+
+@pytest.mark.parametrize("at", [(11.0, 12.0), (11.3, 12.45), (10.52, 13.4)])
+def test_the_vertex_of_a_parabola_is_exact(at):
+    y, x = np.mgrid[:24, :24]
+    response = (3 - 0.01 * (x - at[0]) ** 2 - 0.02 * (y - at[1]) ** 2).astype(np.float32)
+    np.testing.assert_allclose(peaks(response, 0.5, 3), [(*at, 3.0)], atol=1e-3)
+
+
+def test_peaks_come_by_their_height():
+    response = bumps((5, 6, 0.6), (17, 5, 1.0), (12, 18, 0.8), (20, 20, 0.3))
+    found = peaks(response, 0.5, 9)
+    np.testing.assert_allclose(found[:, :2], [(17, 5), (12, 18), (5, 6)], atol=0.05)
+    assert list(found[:, 2]) == sorted(found[:, 2], reverse=True)
+    np.testing.assert_allclose(peaks(response, 0.5, 2), found[:2])
+    assert len(peaks(response, 0.1, 9)) == 4
+
+
+@pytest.mark.parametrize("response", [np.zeros((8, 8)), np.full((8, 8), 0.3), np.full((8, 8), -1.0)])
+def test_flat_responses_have_a_finite_peak(response):
+    found = peaks(response.astype(np.float32), 0.5, 3)
+    assert found.shape[1] == 3
+    assert np.isfinite(found).all()
+
+
+def test_a_peak_on_the_border_is_the_last_resort():
+    response = np.add.outer(np.zeros(8), np.arange(8.0)).astype(np.float32)
+    np.testing.assert_array_equal(peaks(response, 0.5, 3), [(7, 0, 7)])

@@ -1,0 +1,173 @@
+"""The walk of a box that may be hidden: its density, its samples, and what it says of places that are proposed."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.core.types import Particles
+from facetrack_cli.tracking.kernels import walk
+from facetrack_cli.tracking.models.spaces import VISIBLE
+from facetrack_cli.tracking.resampling import logsumexp, normalise, uniform
+from tests.support.parts import visible_walk
+from tests.twins import walk as naive
+
+SIGMA, HIDDEN = 3.0, 1.0
+WALK = visible_walk(SIGMA, HIDDEN, scale=0.05)
+N = 100_000
+
+PARENTS = [
+    (50.0, 40.0, 1.0, 0.0, 0.0, 1.0),
+    (50.0, 40.0, 0.5, 4.0, -2.0, 0.0),
+    (50.0, 40.0, 1.6, -3.0, 1.0, 0.4),
+]
+
+
+def state(parent, n=1):
+    return np.tile(np.array(parent), (n, 1, 1))
+
+
+def near(parent, one=WALK.settings):
+    """P(visible) a frame later, near the last place."""
+    return parent[VISIBLE] * (1 - one.hide) + (1 - parent[VISIBLE]) * one.show * (1 - one.elsewhere)
+
+
+@pytest.mark.parametrize("parent", PARENTS)
+def test_its_density_integrates_to_1(parent):
+    mean, s = WALK.expect(state(parent))[0, 0], parent[2]
+    sides = [np.arange(-18, 18.1, 0.5) * s, np.arange(-18, 18.1, 0.5) * s, np.arange(-0.3, 0.301, 0.02)]
+    x, y, z = (of.ravel() for of in np.meshgrid(*sides, indexing="ij"))
+    places = np.zeros((len(x), 1, 6))
+    places[:, 0, 0], places[:, 0, 1], places[:, 0, 2] = mean[0] + x, mean[1] + y, s * np.exp(z)
+    p = np.exp(WALK.log_transition(places, state(parent))[:, 0, 0])
+    cell = np.prod([side[1] - side[0] for side in sides])
+    assert p.sum() * cell == pytest.approx(1.0, abs=1e-3)
+    # and is that of the moments that `propagate` has
+    expected = near(parent) * SIGMA**2 + (1 - near(parent)) * HIDDEN**2
+    assert p @ x**2 * cell == pytest.approx(expected * s**2, rel=1e-3)
+    assert p @ z**2 * cell == pytest.approx(0.05**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("parent", PARENTS)
+def test_its_samples_have_the_moments_of_the_docstring(parent):
+    a, b, s = WALK.settings.velocity, WALK.settings.acceleration, parent[2]
+    moved = WALK.propagate(np.random.default_rng(0), state(parent, 4 * N))[:, 0]
+    expected = WALK.expect(state(parent))[0, 0]
+    np.testing.assert_allclose(expected[:2], np.array(parent[:2]) + a * np.array(parent[3:5]))
+    variance = (near(parent) * SIGMA**2 + (1 - near(parent)) * HIDDEN**2) * s**2
+    np.testing.assert_allclose(moved[:, :2].mean(axis=0), expected[:2], atol=1e-9)  # noises are opposites
+    np.testing.assert_allclose(moved[:, 3:5].mean(axis=0), expected[3:5], atol=1e-9)
+    for axis in range(2):
+        cov = np.cov(moved[:, axis], moved[:, 3 + axis])
+        np.testing.assert_allclose(cov, variance * np.array([[1, b], [b, b]]), rtol=0.03)
+    assert abs(np.corrcoef(moved[:, 0], moved[:, 1])[0, 1]) < 0.02
+    np.testing.assert_allclose(np.log(moved[:, 2] / s).std(), 0.05, rtol=0.02)
+    np.testing.assert_allclose(moved[:, VISIBLE], near(parent))
+    assert expected[VISIBLE] == near(parent)
+
+
+@pytest.mark.parametrize(("limits", "drawn"), [((0.9, 1.02), True), ((0.1, 10.0), False)])
+def test_the_scale_stays_within_its_limits(limits, drawn):
+    one = visible_walk(SIGMA, HIDDEN, limits=limits, scale=0.2)
+    s = one.propagate(np.random.default_rng(0), state(PARENTS[0], 1000))[:, 0, 2]
+    assert limits[0] <= s.min() and s.max() <= limits[1]
+    assert (np.isin(s, limits).sum() > 0) == drawn
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 7])
+def test_any_number_moves_and_parents_stay(n):
+    x = state(PARENTS[1], n)
+    copy = x.copy()
+    assert WALK.propagate(np.random.default_rng(0), x).shape == (n, 1, 6)
+    np.testing.assert_array_equal(x, copy)
+
+
+def crowd(seed=3, n=30):
+    rng = np.random.default_rng(seed)
+    x = np.array([PARENTS[k % 3] for k in range(n)])[:, None]
+    x[:, 0, :2] += rng.normal(0, 2, (n, 2))
+    return Particles(x, normalise(rng.normal(0, 1, n)))
+
+
+def places(n=50, seed=4):
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.normal(50, 4, n), rng.normal(40, 4, n), rng.normal(0, 0.3, n)])
+
+
+@given(seed=st.integers(0, 10_000), many=st.integers(1, 6), n=st.integers(1, 5))
+def test_the_kernel_is_what_its_plain_twin_says(seed, many, n):
+    rng = np.random.default_rng(seed)
+    z, mean = rng.normal(0, 1, (n, 3)), rng.normal(0, 1, (many, 3))
+    step, weights, u = rng.uniform(0.5, 2, (many, 2)), rng.random((many, 2)), rng.random(n)
+    shown, hidden, which = np.empty(n), np.empty(n), np.empty(n, np.int64)
+    walk.arrive(z, mean, step, 0.7, *np.log(weights).T.copy(), u, shown, hidden, which)
+    for k in range(n):
+        parts = np.array(naive.arrive(z[k], mean, step, 0.7, weights))
+        np.testing.assert_allclose(np.exp([shown[k], hidden[k]]), parts.sum(axis=0), rtol=1e-9)
+        cdf = np.cumsum(parts.T.ravel()) / parts.sum()
+        assert which[k] == np.searchsorted(cdf, u[k])
+
+
+def test_who_arrives_is_weighed_over_all_parents():
+    particles, z = crowd(), places()
+    arrived = WALK.arrive(np.random.default_rng(0), z, particles)
+    np.testing.assert_allclose(arrived.x[:, 0, :2], z[:, :2])
+    np.testing.assert_allclose(arrived.x[:, 0, 2], np.exp(z[:, 2]))
+    both = np.logaddexp(arrived.log_visible, arrived.log_hidden)
+    whole = logsumexp(WALK.log_transition(arrived.x, particles.x)[:, :, 0] + particles.log_w, axis=1)
+    np.testing.assert_allclose(both, whole)
+    one = WALK.settings
+    hidden = float(np.exp(particles.log_w) @ (1 - particles.x[:, 0, VISIBLE]))
+    assert arrived.returns == 0.0
+    found = WALK.arrive(np.random.default_rng(0), z, particles, found=True)
+    assert found.returns == pytest.approx(hidden * one.show * one.elsewhere)
+    np.testing.assert_array_equal(found.log_visible, arrived.log_visible)
+    assert np.all(found.log_hidden <= arrived.log_hidden) and np.any(found.log_hidden < arrived.log_hidden)
+
+
+@pytest.mark.parametrize("parent", PARENTS[:2])
+def test_its_velocity_is_that_of_who_was_propagated_to_the_same_place(parent):
+    """p(v | z) is a regression of the velocities on the places of samples; of one parent that is surely (in)visible."""
+    one = visible_walk(SIGMA, HIDDEN, scale=0.05, hide=1e-9, show=1e-9)
+    moved = one.propagate(np.random.default_rng(0), state(parent, N))[:, 0]
+    off = moved[:, 0] - moved[:, 0].mean()
+    slope = off @ moved[:, 3] / (off @ off)
+    residual = np.std(moved[:, 3] - moved[:, 3].mean() - slope * off)
+    z = np.tile([55.0, 38.0, np.log(parent[2])], (20_000, 1))
+    arrived = one.arrive(np.random.default_rng(1), z, Particles(state(parent), np.zeros(1)))
+    v = arrived.x[:, 0, 3]
+    assert v.mean() == pytest.approx(moved[:, 3].mean() + slope * (55 - moved[:, 0].mean()), abs=0.05)
+    assert v.std() == pytest.approx(residual, rel=0.03)
+
+
+def test_a_parent_is_drawn_in_proportion_to_how_likely_it_came_from_there():
+    """Two parents at one place, with other speeds: where both may have come from, so does the velocity."""
+    one = visible_walk(SIGMA, SIGMA, scale=0.05, acceleration=0.0, hide=1e-9)
+    x = np.array([[(50.0, 40.0, 1.0, 4.0, 0.0, 1.0)], [(50.0, 40.0, 1.0, -4.0, 0.0, 1.0)]])
+    particles = Particles(x, np.log([0.3, 0.7]))
+    z = np.tile([51.5, 40.0, 0.0], (20_000, 1))
+    v = one.arrive(np.random.default_rng(0), z, particles).x[:, 0, 3]
+    np.testing.assert_allclose(np.unique(v), [-2, 2])  # half of the velocity is left
+    likely = np.array([0.3 * np.exp(-0.5 * (0.5 / 3) ** 2), 0.7 * np.exp(-0.5 * (3.5 / 3) ** 2)])
+    assert np.mean(v > 0) == pytest.approx(likely[0] / likely.sum(), abs=0.012)
+
+
+def test_its_forecast_is_that_of_samples_of_a_visible_target():
+    one = visible_walk(SIGMA, HIDDEN, scale=0.05, hide=1e-9)
+    particles = crowd()
+    particles.x[:, 0, VISIBLE], particles.x[:, 0, 2] = 1.0, 1.3
+    mean, std = one.forecast(particles)
+    rng = np.random.default_rng(0)
+    which = rng.choice(len(particles.x), N, p=np.exp(particles.log_w))
+    moved = one.propagate(rng, particles.x[which])[:, 0]
+    z = np.column_stack([moved[:, :2], np.log(moved[:, 2])])
+    np.testing.assert_allclose(mean, z.mean(axis=0), atol=0.05)
+    np.testing.assert_allclose(std, z.std(axis=0), rtol=0.02)
+
+
+def test_far_from_all_parents_it_is_finite():
+    particles = Particles(state(PARENTS[0], 10), uniform(10))
+    z = np.array([[1e6, -1e6, 0.0], [50.0, 40.0, 5.0], [50.0, 40.0, -5.0]])
+    arrived = WALK.arrive(np.random.default_rng(0), z, particles)
+    assert np.isfinite(arrived.x).all() and np.isfinite(np.logaddexp(arrived.log_visible, arrived.log_hidden)).all()
+    assert arrived.x[1, 0, 2] == 10.0 and arrived.x[2, 0, 2] == 0.1
