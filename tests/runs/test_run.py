@@ -120,7 +120,8 @@ def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
     assert data["source"] == {"path": str(clip), "size": [128, 96], "fps": 25.0}
     assert data["init"]["targets"]["face"]["points"]["nose"] == [60, 40]
     assert data["frames"][0]["targets"][0]["particles"] == 20
-    line = one_line(err)
+    # on a busy machine compiling takes so long that progress is told
+    line = one_line("".join(one for one in err.splitlines(keepends=True) if " of about " not in one))
     assert "annotated.mp4, trajectory.csv, trajectory.json" in line
     assert "30 frames; " in line
     assert " frames/s" in line
