@@ -22,7 +22,7 @@ from facetrack_cli.core.types import Array, Start
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start import haar_start
+from facetrack_cli.tracking.start import search_start
 from facetrack_cli.video.source import open_source
 
 
@@ -36,7 +36,7 @@ def detections(path: Path, every: int) -> tuple[Start, dict[int, Array]]:
             if frame.index % every and start is not None:
                 continue
             try:
-                here = haar_start([frame], parts)
+                here = search_start([frame], parts)
             except InputError:
                 continue
             start = start or here

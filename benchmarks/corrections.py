@@ -55,7 +55,7 @@ from facetrack_cli.recipe.model import OpenCvRecipe, Recipe
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.start import haar_start
+from facetrack_cli.tracking.start import search_start
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.source import open_source
@@ -82,7 +82,7 @@ def haar_truth(target: str, parts: Sequence[str], frames: Sequence[Frame], every
     places = np.full((len(frames), len(parts), 4), np.nan)
     for t in range(0, len(frames), every):
         try:
-            (here,) = haar_start([frames[t]], parts).targets.values()
+            (here,) = search_start([frames[t]], parts).targets.values()
         except InputError:
             continue
         places[t, :, :2] = [here.points[part] for part in parts]

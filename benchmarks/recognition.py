@@ -38,7 +38,7 @@ from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.runs.start import truth_start
 from facetrack_cli.tracking.identity.gallery import NONE, load_gallery
 from facetrack_cli.tracking.models.spaces import Patches
-from facetrack_cli.tracking.start.haar import haar_start
+from facetrack_cli.tracking.start import search_start
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.video.source import open_source
 
@@ -78,7 +78,7 @@ def boxed(folder: Path, clip: Path) -> None:
 
 def found_face(clip: Path, first: int = 0) -> Start:
     with open_source(clip, start=first) as source:
-        return haar_start(source, (), clip=str(clip))
+        return search_start(source, (), clip=str(clip))
 
 
 def row(name: str, clip: Path, start: Start | None, right: str, gallery: Path, given: argparse.Namespace) -> str:

@@ -11,7 +11,9 @@ it writes OUT/<kind>-<seed>.mp4, with the ground truth and the init file beside 
     gestures  one hand or both pass over the face, or stay before it
 
 Target `face`, part `box`, is that of the sample clips: the frontal cascade's square, which goes with the head and its
-scale, `hidden` while more than half of it is covered. Each frame is held to the ground truth by the same proofs.
+scale, `hidden` while more than half of it is covered. Each frame is held to it by the same proofs. The other parts are
+points, nose, mouth_left, mouth_right, lip_upper and lip_lower, which follow the expression and the turn of the head
+too; each is `hidden` while more than half of a small square about it is covered, a fifth of the mouth's width in side.
 A seed always gives the same clip; --grey takes its colours away. Needs the `samples` extra.
 """
 
@@ -19,7 +21,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import product
@@ -47,8 +49,9 @@ from occluders import book
 from person import Place, person, prove_face, wall, wander
 from person_hands import Motion, Scene, face_covered, loose, matched_skin, render
 from portraits import Picture, Portrait, astronaut, hopper
-from render import SIZE, expose
+from render import SIZE, expose, truth
 from timeline import Array, syllables, track, unrest
+from warp import Moment
 
 Random = np.random.Generator
 Frame = NDArray[np.uint8]
@@ -66,6 +69,7 @@ MOVES = (9, 26)  # frames from one place of the head to the next
 PAN: Span = (0.0, 34.0)  # most that the camera goes to either side, in pixels
 YAW, PITCH = 0.18, 0.06  # at most, in radians
 TINT: Span = (0.85, 1.15)  # of each channel of the ground
+SPOT = 0.2  # side of the square about a point that says if it is covered, in mouth widths
 CALM = 15  # frames at the start and at the end in which nothing covers the face
 LENGTH: Span = (8.0, 45.0)  # frames of an occlusion, from half in to half out
 SHARE: Span = (0.4, 1.0)  # of the face that an object covers, when it does not cover all
@@ -168,8 +172,15 @@ def _places(rng: Random, camera: Array, low: Array, high: Array) -> Array:
     return np.asarray(middle + way, dtype=np.float64)
 
 
-def _stage(rng: Random, who: Sitter, frames: int) -> Stage:
-    """The person seated, who looks about and talks, nearer and farther, in changing light."""
+def _spots(portrait: Portrait, values: Mapping[str, Array], t: int, place: Place) -> dict[str, faces.Box]:
+    """The points of a face whose expression is `values`, each the middle of its small square, in the image."""
+    (x, y), moment = portrait.origin, Moment(**{name: float(v[t]) for name, v in values.items()})
+    side = SPOT * place.k * portrait.anatomy.width
+    return {part: (*place.see(x + u, y + v), side, side) for part, (u, v) in truth(portrait, moment).items()}
+
+
+def _stage(rng: Random, who: Sitter, frames: int) -> tuple[Stage, faces.Spots]:
+    """The person seated, who looks about and talks, nearer and farther, in changing light; and her points."""
     left, top, right, bottom = who.cutout.box
     scale = who.size * rng.uniform(*FIRST) * _factor(rng, frames, SCALE)
     half = np.stack([(right - left) * scale, (bottom - top) * scale], axis=1) * ZOOM / 2 + 5.0
@@ -181,8 +192,14 @@ def _stage(rng: Random, who: Sitter, frames: int) -> Stage:
     values = {"yaw": _goes(rng, frames, YAW), "pitch": _goes(rng, frames, PITCH), "smile": _goes(rng, frames, 0.1),
               "close": 0.4 + _goes(rng, frames, 0.4), "jaw": 0.2 * opening, "pucker": 0.12 * rounding}  # fmt: skip
     look = lru_cache(2)(faces.looks(who.portrait, who.cutout, values))  # proof and drawing ask for the same frame
-    return Stage(who.cutout, _ground(rng), CORNER, camera, _places(rng, camera, low, high), scale,
-                 EXPOSURE * _factor(rng, frames, LIGHT), look, int(rng.integers(1000)))  # fmt: skip
+    stage = Stage(who.cutout, _ground(rng), CORNER, camera, _places(rng, camera, low, high), scale,
+                  EXPOSURE * _factor(rng, frames, LIGHT), look, int(rng.integers(1000)))  # fmt: skip
+
+    def spots(t: int) -> dict[str, faces.Box]:
+        (x, y), middle = stage.head[t].tolist(), ((left + right) / 2, (top + bottom) / 2)
+        return _spots(who.portrait, values, t, Place(x, y, ZOOM * float(scale[t]), middle))
+
+    return stage, spots
 
 
 def _sheet(rng: Random) -> Picture:
@@ -216,7 +233,7 @@ def _held(rng: Random, side: float, rest: Span, start: float, length: float, pac
 def object_clip(rng: Random) -> Clip:
     """The person holds a map or a book before the face, two or three times; else it is below, in sight or not."""
     frames, who = int(rng.integers(*FRAMES)), _sitters()[rng.integers(2)]
-    stage, many = _stage(rng, who, frames), rng.integers(2, 4)
+    (stage, spots), many = _stage(rng, who, frames), rng.integers(2, 4)
     lengths, paces = rng.uniform(*LENGTH, many), rng.uniform(*PACE, many)
     ways = np.minimum(150 / paces, lengths)  # frames to come, about
     rests, stops = rng.uniform() < 0.5, Stops()
@@ -230,14 +247,15 @@ def object_clip(rng: Random) -> Clip:
         middle = follows + _through(stops, frames).T
         scene = MapScene(stage, middle, _goes(rng, frames, 0.12), _sheet(rng), skin(cloth=who.cloth, depth=1.0))
         seen = middle[:, 1] < SIZE[1] + SHEET[1] / 2 + 20
-        return faces.face_clip(stage, lambda t: scene.things(t) if seen[t] else [], soft=5.0, dark=0.35, crf=20)
+        return faces.face_clip(stage, lambda t: scene.things(t) if seen[t] else [], soft=5.0, dark=0.35, crf=20,
+                               spots=spots)  # fmt: skip
 
 
 def passer_clip(rng: Random) -> Clip:
     """The other person walks past up to three times, from either side, quickly or slowly."""
     frames, sitters = int(rng.integers(*FRAMES)), _sitters()
     who, other = (sitters[i] for i in rng.permutation(2))
-    stage, hurry = _stage(rng, who, frames), rng.uniform(*HURRY)
+    (stage, spots), hurry = _stage(rng, who, frames), rng.uniform(*HURRY)
     size, t = other.size * rng.uniform(0.95, 1.3), np.arange(frames)
     x, sides = np.full(frames, -300.0), np.ones(frames)
     halves = 60 / rng.uniform(*WALK, 3)  # frames from 60 pixels before the face to the face
@@ -253,7 +271,7 @@ def passer_clip(rng: Random) -> Clip:
     look = faces.looks(other.portrait, other.cutout, {"yaw": 0.14 * sides, "pitch": 0.02 * np.sin(t / 9.0)})
     passer = Stage(other.cutout, stage.ground, CORNER, stage.camera, way, np.full(frames, size), stage.light, look, 0)
     with mock.patch.object(faces, "FACE", who.square):
-        return faces.face_clip(stage, PassingScene(stage, passer).things, soft=7.0, dark=0.22, crf=20)
+        return faces.face_clip(stage, PassingScene(stage, passer).things, soft=7.0, dark=0.22, crf=20, spots=spots)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -327,11 +345,13 @@ def gestures_clip(rng: Random) -> Clip:
     pictures, rows = [], []
     for t in range(frames):
         picture, layers = render(scene.at(t), t)
-        box = scene.box(t)
-        prove_face(who, scene.place(t)[1], box)
+        box, head = scene.box(t), scene.place(t)[1]
+        prove_face(who, head, box)
         rows.append(TruthRow(t, "face", "box", *box, hidden=face_covered(box, layers)[2] > 0.5))
+        for part, spot in _spots(who.portrait, who.moves, t, head).items():
+            rows.append(TruthRow(t, "face", part, *spot[:2], hidden=face_covered(spot, layers)[2] > 0.5))
         pictures.append(expose(picture, float(light[t]), rng))
-    return Clip(pictures, rows, {"face": start_of(rows[0])}, 20)
+    return Clip(pictures, rows, {"face": start_of(*(row for row in rows if row.frame == 0))}, 20)
 
 
 KINDS: dict[str, Callable[[Random], Clip]] = {"object": object_clip, "passer": passer_clip, "gestures": gestures_clip}
@@ -357,11 +377,12 @@ def main() -> None:
     for seed, kind in product(args.seeds, args.kind or KINDS):
         clip = KINDS[kind](np.random.default_rng((seed, list(KINDS).index(kind))))
         shown = [_grey(picture) for picture in clip.pictures] if args.grey else clip.pictures
-        name, hidden = f"{kind}-{seed}", sum(row.hidden for row in clip.truth)
+        boxes = [row for row in clip.truth if row.part == "box"]
+        name, hidden = f"{kind}-{seed}", sum(row.hidden for row in boxes)
         write_video(args.out / f"{name}.mp4", shown, clip.crf)
         write_truth(args.out / f"{name}.truth.csv", clip.truth)
         write_init(args.out / f"{name}.init.yaml", clip.starts)
-        fast = f"at most {fastest(clip.truth):.1f} px a frame"
+        fast = f"at most {fastest(boxes):.1f} px a frame"
         print(f"{name}: {len(shown)} frames, {hidden} of them hidden, {fast}", flush=True)
 
 

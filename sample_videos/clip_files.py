@@ -54,10 +54,11 @@ class Clip:
     crf: int = CRF  # of x264: more is smaller and coarser
 
 
-def start_of(row: TruthRow) -> Start:
-    """The start of a target that is a box, from its row of frame 0. Pixel centres are at whole numbers."""
+def start_of(row: TruthRow, *points: TruthRow) -> Start:
+    """The start of a target from its box's row of frame 0, and its points'. Pixel centres are at whole numbers."""
     assert row.w is not None and row.h is not None and row.frame == 0, f"no box in frame 0: {row}"
-    return Start((row.x - (row.w - 1) / 2, row.y - (row.h - 1) / 2, row.w, row.h))
+    box = (row.x - (row.w - 1) / 2, row.y - (row.h - 1) / 2, row.w, row.h)
+    return Start(box, {point.part: (point.x, point.y) for point in points})
 
 
 def write_video(path: Path, pictures: list[NDArray[np.uint8]], crf: int = CRF) -> None:

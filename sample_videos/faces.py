@@ -5,7 +5,7 @@ The person stands as in `heads.py`, cut out of a portrait; things come before it
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -34,6 +34,7 @@ class Before:
 
 
 Things = Callable[[int], list[Before]]
+Spots = Callable[[int], Mapping[str, Box]]  # by the point's name, the box about the point that says if it is covered
 
 
 def motion(path: Array, t: int) -> tuple[float, float]:
@@ -135,8 +136,8 @@ def draw(stage: Stage, t: int, things: list[Before], soft: float, dark: float) -
     return picture
 
 
-def face_clip(stage: Stage, things: Things, *, soft: float, dark: float, crf: int) -> Clip:
-    """The clip of target `face`, hidden while more than half of its box is covered."""
+def face_clip(stage: Stage, things: Things, *, soft: float, dark: float, crf: int, spots: Spots = lambda t: {}) -> Clip:
+    """The clip of target `face`, its box and points, each hidden while more than half of its box is covered."""
     rng = np.random.default_rng(stage.seed)
     pictures: list[NDArray[np.uint8]] = []
     rows = []
@@ -144,5 +145,7 @@ def face_clip(stage: Stage, things: Things, *, soft: float, dark: float, crf: in
         _prove(stage, t)
         before, at = things(t), face_box(stage, t)
         rows.append(TruthRow(t, "face", "box", *at, hidden=covered(at, before) > 0.5))
+        for part, spot in spots(t).items():
+            rows.append(TruthRow(t, "face", part, *spot[:2], hidden=covered(spot, before) > 0.5))
         pictures.append(expose(draw(stage, t, before, soft, dark), float(stage.light[t]), rng))
-    return Clip(pictures, rows, {"face": start_of(rows[0])}, crf)
+    return Clip(pictures, rows, {"face": start_of(*(row for row in rows if row.frame == 0))}, crf)

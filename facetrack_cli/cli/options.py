@@ -138,7 +138,7 @@ def jobs_option(text: str) -> Any:
     return option("-j --jobs N", text, type=Whole(min=1), default=1, show_default=False)
 
 
-CONFIG = option("--config RECIPE", "Recipe: a file, or a name [default: factorized; with --box correlation_filter].")
+CONFIG = option("--config RECIPE", "Recipe: a file, or a name [default: face; with --box correlation_filter].")
 OVERRIDES = option("--set KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
 GALLERY = option(
     "--gallery FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."
@@ -153,7 +153,7 @@ QUIET = flag("--quiet -q", "Say nothing but errors.")
 def _init(value: str) -> Path | str:
     if not value:
         raise UsageError("--init is empty; name an init file, or haar to look for a face")
-    return value if value == "haar" else Path(value)
+    return value if value in ("haar", "yunet") else Path(value)
 
 
 def _rate(value: str) -> Fraction:
@@ -170,8 +170,8 @@ def _rate(value: str) -> Fraction:
 class Extent:
     """Where the tracks of a clip begin, and which of its frames are read."""
 
-    init: Path | Literal["haar"] | None = option(
-        "--init FILE", "Init file; `haar` looks for a face even if one lies beside the clip.", type=_init
+    init: Path | Literal["haar", "yunet"] | None = option(
+        "--init FILE", "Init file; `haar` or `yunet` looks for a face even if one lies beside the clip.", type=_init
     )
     box: Box | None = box_option("The face, head or hand in the first frame, in pixels.")
     start: int = option("--start N", "First frame, from 0.", type=FRAME, default=0, show_default=False)

@@ -160,6 +160,7 @@ class Correction:
 class Start:
     """Where a track begins: the source frame, each target, and the origin of both (a file's path, "haar", "--box").
 
+    `note` says to the user what a search took, and why.
     `corrections` are in the order of their frames, all after `frame`; no target has two in one frame.
     """
 
@@ -167,3 +168,4 @@ class Start:
     targets: Mapping[str, TargetStart]
     origin: str
     corrections: tuple[Correction, ...] = ()
+    note: str = ""

@@ -23,7 +23,7 @@ def shipped_recipes() -> list[Path]:
 
 def default_recipe(*, box: bool) -> str:
     """The recipe that is taken where none is named; `box`: where a box says what is followed."""
-    return "correlation_filter" if box else "factorized"
+    return "correlation_filter" if box else "face"
 
 
 def find_recipe(name_or_path: str) -> Path:

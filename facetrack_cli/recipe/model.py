@@ -10,6 +10,7 @@ from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.yaml_tree import Node, Problem
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.affine import Recognition
+from facetrack_cli.recipe.face import Head
 from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.sections import Component, Filter, Kind, Likelihood, Motion, Prior, Refusal, Section, Target
 from facetrack_cli.recipe.skin import Exclusion, SkinCloud
@@ -45,6 +46,8 @@ class ParticleFilter(Section):
     """How the particles are proposed, weighted and resampled."""
     prior: Prior | None = None
     """Which shapes are likely: p(alpha); null for none."""
+    head: Head | None = None
+    """The head that carries the points of a face; null, as published: a head at rest."""
     recognition: Recognition | None = None
     """Who it is, of an affine target; null: there is no recognition."""
     confidence: Confidence = Confidence()
@@ -71,6 +74,8 @@ class ParticleFilter(Section):
             return
         for one in given.values():
             yield from one.mismatches(self)
+        if self.head is not None and not self.points:
+            yield Refusal(("head",), "head carries points of a face; remove it, or follow points")
         if self.hypotheses > MOST_HYPOTHESES:
             message = f"particles times parts is {self.hypotheses:,}; no more than {MOST_HYPOTHESES:,} fit into memory"
             yield Refusal(("filter", "particles"), message)
@@ -139,7 +144,8 @@ class Recipe(Section):
     @property
     def particles(self) -> int | None:
         """Number of particles, None for a tracker without."""
-        return sum(one.filter.particles for one in self.filters.values()) or None
+        heads = (one.head.filter.particles for one in self.filters.values() if one.head is not None)
+        return sum(one.filter.particles for one in self.filters.values()) + sum(heads) or None
 
     @property
     def random(self) -> bool:

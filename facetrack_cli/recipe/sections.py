@@ -33,7 +33,7 @@ T = TypeVar("T")
 SHORTEST, LONGEST = 1e-6, 1e6  # lengths; no frame needs more, and squares would overflow
 _NUMBER = r"([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?"
 # the modules beside this one that hold sections, in the order in which types are listed
-FAMILIES = ("points", "regions", "skin", "affine", "filters", "correlation_filter")
+FAMILIES = ("points", "regions", "skin", "affine", "filters", "correlation_filter", "face")
 GROUP = "facetrack.sections"  # the entry points by which other packages bring sections of their own
 
 

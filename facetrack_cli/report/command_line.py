@@ -15,6 +15,7 @@ from ruamel.yaml.representer import RoundTripRepresenter
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Correction, Start
+from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
@@ -109,8 +110,8 @@ def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
                     return ["--init", name, *([] if found.frame == init.frame else at)]
         return ["--init", CORRECTED]
     first = next(iter(init.targets.values()), None)
-    if init.origin == "haar":
-        return ["--init", "haar", *(at if init.frame else [])]
+    if init.origin in DETECTORS:
+        return ["--init", init.origin, *(at if init.frame else [])]
     if init.origin == "--box" and first is not None and first.box is not None:
         return ["--box", ",".join(f"{side:.12g}" for side in first.box), *(at if init.frame else [])]
     same = False

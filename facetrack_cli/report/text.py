@@ -16,6 +16,8 @@ from facetrack_cli.trajectory.diagnostics import SURE
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import Trajectory
 
+_DETECTORS: Final[Mapping[str, str]] = {"haar": "the Haar cascades", "yunet": "YuNet"}
+
 
 def count(n: int, one: str, many: str = "") -> str:
     """`1 frame`, `2 frames`, `12,000 frames`."""
@@ -114,7 +116,7 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
     def words(event: Event) -> tuple[str, str]:
         match event.kind:
             case "start":
-                return "Start", f"placed by {'the Haar cascades' if origin == 'haar' else Path(origin).name or origin}"
+                return "Start", f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"
             case "corrected":
                 given, absent = event.corrected[1:] if event.corrected else ((), ())
                 gone = f"{_are(absent, 5)} absent" if absent else ""

@@ -4,19 +4,20 @@ from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from itertools import chain, dropwhile, tee
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
+from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.clip import Job, Memory, track_clip
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import HAAR, completed, search
+from facetrack_cli.runs.start import completed, search
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import read_init
@@ -41,9 +42,9 @@ def track_video(
     """Track a video file, or a folder of images, from its start to its end; what `facetrack run` does, in memory.
 
     `recipe` is a recipe, the name of a shipped one, or a file; None: correlation_filter where `init` is a box, else
-    factorized. `init` says where the track starts: an init file; "haar"
-    to look for a face; a box (left, top, width, height) in pixels; a `Start`. None: the init file beside the clip, else
-    a face. `start` and `stop` are the first frame and the frame to stop before, `fps` the rate of a folder of images.
+    face. `init` says where the track starts: an init file; "haar" or "yunet" to look for a face; a box (left, top,
+    width, height) in pixels; a `Start`. None: the init file beside the clip, else a face. `start` and `stop` are the
+    first frame and the frame to stop before, `fps` the rate of a folder of images.
     `report` is called with the frames done and the frames in all, if that is known.
 
     The trajectory's `header` says what a trajectory.json says: source, recipe, seed, init, warnings, `complete`.
@@ -82,9 +83,9 @@ def track_frames(
     chosen = _recipe(recipe, seed, init)
     frames = _frames(images, fps)
     begin = _init(init, 0)
-    if begin is None or begin == HAAR:
+    if begin is None or isinstance(begin, str):
         looked, frames = tee(frames)
-        start = search(chosen, looked, IMAGES)
+        start = search(chosen, looked, IMAGES, by=begin)
         del looked  # or it would keep all frames
     else:
         start = begin if isinstance(begin, Start) else read_init(begin)
@@ -110,11 +111,11 @@ def _recipe(recipe: str | Path | Recipe | None, seed: int | None, init: Init | N
     return recipe if seed is None else recipe.model_copy(update={"seed": seed})
 
 
-def _init(init: Init | None, start: int) -> Path | Literal["haar"] | Start | None:
+def _init(init: Init | None, start: int) -> Path | DetectorName | Start | None:
     if init is None or isinstance(init, Start):
         return init
     if isinstance(init, str | Path):
-        return HAAR if init == HAAR else Path(init)
+        return next((name for name in DETECTORS if name == init), Path(init))
     try:
         left, top, width, height = (float(side) for side in init)
     except (TypeError, ValueError):

@@ -54,7 +54,7 @@ class Job(Begin):
 class Outcome:
     """What became of one clip. `lost` counts the lost frames of each part; `lost_at_end` are those lost in the last.
 
-    `error` ended the run early; what was tracked until then is kept.
+    `error` ended the run early; what was tracked until then is kept. `note` says where the search for a face began it.
     """
 
     clip: Path
@@ -68,6 +68,7 @@ class Outcome:
     stopped: str | None = None
     error: Exception | None = None
     streamed: bool = False
+    note: str = ""
 
     def count(self, result: FrameResult) -> None:
         """Take in one more frame."""
@@ -124,6 +125,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
             raise
         done.stopped = stop.reason
         return done
+    done.note = start.note
     with job.open(start.frame) as source:
         tracker = tracker_for(job.recipe, start, source.size)
         try:

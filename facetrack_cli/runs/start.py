@@ -4,20 +4,22 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
+from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.signals import never
-from facetrack_cli.tracking.start import box_start, check_start, find_init, haar_start, name_targets, read_init
+from facetrack_cli.tracking.start import box_start, check_start, find_init, name_targets, read_init, search_start
+from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.tracking.start.search import Faces
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, by_frame
 from facetrack_cli.video.source import Source, open_source
 
-HAAR: Final = "haar"
 FAR: Final = 0.5  # overlap of the boxes below which a region does not count as found
 
 
@@ -25,13 +27,15 @@ FAR: Final = 0.5  # overlap of the boxes below which a region does not count as 
 class Begin:
     """A clip, what says where its tracks begin, and which of its frames are read.
 
-    `init` is an init file, a start, or "haar" to look for a face whatever lies beside the clip; None: see `find`.
+    `init` is an init file, a start, or the detector that looks for a face whatever lies beside the clip; None: see
+    `find`. `faces` says whether it takes the best face, or all that are there.
     `init_frame` is the frame of the init file or box, or the first to look for a face in.
     """
 
     clip: Path
     _: KW_ONLY
-    init: Path | Literal["haar"] | Start | None = None
+    init: Path | DetectorName | Start | None = None
+    faces: Faces = "one"
     box: Box | None = None
     init_frame: int | None = None
     start: int = 0
@@ -70,7 +74,8 @@ class Begin:
             return completed(recipe, replace(start, frame=at), lambda: self._frame(at, origin), str(self.clip))
         with self.open(at) as source:
             try:
-                return search(recipe, frames_of(source, at, origin, stopped), str(self.clip))
+                by = next((name for name in DETECTORS if name == self.init), None)
+                return search(recipe, frames_of(source, at, origin, stopped), str(self.clip), by=by, faces=self.faces)
             except InputError:
                 if stopped():
                     raise InputError(f"{self.clip}: stopped before a start was found") from None
@@ -119,13 +124,15 @@ def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: st
     return replace(start, targets={name: replace(found, windows=given.windows)})
 
 
-def search(recipe: Recipe, frames: Iterator[Frame], clip: str) -> Start:
+def search(
+    recipe: Recipe, frames: Iterator[Frame], clip: str, *, by: DetectorName | None = None, faces: Faces = "one"
+) -> Start:
     """The start at the first face that is found in `frames`. Raises InputError if there is none."""
 
     def complete(frame: Frame, start: Start) -> Start:
         return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
 
-    return haar_start(frames, recipe.points, clip=clip, complete=complete)
+    return search_start(frames, recipe.points, detector=detector(by), faces=faces, clip=clip, complete=complete)
 
 
 def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:

@@ -22,7 +22,7 @@ from numpy.random import Generator
 
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
 from facetrack_cli.tracking.loop import Cover, Target
-from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.tracking.target import Restarts
 from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, build
 
 STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets
@@ -103,7 +103,7 @@ class CorrectedTarget:
     def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
         """The state after `frame`, in which a `complete` correction says where the target is."""
         given, absent = correction.given, correction.hidden(self.parts)
-        if len(absent) == len(self.parts):
+        if set(absent) >= set(spoken(self.parts)):
             result = self._absent(frame)
             rows = replace(result.rows, by_hand=np.isin(self.parts, absent))
             return replace(state, inner=None), result._replace(rows=rows)
@@ -121,7 +121,7 @@ class CorrectedTarget:
             inner, result = target.begin(rng, frame)
         else:
             target = self.target
-            assert isinstance(target, ParticleTarget)
+            assert isinstance(target, Restarts)
             anew = by_hand if correction.learn is None and self.anew.points else ()
             inner, result = target.restart(rng, frame, state.first, given, absent, anew)
         rows, sure = result.rows, np.isin(self.parts, by_hand)
@@ -145,7 +145,12 @@ def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
     given = correction.given
     if correction.absent is True or (given.box is not None and (not given.points or tuple(parts) == (BOX,))):
         return True
-    return {*given.points, *correction.kept, *correction.absent} >= set(parts)
+    return {*given.points, *correction.kept, *correction.absent} >= set(spoken(parts))
+
+
+def spoken(parts: Sequence[str]) -> tuple[str, ...]:
+    """The parts that corrections speak of: of points in a box the points."""
+    return tuple(part for part in parts if part != BOX) or tuple(parts)
 
 
 def completed(correction: Correction, rows: Trajectory) -> Correction:
@@ -156,7 +161,7 @@ def completed(correction: Correction, rows: Trajectory) -> Correction:
     assert correction.absent is not True
     kept, absent = dict(correction.kept), list(correction.absent)
     for (_, part), x, y in zip(rows.names, rows.x.tolist(), rows.y.tolist(), strict=True):
-        if part not in correction.given.points and part not in kept and part not in absent:
+        if part not in (*correction.given.points, *kept, *absent) and part in spoken(parts):
             if math.isnan(x) or math.isnan(y):
                 absent.append(part)
             else:
@@ -166,7 +171,7 @@ def completed(correction: Correction, rows: Trajectory) -> Correction:
 
 def all_or(absent: Sequence[str], parts: Sequence[str]) -> tuple[str, ...] | Literal[True]:
     """The absent ones of `parts`, as a correction has them: True for all."""
-    return True if set(absent) >= set(parts) else tuple(absent)
+    return True if set(absent) >= set(spoken(parts)) else tuple(absent)
 
 
 @dataclass(frozen=True)

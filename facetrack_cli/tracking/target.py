@@ -67,10 +67,26 @@ class Looks(Protocol):
 
 
 @runtime_checkable
+class Knows(Protocol):
+    """A likelihood that says with which probability each part is visible, (K,), at the estimate (K, D)."""
+
+    def presence(self, learned: Any, frame: Frame, state: Array) -> Array: ...
+
+
+@runtime_checkable
 class LearnsParts(Protocol):
     """A likelihood that can learn some of its parts (K,) again, as they look in a frame at x0 (K, D)."""
 
     def relearn(self, learned: Any, frame: Frame, x0: Array, parts: Mask) -> Any: ...
+
+
+@runtime_checkable
+class Restarts(Protocol):
+    """A target that can begin again with what it knows; see `ParticleTarget.restart`."""
+
+    def restart(
+        self, rng: Generator, frame: Frame, first: Any, given: TargetStart, absent: Names = (), anew: Names = ()
+    ) -> tuple[Any, TargetResult]: ...
 
 
 class Motion(Protocol):
@@ -206,6 +222,9 @@ class ParticleTarget:
             if isinstance(self.space, VisibleBoxSpace):
                 presence = self.space.presence(particles, estimated)
                 judgement = confidence.decide(self.confidence, judgement, presence)
+            elif self._knows is not None:
+                presence = self._knows.presence(state.learned, frame, estimated.state)
+                judgement = confidence.decide(self.confidence, judgement, presence)
             else:
                 distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
                 judgement = confidence.judge(self.confidence, judgement, distance)
@@ -228,6 +247,10 @@ class ParticleTarget:
     @cached_property
     def _looks(self) -> Looks | None:
         return self.likelihood if isinstance(self.likelihood, Looks) else None
+
+    @cached_property
+    def _knows(self) -> Knows | None:
+        return self.likelihood if isinstance(self.likelihood, Knows) else None
 
     @cached_property
     def _reports(self) -> Reports | None:

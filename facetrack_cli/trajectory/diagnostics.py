@@ -53,12 +53,15 @@ class Diagnostic:
 POSTERIOR: Final = Diagnostic("posterior", "probability of each identity", shape=None, least=0, most=1)
 ENTROPY: Final = Diagnostic("entropy", "of the posterior", "nats", least=0)
 SCALE: Final = Diagnostic("scale", "1 at the start", least=0)
+ROLL: Final = Diagnostic("roll", "of a face in the plane of the image", "degrees", decimals=2)
 NOISE: Final = Diagnostic("noise", "eta of eq. 13: noise of the motion, relative to its usual", least=0)
 ERROR: Final = Diagnostic("error", "eps_t of eq. 13: error of the velocity prediction", least=0)
 _AFFINE: Final = "deformation a1 to a4 since the start; centre in pixels"
 # a1 to a4 to 5 decimals: of a box of 1,000 pixels that is a hundredth of one
 AFFINE: Final = Diagnostic("affine", _AFFINE, shape=(6,), decimals=(5, 5, 5, 5, 3, 3))
-KNOWN: Final[Mapping[str, Diagnostic]] = {one.name: one for one in (POSTERIOR, ENTROPY, SCALE, NOISE, ERROR, AFFINE)}
+KNOWN: Final[Mapping[str, Diagnostic]] = {
+    one.name: one for one in (POSTERIOR, ENTROPY, SCALE, ROLL, NOISE, ERROR, AFFINE)
+}
 """Those of the shipped trackers (Zhou, Chellappa & Moghaddam 2003), which docs/files.md describes."""
 
 

@@ -281,9 +281,9 @@ def test_repeat_shows_what_there_was_when_it_was_interrupted(facetrack, monkeypa
     whole = runs.run_plans
     monkeypatch.setattr(runs, "run_plans", interrupted)
     code, out, _ = facetrack("repeat", CLIP, "--seeds", "3", "--no-plots")
-    assert code == ExitCode.INTERRUPTED and "3 runs of factorized on frames 0 to 8" in out
+    assert code == ExitCode.INTERRUPTED and "3 runs of face on frames 0 to 8" in out
     assert "Interrupted: these are the frames that 3 runs had reached." in out
-    found = json.loads(Path("occlusion-factorized-repeat/repeat.json").read_text(encoding="utf-8"))
+    found = json.loads(Path("occlusion-face-repeat/repeat.json").read_text(encoding="utf-8"))
     assert not found["complete"] and found["seeds"] == [0, 1, 2]
 
 

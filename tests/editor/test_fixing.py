@@ -207,12 +207,12 @@ def _objects(folder, frame, target):
 
 def test_what_is_not_given_stays_where_the_rows_have_it(fixed):
     one = fixed("face")
-    before = {part.part: (part.x, part.y) for part in now(one.fixer, 8, "face")}
+    before = {part.part: (part.x, part.y) for part in now(one.fixer, 8, "face") if part.part != "box"}
     one.fixer.put([NOSE])
     [done] = one.fixer.corrections
     assert done.given.points == {"nose": (150.0, 130.5)}
     assert done.kept == {part: at for part, at in before.items() if part != "nose"}
-    after = {part.part: (part.x, part.y) for part in now(one.fixer, 8, "face")}
+    after = {part.part: (part.x, part.y) for part in now(one.fixer, 8, "face") if part.part != "box"}
     assert after == {**before, "nose": (150.0, 130.5)}
     one.fixer.put([Correction(12, "face", absent=("nose", "lip_lower"))])
     one.fixer.put([points("face", 16, nose=(150.0, 130.0))])
@@ -406,8 +406,8 @@ def test_the_video_is_painted_anew_from_the_rows(fixed, runs):
     old, new = (_pictures(folder / "annotated.mp4") for folder in (runs / "face", one.folder))
     assert len(old) == len(new) == STOP
     apart = [float(cv2.absdiff(a, b)[30:].mean()) for a, b in zip(old, new, strict=True)]
-    # before the correction the particles alone are missing
-    assert max(apart[:8]) < 1.25 and max(apart[9:]) > 1.5 * max(apart[:8])
+    # before the correction nothing but the coding differs
+    assert max(apart[:8]) < 1.7 and max(apart[9:]) > 1.2 * max(apart[:8])
 
 
 def test_the_video_is_painted_as_a_run_from_the_corrected_init_file_paints_it(fixed, tmp_path, monkeypatch):

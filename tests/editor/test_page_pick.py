@@ -391,7 +391,7 @@ def test_picked_saved_and_run(clips, command, tmp_path, facetrack):
     assert run["init"]["frame"] == 1
     [target] = run["frames"][0]["targets"]
     assert {part["status"] for part in target["parts"]} == {"init"}
-    for part in target["parts"]:
+    for part in target["parts"][:-1]:  # the last one is the box
         assert np.allclose((part["x"], part["y"]), POINTS[part["part"]], atol=0.01)
 
 

@@ -40,6 +40,7 @@ STEPS = [
 ]
 AFFINE = [*STEPS, "adaptive_robust"]
 BOXES = ["correlation_filter"]
+FACES = ["face"]
 OPENCV = ["csrt", "kcf", "mil", "mosse"]
 
 GOOD = """\
@@ -92,7 +93,7 @@ def under_caret(excerpt):
 
 def test_the_shipped_recipes_are_all_there():
     assert [path.stem for path in shipped_recipes()] == sorted(
-        NAMES + OPENCV + REGIONS + SKIN + SEVERAL + AFFINE + BOXES
+        NAMES + OPENCV + REGIONS + SKIN + SEVERAL + AFFINE + BOXES + FACES
     )
 
 

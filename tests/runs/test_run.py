@@ -108,18 +108,18 @@ def one_line(text: str) -> str:
 def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
     code, out, err = run(clip, *SMALL)
     assert (code, out) == (0, "")
-    folder = Path("sway-factorized")
+    folder = Path("sway-face")
     assert names(folder) == ["annotated.mp4", "trajectory.csv", "trajectory.json"]
     table = file_rows(folder / "trajectory.csv")
-    assert [row.frame for row in table] == [i for i in range(30) for _ in range(5)]
-    assert {row.status for row in table[:5]} == {"init"}
+    assert [row.frame for row in table] == [i for i in range(30) for _ in range(6)]
+    assert {row.status for row in table[:6]} == {"init"}
     assert count(folder / "annotated.mp4") == 30
     data = json.loads((folder / "trajectory.json").read_text())
     assert (data["complete"], data["frames_tracked"], data["variable_fps"]) == (True, 30, False)
-    assert (data["recipe"]["name"], data["recipe"]["filter"]["particles"]) == ("factorized", 20)
+    assert (data["recipe"]["name"], data["recipe"]["filter"]["particles"]) == ("face", 20)
     assert data["source"] == {"path": str(clip), "size": [128, 96], "fps": 25.0}
     assert data["init"]["targets"]["face"]["points"]["nose"] == [60, 40]
-    assert data["frames"][0]["targets"][0]["particles"] == 20
+    assert data["frames"][0]["targets"][0]["particles"] == 120
     # on a busy machine compiling takes so long that progress is told
     line = one_line("".join(one for one in err.splitlines(keepends=True) if " of about " not in one))
     assert "annotated.mp4, trajectory.csv, trajectory.json" in line
@@ -132,7 +132,7 @@ def test_the_tracker_follows_the_sway(run: Runner, clip: Path) -> None:
     assert run(clip, "--no-video", "--set", "filter.particles=100")[0] == 0
     errors = [
         abs(row.x - (60 + round(3 * np.sin(row.frame / 8))))
-        for row in file_rows(Path("sway-factorized/trajectory.csv"))
+        for row in file_rows(Path("sway-face/trajectory.csv"))
         if row.part == "nose" and row.x is not None
     ]
     assert len(errors) == 30
@@ -190,8 +190,8 @@ def test_the_same_bytes_with_one_thread_and_two_and_from_pictures(run: Runner, c
     assert run("pictures/*.png", *SMALL, "--init", "pictures.init.yaml", "-o", "-", "--fps", "25")[1] == one
     assert run("pictures", *SMALL, "-o", "-", "--fps", "50/2")[1] == one
     assert run("pictures", *SMALL, "--fps", 12.5)[0] == 0
-    assert file_rows(Path("pictures-factorized/trajectory.csv"))[-1].time_s == pytest.approx(29 / 12.5)
-    assert count(Path("pictures-factorized/annotated.mp4")) == 30
+    assert file_rows(Path("pictures-face/trajectory.csv"))[-1].time_s == pytest.approx(29 / 12.5)
+    assert count(Path("pictures-face/annotated.mp4")) == 30
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names are text")
@@ -206,9 +206,9 @@ def test_a_name_that_is_no_text(clip: Path, tmp_path: Path) -> None:
     done = subprocess.run([*FACETRACK, "run", folder, *SMALL, "--init", init], cwd=tmp_path, capture_output=True)
     assert done.returncode == 0, done.stderr
     assert len(done.stderr.splitlines()) == 1
-    data = json.loads((tmp_path / f"{folder}-factorized" / "trajectory.json").read_bytes())
+    data = json.loads((tmp_path / f"{folder}-face" / "trajectory.json").read_bytes())
     assert data["source"]["path"] == folder
-    (tmp_path / "a.mp4").symlink_to(tmp_path / f"{folder}-factorized" / "annotated.mp4")
+    (tmp_path / "a.mp4").symlink_to(tmp_path / f"{folder}-face" / "annotated.mp4")
     assert count(tmp_path / "a.mp4") == 3
 
     (tmp_path / f"{folder}.mp4").symlink_to(clip)
@@ -226,8 +226,8 @@ def test_a_face_is_found_where_no_init_file_lies(run: Runner) -> None:
     Path("clip.mp4").symlink_to(SAMPLE)
     code, _, _ = run("clip.mp4", *SMALL, "--stop", 4, "--no-video")
     assert code == 0
-    data = json.loads(Path("clip-factorized/trajectory.json").read_text())
-    assert data["init"]["from"] == "haar"
+    data = json.loads(Path("clip-face/trajectory.json").read_text())
+    assert data["init"]["from"] in ("haar", "yunet")  # what is installed
     nose = data["init"]["targets"]["face"]["points"]["nose"]
     truth = next(r for r in file_rows(SAMPLE.with_suffix(".truth.csv")) if r.frame == 0 and r.part == "nose")
     assert truth.x is not None
@@ -237,7 +237,7 @@ def test_a_face_is_found_where_no_init_file_lies(run: Runner) -> None:
 
 def test_haar_can_be_asked_for_beside_an_init_file(run: Runner) -> None:
     assert run(SAMPLE, *SMALL, "--stop", 2, "--no-video")[0] == 0
-    data = json.loads(Path("expressions-factorized/trajectory.json").read_text())
+    data = json.loads(Path("expressions-face/trajectory.json").read_text())
     assert data["init"]["from"].endswith("expressions.init.yaml")
     assert run(SAMPLE, *SMALL, "--start", 9, "--stop", 12, "--no-video", "--init", "haar", "-o", "x")[0] == 0
     data = json.loads(Path("x/trajectory.json").read_text())
@@ -258,7 +258,7 @@ def test_an_init_file_with_a_box_alone_is_enough(run: Runner) -> None:
     Path("box.yaml").write_text("frame: 2\nbox: [110, 93, 99, 99]\n")
     code, out, _ = run(SAMPLE, *SMALL, "--init", "box.yaml", "--stop", 4, "-o", "-")
     assert code == 0
-    assert len(out.splitlines()) == 1 + 2 * 5
+    assert len(out.splitlines()) == 1 + 2 * 6
 
 
 # --- what is refused ---
@@ -322,12 +322,12 @@ def test_an_input_that_is_no_clip_leaves_nothing_behind(run: Runner, what: str) 
 
 
 def test_results_that_are_there_are_not_touched(run: Runner, clip: Path) -> None:
-    folder = Path("sway-factorized")
+    folder = Path("sway-face")
     folder.mkdir()
     (folder / "trajectory.json").write_text("mine")
     code, _, err = run(clip, *SMALL)
     assert code == 2
-    assert "sway-factorized/trajectory.json: exists already; replace it with --overwrite" in one_line(err)
+    assert "sway-face/trajectory.json: exists already; replace it with --overwrite" in one_line(err)
     assert names(folder) == ["trajectory.json"]
     assert (folder / "trajectory.json").read_text() == "mine"
     assert run(clip, *SMALL, "--format", "csv", "--no-video")[0] == 0
@@ -337,7 +337,7 @@ def test_results_that_are_there_are_not_touched(run: Runner, clip: Path) -> None
 
 
 def test_old_results_stay_until_the_new_ones_are_whole(run: Runner) -> None:
-    folder = Path("bad-factorized")
+    folder = Path("bad-face")
     folder.mkdir()
     (folder / "trajectory.csv").write_text("mine")
     Path("bad.mp4").write_text("no video")
@@ -396,10 +396,10 @@ def test_a_full_disk_keeps_what_was_tracked(run: Runner, clip: Path, monkeypatch
     lines = err.splitlines()
     assert "incomplete" in lines[0]
     assert "trajectory.csv: the disk is full" in lines[1]
-    folder = Path("sway-factorized")
+    folder = Path("sway-face")
     assert names(folder) == ["annotated.mp4", "trajectory.csv", "trajectory.json"]
     kept = file_rows(folder / "trajectory.csv")
-    assert [row.frame for row in kept] == [i for i in range(len(kept) // 5) for _ in range(5)]
+    assert [row.frame for row in kept] == [i for i in range(len(kept) // 6) for _ in range(6)]
     assert 0 < len(kept) < 150
 
 
@@ -438,7 +438,7 @@ def test_a_cut_clip_gives_its_rows_a_warning_and_0(run: Runner, clip: Path) -> N
     assert "20.png" in warning
     assert "20 frames" in summary
     assert "incomplete" in summary
-    folder = Path("pictures-factorized")
+    folder = Path("pictures-face")
     data = json.loads((folder / "trajectory.json").read_text())
     assert (data["complete"], data["frames_tracked"]) == (False, 20)
     assert "stopped" not in data
@@ -466,8 +466,8 @@ def test_a_fault_of_ours_keeps_what_was_tracked(run: Runner, clip: Path, monkeyp
     assert code == 1
     assert "internal error" in err.splitlines()[-1]
     assert "Traceback" not in err
-    assert count(Path("sway-factorized/annotated.mp4")) == 10
-    data = json.loads(Path("sway-factorized/trajectory.json").read_text())
+    assert count(Path("sway-face/annotated.mp4")) == 10
+    data = json.loads(Path("sway-face/trajectory.json").read_text())
     assert (data["complete"], data["stopped"]) == (False, "a bug")
 
 
@@ -485,7 +485,7 @@ def test_a_part_that_is_lost_at_the_end(run: Runner, tmp_path: Path) -> None:
     code, _, err = run(path, "--no-video", "--fail-on-lost", "--overwrite")
     assert code == 4
     assert "lost: " in one_line(err)
-    assert json.loads(Path("covered-factorized/trajectory.json").read_text())["lost_frames"]
+    assert json.loads(Path("covered-face/trajectory.json").read_text())["lost_frames"]
     assert run(path, "--no-video", "--fail-on-lost", "-o", "early", "--stop", 8)[0] == 0
 
 
@@ -512,9 +512,9 @@ def test_a_batch_goes_on_past_a_bad_clip(run: Runner, clip: Path, tmp_path: Path
     Path("bad.mp4").write_text("no video")
     code, out, err = run(clip, "bad.mp4", other, other, *SMALL, "-j", workers, "-o", "all")
     assert (code, out) == (5, "")
-    assert names(Path("all")) == ["other-factorized", "sway-factorized"]
-    assert count(Path("all/sway-factorized/annotated.mp4")) == 30
-    assert len(file_rows(Path("all/other-factorized/trajectory.csv"))) == 50
+    assert names(Path("all")) == ["other-face", "sway-face"]
+    assert count(Path("all/sway-face/annotated.mp4")) == 30
+    assert len(file_rows(Path("all/other-face/trajectory.csv"))) == 60
     lines = err.splitlines()
     assert sum("facetrack: error: bad.mp4: not a video" in line for line in lines) == 1
     assert lines[-1] == "1 of 3 inputs failed"
@@ -525,18 +525,18 @@ def test_a_batch_gives_what_each_clip_gives_alone(run: Runner, clip: Path, tmp_p
     other = make_clip(tmp_path / "other.mp4", 10)
     assert run(clip, other, *SMALL, "-j", 2)[0] == 0
     for path in (clip, other):
-        assert Path(f"{path.stem}-factorized/trajectory.csv").read_text() == run(path, *SMALL, "-o", "-")[1]
+        assert Path(f"{path.stem}-face/trajectory.csv").read_text() == run(path, *SMALL, "-o", "-")[1]
 
 
 def test_a_batch_leaves_finished_clips_alone(run: Runner, clip: Path, tmp_path: Path) -> None:
     other = make_clip(tmp_path / "other.mp4", 10)
     assert run(clip, *SMALL)[0] == 0
-    before = Path("sway-factorized/trajectory.csv").stat().st_mtime_ns
+    before = Path("sway-face/trajectory.csv").stat().st_mtime_ns
     code, _, err = run(clip, other, *SMALL, "-q")
     assert code == 5
     assert "exists already" in one_line(err)
-    assert Path("sway-factorized/trajectory.csv").stat().st_mtime_ns == before
-    assert Path("other-factorized/trajectory.csv").exists()
+    assert Path("sway-face/trajectory.csv").stat().st_mtime_ns == before
+    assert Path("other-face/trajectory.csv").exists()
 
 
 def test_a_batch_does_not_stream(run: Runner, clip: Path) -> None:
@@ -578,7 +578,7 @@ def test_find_and_xargs(run: Runner, tmp_path: Path) -> None:
     words = [*FACETRACK, "run", *SMALL, "--no-video", "-j", "2"]
     done = subprocess.run(["sh", "-c", command, "sh", *words], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    assert names(Path()) == ["one clip-factorized", "two\nlines-factorized"]
+    assert names(Path()) == ["one clip-face", "two\nlines-face"]
 
 
 # --- signals ---
@@ -615,7 +615,7 @@ def check_interrupted(folder: Path, all_frames: int, reason: str) -> None:
     done = data["frames_tracked"]
     assert 0 < done < all_frames
     assert (data["complete"], data["stopped"], len(data["frames"])) == (False, reason, done)
-    assert len(file_rows(folder / "trajectory.csv")) == 5 * done
+    assert len(file_rows(folder / "trajectory.csv")) == 6 * done
     assert count(folder / "annotated.mp4") == done
 
 
@@ -648,16 +648,16 @@ def test_a_signal_ends_a_batch_cleanly(long_clip: Path, tmp_path: Path, number: 
         (tmp_path / name).with_suffix(".init.yaml").write_text(INIT)
     out = tmp_path / "out"
     clips = [tmp_path / name for name in ("a.mp4", "b.mp4", "c.mp4")]
-    both = (growing(out / "a-factorized"), growing(out / "b-factorized"))
+    both = (growing(out / "a-face"), growing(out / "b-face"))
     group = number == signal.SIGINT
     got, err = interrupted(
         [*clips, *SMALL, "-j", "2", "-o", out], lambda: all(ready() for ready in both), number, group=group
     )
     assert got == code, err
     assert "Traceback" not in err
-    for name in ("a-factorized", "b-factorized"):
+    for name in ("a-face", "b-face"):
         check_interrupted(out / name, 1500, "interrupted" if number == signal.SIGINT else "terminated")
-    assert not (out / "c-factorized").exists()
+    assert not (out / "c-face").exists()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -830,8 +830,8 @@ def test_an_encoder_that_is_killed(run: Runner, clip: Path, monkeypatch: pytest.
     assert code == ExitCode.USAGE
     assert "(trajectory.csv, trajectory.json)" in summary and "incomplete" in summary
     assert "annotated.mp4: the video cannot be written (ffmpeg was killed by signal 9); run it again" in error
-    assert names(Path("sway-factorized")) == ["trajectory.csv", "trajectory.json"]
-    assert len(file_rows(Path("sway-factorized/trajectory.csv"))) >= 8 * 5
+    assert names(Path("sway-face")) == ["trajectory.csv", "trajectory.json"]
+    assert len(file_rows(Path("sway-face/trajectory.csv"))) >= 8 * 6
 
 
 @pytest.mark.skipif(os.name != "posix", reason="closes streams as a shell does")
@@ -847,7 +847,7 @@ def test_streams_that_the_shell_closed(clip: Path, tmp_path: Path, closed: str, 
     if code:
         assert "standard output: cannot be written" in one_line(ended.stderr)
     else:
-        assert names(tmp_path / "sway-factorized") == ["trajectory.csv", "trajectory.json"]
+        assert names(tmp_path / "sway-face") == ["trajectory.csv", "trajectory.json"]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
@@ -857,7 +857,7 @@ def test_a_log_on_a_full_disk_does_not_stop_a_run(clip: Path, tmp_path: Path) ->
             [*FACETRACK, "run", str(clip), "--no-video", *SMALL], cwd=tmp_path, stderr=full, check=False
         )
     assert ended.returncode == 0
-    assert names(tmp_path / "sway-factorized") == ["trajectory.csv", "trajectory.json"]
+    assert names(tmp_path / "sway-face") == ["trajectory.csv", "trajectory.json"]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

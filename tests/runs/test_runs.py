@@ -17,6 +17,7 @@ from facetrack_cli.runs.clip import Job, run
 from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Begin, truth_start
+from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
@@ -202,7 +203,8 @@ def test_the_init_file_beside_the_clip_goes_before_the_truth(tmp_path):
     alone = tmp_path / "clip.mp4"
     alone.write_bytes(CLIP.read_bytes())
     assert Begin(alone).find(recipe, known).origin.endswith("expressions.truth.csv")
-    assert Begin(alone).find(recipe).origin == "haar"
+    assert Begin(alone).find(recipe).origin == detector().name
+    assert Begin(alone, init="haar").find(recipe).origin == "haar"
     boxed = Begin(alone, box=(106.0, 74.0, 106.0, 106.0)).find(recipe, known)
     assert boxed.origin == "--box" and set(boxed.targets["face"].points) == set(recipe.points)
 

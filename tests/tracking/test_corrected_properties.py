@@ -135,7 +135,7 @@ def test_a_run_put_right_is_a_whole_run_from_the_init_file_that_is_written(made,
             return
         start = read_init(folder / CORRECTED)
         assert start.corrections == wanted
-        again = list(track(build_tracker(load_recipe("factorized", FEW), start), iter(CLIP.frames), 0))
+        again = list(track(build_tracker(load_recipe("face", FEW), start), iter(CLIP.frames), 0))
         assert (folder / "trajectory.csv").read_text().split("\n", 1)[1] == "".join(lines(again))
         assert open_run(folder).start.corrections == wanted
 

@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
 from facetrack_cli.core.types import Frame, Start, TargetStart
-from facetrack_cli.tracking.start import PARTS, box_start, check_start, find_init, haar_start, read_init, write_init
+from facetrack_cli.tracking.start import PARTS, box_start, check_start, find_init, read_init, search_start, write_init
 from facetrack_cli.tracking.start.haar import find_faces
 from facetrack_cli.tracking.start.points import HALF_WIDTH, MOUTH_Y, TIP_ABOVE_SHADE, mean_eyes, place, read_points
 from facetrack_cli.tracking.start.preview import draw_start
+from facetrack_cli.tracking.start.search import WAIT
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))
@@ -292,7 +293,7 @@ def test_a_flat_face_has_mean_proportions():
 def test_points_are_close_to_the_truth(clip):
     errors = []
     for count, (frame, truth) in enumerate(sample(clip, every=40)):
-        found = errors_in_mouth_widths(haar_start([frame]), truth)
+        found = errors_in_mouth_widths(search_start([frame]), truth)
         if count == 0:
             assert max(found) < 0.2
         errors += found
@@ -317,7 +318,7 @@ def test_finds_the_face_however_it_is_shown(face, change):
         size = round(width * scale), round(height * scale)
         image = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE)
         points = {part: tuple(matrix @ [*point, 1]) for part, point in truth.items()}
-    start = haar_start([Frame(5, 0.2, image)])
+    start = search_start([Frame(5, 0.2, image)])
     assert start.frame == 5 and start.origin == "haar"
     assert np.mean(errors_in_mouth_widths(start, points)) < 0.12
     check_start(start, (image.shape[1], image.shape[0]), PARTS)
@@ -330,7 +331,7 @@ def test_points_turn_with_the_face(face):
     for turn in (-9, 9):
         matrix = cv2.getRotationMatrix2D((width / 2, height / 2), -turn, 1)
         image = cv2.warpAffine(frame.bgr, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE)
-        points = haar_start([Frame(0, 0, image)]).targets["face"].points
+        points = search_start([Frame(0, 0, image)]).targets["face"].points
         across = np.subtract(points["mouth_right"], points["mouth_left"])
         tilts.append(np.degrees(np.arctan2(across[1], across[0])))
     assert tilts[1] - tilts[0] == pytest.approx(18, abs=6)
@@ -341,21 +342,21 @@ def test_starts_at_the_first_frame_with_a_face_and_looks_no_further(face):
     seen = []
 
     def frames():
-        for index in range(30, 40):
+        for index in range(30, 60):
             seen.append(index)
             yield Frame(index, index / 25, frame.bgr if index >= 33 else NOBODY)
 
-    assert haar_start(frames(), ["nose"]).frame == 33
-    assert seen == [30, 31, 32, 33]
-    assert list(haar_start([frame], ["nose"]).targets["face"].points) == ["nose"]
+    assert search_start(frames(), ["nose"]).frame == 33
+    assert seen == list(range(30, 33 + WAIT))
+    assert list(search_start([frame], ["nose"]).targets["face"].points) == ["nose"]
 
 
 def test_prefers_a_later_frame_to_a_face_in_the_dark(face):
     frame, _ = face
     dark = (frame.bgr * 0.35).astype(np.uint8)
     frames = [Frame(0, 0, dark), Frame(1, 0.04, frame.bgr)]
-    assert haar_start(frames).frame == 1
-    assert haar_start(frames[:1]).frame == 0
+    assert search_start(frames).frame == 1
+    assert search_start(frames[:1]).frame == 0
 
 
 def test_takes_the_largest_face(face):
@@ -366,22 +367,22 @@ def test_takes_the_largest_face(face):
     image[:, small.shape[1] :] = frame.bgr
     boxes = find_faces(image)
     assert len(boxes) == 2 and boxes[0][2] > boxes[1][2]
-    assert haar_start([Frame(0, 0, image)]).targets["face"].box == boxes[0]
+    assert search_start([Frame(0, 0, image)]).targets["face"].box == boxes[0]
 
 
 def test_nobody_there():
     frames = [Frame(index, 0, NOBODY) for index in range(10, 30)]
     with pytest.raises(InputError, match=r"^a\.mp4: no face found in frames 10 to 14; .*--box.*--init"):
-        haar_start(frames, bound=5, clip="a.mp4")
+        search_start(frames, bound=5, clip="a.mp4")
     with pytest.raises(InputError, match="no face found in frame 10;"):
-        haar_start(frames[:1])
+        search_start(frames[:1])
     with pytest.raises(InputError, match="no frame"):
-        haar_start([])
+        search_start([])
 
 
 def test_only_five_parts_can_be_placed(face):
     with pytest.raises(UsageError, match=r"no cascade can place chin, brow, only nose, .*--init"):
-        haar_start([face[0]], ["nose", "chin", "brow"])
+        search_start([face[0]], ["nose", "chin", "brow"])
     with pytest.raises(UsageError, match="chin"):
         box_start(face[0], (0, 0, 50, 50), ["chin"])
 
@@ -422,7 +423,7 @@ def test_boxes_that_hold_no_face(box, said):
 
 
 def test_the_same_twice(face):
-    first, second = haar_start([face[0]]), haar_start([face[0]])
+    first, second = search_start([face[0]]), search_start([face[0]])
     assert first == second
     box = first.targets["face"].box
     assert place(face[0].bgr, box) == place(face[0].bgr.copy(), box)
@@ -430,7 +431,7 @@ def test_the_same_twice(face):
 
 def test_the_frame_is_left_as_it_was(face):
     before = face[0].bgr.copy()
-    start = haar_start([face[0]])
+    start = search_start([face[0]])
     picture = draw_start(face[0], start)
     assert np.array_equal(face[0].bgr, before)
     assert picture.dtype == np.uint8 and max(picture.shape) >= 700
@@ -536,7 +537,7 @@ def test_real_clips_start_at_once(name):
     if not path.exists():
         pytest.skip(f"no clips at {CLIPS}; say where they are in FACETRACK_CLIPS")
     with open_source(path) as source:
-        start = haar_start(source)
+        start = search_start(source)
     points = start.targets["face"].points
     assert start.frame <= 2
     assert points["mouth_left"][0] < points["lip_upper"][0] < points["mouth_right"][0]

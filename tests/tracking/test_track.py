@@ -47,7 +47,7 @@ def run(config, clip, seed=0, frames=None, overrides=()):
 
 
 def places(results):
-    return np.array([[(p.x, p.y) for p in parts_of(result.targets[0])] for result in results])
+    return np.array([[(p.x, p.y) for p in parts_of(result.targets[0]) if p.part != "box"] for result in results])
 
 
 def errors(results, clip):

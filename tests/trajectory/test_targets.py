@@ -7,7 +7,7 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Start, TargetStart
-from facetrack_cli.tracking.start import haar_start, name_targets, read_init
+from facetrack_cli.tracking.start import name_targets, read_init, search_start
 from facetrack_cli.tracking.start.haar import NotHereError
 from facetrack_cli.video.source import open_source
 from tests.tracking.test_skin_cloud import HEAD, LEFT, RIGHT, box, picture
@@ -81,7 +81,7 @@ def test_in_a_clip_head_and_hands_are_found_where_the_truth_has_them():
     path = SAMPLES / "signing.mp4"
     true = read_init(path.with_suffix(".init.yaml")).targets
     with open_source(path) as source:
-        found = haar_start(source, (), complete=lambda frame, start: name_targets(start, ALL, frame))
+        found = search_start(source, (), complete=lambda frame, start: name_targets(start, ALL, frame))
     assert found.frame == 0
     for name, target in found.targets.items():
         middle = [np.array(one.box[:2]) + np.array(one.box[2:]) / 2 for one in (target, true[name])]
@@ -97,9 +97,9 @@ def test_a_frame_that_lacks_hands_is_passed_over():
         return start
 
     with open_source(path) as source:
-        assert haar_start(source, (), complete=later).frame == 3
+        assert search_start(source, (), complete=later).frame == 3
     with open_source(path, stop=3) as source, pytest.raises(InputError, match="not in frame 0"):
-        haar_start(source, (), complete=later)
+        search_start(source, (), complete=later)
 
 
 SPECK = (24.0, 60.0, 11.0, 11.0)  # leftmost, and the smallest
@@ -134,5 +134,5 @@ def test_a_grey_clip_is_refused_at_its_first_face_and_not_searched_to_its_end():
             yield Frame(frame.index, frame.time_s, np.ascontiguousarray(level.repeat(3, axis=2)))
 
     with open_source(SAMPLES / "signing.mp4") as source, pytest.raises(InputError, match="have a colour"):
-        haar_start(grey(source), (), complete=lambda frame, start: name_targets(start, ALL, frame))
+        search_start(grey(source), (), complete=lambda frame, start: name_targets(start, ALL, frame))
     assert looked == [0]

@@ -103,26 +103,28 @@ class Init:
 
     def _start(self) -> tuple[Start, Frame]:
         """The start, and its frame."""
-        from facetrack_cli.tracking.start import PARTS, box_start, haar_start, name_targets
+        from facetrack_cli.tracking.start import PARTS, box_start, name_targets, search_start
+        from facetrack_cli.tracking.start.detectors import detector
         from facetrack_cli.video.source import open_source
 
         recipe, clip, first = self.recipe, str(self.clip), self.init_frame or 0
         points = PARTS if recipe is None else recipe.points
-        kept: list[Frame] = []
 
         def complete(frame: Frame, start: Start) -> Start:
             if recipe is not None:
                 start = name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
-            kept[:] = [frame]
             return start
 
         with open_source(self.clip, start=first) as source:
             if self.box is None:
-                return haar_start(iter(source), points, clip=clip, complete=complete), kept[0]
-            frame = next(iter(source), None)
-            if frame is None:
-                raise InputError(f"{clip}: has no frame {first}; choose an earlier one with --init-frame")
-            return complete(frame, box_start(frame, self.box, points, clip=clip)), frame
+                start = search_start(iter(source), points, detector=detector(), clip=clip, complete=complete)
+            else:
+                frame = next(iter(source), None)
+                if frame is None:
+                    raise InputError(f"{clip}: has no frame {first}; choose an earlier one with --init-frame")
+                return complete(frame, box_start(frame, self.box, points, clip=clip)), frame
+        with open_source(self.clip, start=start.frame) as source:  # the search has looked further
+            return start, next(iter(source))
 
     def _next(self) -> str:
         """The command that begins with the file, once it is there."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -33,7 +33,8 @@ class Run:
     """Track faces, heads and hands in videos and image folders.
 
     Each INPUT gets a folder with annotated.mp4, trajectory.csv and trajectory.json. The track starts from --init or
-    --box, else from <clip>.init.yaml beside the clip, else from the first face that a Haar cascade finds.
+    --box, else from <clip>.init.yaml beside the clip, else from the first face that a
+    detector finds in several frames.
 
     Without --config, whatever is in --box is followed as a box; else the features of a face are. Recipes of points
     look for these features within --box.
@@ -61,6 +62,11 @@ class Run:
     seed: int | None = option("--seed N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
     gallery: str | None = options.GALLERY
     extent: Extent = group(Extent)
+    faces: Literal["one", "all"] = option(
+        "--faces WHICH",
+        "Faces that the search takes: `one`, the largest that stays, or `all` [default: one].",
+        type=click.Choice(["one", "all"]), default="one", show_default=False,
+    )  # fmt: skip
     init_frame: int | None = option(
         "--init-frame N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
     )
@@ -105,6 +111,7 @@ class Run:
                     formats=formats,
                     video=not self.no_video and folder is not None,
                     init_frame=self.init_frame,
+                    faces=self.faces,
                     overwrite=self.overwrite,
                     threads=self.threads or max(1, cores() // workers),
                     **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
@@ -175,7 +182,9 @@ def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> Exit
 
 
 def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
-    """Warnings, which say of which clip they are if `named`, and the summary."""
+    """What the search took, warnings, which say of which clip they are if `named`, and the summary."""
+    if outcome.note:
+        shown.say(f"{outcome.clip}: {outcome.note}")
     for warning in outcome.warnings:
         of = f"{outcome.clip}: " if named and str(outcome.clip) not in warning else ""
         shown.say(f"facetrack: warning: {of}{warning}")

@@ -18,6 +18,7 @@ from facetrack_cli.editor.web.frame import Draft, Json, Proposer
 from facetrack_cli.editor.web.pick_session import requirement
 from facetrack_cli.editor.web.session import Answer, RefusedError, Report, Route, Session
 from facetrack_cli.recipe.model import OpenCvRecipe
+from facetrack_cli.tracking.corrected import spoken
 from facetrack_cli.tracking.start import PARTS
 from facetrack_cli.trajectory.diagnostics import outlines
 from facetrack_cli.trajectory.header import FrameNumber
@@ -179,6 +180,7 @@ def _requirement(target: str, parts: tuple[str, ...]) -> Json:
     """What may be corrected of a target. With the box of points, all of them are placed again in the image."""
     if parts == (BOX,):
         return requirement(target, [], "needed")
+    parts = spoken(parts)
     return requirement(target, parts, "optional" if set(parts) <= set(PARTS) else "no")
 
 

@@ -3,18 +3,17 @@
 from dataclasses import replace
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import BOX, Correction, Frame, Start, TargetStart
+from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
 from facetrack_cli.recipe.affine import PatchLikelihood
-from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRecipe, Recipe, above
+from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, above
 from facetrack_cli.tracking import opencv
-from facetrack_cli.tracking.corrected import Anew, CorrectedTarget, is_complete
+from facetrack_cli.tracking.build.targets import box_with, face_target, particle_target
+from facetrack_cli.tracking.corrected import Anew, CorrectedTarget, is_complete, spoken
 from facetrack_cli.tracking.loop import Target, Tracker
 from facetrack_cli.tracking.models.likelihoods.recognition import find_gallery
-from facetrack_cli.tracking.models.spaces import Context
 from facetrack_cli.tracking.start.checks import box_of, check_size, check_start, check_windows
 from facetrack_cli.tracking.start.haar import PARTS, box_start
 from facetrack_cli.tracking.start.init_file import TARGET as FACE
-from facetrack_cli.tracking.target import ParticleTarget
 
 
 def build_tracker(recipe: Recipe, start: Start) -> Tracker:
@@ -43,27 +42,10 @@ def _target(recipe: Recipe, start: Start, name: str) -> Target:
     if isinstance(recipe, OpenCvRecipe):
         return opencv.OpenCvTarget(name, box_of(start, name), recipe.tracker, start.origin)
     key = name if name in recipe.filters else ""
-    given, exclusion = (
-        recipe.filters[key],
-        recipe.exclusion if isinstance(recipe, ParticleRecipe | ParticlesRecipe) else None,
-    )
-    placed = given.target.place(start, name)
-    context = Context(recipe, above(key), given, start, name, placed)
-    return ParticleTarget(
-        name=name,
-        parts=given.points or (BOX,),
-        space=placed.space,
-        x0=placed.x0,
-        particles=given.filter.particles,
-        motion=given.motion.build(context),
-        likelihood=(given.recognition or given.likelihood).build(context),
-        prior=None if given.prior is None else given.prior.build(context),
-        step=given.filter.build(context),
-        confidence=given.confidence if given.likelihood.judges else None,
-        exclusion=None if exclusion and name in exclusion.first else exclusion,
-        scatter=placed.scatter,
-        best=given.target.best,
-    )
+    given = recipe.filters[key]
+    if given.head is not None:
+        return face_target(recipe, key, given, given.head, start, name)
+    return particle_target(recipe, key, given, start, name)
 
 
 def tracker_for(recipe: Recipe, start: Start, size: tuple[int, int]) -> Tracker:
@@ -90,7 +72,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         still = () if is_complete(one, target.parts) else absent - {*one.given.points, *one.kept}
         absent = {*one.hidden(target.parts), *still}
         _check(one, target, start, origin, points=points)
-        if len(absent) == len(target.parts):
+        if absent >= set(spoken(target.parts)):
             continue
         if one.learn and points and absent:
             raise InputError(f"{origin}: {', '.join(sorted(absent))} cannot be learned while absent; leave learn out")
@@ -102,13 +84,12 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
     def place(frame: Frame, one: Correction) -> TargetStart:
         assert one.given.box is not None
         said_in = f"{start.origin}: the correction of {one.target} at frame {frame.index}"
-        seen = [part for part in target.parts if part not in one.hidden(target.parts)]
+        seen = [part for part in spoken(target.parts) if part not in one.hidden(target.parts)]
         return box_start(frame, one.given.box, seen, clip=said_in).targets[FACE]
 
     def build(frame: Frame, given: TargetStart) -> Target:
-        # a single point is measured by the box of the start
-        box = start.targets[target.name].box if points and given.box is None else given.box
-        given = replace(given, box=box)
+        if points and given.box is None:
+            given = replace(given, box=box_with(given, start.targets[target.name]))
         known = replace(start, frame=frame.index, targets={**start.targets, target.name: given})
         return _target(recipe, known, target.name)
 
@@ -117,15 +98,15 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
 
 def _check(one: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
     """InputError if it speaks of parts that nobody knows, or lacks the box of what is followed as a box."""
-    spoken = [*one.given.points, *one.kept, *(() if one.absent is True else one.absent)]
+    named = [*one.given.points, *one.kept, *(() if one.absent is True else one.absent)]
     known = {*target.parts, *start.targets[one.target].points}
-    if unknown := ", ".join(part for part in spoken if part not in known):
+    if unknown := ", ".join(part for part in named if part not in known):
         these = f"these are {', '.join(target.parts)}: correct the name"
         raise InputError(f"{origin}: has {unknown}, which is no part that is followed; {these}")
     hidden = one.hidden(target.parts)
     if not points and not hidden and one.given.box is None:
         raise InputError(f"{origin}: has no box, which the recipe follows; add one, as in box: [x, y, w, h]")
-    strange = [part for part in target.parts if part not in PARTS and part not in hidden]
+    strange = [part for part in spoken(target.parts) if part not in PARTS and part not in hidden]
     if points and one.given.box is not None and not one.given.points and strange:
         raise InputError(f"{origin}: no cascade can place {', '.join(strange)} in its box; give points: in place of it")
     if not points and one.given.box is not None:

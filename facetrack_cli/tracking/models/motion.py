@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from facetrack_cli.core.types import BOX, Array, Particles
-from facetrack_cli.recipe import affine, correlation_filter, points, regions
+from facetrack_cli.recipe import affine, correlation_filter, face, points, regions
 from facetrack_cli.tracking.guides import Arrived
 from facetrack_cli.tracking.kernels.affine import diffuse
 from facetrack_cli.tracking.kernels.walk import arrive
@@ -36,6 +36,23 @@ class RandomWalk:
         squared = np.sum((x[:, None] - parents[None]) ** 2, axis=3)
         constant = -0.5 * d * np.log(2 * np.pi) - d * np.log(self.sigma)
         return np.asarray(-0.5 * squared / self.sigma**2 + constant)
+
+
+@dataclass(frozen=True)
+class RestingWalk(RandomWalk):
+    """A random walk drawn back to `rest` (K, 2): N(rest_i + keep (a_i^- - rest_i), sigma_i^2 I) (ours)."""
+
+    rest: Array
+    keep: float
+
+    def propagate(self, rng: np.random.Generator, x: Array) -> Array:
+        return super().propagate(rng, self.expect(x))
+
+    def expect(self, x: Array) -> Array:
+        return np.asarray(self.rest + self.keep * (x - self.rest))
+
+    def log_transition(self, x: Array, parents: Array) -> Array:
+        return super().log_transition(x, self.expect(parents))
 
 
 @dataclass(frozen=True)
@@ -235,6 +252,12 @@ def random_walk(settings: points.RandomWalk, context: Context) -> RandomWalk | F
     stay = np.array([[1.0, 0.0], [0.0, 0.0]])
     position, scale = ((stay, np.array([[step], [0.0]])) for step in (*sigma, settings.scale))
     return FirstOrder(position, scale, *placed.scale)
+
+
+def resting_walk(settings: face.RestingWalk, context: Context) -> RestingWalk:
+    placed = context.placed
+    sigma = [settings.sigma.of(part).pixels(placed.unit) for part in context.settings.points]
+    return RestingWalk(np.array(sigma), placed.x0, settings.keep)
 
 
 def first_order(settings: regions.FirstOrder, context: Context) -> FirstOrder:

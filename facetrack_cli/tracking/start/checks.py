@@ -9,7 +9,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre, inside
-from facetrack_cli.core.types import Box, Start, TargetStart
+from facetrack_cli.core.types import BOX, Box, Start, TargetStart
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
@@ -49,6 +49,8 @@ def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origi
     """Refuse windows and boxes, given by `origin`, larger than the frame (width, height): memory without bound."""
     for target in tracker:
         for part, (w, h) in target.windows.items():
+            if recipe.points and part == BOX:
+                continue  # a face may fill the frame
             if max(w / size[0], h / size[1]) > 1 and max(w, h) > LEAST_WINDOW:
                 larger = f"larger than the frame of {size[0]}x{size[1]}; make it smaller"
                 if not recipe.points:

@@ -1,12 +1,10 @@
-"""The default start of a track: the first face that OpenCV's frontal cascades agree on.
+"""Faces by OpenCV's frontal cascades.
 
 One cascade proposes faces in an image of bounded size, so that a 4K frame takes no longer than one of 640 pixels. Each
-must be confirmed by one of two others, which leaves few false detections. Of several faces the largest is taken, and a
-dark one only if no better lit one follows. Nothing here is random.
+must be confirmed by one of two others, which leaves few false detections.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from itertools import islice
+from collections.abc import Sequence
 from math import isfinite
 from typing import Final
 
@@ -20,7 +18,6 @@ from facetrack_cli.tracking.start.points import cascade, place
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 """What can be placed; left and right as seen in the image."""
-BOUND: Final = 250  # frames that are searched, at most: ten seconds of most clips
 LONGEST, SHORTEST = 640, 320  # bounds in pixels of the longer side of the image that is searched
 SMALLEST: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
 CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usual clips, 12 if hardly visible
@@ -29,48 +26,6 @@ _ALL_OF_IT: Final = "draw it from the brows to the chin"
 
 class NotHereError(InputError):
     """A frame lacks what a start needs; a later one may have it."""
-
-
-def haar_start(
-    frames: Iterable[Frame],
-    parts: Sequence[str] = PARTS,
-    *,
-    bound: int = BOUND,
-    clip: str = "the clip",
-    complete: Callable[[Frame, Start], Start] = lambda frame, start: start,
-) -> Start:
-    """The start at the first of the frames that shows a face: its box, and the parts placed in it (pixels, to 0.01).
-
-    At most `bound` frames are searched; faces too dark to track are passed over unless all are. `complete` adds what
-    else the frame must show, or raises NotHereError. InputError, naming the `clip`, if no frame shows all that.
-    """
-    check_parts(parts)
-    first = last = lacking = best = None
-    most = -1.0
-    for frame in islice(frames, bound):
-        first, last = frame.index if first is None else first, frame.index
-        for box in find_faces(frame.bgr):
-            x, y, w, h = map(int, box)
-            contrast = float(cv2.cvtColor(frame.bgr[y : y + h, x : x + w], cv2.COLOR_BGR2GRAY).std())
-            points = place(frame.bgr, box) if contrast > most else {}
-            if not points or not all(inside(points[part], frame.size) for part in parts):
-                continue
-            try:
-                best, most = complete(frame, _start(frame, box, points, parts, "haar")), contrast
-            except NotHereError as e:
-                lacking = lacking or e
-                continue
-            if contrast >= CONTRAST:
-                return best
-    if best is not None:
-        return best
-    if first is None:
-        raise InputError(f"{clip}: no frame to look for a face in; ask for frames that the clip has")
-    if lacking is not None:
-        raise InputError(f"{lacking}{'' if last == first else f'; no frame to {last} shows more'}")
-    searched = f"frame {first}" if first == last else f"frames {first} to {last}"
-    remedy = "give its box with --box X,Y,W,H, an init file with --init FILE, or a later frame with --init-frame N"
-    raise InputError(f"{clip}: no face found in {searched}; {remedy}")
 
 
 def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str = "the clip") -> Start:
@@ -135,6 +90,14 @@ def _confirmed(name: str, grey: Image, box: tuple[int, int, int, int]) -> bool:
     patch = np.ascontiguousarray(grey[top : y + h + margin, left : x + w + margin])
     near = _detect(name, patch, 2, max(20, round(0.7 * w)), round(1.4 * w))
     return any(overlap((x, y, w, h), (bx + left, by + top, bw, bh)) > 0.5 for bx, by, bw, bh in near)
+
+
+def nearest(image: Image, box: Box) -> Box | None:
+    """The face that a cascade sees in a small image, about as large as `box` and about there; None if there is none."""
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    faces = _detect("frontalface_alt2", grey, 2, round(0.7 * box[2]), round(1.4 * box[2]))
+    best = max(faces, key=lambda face: overlap(face, box), default=None)
+    return best if best is not None and overlap(best, box) >= 0.4 else None
 
 
 def _face_in(image: Image, box: Box) -> Box | None:

@@ -6,6 +6,7 @@ the origin is midway between the eyes, x runs from the left eye (as seen in the 
 face, and the distance between the eyes is 1. Without evidence near the mean, the mean proportions stand.
 """
 
+import math
 from functools import lru_cache
 from pathlib import Path
 from threading import get_ident
@@ -16,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Box, Image, Point
+from facetrack_cli.tracking.kernels import paths
 
 Index: TypeAlias = NDArray[np.int64]
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
 EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))
-EYE_WIDTH: Final = 200  # pixels to which a face is brought before its eyes are searched
+EYE_WIDTH: Final = 100  # pixels to which a face is brought before its eyes are searched
 # Each cascade with the offset of its window's centre from the eye's centre, in face widths.
 _EYE_CASCADES: Final = (
-    ("eye", 0.0, 0.001),
-    ("eye_tree_eyeglasses", 0.0, 0.003),
     ("lefteye_2splits", 0.019, -0.030),
     ("righteye_2splits", 0.004, -0.034),
 )
@@ -68,6 +68,38 @@ def place(image: Image, box: Box) -> dict[str, Point]:
     return {name: (x + x0, y + y0) for name, (x, y) in points.items()}
 
 
+def place_upright(image: Image, box: Box) -> dict[str, Point]:
+    """As `place`, of a face that is upright: its eyes are not sought, they are where the box has them on average."""
+    eyes = _EyeFrame(*mean_eyes(box))
+    return {name: eyes.to_image(*at) for name, at in read_points(eyes.rectify(image)).items()}
+
+
+def lips_of(image: Image, eyes: tuple[Point, Point], mouth: tuple[Point, Point]) -> dict[str, Point]:
+    """The lips of a face of which eyes and corners of the mouth are known, each the left one first."""
+    x0, y0 = (max(math.floor(value - math.dist(*eyes)), 0) for value in np.min([*eyes, *mouth], axis=0).tolist())
+    x1, y1 = (math.ceil(value + math.dist(*eyes)) for value in np.max([*eyes, *mouth], axis=0).tolist())
+    frame = _EyeFrame(*((x - x0, y - y0) for x, y in eyes))
+    seen = {
+        name: frame.to_image(*at) for name, at in read_points(frame.rectify(image[y0 : y1 + 1, x0 : x1 + 1])).items()
+    }
+    dx, dy = np.mean(mouth, axis=0) - np.mean([seen["mouth_left"], seen["mouth_right"]], axis=0)
+    return {part: (seen[part][0] + float(dx), seen[part][1] + float(dy)) for part in ("lip_upper", "lip_lower")}
+
+
+def shows_features(image: Image, box: Box) -> bool:
+    """Whether the face in `box` shows an eye to a cascade, or a mouth: a line as dark as one between lips is."""
+    x0, y0 = max(int(box[0]), 0), max(int(box[1]), 0)
+    image = image[y0 : int(box[1] + box[3]) + 1, x0 : int(box[0] + box[2]) + 1]
+    box = (box[0] - x0, box[1] - y0, box[2], box[3])
+    if any(_detected_eyes(image, box)):
+        return True
+    grey = np.log(_EyeFrame(*mean_eyes(box)).rectify(image).astype(np.float64) @ (0.114, 0.587, 0.299) + 8)
+    line = np.minimum(_valleys(grey) / CLEAR, 1)
+    _, mouth_y = _dark_lines(line)
+    rows = np.abs(ys - mouth_y) <= 0.06
+    return bool(line[rows][:, np.abs(xs) <= 0.3].max(axis=0).mean() > 0.8)
+
+
 def mean_eyes(box: Box) -> tuple[Point, Point]:
     """Where the eyes are in a face's box on average, in pixels."""
     x, y, w, h = box
@@ -76,7 +108,15 @@ def mean_eyes(box: Box) -> tuple[Point, Point]:
 
 
 def _find_eyes(image: Image, box: Box) -> tuple[Point, Point]:
-    """The eyes of the face in `box`, in pixels: each the median of what four cascades say, else its mean place."""
+    """The eyes of the face in `box`, in pixels: each the median of what two cascades say, else its mean place."""
+    # of few detections the mean place is one more, so that a single wrong one cannot pull an eye all the way
+    both = zip(mean_eyes(box), _detected_eyes(image, box), strict=True)
+    left, right = (np.median([mean, *seen] if len(seen) < 3 else seen, axis=0).tolist() for mean, seen in both)
+    return left, right
+
+
+def _detected_eyes(image: Image, box: Box) -> tuple[list[Point], list[Point]]:
+    """What the cascades see near the mean place of either eye."""
     x, y, w, h = box
     zoom, top, means = EYE_WIDTH / w, y + 0.1 * h, mean_eyes(box)
     matrix = np.array([[zoom, 0, -(x - 0.5) * zoom - 0.5], [0, zoom, -(top - 0.5) * zoom - 0.5]])
@@ -86,15 +126,12 @@ def _find_eyes(image: Image, box: Box) -> tuple[Point, Point]:
     found: tuple[list[Point], list[Point]] = ([], [])
     smallest, largest = (round(0.15 * EYE_WIDTH),) * 2, (round(0.45 * EYE_WIDTH),) * 2
     for name, dx, dy in _EYE_CASCADES:
-        for ex, ey, ew, eh in cascade(name).detectMultiScale(grey, 1.05, 2, 0, smallest, largest):
+        for ex, ey, ew, eh in cascade(name).detectMultiScale(grey, 1.1, 2, 0, smallest, largest):
             at = (x - 0.5 + (ex + ew / 2) / zoom - dx * w, top - 0.5 + (ey + eh / 2) / zoom - dy * w)
             for seen, mean in zip(found, means, strict=True):
                 if abs(at[0] - mean[0]) < 0.08 * w and abs(at[1] - mean[1]) < 0.09 * h:
                     seen.append(at)
-    # of few detections the mean place is one more, so that a single wrong one cannot pull an eye all the way
-    both = zip(means, found, strict=True)
-    left, right = (np.median([mean, *seen] if len(seen) < 3 else seen, axis=0).tolist() for mean, seen in both)
-    return left, right
+    return found
 
 
 def _smooth(image: Image, shrink: float) -> Image:
@@ -129,15 +166,12 @@ def read_points(image: Image) -> dict[str, Point]:
     """The five points of a rectified lower face (HEIGHT, WIDTH, 3), in the eye frame."""
     # logarithms: a factor on the light is a constant, which differences drop
     grey = np.log(image.astype(np.float64) @ (0.114, 0.587, 0.299) + 8)
-    # red over green: lips stand out, shades do not; zero everywhere in a grey image
-    soft = cv2.GaussianBlur(image, (0, 0), 1.5).astype(np.float64)
-    red = np.log((soft[..., 2] + 8) / (soft[..., 1] + 8))
     valley = _valleys(grey)
     line = np.minimum(valley / CLEAR, 1)
     shade_y, mouth_y = _dark_lines(line)
     path = _follow(line, mouth_y)
     left, right = _corners(valley, path)
-    upper, lower = _lips(grey, red, left, right, path)
+    upper, lower = _lips(grey, image, left, right, path)
     nose = _nose_x(grey, valley, shade_y), shade_y - TIP_ABOVE_SHADE
     return {"nose": nose, "mouth_left": left, "mouth_right": right, "lip_upper": upper, "lip_lower": lower}
 
@@ -157,25 +191,19 @@ def _off(value: Array, norm: tuple[float, float]) -> Array:
     return np.asarray(np.minimum(0.5 * ((value - norm[0]) / norm[1]) ** 2, 8.0))
 
 
+# how far each pair of heights, of the shade (rows) and of the mouth (columns), is off the means
+_PAIRS_OFF: Final = _off(ys[:, None], SHADE_Y) + _off(ys, MOUTH_Y) + _off(ys - ys[:, None], SHADE_TO_MOUTH)
+
+
 def _dark_lines(line: Array) -> tuple[float, float]:
     """Heights of the shade under the nose and of the line between the lips: the pair that fits image and means."""
     near = np.flatnonzero(np.abs(xs) <= 0.3)
     middle = WIDTH // 2
-    strength = (_outwards(line, near[near >= middle]) + _outwards(line, near[near < middle][::-1])) / near.size
-    shade, mouth = ys[:, None], ys[None, :]
-    value = 4 * strength[:, None] - _off(shade, SHADE_Y) + 8 * strength[None, :] - _off(mouth, MOUTH_Y)
-    value = value - _off(mouth - shade, SHADE_TO_MOUTH)
+    right, left = line.take(near[near >= middle][::-1], axis=1), line.take(near[near < middle], axis=1)
+    strength = (paths.follow(right, BEND)[0] + paths.follow(left, BEND)[0]) / near.size
+    value = 4 * strength[:, None] + 8 * strength - _PAIRS_OFF
     best_shade, best_mouth = np.unravel_index(int(np.argmax(value)), value.shape)
     return float(ys[best_shade]), float(ys[best_mouth])
-
-
-def _outwards(line: Array, columns: Index) -> Array:
-    """For each row the best sum along a path from the first of the columns to the last, one row up or down a column."""
-    total = np.zeros(HEIGHT)
-    for column in columns[::-1]:
-        up, down = np.append(total[1:], -1.0), np.insert(total[:-1], 0, -1.0)
-        total = np.maximum(total, np.maximum(up, down) - BEND) + line[:, column]
-    return total
 
 
 def _follow(line: Array, mouth_y: float) -> Index:
@@ -183,15 +211,7 @@ def _follow(line: Array, mouth_y: float) -> Index:
     away = np.abs(ys[:, None] - mouth_y)
     # without a line to follow, straight on
     gain = np.where(away <= 0.08 + 0.2 * np.abs(xs), line - 0.01 * away, -1.0)
-    total, steps = gain[:, 0], np.zeros((WIDTH, HEIGHT), np.int64)
-    for column in range(1, WIDTH):
-        padded = np.pad(total, 1, constant_values=-np.inf)
-        options = np.stack([padded[:-2] - BEND, padded[1:-1], padded[2:] - BEND])
-        steps[column] = np.argmax(options, axis=0) - 1
-        total = options.max(axis=0) + gain[:, column]
-    rows = np.full(WIDTH, np.argmax(total))
-    for column in range(WIDTH - 1, 0, -1):
-        rows[column - 1] = rows[column] + steps[column, rows[column]]
+    rows: Index = paths.follow(gain, BEND)[1]
     return rows
 
 
@@ -210,14 +230,18 @@ def _corners(valley: Array, path: Index) -> tuple[Point, Point]:
     return ends[0], ends[1]
 
 
-def _lips(grey: Array, red: Array, left: Point, right: Point, path: Index) -> tuple[Point, Point]:
+def _lips(grey: Array, image: Image, left: Point, right: Point, path: Index) -> tuple[Point, Point]:
     """The lips' outer edges below and above the middle between the corners."""
     x, y = (left[0] + right[0]) / 2, (left[1] + right[1]) / 2
-    band = np.abs(xs - x) <= 0.08
-    darker, redder = -_slope(grey[:, band].mean(axis=1)), _slope(red[:, band].mean(axis=1))
+    first, end = np.searchsorted(xs, (x - 0.08, x + 0.08))
+    # the blur reaches 5 pixels to either side; a middle between corners is never near the image's border
+    soft = cv2.GaussianBlur(image[:, first - 5 : end + 5], (0, 0), 1.5)[:, 5:-5].astype(np.float64)
+    # red over green: lips stand out, shades do not; zero everywhere in a grey image
+    red = np.log((soft[..., 2] + 8) / (soft[..., 1] + 8))
+    darker, redder = -_slope(grey[:, first:end].mean(axis=1)), _slope(red.mean(axis=1))
     upper = EDGE * (darker + 4 * redder)
     lower = -2 * EDGE * redder  # in grey a lower lip shades into the chin: the mean knows better
-    middle = float(ys[path[band]].mean())
+    middle = float(ys[path[first:end]].mean())
     up, down = middle - ys, ys - (middle + y) / 2
     best_up = np.argmax(np.where(up > 0.02, np.minimum(upper, 3.0) - _off(up, UPPER), -np.inf))
     best_down = np.argmax(np.where(down > 0.04, np.minimum(lower, 3.0) - _off(down, LOWER), -np.inf))

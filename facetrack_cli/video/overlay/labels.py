@@ -139,6 +139,11 @@ class Shape(NamedTuple):
         shorter: Array = self.sizes.min(axis=1)
         return shorter
 
+    @property
+    def is_face(self) -> bool:
+        """Whether there are points in a box."""
+        return len(self.parts) > 1 and BOX in self.parts
+
 
 class Labels:
     """Writes names on frames of `size`, below `top` rows, which are the status bar's; a name stays where it was."""

@@ -32,6 +32,7 @@ PALETTE: tuple[Colour, ...] = (
 )
 LOST: Colour = (25, 110, 255)  # vermilion
 WHITE: Colour = (255, 255, 255)
+GREY: Colour = (175, 175, 175)  # of a face that is lost
 _SHIFT = 4  # cv2's fixed point: sixteenths of a pixel
 _CROSS = np.array([[(-1, -1), (1, 1)], [(-1, 1), (1, -1)]])
 _DASH = np.array([[(-1, 0), (1, 0)]])

@@ -1,6 +1,7 @@
 """A tracker's result drawn over its frame: windows, trails, spread of the particles, status.
 
-A target has a colour of its own; what is lost is vermilion, its window dashed. Absent parts are not drawn.
+A target has a colour of its own; what is lost is vermilion, its window dashed. Absent parts are not drawn. Of a face,
+points in a box, there are a frame and small dots alone, so that the mouth stays visible; what is lost of it is grey.
 """
 
 import math
@@ -16,7 +17,7 @@ from facetrack_cli.core.types import BOX, Array, Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 from facetrack_cli.video.overlay import marks
 from facetrack_cli.video.overlay.labels import Insets, Labels, Shape, Shown
-from facetrack_cli.video.overlay.marks import LOST, PALETTE, WHITE, Colour, Font, Points
+from facetrack_cli.video.overlay.marks import GREY, LOST, PALETTE, WHITE, Colour, Font, Points
 from facetrack_cli.video.overlay.status_bar import StatusBar
 
 _FADES = 4  # steps of opacity along a trail
@@ -76,8 +77,9 @@ class Overlay:
         for shape in shapes:
             trail = self._remember(shape, frame.time_s)
             if shape.parts:
-                self._cloud(image, shape)
-                self._lines(image, shape, trail)
+                if not shape.is_face:
+                    self._cloud(image, shape)
+                self._lines(image, shape, trail[-1:] if shape.is_face else trail)
         names = {shape.target for shape in shapes}
         self._past = {name: past for name, past in self._past.items() if name in names}
         self._weights = {key: weight for key, weight in self._weights.items() if key[0] in names}
@@ -169,7 +171,8 @@ class Overlay:
         origin = np.array((x0, y0), np.float64)
         for strokes, colour, opacity in self._strokes(trail, marks.fixed(np.stack(places) - origin), shape.colour):
             marks.polylines(layer, strokes, marks.ink(colour, opacity), fine)
-        tints = [LOST if lost else shape.colour for lost in shape.lost.tolist()]
+        gone = GREY if shape.is_face else LOST
+        tints = [gone if lost else shape.colour for lost in shape.lost.tolist()]
         for ring, k in zip(marks.fixed(rings - origin), ring_parts, strict=True):
             marks.polylines(layer, [ring], marks.ink(tints[k], 0.6), fine, closed=True)
         local = shape.corners - origin
@@ -177,6 +180,8 @@ class Overlay:
         order = np.argsort(shape.lost, kind="stable").tolist()  # what is lost lies on top
         for k in order:
             tint, part = tints[k], shape.parts[k]
+            if shape.is_face and part != BOX:
+                continue
             strong = shape.sizes[k].min() >= (24 if part == BOX else 60) * line
             # as the size is when it is first seen, or it would flicker
             weight = self._weights.setdefault((shape.target, part), line + bool(strong))
@@ -226,6 +231,8 @@ class Overlay:
     def _signs(self, shape: Shape) -> list[float]:
         """The size of each part's mark in pixels; 0 is none, in windows of a few pixels."""
         side = shape.side
+        if shape.is_face:
+            return [0.0 if part == BOX else 1.5 * self._line for part in shape.parts]
         share = np.where(shape.lost & (side >= _SMALL * self._line), 0.3, 0.2)
         large = np.maximum(2 * self._line, share * np.minimum(side, 40 * self._line))
         dots = np.where(side >= _ROOM * self._line, 1.25 * self._line, 0.0)
@@ -238,7 +245,10 @@ class Overlay:
         sx, sy = (np.minimum(np.nan_to_num(std, posinf=0.0), self._reach) for std in (rows.std_x, rows.std_y))
         # in a small window the dots say as much, with less clutter
         least = np.where(shape.side < _SMALL * self._line, 1.25 * shape.sizes.max(axis=1), 4 * self._line)
-        whose = np.flatnonzero(2 * np.maximum(sx, sy) >= least)
+        shown = 2 * np.maximum(sx, sy) >= least
+        if shape.is_face:  # only of a head that is lost
+            shown &= shape.lost & (np.array(shape.parts) == BOX)
+        whose = np.flatnonzero(shown)
         sx, sy, xy = sx[whose], sy[whose], np.nan_to_num(rows.cov_xy[whose])
         spread = sx * sy > 1e-12
         lean = np.where(spread, np.clip(xy / np.where(spread, sx * sy, 1.0), -1.0, 1.0), 0.0)

@@ -89,12 +89,16 @@ class ColourRatio:
 
     def relearn(self, learned: Templates, frame: Frame, x0: Array, parts: Mask) -> Templates:
         """With the templates of `parts` (K,) as they look in `frame` at x0 (K, 2)."""
+        return self.blended(learned, frame, x0, parts.astype(np.float64))
+
+    def blended(self, learned: Templates, frame: Frame, x0: Array, rate: Array) -> Templates:
+        """Each template moved by its `rate` (K,), 0..1, towards how the part looks in `frame` at x0 (K, 2)."""
         anew = self.init(frame, x0)
         groups = []
         for old, new in zip(learned.groups, anew.groups, strict=True):  # which part is where follows from the windows
-            ratios = np.where(np.repeat(parts[new.parts], np.diff(new.offsets)), new.ratios, old.ratios)
-            groups.append(replace(new, ratios=ratios))
-        return Templates(tuple(groups), np.where(parts, anew.sigma, learned.sigma), learned.reach)
+            share = np.repeat(rate[new.parts].astype(np.float32), np.diff(new.offsets))
+            groups.append(replace(new, ratios=(1 - share) * old.ratios + share * new.ratios))
+        return Templates(tuple(groups), learned.sigma + rate * (anew.sigma - learned.sigma), learned.reach)
 
     def _group(self, frame: Frame, extent: Extent, x0: Array, factor: int, parts: Whole, means: Array) -> Group:
         """The templates of `parts`, read at 1 / `factor` of the frame's size; E{o_i} of each goes into `means` (K,)."""

@@ -54,6 +54,7 @@ _LEAST = 1e-3  # of R / Rm and of S / Sm, whose logarithms are taken
 _SCALE_STD = 0.03
 _OFF = 0.25  # mean sides of the box; a peak further off the middle of the window is looked at once more
 _LEARNS = 0.05  # P(visible) below which nothing is learned
+_SIGHTED = 3.0  # log of how much likelier a detector sees a face there if it is the target
 _LATTICE = 0.4  # distance of two windows of re-detection, in sides of the window
 _MOST = 64  # windows of the lattice along a side of the frame, of a target that is tiny
 _SPEED = 0.5  # mean sides of the box a frame, by which re-detection widens
@@ -104,7 +105,8 @@ class Seen(NamedTuple):
 class Learned(NamedTuple):
     """What is known of the clip. `first` are the filters of the first frames, `hidden` how long it has been hidden.
 
-    `candidate` (2,) is the best place elsewhere of the last frame, which is looked at again.
+    `candidate` (3,) is the best place and log scale elsewhere of the last frame, which is looked at again; `sighted`
+    are those where somebody else has seen something like the target in this one.
     """
 
     features: Features
@@ -117,6 +119,7 @@ class Learned(NamedTuple):
     frames: int = 1
     hidden: int = 0
     candidate: Array | None = None
+    sighted: tuple[Array, ...] = ()
     seen: Seen | None = None
 
 
@@ -193,7 +196,7 @@ class CorrelationFilter:
         candidate = None
         if (anew := self._detect(learned, frame, expected, scale)) is not None:
             modes.append(anew)
-            candidate = anew.mean[0, :2]
+            candidate = anew.mean[0]
         guides = Guides(*(np.concatenate(column) for column in zip(*modes, strict=True)))
         return learned._replace(seen=Seen(guides, heights, candidate))
 
@@ -214,21 +217,29 @@ class CorrelationFilter:
 
     def _detect(self, learned: Learned, frame: Frame, expected: Array, scale: float) -> Guides | None:
         """A mode found elsewhere, where the target is hidden: the best of a few windows, looked at once more."""
-        best: tuple[float, Array] | None = None
+        best: tuple[float, Array, bool] | None = None
         middle = UPSAMPLED * self.settings.cells // 2
-        for place in self._elsewhere(learned, frame, expected):
-            view = self._view(learned, frame, place, scale)
+        places = [(np.array([*place, math.log(scale)]), False) for place in self._elsewhere(learned, frame, expected)]
+        if learned.hidden:
+            places += [(place, True) for place in learned.sighted]
+            places += [] if learned.candidate is None else [(learned.candidate, False)]
+        for place, sighted in places:
+            size = float(np.clip(math.exp(place[2]), *self.limits))
+            view = self._view(learned, frame, place[:2], size)
             both = view.raw / np.float32(learned.heights.mean) + view.first / np.float32(learned.first_heights.mean)
             [top] = peaks(both, 1.0, 1)
             if best is None or top[2] > best[0]:
-                best = float(top[2]), place + (top[:2] - middle) * self._sample(scale)
+                at = place[:2] + (top[:2] - middle) * self._sample(size)
+                best = float(top[2]), np.array([*at, math.log(size)]), sighted
         if best is None:
             return None
-        view = self._view(learned, frame, best[1], scale)
+        size = math.exp(best[1][2])
+        view = self._view(learned, frame, best[1][:2], size)
         found = peaks(view.response, 1.0, 1)
         raw, first = view.heights(found[0])
         log_l = self.settings.evidence - 0.5 * (learned.heights.z(raw) ** 2 + learned.first_heights.z(first) ** 2)
-        return self._modes(view, scale, found, np.array([log_l]), anew=True)
+        log_l += _SIGHTED * best[2]
+        return self._modes(view, size, found, np.array([log_l]), anew=True)
 
     def _modes(self, view: View, scale: float, found: Array, log_l: Array, *, anew: bool = False) -> Guides:
         """The peaks `found` (J, 3) of a response as Gaussians of place and log scale, which is left open."""
@@ -272,8 +283,7 @@ class CorrelationFilter:
         reach = step + _SPEED * self._unit * float(expected[0, 2]) * learned.hidden
         order = order[: max(int(np.sum(away <= reach)), 1)]
         begin = (learned.hidden - 1) * count
-        chosen = [places[order[k % len(order)]] for k in range(begin, begin + min(count, len(order)))]
-        return chosen if learned.candidate is None else [learned.candidate, *chosen]
+        return [places[order[k % len(order)]] for k in range(begin, begin + min(count, len(order)))]
 
     def score(self, learned: Learned, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log L of x (N, 1, D), the Gaussians of the modes; 0 far from all."""
@@ -302,7 +312,7 @@ class CorrelationFilter:
             learned = learned._replace(heights=heights, first_heights=first)
         hidden = learned.hidden + 1 if visible < 0.5 else 0
         candidate = seen.candidate if hidden and seen is not None else None
-        learned = learned._replace(hidden=hidden, candidate=candidate, seen=None, frames=frames)
+        learned = learned._replace(hidden=hidden, candidate=candidate, sighted=(), seen=None, frames=frames)
         share = one.hidden_rate + (1 - one.hidden_rate) * visible
         step = 1 if frames <= FIRST else one.every
         if share < _LEARNS or frames % step:

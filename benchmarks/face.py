@@ -1,0 +1,157 @@
+"""Points of faces on clips that nobody tuned on, from the start that a run finds by itself: docs/face.md.
+
+    python benchmarks/face.py clips/*/ --config face --config factorized --init haar --seeds 10
+    python benchmarks/face.py rendered/*.mp4 --config face --config factorized_robust --seeds 3
+
+A clip is a folder with reference_points.csv (frame, part, x, y, score, unit: another detector's points, unit the
+distance between the eyes) and a video or img/; or a video with ground truth of points and an init file beside it. Of
+the former, over all frames with a reference, a frame without a row counting as off and lost:
+
+    .35, .2      share of frames with all points within .35, and within .2, of the distance between the eyes
+    off, lost    of points that are off by more than .35, those called lost
+    lost, off    of points called lost, those off by more than .35
+    false        of points within .2, those called lost
+    back         frames from the end of a time in which all points are called lost until all are within .35; the median
+
+Of the latter, in terms of the mouth's width in the first frame:
+
+    visible, hidden    mean error of the visible points, and of the hidden ones
+    recall, false      of hidden points, those called lost; of visible ones within .2, those called lost
+
+A recipe's settings are given as for `facetrack compare`. Figures are means over clips, with the standard deviation over
+seeds of the first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from boxes import clip_in
+
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.types import Array, Mask
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.api import track_video
+from facetrack_cli.runs.seeds import variant
+from facetrack_cli.tracking.start import read_init
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory, aligned
+
+NAMES = (".35", ".2", "off, lost", "lost, off", "false", "back")
+TRUE_NAMES = ("visible", "hidden", "recall", "false")
+REFERENCE = "reference_points.csv"
+
+
+class Points(NamedTuple):
+    """Errors (T, K) of points in units of the face, inf where there is no row; whether they are lost, or hidden."""
+
+    error: Array
+    lost: Mask
+    hidden: Mask
+
+
+def run(clip: Path, config: str, init: str | None, seed: int) -> Points:
+    cv2.setNumThreads(1)
+    name, overrides = variant(config)
+    recipe = load_recipe(name, overrides)
+    if (clip / REFERENCE).exists():
+        return against_reference(track_video(clip_in(clip), recipe, init=init, seed=seed), clip / REFERENCE)
+    start = read_init(clip.with_suffix(".init.yaml"))
+    truth = read_trajectory(clip.with_suffix(".truth.csv"))
+    return against_truth(track_video(clip, recipe, init=start, seed=seed), truth)
+
+
+def against_reference(ours: Trajectory, path: Path) -> Points:
+    frames: dict[int, dict[str, tuple[float, float, float]]] = {}
+    for row in csv.DictReader(path.open(encoding="utf-8")):
+        place = float(row["x"]), float(row["y"]), float(row["unit"])
+        frames.setdefault(int(row["frame"]), {})[row["part"]] = place
+    parts = sorted({part for known in frames.values() for part in known})
+    error, lost = np.full((len(frames), len(parts)), np.inf), np.ones((len(frames), len(parts)), np.bool_)
+    for k, part in enumerate(parts):
+        one = ours.find("face", part)
+        for t, (frame, known) in enumerate(sorted(frames.items())):
+            at = None if one is None else one.row(frame)
+            if one is not None and at is not None and part in known:
+                x, y, unit = known[part]
+                error[t, k], lost[t, k] = np.hypot(one.x[at] - x, one.y[at] - y) / unit, one.status[at] == "lost"
+    return Points(error, lost, np.zeros_like(lost))
+
+
+def against_truth(ours: Trajectory, truth: Trajectory) -> Points:
+    true = [one for one in truth.parts if one.target == "face" and one.part != "box"]
+    mine = [one for part in true for one in ours.parts if one.names == part.names]
+    frames, known = aligned([*true, *mine], "x", "y", "status")
+    k, kept = len(true), np.isin(frames, ours.frames[1:])
+    x, y, status = (known[name][kept] for name in ("x", "y", "status"))
+    names = [part.part for part in true]
+    left, right = (names.index(name) for name in ("mouth_left", "mouth_right"))
+    width = float(np.hypot(x[0, left] - x[0, right], y[0, left] - y[0, right]))
+    error = np.hypot(x[:, :k] - x[:, k:], y[:, :k] - y[:, k:]) / width
+    lost, hidden = np.asarray(status[:, k:] == "lost"), np.asarray(status[:, :k] == "hidden")
+    return Points(error, lost, hidden)
+
+
+def reference_figures(one: Points) -> list[float]:
+    off, near = one.error > 0.35, one.error <= 0.2
+    lost = one.lost
+    away = np.append(lost.all(axis=1), False)
+    ends = np.flatnonzero(away[:-1] & ~away[1:]) + 1
+    good: Mask = np.all(~off, axis=1)
+    back = [int(np.argmax(good[end:])) for end in ends.tolist() if good[end:].any()]
+    shares = [good.mean(), near.all(axis=1).mean(), mean(lost[off]), mean(off[lost]), mean(lost[near])]
+    return [*map(float, shares), float(np.median(back)) if back else float("nan")]
+
+
+def true_figures(one: Points) -> list[float]:
+    hidden, near = one.hidden, ~one.hidden & (one.error < 0.2)
+    return [mean(one.error[~hidden]), mean(one.error[hidden]), mean(one.lost[hidden]), mean(one.lost[near])]
+
+
+def mean(values: Array | Mask) -> float:
+    return float(np.mean(values)) if values.size else float("nan")
+
+
+def table(clips: Sequence[Path], configs: Sequence[str], init: str | None, seeds: int, jobs: int) -> None:
+    referred = (clips[0] / REFERENCE).exists()
+    figures, names = (reference_figures, NAMES) if referred else (true_figures, TRUE_NAMES)
+    columns = [*([clip.name for clip in clips] if len(clips) <= 8 else []), *names]
+    print(f"| | {' | '.join(columns)} |\n{'|---' * (len(columns) + 1)}|")
+    with ProcessPoolExecutor(jobs) as pool:
+        waiting = [
+            (config, [[pool.submit(run, clip, config, init, seed) for seed in range(seeds)] for clip in clips])
+            for config in configs
+        ]
+        for config, of_clips in waiting:
+            found = np.array([[figures(one.result()) for one in of_clip] for of_clip in of_clips])  # (C, S, F)
+            each = found[:, :, 0]
+            cells = [f"{one.mean():.3f} ± {one.std():.3f}" for one in each] if len(clips) <= 8 else []
+            whole = each.mean(axis=0)
+            cells.append(f"{whole.mean():.3f} ± {whole.std():.3f}")
+            cells += [f"{np.nanmean(found[:, :, k]):.3f}" for k in range(1, len(names))]
+            print(f"| `{config}` | {' | '.join(cells)} |", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("clips", nargs="+", type=Path)
+    parser.add_argument("--config", action="append", required=True, metavar="RECIPE[:key=value,...]")
+    parser.add_argument("--init", choices=("haar", "yunet"), help="what finds the start [default: what is installed]")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--jobs", type=int, default=2)
+    args = parser.parse_args()
+    try:
+        table(args.clips, args.config, args.init, args.seeds, args.jobs)
+    except FacetrackError as e:
+        raise SystemExit(f"face.py: {e}") from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,88 @@
+"""From the settings of a target and its start to the target."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from facetrack_cli.core.geometry import centre, size_of_points
+from facetrack_cli.core.types import BOX, Box, Start, TargetStart
+from facetrack_cli.recipe.face import DETECTORS, Detections, Head
+from facetrack_cli.recipe.model import Confidence, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe, above
+from facetrack_cli.tracking.face.still import FACE, Similarity
+from facetrack_cli.tracking.face.target import FaceTarget
+from facetrack_cli.tracking.models.spaces import Context
+from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.tracking.target import ParticleTarget
+
+
+def particle_target(recipe: Recipe, key: str, given: ParticleFilter, start: Start, name: str) -> ParticleTarget:
+    exclusion = recipe.exclusion if isinstance(recipe, ParticleRecipe | ParticlesRecipe) else None
+    placed = given.target.place(start, name)
+    context = Context(recipe, above(key), given, start, name, placed)
+    return ParticleTarget(
+        name=name,
+        parts=given.points or (BOX,),
+        space=placed.space,
+        x0=placed.x0,
+        particles=given.filter.particles,
+        motion=given.motion.build(context),
+        likelihood=(given.recognition or given.likelihood).build(context),
+        prior=None if given.prior is None else given.prior.build(context),
+        step=given.filter.build(context),
+        confidence=given.confidence if given.likelihood.judges else None,
+        exclusion=None if exclusion and name in exclusion.first else exclusion,
+        scatter=placed.scatter,
+        best=given.target.best,
+    )
+
+
+def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, start: Start, name: str) -> FaceTarget:
+    """The head by its own filter, and the points by the recipe's, in the still face."""
+    begun = start.targets[name]
+    box = begun.box or box_around(begun)
+    side = math.sqrt(box[2] * box[3])
+    similarity = Similarity(np.array(centre(box)), side / FACE)
+    at = {part: similarity.to_still(np.array(place)).tolist() for part, place in begun.points.items()}
+    windows = {part: (w / similarity.scale, h / similarity.scale) for part, (w, h) in begun.windows.items()}
+    inside = TargetStart(None, {part: (x, y) for part, (x, y) in at.items()}, windows)
+    judged = Confidence(lost_below=head.lost_below, patience=1)
+    alone = ParticleFilter.model_construct(
+        target=head.target, motion=head.motion, likelihood=head.likelihood, filter=head.filter, confidence=judged
+    )
+    still, boxed = (replace(start, targets={name: one}, corrections=()) for one in (inside, TargetStart(box)))
+    return FaceTarget(
+        name=name,
+        head=particle_target(recipe, f"{key}.head" if key else "head", alone, boxed, name),
+        features=replace(particle_target(recipe, key, given, still, name), exclusion=None),
+        settings=head,
+        side=side,
+        detector=None if head.detections is None else detector(_detector(head.detections, start)),
+        searched=start.origin in DETECTORS,
+    )
+
+
+def _detector(detections: Detections, start: Start) -> str:
+    """The name of the detector: with `auto`, so that a start gives the same track wherever it is, that of the start."""
+    if detections.by != "auto":
+        return detections.by
+    return start.origin if start.origin in DETECTORS else DETECTORS[0]
+
+
+def box_with(given: TargetStart, begun: TargetStart) -> Box | None:
+    """The box that goes with points given later, as it went with those of the start; of a single one that of then."""
+    common = [part for part in given.points if part in begun.points]
+    if begun.box is None or len(common) < 2:
+        return begun.box
+    x, rest = (np.array([one.points[part] for part in common]) for one in (given, begun))
+    scale = float(np.sqrt(np.sum((x - x.mean(axis=0)) ** 2) / max(np.sum((rest - rest.mean(axis=0)) ** 2), 1e-9)))
+    left, top = (x.mean(axis=0) + scale * (np.array(begun.box[:2]) - rest.mean(axis=0))).tolist()
+    return left, top, scale * begun.box[2], scale * begun.box[3]
+
+
+def box_around(begun: TargetStart) -> Box:
+    """A face's box, as frontal cascades draw it, from its points."""
+    x = np.array(list(begun.points.values()))
+    side = 3.0 * size_of_points(x)  # of nose and mouth
+    left, top = (x.mean(axis=0) - (0.5 * side, 0.72 * side)).tolist()
+    return left, top, side, side

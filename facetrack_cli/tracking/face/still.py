@@ -1,0 +1,64 @@
+"""The still face: the frame as it is seen from the head, upright and always of one size."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+
+from facetrack_cli.core.types import Array, Frame
+
+SIDE: Final = 160  # sides of the still face, in pixels
+FACE: Final = 112.0  # sides of the face's box in it
+MIDDLE: Final = (SIDE - 1) / 2
+BOX: Final = (MIDDLE - (FACE - 1) / 2, MIDDLE - (FACE - 1) / 2, FACE, FACE)
+EYES: Final = 0.363 * FACE  # the distance between the eyes, in the box of a frontal cascade
+
+
+class Similarity(NamedTuple):
+    """Maps the still face to the frame: its middle comes to `centre` (2,), turned by `angle`, times `scale`."""
+
+    centre: Array
+    scale: float
+    angle: float = 0.0
+
+    @property
+    def matrix(self) -> Array:
+        """(2, 2): [[a, -b], [b, a]] of the map."""
+        a, b = self.scale * math.cos(self.angle), self.scale * math.sin(self.angle)
+        return np.array([[a, -b], [b, a]])
+
+    def to_frame(self, x: Array) -> Array:
+        """Places (..., 2) of the still face in the frame."""
+        return np.asarray((x - MIDDLE) @ self.matrix.T + self.centre)
+
+    def to_still(self, x: Array) -> Array:
+        """Places (..., 2) of the frame in the still face."""
+        return np.asarray((x - self.centre) @ np.linalg.inv(self.matrix).T + MIDDLE)
+
+    def read(self, frame: Frame) -> Frame:
+        """The still face, (SIDE, SIDE, 3), as the frame shows it; beyond the frame's border, the border's pixels."""
+        factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)
+        far = 0.75 * SIDE * self.scale + 2 * factor
+        x, y = self.centre.tolist()
+        image, left, top = frame.reduced(factor, (x - far, y - far, x + far, y + far))
+        matrix = self.matrix / factor
+        corner = (self.centre - (left, top) - (factor - 1) / 2) / factor - matrix @ (MIDDLE, MIDDLE)
+        how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        whole = np.column_stack([matrix, corner])
+        still = cv2.warpAffine(image, whole, (SIDE, SIDE), flags=how, borderMode=cv2.BORDER_REPLICATE)
+        return Frame(frame.index, frame.time_s, np.asarray(still, np.uint8))
+
+
+def turn_between(x: Array, rest: Array) -> float:
+    """By which angle `rest` (K, 2) is turned to come nearest to x (K, 2) (Procrustes), in radians."""
+    a, b = x - x.mean(axis=0), rest - rest.mean(axis=0)
+    return math.atan2(float(np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0])), float(np.sum(a * b)))
+
+
+def turned(x: Array, angle: float, growth: float = 0.0) -> Array:
+    """Places (..., 2) of a still face in one whose roll is larger by `angle`, and its log size by `growth`."""
+    a, b = math.exp(-growth) * math.cos(angle), math.exp(-growth) * math.sin(angle)
+    return np.asarray((x - MIDDLE) @ np.array([[a, -b], [b, a]]) + MIDDLE)

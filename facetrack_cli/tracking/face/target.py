@@ -1,0 +1,253 @@
+"""A face: a head that carries points, and the points tracked inside of it (ours).
+
+The head is a box with a particle filter of its own. Its place and scale, and the roll of the face, are a similarity T_t
+that maps a still face to the frame (`still.py`), and the points' filter sees the frame through it: a face that hardly
+moves. What is left to track is expression, and what the head turns out of the plane. For a head at rest T is constant,
+and that filter is the published one (Patras & Pantic, FG 2004). The shape prior is that of the still face, so it is
+registered by the head: translation, scale and roll.
+
+A detector measures the points every so many frames, in the still face (`registration.py`). Of a head that is lost, it
+is asked as often where in the frame faces are; the head's filter compares them with what the first frames showed, and
+what it recognises is where it is proposed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.random import Generator
+
+from facetrack_cli.core.geometry import centre, corners
+from facetrack_cli.core.types import BOX, Array, Frame, TargetStart
+from facetrack_cli.recipe.face import Head
+from facetrack_cli.tracking.face import still
+from facetrack_cli.tracking.face.registration import Registration
+from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
+from facetrack_cli.tracking.loop import Cover
+from facetrack_cli.tracking.start.detectors import Detector
+from facetrack_cli.tracking.target import Names, ParticleTarget, State
+from facetrack_cli.trajectory.diagnostics import ROLL, SCALE, Diagnostics
+from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, joined
+
+OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
+_STD: Final = 0.05  # of a detection, where there is none
+_FACES: Final = 4  # that are compared with the one that is lost
+_POSE: Final = np.array([math.radians(0.2), 0.004])  # standard deviations of roll and log size in a frame
+_MOST: Final = np.array([math.radians(60), 0.7])
+
+
+@dataclass(frozen=True)
+class FaceState:
+    """The states of head and points, the last `points` as rows of the still face, and how they are registered.
+
+    `pose` (2,) are the face's roll, in radians, and how large it is in its head's box, as a logarithm; `pose_var` (2,)
+    their variances. `frames` counts those since the start.
+    """
+
+    head: State
+    features: State
+    points: TargetResult
+    registration: Registration
+    pose: Array
+    pose_var: Array
+    frames: int = 0
+
+
+@dataclass(frozen=True)
+class FaceTarget:
+    """`side`: of the box at the start, in pixels. `searched`: whether the detector itself has placed the points.
+
+    `detector` may be None; rows are those of the points, and of the box.
+    """
+
+    name: str
+    head: ParticleTarget
+    features: ParticleTarget
+    settings: Head
+    side: float
+    detector: Detector | None
+    searched: bool
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return (*self.features.parts, BOX)
+
+    @property
+    def windows(self) -> Mapping[str, tuple[float, float]]:
+        scale = self.side / FACE
+        points = {part: (w * scale, h * scale) for part, (w, h) in self.features.windows.items()}
+        return {**points, **self.head.windows}
+
+    def begin(self, rng: Generator, frame: Frame) -> tuple[FaceState, TargetResult]:
+        head, box = self.head.begin(rng, frame)
+        seen = self._map(head, np.zeros(2)).read(frame)
+        features, points = self.features.begin(rng, seen)
+        registration = Registration.begin(len(self.features.parts), self._std, searched=self.searched)
+        if self.detector is not None and not self.searched and self.detector.measure(seen.bgr, still.BOX) is None:
+            registration = registration.unseen()
+        state = FaceState(head, features, points, registration, np.zeros(2), np.zeros(2))
+        return state, self._result(state, box, frame)
+
+    def restart(
+        self, rng: Generator, frame: Frame, first: FaceState, given: TargetStart, absent: Names = (), anew: Names = ()
+    ) -> tuple[FaceState, TargetResult]:
+        """As `ParticleTarget.restart`; the head is where the points are as in the first frame."""
+        points = {part: np.array(at) for part, at in given.points.items() if part not in absent}
+        known = np.isin(self.features.parts, list(points))
+        at = np.array([points[part] for part in self.features.parts if part in points])
+        rest, scale, roll = self.features.x0[known], self.side / FACE, 0.0
+        if len(at) > 1:
+            spread = np.sum((rest - rest.mean(axis=0)) ** 2)
+            scale = math.sqrt(float(np.sum((at - at.mean(axis=0)) ** 2)) / max(float(spread), 1e-9))
+            roll = still.turn_between(at, rest)
+        if given.box is not None and not given.points:
+            scale = math.sqrt(given.box[2] * given.box[3]) / FACE
+        shape = Similarity(np.zeros(2), scale, roll)
+        middle = at.mean(axis=0) - (rest.mean(axis=0) - still.MIDDLE) @ shape.matrix.T
+        side = FACE * scale
+        box = (float(middle[0]) - (side - 1) / 2, float(middle[1]) - (side - 1) / 2, side, side)
+        head, boxed = self.head.restart(rng, frame, first.head, TargetStart(box))
+        similarity = self._map(head, np.array([roll, 0.0]))
+        moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in points.items()}
+        features, rows = self.features.restart(
+            rng,
+            similarity.read(frame),
+            first.features,
+            TargetStart(points=moved),
+            absent,
+            anew,
+        )
+        registration = first.registration.again(known, self._std)
+        state = FaceState(head, features, rows, registration, np.array([roll, 0.0]), np.zeros(2))
+        return state, self._result(state, boxed, frame)
+
+    def advance(
+        self, rng: Generator, state: FaceState, frame: Frame, covers: Sequence[Cover] = ()
+    ) -> tuple[FaceState, TargetResult]:
+        detections, frames = self.settings.detections, state.frames + 1
+        due = self.detector is not None and detections is not None and frames % detections.every == 0
+        before = state.head
+        if due and _sure(before) < self.settings.lost_below:
+            before = self._sighted(before, frame)
+        head, box = self.head.advance(rng, before, frame, covers)
+        if _sure(head) < self.settings.lost_below:
+            state = replace(state, head=head, frames=frames)
+            return state, self._result(state, box, frame)
+        seen = self._map(head, state.pose).read(frame)
+        features, points = self.features.advance(rng, state.features, seen)
+        anchored = getattr(features.learned, "anchored", np.zeros(len(self.features.parts)))
+        registration = state.registration.predict(anchored, looks=self.detector is not None)
+        state = FaceState(head, features, points, registration, state.pose, state.pose_var + _POSE**2, frames)
+        if not due:
+            return state, self._result(state, box, frame)
+        after = self._measured(state, seen)
+        # of this frame the points are in the still face as it was
+        result = self._result(replace(after, pose=state.pose), box, frame)
+        return self._moved(after, *(after.pose - state.pose).tolist()), result
+
+    @property
+    def _std(self) -> float:
+        """Standard deviation of a detection, in pixels of the still face."""
+        return EYES * (_STD if self.detector is None else self.detector.std)
+
+    @property
+    def _ends(self) -> list[int]:
+        """The two parts that are farthest apart across the face: of a mouth its corners. A turned head moves them so
+        that the line between them keeps its direction, nearly; a nose does not."""
+        across = self.features.x0[:, 0]
+        return [int(np.argmin(across)), int(np.argmax(across))]
+
+    def _map(self, head: State, pose: Array) -> Similarity:
+        x, y, scale = head.estimated.state[0, :3].tolist()
+        return Similarity(np.array([x, y]), self.side * scale * math.exp(pose[1]) / FACE, float(pose[0]))
+
+    def _sighted(self, head: State, frame: Frame) -> State:
+        """The state of a head that is lost, with the places where a detector sees faces."""
+        assert self.detector is not None
+        boxes = [found.box for found in self.detector.find(frame)[:_FACES]]
+        places = tuple(np.array([*centre(box), math.log(box[2] / self.side)]) for box in boxes)
+        return replace(head, learned=head.learned._replace(sighted=places))
+
+    def _measured(self, state: FaceState, seen: Frame) -> FaceState:
+        """With what the detector says of the points."""
+        assert self.detector is not None
+        found = self.detector.measure(seen.bgr, still.BOX)
+        registration = state.registration.looked(found=found is not None)
+        parts = self.features.parts
+        known = np.array([found is not None and part in found.points for part in parts])
+        if found is None or not known.any():
+            return replace(state, registration=registration)
+        z = np.array([found.points.get(part, (0.0, 0.0)) for part in parts])
+        registration = registration.measured(state.features.estimated.state, z, known, self._std)
+        off, ends = np.array([0.0, math.log(found.box[2] / FACE)]), self._ends
+        # a box drawn by hand may be of another size than the detector's
+        noise = np.full(2, self.detector.sizes**2 if self.searched else np.inf)
+        if known[ends].all():
+            rest = self.features.x0[ends]
+            off[0] = still.turn_between((z + registration.bias[1])[ends], rest)
+            noise[0] = 2 * self._std**2 / max(float(np.sum((rest[1] - rest[0]) ** 2)), 1e-9)
+        gain = state.pose_var / (state.pose_var + noise)
+        pose = np.clip(state.pose + gain * off, -_MOST, _MOST)
+        return replace(state, registration=registration, pose=pose, pose_var=(1 - gain) * state.pose_var)
+
+    def _moved(self, state: FaceState, turn: float, growth: float) -> FaceState:
+        """With the points in a still face whose roll is larger by `turn`, and its log size by `growth`."""
+        features, bias = state.features, state.registration.bias
+        particles = features.particles._replace(x=still.turned(features.particles.x, turn, growth))
+        estimated = features.estimated._replace(state=still.turned(features.estimated.state, turn, growth))
+        features = replace(features, particles=particles, estimated=estimated)
+        bias = still.turned(bias + still.MIDDLE, turn, growth) - still.MIDDLE
+        return replace(state, features=features, registration=state.registration._replace(bias=bias))
+
+    def cover(self, state: FaceState, *, ahead: bool) -> Cover | None:
+        return self.head.cover(state.head, ahead=ahead)
+
+    @property
+    def diagnostics(self) -> tuple[Any, ...]:
+        return SCALE, ROLL
+
+    def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
+        """Rows of the points, as last seen in the still face, and of the box."""
+        similarity, rows, registration = self._map(state.head, state.pose), state.points.rows, state.registration
+        scale, matrix, gone = similarity.scale, similarity.matrix, rows.status == "absent"
+        at = similarity.to_frame(np.column_stack([rows.x, rows.y]) - registration.bias[0])
+        shown = registration.shown * _sure(state.head)
+        known = np.nan_to_num(rows.confidence, nan=1.0) * shown
+        cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
+        cov = matrix @ (cov + registration.cov[:, :1, :1] * np.eye(2)) @ matrix.T
+        cov += (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
+        var = np.diagonal(cov, axis1=1, axis2=2)
+        near = 1 - np.exp(-((OFF * EYES * scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
+        confidence = known * near if state.frames else rows.confidence
+        lost = (shown * near < self.settings.lost_below) | (rows.status == "lost")
+        since = np.where(rows.status == "init", "init" if not state.frames else "tracked", rows.status)
+        columns: dict[str, Any] = {"x": at[:, 0], "y": at[:, 1], "w": rows.w * scale, "h": rows.h * scale}
+        columns |= {"std_x": np.sqrt(var[:, 0]), "std_y": np.sqrt(var[:, 1]), "cov_xy": cov[:, 0, 1]}
+        columns |= {"confidence": confidence}
+        columns = {name: np.where(gone, np.nan, values) for name, values in columns.items()}
+        columns |= {"frame": np.full(len(rows), frame.index), "time_s": np.full(len(rows), frame.time_s)}
+        columns |= {"status": np.where(lost & ~gone, "lost", since), "diagnostics": {}}
+        faces = joined([replace(rows, **columns), self._turned(box.rows, *state.pose.tolist())])
+        # of a target one number: both filters' together
+        faces = replace(faces, particles=np.full(len(faces), float(np.max(rows.particles) + box.rows.particles[0])))
+        values = {SCALE.name: scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
+        found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
+        cloud = similarity.to_frame(state.points.cloud - registration.bias[0])
+        return TargetResult(replace(faces, diagnostics=found), cloud, (), box.notes)
+
+    def _turned(self, rows: Trajectory, roll: float, size: float) -> Trajectory:
+        """The row of the head's box, as large as the face is, and turned by its roll."""
+        rows = replace(rows, w=rows.w * math.exp(size), h=rows.h * math.exp(size))
+        way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
+        # the border runs through the middle of the outermost pixels
+        found = corners(way, np.column_stack([rows.x, rows.y]), np.column_stack([rows.w - 1, rows.h - 1]))
+        return replace(rows, angle=np.array([math.degrees(roll)]), corners=found, diagnostics={})
+
+
+def _sure(head: State) -> float:
+    assert head.judgement is not None
+    return float(head.judgement.confidence[0])

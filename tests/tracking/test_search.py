@@ -1,0 +1,133 @@
+"""Where a search begins: which of the things that a detector finds is the face, and when it is sure."""
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.start import search_start
+from facetrack_cli.tracking.start.detectors import Found
+from facetrack_cli.tracking.start.search import OFTEN, WAIT
+from tests.support import moving_face as moving
+from tests.support.moving_face import PARTS, Pose
+
+
+class Fake:
+    """A detector that finds boxes (left, top, side) by frame; points lie in them as `at` says."""
+
+    name, std = "haar", 0.1
+
+    def __init__(self, found, sure=True):
+        self.found, self.sure = found, sure
+
+    def find(self, frame):
+        faces = []
+        for x, y, side in self.found(frame.index):
+            points = {part: (x + side * (0.3 + 0.1 * k), y + 0.7 * side) for k, part in enumerate(PARTS)}
+            faces.append(Found((x, y, side, side), points, self.sure))
+        return faces
+
+    def measure(self, image, box):
+        return None
+
+
+def noise(count, still=None):
+    """Frames in which everything changes, but for the box `still`."""
+    rng = np.random.default_rng(0)
+    frames = [rng.integers(0, 256, (120, 200, 3), dtype=np.uint8) for _ in range(count)]
+    if still:
+        x, y, side = still
+        for one in frames[1:]:
+            one[y : y + side, x : x + side] = frames[0][y : y + side, x : x + side]
+    return [Frame(i, i / 25, one) for i, one in enumerate(frames)]
+
+
+def search(found, count=60, sure=True, still=None, **others):
+    return search_start(noise(count, still), detector=Fake(found, sure), **others)
+
+
+def test_a_face_that_is_found_once_is_passed_over():
+    start = search(lambda t: [(20, 20, 40)] * (t == 3) + [(100, 50, 30)] * (t >= 12))
+    assert start.frame == 12 and start.targets["face"].box == (100, 50, 30, 30)
+    assert "a face 30 pixels wide, found in 10 frames by haar" in start.note
+    assert "passed over: 40 pixels wide, found in 1 frame" in start.note
+
+
+def test_a_late_face_is_waited_for_and_the_search_ends_soon():
+    seen = []
+
+    def found(t):
+        seen.append(t)
+        return [(50, 30, 40)] * (t >= 35)
+
+    assert search(found, 200).frame == 35
+    assert seen[-1] == 35 + WAIT - 1
+
+
+def test_the_largest_face_that_stays_is_taken():
+    three = [(10, 20, 30), (60, 20, 50), (130, 20, 40)]
+    assert search(lambda t: three).targets["face"].box[2] == 50
+    # a larger one that is there half of the time covers less
+    assert search(lambda t: [*three, *([(60, 60, 55)] if t % 2 else [])]).targets["face"].box[2] == 50
+
+
+def test_all_faces_begin_together():
+    three = [(10, 20, 30), (60, 20, 50), (130, 20, 40)]
+    start = search(lambda t: three, faces="all")
+    assert {name: target.box[2] for name, target in start.targets.items()} == {"face": 50, "face_2": 40, "face_3": 30}
+    assert all({*target.points} == {*PARTS} for target in start.targets.values())
+    assert "and 2 more" in start.note
+
+
+def test_a_photograph_on_the_wall_comes_after_a_face_that_moves():
+    photograph, alive = (10, 20, 60), (120, 40, 40)
+    assert search(lambda t: [photograph, alive], still=photograph).targets["face"].box[2] == 40
+    assert search(lambda t: [photograph], still=photograph).targets["face"].box[2] == 60
+
+
+def test_points_are_the_medians_of_all_frames_in_the_box():
+    class Wrong(Fake):
+        def find(self, frame):
+            [face] = super().find(frame)
+            return [face._replace(points=dict.fromkeys(PARTS, (5.0, 5.0)))] if frame.index == 0 else [face]
+
+    start = search_start(noise(30), detector=Wrong(lambda t: [(60 + t, 40, 40)]))
+    assert start.frame == 0 and start.targets["face"].points["nose"] == (72.0, 68.0)
+
+
+def test_a_face_without_eyes_and_mouth_is_none():
+    grey = [Frame(i, 0.0, np.full((120, 200, 3), 40 + i, np.uint8)) for i in range(20)]
+    with pytest.raises(InputError, match=r"no face found in frames 0 to 19 \(something 40 pixels wide, found in 20"):
+        search_start(grey, detector=Fake(lambda t: [(60, 40, 40)], sure=False), clip="a.mp4")
+
+
+def test_a_clip_of_a_few_frames_is_enough():
+    assert search(lambda t: [(60, 40, 40)], 1).frame == 0
+    assert search(lambda t: [(60, 40, 40)] * (t == 2), 3).frame == 2
+    with pytest.raises(InputError, match="no face found in frames 0 to 19"):
+        search(lambda t: [(60, 40, 40)] * (t < OFTEN - 1), 20)
+
+
+def test_two_real_faces_by_the_command_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    frames = []
+    for t in range(16):
+        picture = moving.paste(moving.ground(), Pose(90 + t, 120, 90), t)
+        frames.append(moving.frame(t, moving.paste(picture, Pose(235, 120, 60), (t + 7) % 40)))
+
+    folder = tmp_path / "clip"
+    folder.mkdir()
+    for one in frames:
+        cv2.imwrite(str(folder / f"{one.index:03d}.png"), one.bgr)
+    assert main(["run", "clip", "--init", "haar", "--no-video", "-o", "one"]) == 0
+    said = capsys.readouterr().err
+    assert "begins in frame 0 with a face" in said and "passed over" in said
+    assert {line.split(",")[2] for line in (tmp_path / "one/trajectory.csv").read_text().splitlines()[1:]} == {"face"}
+    assert main(["run", "clip", "--init", "haar", "--faces", "all", "--no-video", "-o", "all"]) == 0
+    rows = [line.split(",") for line in (tmp_path / "all/trajectory.csv").read_text().splitlines()[1:]]
+    assert {(row[2], row[3]) for row in rows} == {(name, p) for name in ("face", "face_2") for p in (*PARTS, "box")}
+    assert {row[10] for row in rows} == {"init", "tracked"}
+    last = {row[2]: float(row[4]) for row in rows if row[0] == "15" and row[3] == "box"}
+    assert last["face"] == pytest.approx(105, abs=8) and last["face_2"] == pytest.approx(235, abs=6)
