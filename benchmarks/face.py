@@ -18,8 +18,8 @@ Of the latter, in terms of the mouth's width in the first frame:
     visible, hidden    mean error of the visible points, and of the hidden ones
     recall, false      of hidden points, those called lost; of visible ones within .2, those called lost
 
-A recipe's settings are given as for `facetrack compare`. Figures are means over clips, with the standard deviation over
-seeds of the first.
+A recipe's settings are given as for `facetrack compare`. The first figure is the mean over clips, with the standard
+deviation over seeds; shares of points are of those of all clips and seeds together.
 """
 
 from __future__ import annotations
@@ -99,20 +99,35 @@ def against_truth(ours: Trajectory, truth: Trajectory) -> Points:
     return Points(error, lost, hidden)
 
 
-def reference_figures(one: Points) -> list[float]:
-    off, near = one.error > 0.35, one.error <= 0.2
-    lost = one.lost
-    away = np.append(lost.all(axis=1), False)
+def joined(runs: Sequence[Points]) -> Points:
+    """All points of several runs, in one row each."""
+    return Points(*(np.concatenate([getattr(one, key).ravel() for one in runs]) for key in Points._fields))
+
+
+def back(one: Points) -> list[int]:
+    """Frames from the end of each time in which all is lost until all is right."""
+    away, good = np.append(one.lost.all(axis=1), False), np.all(one.error <= 0.35, axis=1)
     ends = np.flatnonzero(away[:-1] & ~away[1:]) + 1
-    good: Mask = np.all(~off, axis=1)
-    back = [int(np.argmax(good[end:])) for end in ends.tolist() if good[end:].any()]
-    shares = [good.mean(), near.all(axis=1).mean(), mean(lost[off]), mean(off[lost]), mean(lost[near])]
-    return [*map(float, shares), float(np.median(back)) if back else float("nan")]
+    return [int(np.argmax(good[end:])) for end in ends.tolist() if good[end:].any()]
 
 
-def true_figures(one: Points) -> list[float]:
-    hidden, near = one.hidden, ~one.hidden & (one.error < 0.2)
-    return [mean(one.error[~hidden]), mean(one.error[hidden]), mean(one.lost[hidden]), mean(one.lost[near])]
+def reference_figures(runs: Sequence[Points]) -> list[float]:
+    all_ = joined(runs)
+    off, near, lost = all_.error > 0.35, all_.error <= 0.2, all_.lost
+    times = [time for one in runs for time in back(one)]
+    shares = [mean(np.all(one.error <= 0.2, axis=1)) for one in runs]
+    found = [float(np.mean(shares)), mean(lost[off]), mean(off[lost]), mean(lost[near])]
+    return [*found, float(np.median(times)) if times else float("nan")]
+
+
+def true_figures(runs: Sequence[Points]) -> list[float]:
+    all_ = joined(runs)
+    hidden, near = all_.hidden, ~all_.hidden & (all_.error < 0.2)
+    return [mean(all_.error[hidden]), mean(all_.lost[hidden]), mean(all_.lost[near])]
+
+
+def first_figure(one: Points, *, referred: bool) -> float:
+    return mean(np.all(one.error <= 0.35, axis=1)) if referred else mean(one.error[~one.hidden])
 
 
 def mean(values: Array | Mask) -> float:
@@ -130,12 +145,12 @@ def table(clips: Sequence[Path], configs: Sequence[str], init: str | None, seeds
             for config in configs
         ]
         for config, of_clips in waiting:
-            found = np.array([[figures(one.result()) for one in of_clip] for of_clip in of_clips])  # (C, S, F)
-            each = found[:, :, 0]
+            runs = [[one.result() for one in of_clip] for of_clip in of_clips]
+            each = np.array([[first_figure(one, referred=referred) for one in of_clip] for of_clip in runs])  # (C, S)
             cells = [f"{one.mean():.3f} ± {one.std():.3f}" for one in each] if len(clips) <= 8 else []
             whole = each.mean(axis=0)
             cells.append(f"{whole.mean():.3f} ± {whole.std():.3f}")
-            cells += [f"{np.nanmean(found[:, :, k]):.3f}" for k in range(1, len(names))]
+            cells += [f"{value:.3f}" for value in figures([one for of_clip in runs for one in of_clip])]
             print(f"| `{config}` | {' | '.join(cells)} |", flush=True)
 
 

@@ -54,7 +54,7 @@ def test_the_head_carries_its_points(overrides):
     found = errors(rows, poses)
     assert np.median(found) < 0.08 and np.mean(found < 0.35) > 0.98
     assert lost(rows).mean() < 0.05
-    assert rows[-1].w[5] == pytest.approx(poses[-1].side, rel=0.25 if overrides else 0.15)
+    assert rows[-1].w[5] == pytest.approx(poses[-1].side, rel=0.25 if overrides else 0.2)
     assert rows[-1].diagnostics["face"].get("scale")[0] == pytest.approx(rows[-1].w[5] / 80, rel=0.01)
 
 

@@ -35,6 +35,7 @@ from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, joined
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
 _STD: Final = 0.05  # of a detection, where there is none
+_SIZES: Final = 0.15  # standard deviation of the log size of a detection
 _FACES: Final = 4  # that are compared with the one that is lost
 _POSE: Final = np.array([math.radians(0.2), 0.004])  # standard deviations of roll and log size in a frame
 _MOST: Final = np.array([math.radians(60), 0.7])
@@ -185,7 +186,7 @@ class FaceTarget:
         registration = registration.measured(state.features.estimated.state, z, known, self._std)
         off, ends = np.array([0.0, math.log(found.box[2] / FACE)]), self._ends
         # a box drawn by hand may be of another size than the detector's
-        noise = np.full(2, self.detector.sizes**2 if self.searched else np.inf)
+        noise = np.full(2, _SIZES**2 if self.searched else np.inf)
         if known[ends].all():
             rest = self.features.x0[ends]
             off[0] = still.turn_between((z + registration.bias[1])[ends], rest)

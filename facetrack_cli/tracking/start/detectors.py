@@ -34,14 +34,12 @@ class Found(NamedTuple):
 
 
 class Detector(Protocol):
-    """`std`: standard deviation of its points, in distances between the eyes; `sizes`: of its boxes' log sizes."""
+    """`std`: standard deviation of its points, in distances between the eyes."""
 
     @property
     def name(self) -> str: ...
     @property
     def std(self) -> float: ...
-    @property
-    def sizes(self) -> float: ...
 
     def find(self, frame: Frame) -> list[Found]:
         """All faces of a frame with the five points, the best first."""
@@ -53,7 +51,6 @@ class Detector(Protocol):
 class Haar:
     name: Final = "haar"
     std: Final = 0.09
-    sizes: Final = 0.06
 
     def find(self, frame: Frame) -> list[Found]:
         return [Found(box, place(frame.bgr, box)) for box in find_faces(frame.bgr)]
@@ -68,7 +65,6 @@ class YuNet:
 
     name: Final = "yunet"
     std: Final = 0.05
-    sizes: Final = 0.06
 
     def __init__(self, model: Path) -> None:
         self._model = str(model)
