@@ -52,7 +52,7 @@ def run(path: Path, start: Start, found: dict[int, Array], config: str, seed: in
     off, lost, rows = [], 0, 0
     with open_source(path, start=start.frame) as source:
         for result in track(tracker, iter(source), seed):
-            one = result.targets[0].rows
+            one = result.targets[0].rows.take(slice(0, next(iter(found.values())).shape[0]))  # without a box
             lost += int(np.sum(one.status == "lost"))
             rows += len(one)
             if result.frame.index in found and result.frame.index > start.frame:

@@ -114,14 +114,8 @@ class FaceTarget:
         head, boxed = self.head.restart(rng, frame, first.head, TargetStart(box))
         similarity = self._map(head, np.array([roll, 0.0]))
         moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in points.items()}
-        features, rows = self.features.restart(
-            rng,
-            similarity.read(frame),
-            first.features,
-            TargetStart(points=moved),
-            absent,
-            anew,
-        )
+        seen, there = similarity.read(frame), TargetStart(points=moved)
+        features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
         registration = first.registration.again(known, self._std)
         state = FaceState(head, features, rows, registration, np.array([roll, 0.0]), np.zeros(2))
         return state, self._result(state, boxed, frame)
@@ -157,8 +151,10 @@ class FaceTarget:
 
     @property
     def _ends(self) -> list[int]:
-        """The two parts that are farthest apart across the face: of a mouth its corners. A turned head moves them so
-        that the line between them keeps its direction, nearly; a nose does not."""
+        """The two parts that are farthest apart across the face: of a mouth its corners.
+
+        A head that turns leaves the direction from one to the other nearly as it is; a nose it moves aside.
+        """
         across = self.features.x0[:, 0]
         return [int(np.argmin(across)), int(np.argmax(across))]
 

@@ -99,7 +99,8 @@ class YuNet:
         apart = max(math.dist(*eyes), math.dist(middle, marks[3:].mean(axis=0)) / MOUTH_Y[0])
         side = apart / (EYES_IN_BOX[1][0] - EYES_IN_BOX[0][0])
         down = np.array([0.0, (0.5 - EYES_IN_BOX[0][1]) * side])
-        x, y = (middle + down - (side - 1) / 2).tolist()
+        # to 0.01 px, as in an init file: a run from that file begins in the same place
+        x, y, side = (round(value, 2) for value in (*(middle + down - (side - 1) / 2).tolist(), side))
         lips = lips_of(image, (eyes[0], eyes[1]), (mouth[0], mouth[1]))
         nose = float(marks[2, 0]), float(marks[2, 1])
         return Found((x, y, side, side), {"nose": nose, "mouth_left": mouth[0], "mouth_right": mouth[1], **lips}, True)

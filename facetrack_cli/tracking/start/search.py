@@ -36,7 +36,10 @@ Faces: TypeAlias = Literal["one", "all"]
 
 @dataclass
 class _Candidate:
-    """What may be a face: its boxes and points by frame, and the first frame in which a track can begin."""
+    """What may be a face: boxes, points and contrast of the frames in which it is found, and where a track can begin.
+
+    `change`: by how many grey levels what is in its first box has changed since, at most.
+    """
 
     boxes: list[tuple[int, Box]]
     points: list[dict[str, Point]] = field(default_factory=list)
@@ -63,7 +66,7 @@ class _Candidate:
         return float(sum(box[2] * box[3] for _, box in self.boxes))
 
     def see(self, frame: Frame) -> None:
-        """How much what is where it was found first has changed since, at most, in grey levels."""
+        """Take in one more frame, in which it is found."""
         x, y, w, h = (round(side) for side in self.boxes[0][1])
         seen = cv2.cvtColor(frame.bgr[max(y, 0) : y + h, max(x, 0) : x + w], cv2.COLOR_BGR2GRAY)
         patch = np.asarray(cv2.resize(seen, (SMALL, SMALL), interpolation=cv2.INTER_AREA), np.uint8)
@@ -140,8 +143,6 @@ class _Search:
         candidate.contrast.append(float(grey.std()))
         candidate.see(frame)
         candidate.features = candidate.features or face.sure or shows_features(frame.bgr, face.box)
-        if candidate.begins and max(candidate.begins) + 2 * WAIT < frame.index:
-            return
         start = Start(frame.index, {"face": TargetStart(face.box, dict(face.points))}, self.detector.name)
         try:
             candidate.begins[frame.index] = self.complete(frame, start)
