@@ -16,6 +16,7 @@ the former, over all frames with a reference, a frame without a row counting as 
 Of the latter, in terms of the mouth's width in the first frame:
 
     visible, hidden    mean error of the visible points, and of the hidden ones
+    partly             mean error of hidden points of a face that is not hidden as a whole: its box is visible
     recall, false      of hidden points, those called lost; of visible ones within .2, those called lost
 
 A recipe's settings are given as for `facetrack compare`. The first figure is the mean over clips, with the standard
@@ -45,16 +46,20 @@ from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 
 NAMES = (".35", ".2", "off, lost", "lost, off", "false", "back")
-TRUE_NAMES = ("visible", "hidden", "recall", "false")
+TRUE_NAMES = ("visible", "hidden", "partly", "recall", "false")
 REFERENCE = "reference_points.csv"
 
 
 class Points(NamedTuple):
-    """Errors (T, K) of points in units of the face, inf where there is no row; whether they are lost, or hidden."""
+    """Errors (T, K) of points in units of the face, inf where there is no row; whether they are lost, or hidden.
+
+    `gone`: whether the face is hidden as a whole.
+    """
 
     error: Array
     lost: Mask
     hidden: Mask
+    gone: Mask
 
 
 def run(clip: Path, config: str, init: str | None, seed: int) -> Points:
@@ -82,7 +87,7 @@ def against_reference(ours: Trajectory, path: Path) -> Points:
             if one is not None and at is not None and part in known:
                 x, y, unit = known[part]
                 error[t, k], lost[t, k] = np.hypot(one.x[at] - x, one.y[at] - y) / unit, one.status[at] == "lost"
-    return Points(error, lost, np.zeros_like(lost))
+    return Points(error, lost, np.zeros_like(lost), np.zeros_like(lost))
 
 
 def against_truth(ours: Trajectory, truth: Trajectory) -> Points:
@@ -96,7 +101,9 @@ def against_truth(ours: Trajectory, truth: Trajectory) -> Points:
     width = float(np.hypot(x[0, left] - x[0, right], y[0, left] - y[0, right]))
     error = np.hypot(x[:, :k] - x[:, k:], y[:, :k] - y[:, k:]) / width
     lost, hidden = np.asarray(status[:, k:] == "lost"), np.asarray(status[:, :k] == "hidden")
-    return Points(error, lost, hidden)
+    box = truth.find("face", "box")
+    gone = np.zeros(len(frames), np.bool_) if box is None else np.isin(frames, box.frame[box.status == "hidden"])
+    return Points(error, lost, hidden, np.repeat(gone[kept, None], k, axis=1))
 
 
 def joined(runs: Sequence[Points]) -> Points:
@@ -123,7 +130,8 @@ def reference_figures(runs: Sequence[Points]) -> list[float]:
 def true_figures(runs: Sequence[Points]) -> list[float]:
     all_ = joined(runs)
     hidden, near = all_.hidden, ~all_.hidden & (all_.error < 0.2)
-    return [mean(all_.error[hidden]), mean(all_.lost[hidden]), mean(all_.lost[near])]
+    partly = hidden & ~all_.gone
+    return [mean(all_.error[hidden]), mean(all_.error[partly]), mean(all_.lost[hidden]), mean(all_.lost[near])]
 
 
 def first_figure(one: Points, *, referred: bool) -> float:
