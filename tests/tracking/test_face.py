@@ -13,7 +13,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.face.registration import Registration
 from facetrack_cli.tracking.face.still import BOX as STILL_BOX
-from facetrack_cli.tracking.face.still import EYES, FACE, MIDDLE, SIDE, Similarity, turn_between, turned
+from facetrack_cli.tracking.face.still import EYES, FACE, MIDDLE, SIDE, Similarity, turn_between
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import detectors
 from tests.support import moving_face as moving
@@ -58,9 +58,10 @@ def test_the_head_carries_its_points(overrides):
     assert rows[-1].diagnostics["face"].get("scale")[0] == pytest.approx(rows[-1].w[5] / 80, rel=0.01)
 
 
+@pytest.mark.skipif(detectors.yunet_model() is None, reason="needs the extra detect")
 def test_a_head_that_rolls_says_so():
     poses = [Pose(160, 120, 90, 0.15 * t) for t in range(90)]
-    rows = run(moving.clip(poses), moving.start(poses[0]), ("head.detections.by=haar",))
+    rows = run(moving.clip(poses), moving.start(poses[0]), ("head.detections.by=yunet",))
     roll = rows[-1].diagnostics["face"].get("roll")[0]
     assert rows[-1].angle[5] == pytest.approx(roll) and 3 < roll < 20
     assert np.nanmean(errors(rows, poses) < 0.35) > 0.95
@@ -165,12 +166,6 @@ def test_the_still_face_shows_what_is_at_its_places(scale):
         seen = still[round(point[1]), round(point[0])]
         assert seen[0] == pytest.approx(0.2 * u, abs=1.5 + 0.2 * scale)
         assert seen[1] == pytest.approx(0.25 * v, abs=1.5 + 0.25 * scale)
-
-
-def test_a_larger_roll_turns_places_back():
-    x, angle = np.array([[100.0, 60.0]]), 0.2
-    before, after = (Similarity(np.array([5.0, 7.0]), 2.0, roll) for roll in (0.1, 0.1 + angle))
-    assert after.to_frame(turned(x, angle)) == pytest.approx(before.to_frame(x))
 
 
 # --- registration -------------------------------------------------------------------------------------------------

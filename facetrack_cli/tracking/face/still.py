@@ -56,9 +56,3 @@ def turn_between(x: Array, rest: Array) -> float:
     """By which angle `rest` (K, 2) is turned to come nearest to x (K, 2) (Procrustes), in radians."""
     a, b = x - x.mean(axis=0), rest - rest.mean(axis=0)
     return math.atan2(float(np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0])), float(np.sum(a * b)))
-
-
-def turned(x: Array, angle: float, growth: float = 0.0) -> Array:
-    """Places (..., 2) of a still face in one whose roll is larger by `angle`, and its log size by `growth`."""
-    a, b = math.exp(-growth) * math.cos(angle), math.exp(-growth) * math.sin(angle)
-    return np.asarray((x - MIDDLE) @ np.array([[a, -b], [b, a]]) + MIDDLE)

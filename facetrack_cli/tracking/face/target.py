@@ -37,16 +37,17 @@ OFF: Final = 0.35  # distances between the eyes; a point that is farther away th
 _STD: Final = 0.05  # of a detection, where there is none
 _SIZES: Final = 0.15  # standard deviation of the log size of a detection
 _FACES: Final = 4  # that are compared with the one that is lost
-_POSE: Final = np.array([math.radians(0.2), 0.004])  # standard deviations of roll and log size in a frame
-_MOST: Final = np.array([math.radians(60), 0.7])
+_PLACES: Final = 0.1  # and of its middle, in sizes of the box
+_POSE: Final = np.array([math.radians(0.2), 0.004, 0.004, 0.004])  # standard deviations of the pose in a frame
+_MOST: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
 
 
 @dataclass(frozen=True)
 class FaceState:
     """The states of head and points, the last `points` as rows of the still face, and how they are registered.
 
-    `pose` (2,) are the face's roll, in radians, and how large it is in its head's box, as a logarithm; `pose_var` (2,)
-    their variances. `frames` counts those since the start.
+    `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
+    the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start.
     """
 
     head: State
@@ -85,12 +86,12 @@ class FaceTarget:
 
     def begin(self, rng: Generator, frame: Frame) -> tuple[FaceState, TargetResult]:
         head, box = self.head.begin(rng, frame)
-        seen = self._map(head, np.zeros(2)).read(frame)
+        seen = self._map(head, np.zeros(4)).read(frame)
         features, points = self.features.begin(rng, seen)
         registration = Registration.begin(len(self.features.parts), self._std, searched=self.searched)
         if self.detector is not None and not self.searched and self.detector.measure(seen.bgr, still.BOX) is None:
             registration = registration.unseen()
-        state = FaceState(head, features, points, registration, np.zeros(2), np.zeros(2))
+        state = FaceState(head, features, points, registration, np.zeros(4), np.zeros(4))
         return state, self._result(state, box, frame)
 
     def restart(
@@ -112,12 +113,13 @@ class FaceTarget:
         side = FACE * scale
         box = (float(middle[0]) - (side - 1) / 2, float(middle[1]) - (side - 1) / 2, side, side)
         head, boxed = self.head.restart(rng, frame, first.head, TargetStart(box))
-        similarity = self._map(head, np.array([roll, 0.0]))
+        pose = np.array([roll, 0.0, 0.0, 0.0])
+        similarity = self._map(head, pose)
         moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in points.items()}
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
         registration = first.registration.again(known, self._std)
-        state = FaceState(head, features, rows, registration, np.array([roll, 0.0]), np.zeros(2))
+        state = FaceState(head, features, rows, registration, pose, np.zeros(4))
         return state, self._result(state, boxed, frame)
 
     def advance(
@@ -127,7 +129,7 @@ class FaceTarget:
         due = self.detector is not None and detections is not None and frames % detections.every == 0
         before = state.head
         if due and _sure(before) < self.settings.lost_below:
-            before = self._sighted(before, frame)
+            before = self._sighted(before, state.pose, frame)
         head, box = self.head.advance(rng, before, frame, covers)
         if _sure(head) < self.settings.lost_below:
             state = replace(state, head=head, frames=frames)
@@ -142,7 +144,7 @@ class FaceTarget:
         after = self._measured(state, seen)
         # of this frame the points are in the still face as it was
         result = self._result(replace(after, pose=state.pose), box, frame)
-        return self._moved(after, *(after.pose - state.pose).tolist()), result
+        return self._moved(after, state.pose), result
 
     @property
     def _std(self) -> float:
@@ -160,13 +162,16 @@ class FaceTarget:
 
     def _map(self, head: State, pose: Array) -> Similarity:
         x, y, scale = head.estimated.state[0, :3].tolist()
-        return Similarity(np.array([x, y]), self.side * scale * math.exp(pose[1]) / FACE, float(pose[0]))
+        middle = np.array([x, y]) + self.side * scale * pose[2:]
+        return Similarity(middle, self.side * scale * math.exp(pose[1]) / FACE, float(pose[0]))
 
-    def _sighted(self, head: State, frame: Frame) -> State:
+    def _sighted(self, head: State, pose: Array, frame: Frame) -> State:
         """The state of a head that is lost, with the places where a detector sees faces."""
         assert self.detector is not None
         boxes = [found.box for found in self.detector.find(frame)[:_FACES]]
-        places = tuple(np.array([*centre(box), math.log(box[2] / self.side)]) for box in boxes)
+        places = tuple(
+            np.array([*(np.array(centre(box)) - box[2] * pose[2:]), math.log(box[2] / self.side)]) for box in boxes
+        )
         return replace(head, learned=head.learned._replace(sighted=places))
 
     def _measured(self, state: FaceState, seen: Frame) -> FaceState:
@@ -180,10 +185,14 @@ class FaceTarget:
             return replace(state, registration=registration)
         z = np.array([found.points.get(part, (0.0, 0.0)) for part in parts])
         registration = registration.measured(state.features.estimated.state, z, known, self._std)
-        off, ends = np.array([0.0, math.log(found.box[2] / FACE)]), self._ends
-        # a box drawn by hand may be of another size than the detector's
-        noise = np.full(2, _SIZES**2 if self.searched else np.inf)
-        if known[ends].all():
+        # how the detected face lies in the head's box, along the axes of the frame
+        lies = Similarity(np.zeros(2), math.exp(state.pose[1]) / FACE, float(state.pose[0])).to_frame(
+            np.array(centre(found.box))
+        )
+        off, ends = np.array([0.0, math.log(found.box[2] / FACE), *lies]), self._ends
+        # a box drawn by hand may be another one than the detector's
+        noise = np.array([np.inf, _SIZES**2, _PLACES**2, _PLACES**2]) if self.searched else np.full(4, np.inf)
+        if self.detector.rolls and known[ends].all():
             rest = self.features.x0[ends]
             off[0] = still.turn_between((z + registration.bias[1])[ends], rest)
             noise[0] = 2 * self._std**2 / max(float(np.sum((rest[1] - rest[0]) ** 2)), 1e-9)
@@ -191,14 +200,19 @@ class FaceTarget:
         pose = np.clip(state.pose + gain * off, -_MOST, _MOST)
         return replace(state, registration=registration, pose=pose, pose_var=(1 - gain) * state.pose_var)
 
-    def _moved(self, state: FaceState, turn: float, growth: float) -> FaceState:
-        """With the points in a still face whose roll is larger by `turn`, and its log size by `growth`."""
-        features, bias = state.features, state.registration.bias
-        particles = features.particles._replace(x=still.turned(features.particles.x, turn, growth))
-        estimated = features.estimated._replace(state=still.turned(features.estimated.state, turn, growth))
+    def _moved(self, state: FaceState, before: Array) -> FaceState:
+        """With the points, which are in the still face of the pose `before`, in that of the state's own."""
+        old, new = (self._map(state.head, pose) for pose in (before, state.pose))
+
+        def moved(x: Array) -> Array:
+            return new.to_still(old.to_frame(x))
+
+        features, origin = state.features, moved(np.zeros(2))
+        particles = features.particles._replace(x=moved(features.particles.x))
+        estimated = features.estimated._replace(state=moved(features.estimated.state))
+        registration = state.registration._replace(bias=moved(state.registration.bias) - origin)
         features = replace(features, particles=particles, estimated=estimated)
-        bias = still.turned(bias + still.MIDDLE, turn, growth) - still.MIDDLE
-        return replace(state, features=features, registration=state.registration._replace(bias=bias))
+        return replace(state, features=features, registration=registration)
 
     def cover(self, state: FaceState, *, ahead: bool) -> Cover | None:
         return self.head.cover(state.head, ahead=ahead)
@@ -228,7 +242,7 @@ class FaceTarget:
         columns = {name: np.where(gone, np.nan, values) for name, values in columns.items()}
         columns |= {"frame": np.full(len(rows), frame.index), "time_s": np.full(len(rows), frame.time_s)}
         columns |= {"status": np.where(lost & ~gone, "lost", since), "diagnostics": {}}
-        faces = joined([replace(rows, **columns), self._turned(box.rows, *state.pose.tolist())])
+        faces = joined([replace(rows, **columns), self._face(box.rows, similarity)])
         # of a target one number: both filters' together
         faces = replace(faces, particles=np.full(len(faces), float(np.max(rows.particles) + box.rows.particles[0])))
         values = {SCALE.name: scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
@@ -236,9 +250,10 @@ class FaceTarget:
         cloud = similarity.to_frame(state.points.cloud - registration.bias[0])
         return TargetResult(replace(faces, diagnostics=found), cloud, (), box.notes)
 
-    def _turned(self, rows: Trajectory, roll: float, size: float) -> Trajectory:
-        """The row of the head's box, as large as the face is, and turned by its roll."""
-        rows = replace(rows, w=rows.w * math.exp(size), h=rows.h * math.exp(size))
+    def _face(self, rows: Trajectory, face: Similarity) -> Trajectory:
+        """The row of the head's box, where the face is in it, as large as that, and turned by its roll."""
+        roll, grown = face.angle, face.scale * FACE / np.sqrt(rows.w * rows.h)
+        rows = replace(rows, x=face.centre[:1], y=face.centre[1:], w=rows.w * grown, h=rows.h * grown)
         way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
         # the border runs through the middle of the outermost pixels
         found = corners(way, np.column_stack([rows.x, rows.y]), np.column_stack([rows.w - 1, rows.h - 1]))

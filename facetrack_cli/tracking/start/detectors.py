@@ -34,12 +34,14 @@ class Found(NamedTuple):
 
 
 class Detector(Protocol):
-    """`std`: standard deviation of its points, in distances between the eyes."""
+    """`std`: of its points, in distances between the eyes; `rolls`: whether they roll as the face does."""
 
     @property
     def name(self) -> str: ...
     @property
     def std(self) -> float: ...
+    @property
+    def rolls(self) -> bool: ...
 
     def find(self, frame: Frame) -> list[Found]:
         """All faces of a frame with the five points, the best first."""
@@ -51,6 +53,7 @@ class Detector(Protocol):
 class Haar:
     name: Final = "haar"
     std: Final = 0.09
+    rolls: Final = False  # the points of a tilted face are placed half as tilted
 
     def find(self, frame: Frame) -> list[Found]:
         return [Found(box, place(frame.bgr, box)) for box in find_faces(frame.bgr)]
@@ -65,6 +68,7 @@ class YuNet:
 
     name: Final = "yunet"
     std: Final = 0.05
+    rolls: Final = True
 
     def __init__(self, model: Path) -> None:
         self._model = str(model)
