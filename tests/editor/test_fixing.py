@@ -420,8 +420,8 @@ def test_the_video_is_painted_as_a_run_from_the_corrected_init_file_paints_it(fi
     save(one.fixer)
     one.again(tmp_path / "again", video=True)
     apart = [float(cv2.absdiff(a, b)[30:].mean()) for a, b in zip(painted[:STOP], painted[STOP:], strict=True)]
-    # rows do not tell how ellipses lean
-    assert max(apart) < 0.1 and sorted(apart)[STOP * 3 // 4] == 0
+    # rows do not tell how ellipses lean, nor of a turned box more than their decimals
+    assert max(apart) < 0.1 and sorted(apart)[STOP * 3 // 4] < 0.03
 
 
 def _pictures(path):
