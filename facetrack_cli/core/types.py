@@ -117,9 +117,14 @@ class Particles(NamedTuple):
 
 
 class Info(NamedTuple):
-    """What a filter reports of one step: the effective sample size of each part, (K,), before any final resampling."""
+    """What a filter reports of one step.
+
+    `ess` (K,): effective sample size of each part, in which particles of one origin count as one. `evidence`: log
+    p(y_t | Y_{t-1}) in nats as the particles estimate it, up to a constant of the recipe; nan where a filter has none.
+    """
 
     ess: Array
+    evidence: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,8 @@ NEAR_IOU = 0.5  # a box is near if its overlap with the ground truth (intersecti
 class Rows:
     """One part against its ground truth; every array is (R,) but `offset` and `std`, which are (R, 2), x before y.
 
+    `cov_xy` is the covariance of the posterior in x and y, 0 where it is not known.
+
     `offset` is ours minus the ground truth in pixels, nan where either has no position; `unit` the length in pixels by
     which errors are normalised, nan where it is unknown. Each row is one of visible, hidden, absent; `placed` are the
     visible and hidden ones whose true position is known. `near` is defined where `judged`; an absent row is judged, and
@@ -49,6 +51,7 @@ class Rows:
     left_out: Mask
     confidence: Array
     std: Array
+    cov_xy: Array
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -105,6 +108,7 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         left_out=ours.status == "absent",
         confidence=ours.confidence,
         std=np.stack([ours.std_x, ours.std_y], axis=1),
+        cov_xy=np.nan_to_num(ours.cov_xy),
     )
 
 

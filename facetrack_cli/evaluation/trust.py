@@ -90,7 +90,7 @@ class CoverageMeasures:
     """Whether the posterior's spread covers the error: visible rows with a known true position, and with a std.
 
     within_..    share of rows whose true position lies within the 50 or 90 % ellipse of a normal distribution with
-                 std_x and std_y along x and y; 0.5 and 0.9 for a correct spread
+                 std_x, std_y and cov_xy; 0.5 and 0.9 for a correct spread
     factor       by which the std would have to be multiplied for the 50 % ellipse to hold half of the rows
     zero_std     rows without spread along x or y, which are within only if they are exactly right there
     unknown_std  rows left out because they have no std
@@ -169,13 +169,14 @@ def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
 def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
     """None if no row has a std."""
     parts = [part.take(~part.init) for part in parts]
-    offset, std, visible, placed = (column(parts, name) for name in ("offset", "std", "visible", "placed"))
+    names = ("offset", "std", "cov_xy", "visible", "placed")
+    offset, std, cov_xy, visible, placed = (column(parts, name) for name in names)
     counted = visible & placed & np.isfinite(offset).all(axis=1)
     known = np.isfinite(std).all(axis=1)
     if not known.any():
         return None
     offset, spread = offset[counted & known], std[counted & known]
-    squared = mahalanobis_squared(offset, spread)
+    squared = mahalanobis_squared(offset, spread, cov_xy[counted & known])
     # the distance of a row, which the 50 % ellipse would have to reach
     half = float(np.quantile(squared, 0.5, method="inverted_cdf")) if len(squared) else math.inf
     return CoverageMeasures(
@@ -188,13 +189,18 @@ def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
     )
 
 
-def mahalanobis_squared(offset: Array, std: Array) -> Array:
-    """(R,) squared Mahalanobis distance of offsets (R, 2) for deviations (R, 2) along the axes; along an axis without
-    spread it is 0 if the offset is, else infinite.
+def mahalanobis_squared(offset: Array, std: Array, cov_xy: Array | float = 0.0) -> Array:
+    """(R,) squared Mahalanobis distance of offsets (R, 2) for deviations (R, 2) along the axes and a covariance (R,).
+
+    Along an axis without spread it is 0 if the offset is, else infinite.
     """
     flat = std == 0
-    with np.errstate(over="ignore"):  # of a tiny std: infinitely far is right
-        terms = (offset / np.where(flat, 1.0, std)) ** 2
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of a tiny std: infinitely far is right
+        r = np.where(flat.any(axis=1), 0.0, np.clip(cov_xy / np.prod(std, axis=1), -0.999, 0.999))
+        scaled = offset / np.where(flat, 1.0, std)
+        # what y is off beyond what x says of it
+        beyond = np.where(r == 0, scaled[:, 1], (scaled[:, 1] - r * scaled[:, 0]) / np.sqrt(1 - r * r))
+        terms = np.stack([scaled[:, 0], beyond], axis=1) ** 2
     terms = np.where(flat, np.where(offset == 0, 0.0, np.inf), terms)
     return np.asarray(terms.sum(axis=1))
 

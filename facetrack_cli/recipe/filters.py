@@ -7,12 +7,13 @@ Features", FG 2004; of `adaptive`, those of Zhou, Chellappa & Moghaddam, ICME 20
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from facetrack_cli.recipe.affine import MOST_COMPARED, AffineWalk
-from facetrack_cli.recipe.sections import Filter, Refusal, Steps
+from facetrack_cli.recipe.sections import Filter, Length, Refusal, Section, Steps
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilter
@@ -27,13 +28,62 @@ class Resampled(Filter):
     """How particles are picked by their weights."""
 
 
-class Sir(Resampled):
+class Tempered(Filter):
+    """A filter that can keep more particles than a narrow likelihood leaves; beyond the papers."""
+
+    temper: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """The likelihood counts to a power of 1 or less, such that this share of the particles is effective; null: to 1."""
+    moves: Annotated[int, Field(ge=0, le=100)] = 0
+    """With temper: the rest of the likelihood follows in stages, with so many moves of each particle in each; 0: none.
+
+    With 0 what remains is the posterior with the tempered likelihood, with more it is the posterior itself."""
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if self.moves and self.temper is None:
+            yield Refusal(
+                ("moves",), "moves are made between the stages of temper; add temper: 0.5, or leave moves out"
+            )
+
+
+class Kept(Resampled, Tempered):
+    """A filter that weights particles by the likelihood alone, and need not pick new ones in each frame."""
+
+    resample_below: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """New particles are picked only where less than this share of them is effective; as published 1, in each frame."""
+    regularise: Annotated[float, Field(ge=0, le=2)] = 0.0
+    """Picked particles are drawn of a kernel density, as wide as is best for a normal one times this; as published 0.
+
+    Musso, Oudjane & Le Gland, "Improving regularised particle filters", 2001; mean and covariance stay."""
+
+
+class Kld(Section):
+    """As many particles as the spread of the prediction asks for (Fox, "Adapting the sample size", IJRR 2003)."""
+
+    error: Annotated[float, Field(gt=0, lt=10)] = 0.05
+    """Kullback-Leibler divergence, in nats, from the prediction that is accepted with a probability of 0.99."""
+    bin: Length = Length(0.05)
+    """Side of the bins over places by which the divergence is measured."""
+    least: Annotated[int, Field(ge=1)] = 20
+    """Never fewer particles than this; `particles` are the most."""
+
+
+class Sir(Kept):
     """Sampling/importance resampling over the joint state (section 2); weights are p(y|s), or p(y|s) p(s)."""
 
     engine = "facetrack_cli.tracking.filters:sir"
     goes_with = ("points", "region", "cloud", "affine")
     type: Literal["sir"]
     """Sampling/importance resampling over the joint state."""
+    kld: Kld | None = None
+    """Beyond the papers: as many particles as the spread of the prediction asks for; null: `particles`."""
+
+    def build(self, context: Any) -> Any:
+        return partial(super().build(context), unit=context.placed.unit)
+
+    def mistakes(self) -> Iterable[Refusal]:
+        yield from super().mistakes()
+        if self.kld is not None and self.resample_below < 1:
+            yield Refusal(("resample_below",), "kld picks anew in each frame; leave resample_below out, or kld")
 
 
 class Auxiliary(Resampled):
@@ -43,17 +93,34 @@ class Auxiliary(Resampled):
     goes_with = ("points", "region", "cloud", "affine")
     type: Literal["auxiliary"]
     """Auxiliary particle filter over the joint state."""
+    look_ahead: Literal["draw", "mean"] = "draw"
+    """What a particle is picked by: the likelihood at a draw of its transition, as published, or at the mean of it."""
 
 
-class Factorized(Resampled):
+class LooksAhead(Kept):
+    """A filter that steps each part on its own."""
+
+    look_ahead: Literal["draw", "mean", "none"] = "draw"
+    """What a part is picked by before it moves: the likelihood at a draw of its transition, as published, at the mean
+    of it, or its weight in the last frame alone, which takes half of the evaluations."""
+
+    def mistakes(self) -> Iterable[Refusal]:
+        yield from super().mistakes()
+        if self.look_ahead != "none":
+            for key, off in (("temper", None), ("resample_below", 1.0)):
+                if getattr(self, key) != off:
+                    yield Refusal((key,), f"{key} goes with look_ahead: none; add that, or leave {key} out")
+
+
+class Factorized(LooksAhead):
     """Proposes from g(alpha) = prod_i p(alpha_i|Y), the product of the parts' posteriors; reweights (section 2.1)."""
 
     engine = "facetrack_cli.tracking.filters:factorized"
     goes_with = ("points",)  # it resamples parts apart, and the other targets are one part
     type: Literal["factorized"]
     """The product of the parts' posteriors as proposal, then reweighted."""
-    reweight: Literal["prior", "transition"] = "prior"
-    """By the shape prior (eq. 11), or by the particles of the last frame (eq. 7)."""
+    reweight: Literal["prior", "transition", "both"] = "prior"
+    """By the shape prior (eq. 11), by the particles of the last frame (eq. 7), or, beyond the paper, by both."""
     from_prior: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Share of a part's sub-particles that is proposed from the prior given the other parts; as published 0."""
 
@@ -61,17 +128,19 @@ class Factorized(Resampled):
         by_prior, add = self.reweight == "prior", "needs a prior; add a prior section, or write"
         if not by_prior and self.particles > MOST_COMPARED:
             most = f"give {MOST_COMPARED:,} at most, not {self.particles:,}"
-            yield Refusal(("filter", "particles"), f"reweight: transition compares every two particles; {most}")
-        elif by_prior and whole.prior is None:
-            yield Refusal(("filter", "reweight"), f"filter.reweight: prior {add} reweight: transition")
+            yield Refusal(("filter", "particles"), f"reweight: {self.reweight} compares every two particles; {most}")
+        elif self.reweight != "transition" and whole.prior is None:
+            yield Refusal(("filter", "reweight"), f"filter.reweight: {self.reweight} {add} reweight: transition")
         elif self.from_prior > 0 and whole.prior is None:
             yield Refusal(("filter", "from_prior"), f"filter.from_prior above 0 {add} 0")
         elif self.from_prior > 0 and not by_prior:
             goes = "goes with reweight: prior; eq. 7 knows the motion model alone"
             yield Refusal(("filter", "from_prior"), f"filter.from_prior above 0 {goes}")
+        elif self.from_prior > 0 and self.moves:
+            yield Refusal(("filter", "moves"), "moves follow the motion alone; leave filter.from_prior out, or moves")
 
 
-class Independent(Resampled):
+class Independent(LooksAhead):
     """An auxiliary particle filter for each part on its own (section 4, the paper's baseline)."""
 
     engine = "facetrack_cli.tracking.filters:factorized"
@@ -87,7 +156,7 @@ class Independent(Resampled):
             yield Refusal(("prior",), message)
 
 
-class Adaptive(Filter):
+class Adaptive(Tempered):
     """All particles around the predicted place, as many as the prediction is worth (figure 1, eq. 17)."""
 
     engine = "facetrack_cli.tracking.filters:adaptive"

@@ -24,6 +24,7 @@ from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
 from facetrack_cli.report.events import Clock, LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.report.figures.style import needed
 from facetrack_cli.report.frames import Image, Report, key_images
+from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -102,7 +103,8 @@ def make_report(
         some_left_out=not {frame for frame, _ in history.events} <= {*shown},
         reasons={key.frame: text.reasons(key, table, history, header.init.origin) for key in keys},
         plot=_plot(table, pairs, title),
-        reported=bool(table.diagnostics) or bool((table.identity != "").any()),
+        reported=any(one.values.keys() - {EVIDENCE.name} for one in table.diagnostics.values())
+        or bool((table.identity != "").any()),
         truth=measured,
         recipe=recipe_yaml(header.recipe),
         init=init_yaml(header),

@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import cv2
 import numba
-import numpy
+import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FileSink, StreamSink, check_folder, make_folder, remove_folders
@@ -25,7 +25,7 @@ from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Begin, frames_of
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.trajectory.diagnostics import KNOWN
+from facetrack_cli.trajectory.diagnostics import EVIDENCE, KNOWN
 from facetrack_cli.trajectory.header import to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Format, Header, Writer
@@ -54,6 +54,7 @@ class Job(Begin):
 class Outcome:
     """What became of one clip. `lost` counts the lost frames of each part; `lost_at_end` are those lost in the last.
 
+    `evidence` sums up each target's.
     `error` ended the run early; what was tracked until then is kept. `note` says where the search for a face began it.
     """
 
@@ -63,6 +64,7 @@ class Outcome:
     frames_per_s: float = 0.0
     lost: dict[str, int] = field(default_factory=dict)
     lost_at_end: tuple[str, ...] = ()
+    evidence: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     complete: bool = True
     stopped: str | None = None
@@ -77,6 +79,9 @@ class Outcome:
         self.lost_at_end = tuple("/".join(rows.names[i]) for i in rows.which[rows.status == "lost"].tolist())
         for part in self.lost_at_end:
             self.lost[part] = self.lost.get(part, 0) + 1
+        for target, found in rows.diagnostics.items():
+            if np.isfinite(nats := found.get(EVIDENCE.name)).all():
+                self.evidence[target] = self.evidence.get(target, 0.0) + float(nats.sum())
 
     def summary(self) -> str:
         """One line: what was written, how fast, what was lost."""
@@ -152,6 +157,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
             warnings=(*source.warnings, *notes, *beyond),
             lost_frames=done.lost,
             variable_fps=source.variable,
+            evidence=done.evidence,
         )
         try:
             footer = outputs.close(footer)
@@ -292,7 +298,7 @@ def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
     return {
         "versions": {  # of what the numbers may depend on beside facetrack itself
             "python": platform.python_version(),
-            "numpy": numpy.__version__,
+            "numpy": np.__version__,
             "opencv": cv2.__version__,
             "numba": numba.__version__,
         },

@@ -4,6 +4,7 @@ A filter is a function `(settings, rng, particles, model) -> (particles, info)`.
 tracker with one frame bound in. All arithmetic on weights is in logs.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeAlias
 
@@ -13,7 +14,15 @@ from numpy.random import Generator
 from facetrack_cli.core.types import Array, Info, Mask, Particles, Whole
 from facetrack_cli.recipe import correlation_filter, filters
 from facetrack_cli.tracking.guides import Arrived, Guides
-from facetrack_cli.tracking.resampling import SCHEMES, effective_sample_size, logsumexp, normalise, uniform
+from facetrack_cli.tracking.resampling import (
+    SCHEMES,
+    distinct,
+    effective_sample_size,
+    logsumexp,
+    normalise,
+    tempered,
+    uniform,
+)
 
 
 class Ahead(NamedTuple):
@@ -37,6 +46,7 @@ class FrameModel(Protocol):
     @property
     def ahead(self) -> Ahead: ...  # where the target is expected; `propagate` takes its shift and noise into account
     def propagate(self, rng: Generator, x: Array) -> Array: ...  # (N, K, D) drawn from p(x_t | x_{t-1} = x)
+    def expect(self, x: Array) -> Array: ...  # (N, K, D): the mean of that
     def log_transition(self, x: Array, parents: Array) -> Array: ...  # (N, M, K): log p(x_t | x_{t-1}) of each part
     def log_likelihood(self, x: Array, parents: Array) -> Array: ...  # (N, K): log p(y | x) of each part
     def log_prior(self, x: Array) -> Array: ...  # (N,): log p(x) of the shape, up to a constant; zeros without a prior
@@ -55,19 +65,54 @@ Stepped: TypeAlias = tuple[Particles, Info]
 Step: TypeAlias = Callable[[Generator, Particles, FrameModel], Stepped]
 
 
-def sir(settings: filters.Sir, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
-    """Sampling/importance resampling over the joint state (section 2), p(y|s)p(s) as the observation."""
-    parents = particles.x[SCHEMES[settings.resampling](rng, particles.log_w, len(particles.x))]
-    return _weighted(model, model.propagate(rng, parents), parents)
+def sir(settings: filters.Sir, rng: Generator, particles: Particles, model: FrameModel, unit: float = 1.0) -> Stepped:
+    """Sampling/importance resampling over the joint state (section 2), p(y|s)p(s) as the observation.
+
+    `unit` is the recipe's unit of length in pixels.
+    """
+    chosen, base = _parents(settings, rng, particles, 1)
+    parents = _regularised(settings, rng, particles.x[chosen[:, 0]], chosen)
+    if settings.kld is None:
+        x = model.propagate(rng, parents)
+    else:
+        parents = rng.permuted(parents, axis=0)
+        x = model.propagate(rng, parents)
+        n = kld_number(settings.kld, x, settings.kld.bin.pixels(unit))
+        x, parents, base = x[:n], parents[:n], base[:n]
+    return _weighted(settings, rng, model, x, parents, base)
+
+
+def kld_number(settings: filters.Kld, x: Array, side: float) -> int:
+    """How many of the particles x (N, K, D), drawn of the prediction, are enough (Fox 2003, eq. 7).
+
+    That is the least n of at least
+
+        (b - 1) / (2 error) (1 - 2 / (9 (b - 1)) + sqrt(2 / (9 (b - 1))) z)^3,  z the quantile of 0.99,
+
+    with b the bins of `side` pixels over the places of the parts that the first n occupy.
+    """
+    n = len(x)
+    _, first = np.unique(np.floor(x[..., :2].reshape(n, -1) / side), axis=0, return_index=True)
+    occupied = np.cumsum(np.bincount(first, minlength=n))
+    ninth = 2 / (9 * np.maximum(occupied - 1, 1))
+    enough = np.where(
+        occupied > 1, (occupied - 1) / (2 * settings.error) * (1 - ninth + np.sqrt(ninth) * 2.3263479) ** 3, 1
+    )
+    done = np.flatnonzero(np.arange(1, n + 1) >= np.maximum(enough, settings.least))
+    return int(done[0]) + 1 if done.size else n
 
 
 def auxiliary(settings: filters.Auxiliary, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
-    """Auxiliary filter over the joint state (section 4; Pitt & Shephard 1999); mu is drawn of p(s|s^-), not a mean."""
-    mu = model.propagate(rng, particles.x)
-    log_lambda = _log_observation(model, mu, particles.x)
-    chosen = SCHEMES[settings.resampling](rng, normalise(particles.log_w + log_lambda), len(mu))
+    """Auxiliary filter over the joint state (section 4; Pitt & Shephard 1999); mu is drawn of p(s|s^-), not a mean.
+
+    `look_ahead: mean` takes the mean, as Pitt & Shephard do.
+    """
+    mu = model.expect(particles.x) if settings.look_ahead == "mean" else model.propagate(rng, particles.x)
+    log_first = particles.log_w + (log_lambda := _log_observation(model, mu, particles.x))
+    chosen = SCHEMES[settings.resampling](rng, normalise(log_first), len(mu))
     parents = particles.x[chosen]
-    return _weighted(model, model.propagate(rng, parents), parents, log_lambda[chosen])
+    found, info = _weighted(None, rng, model, model.propagate(rng, parents), parents, -log_lambda[chosen, None])
+    return found, info._replace(evidence=info.evidence + float(logsumexp(log_first)))
 
 
 def factorized(
@@ -81,7 +126,12 @@ def factorized(
 
     - `prior`: the shape prior in place of the ratio of eq. 5 (eq. 11);
     - `transition`: eq. 7, the ratio of predictive densities estimated from the particles themselves;
+    - `both`, beyond the paper: what eq. 5 gives where the prior is a factor of the transition, eq. 7 times eq. 11;
     - `none`, of `independent`: 1. That is N independent auxiliary filters, the paper's first baseline.
+
+    As published the auxiliary step looks ahead by a draw mu of the transition; the weights then divide by a random
+    lambda, and few of them are large. Beyond the paper, `look_ahead: mean` takes the mean of the transition, `none`
+    makes it a bootstrap step, which evaluates the likelihood half as often.
 
     With `from_prior` (beyond the paper) the transition of a part is the mixture of both; the label of the component
     belongs to the auxiliary variable, and the weights of steps 3 and 5 hold as they are.
@@ -89,19 +139,66 @@ def factorized(
     n, k, _ = particles.x.shape
     resample, columns = SCHEMES[settings.resampling], np.arange(k)
     jumps = rng.random((n, k)) < settings.from_prior if settings.from_prior > 0 else None
-    mu = _move(rng, particles.x, model, particles.x, jumps, np.repeat(np.arange(n)[:, None], k, axis=1))
-    log_lambda = np.maximum(model.log_likelihood(mu, particles.x), LEAST)
-    chosen = resample(rng, normalise(particles.log_w[:, None] + log_lambda), n)
+    if settings.look_ahead == "none":
+        (chosen, base), evidence = _parents(settings, rng, particles, k), 0.0
+    else:
+        all_ = np.repeat(np.arange(n)[:, None], k, axis=1)
+        mean = settings.look_ahead == "mean"
+        mu = _move(rng, particles.x, model, particles.x, jumps, all_, mean=mean)
+        log_lambda = np.maximum(model.log_likelihood(mu, particles.x), LEAST)
+        log_first = particles.log_w[:, None] + log_lambda
+        chosen = resample(rng, normalise(log_first), n)
+        base, evidence = -log_lambda[chosen, columns], float(logsumexp(log_first).sum())
     parents = particles.x[chosen, columns]
     s = _move(rng, parents, model, particles.x, None if jumps is None else jumps[chosen, columns], chosen)
-    marginal = normalise(np.maximum(model.log_likelihood(s, parents), LEAST) - log_lambda[chosen, columns])
+    s, _, marginal, each = _observed(settings, rng, model, _log_parts, s, parents, base)
     # shuffled, because resampled indices come in order and would tie the parts together
-    x = s[rng.permuted(resample(rng, marginal, n), axis=0), columns]
-    if settings.reweight == "none":
-        log_w = uniform(n)
-    else:
-        log_w = normalise(model.log_prior(x) if settings.reweight == "prior" else _log_ratio(x, particles, model))
-    return Particles(x, log_w), Info(np.minimum(effective_sample_size(marginal), effective_sample_size(log_w)))
+    picked = rng.permuted(resample(rng, marginal, n), axis=0)
+    x = _regularised(settings, rng, s[picked, columns], picked)
+    log_ratio = np.zeros(n)
+    if settings.reweight in ("prior", "both"):
+        log_ratio = log_ratio + model.log_prior(x)
+    if settings.reweight in ("transition", "both"):
+        log_ratio = log_ratio + _log_ratio(x, particles, model)
+    log_w = uniform(n) if settings.reweight == "none" else normalise(log_ratio)
+    evidence += each + float(logsumexp(log_ratio)) - math.log(n)
+    return Particles(x, log_w), Info(distinct(picked, log_w), evidence)
+
+
+def _parents(settings: filters.Kept, rng: Generator, particles: Particles, columns: int) -> tuple[Whole, Array]:
+    """(N, C) which particle each one of a column moves from, and (N, C) log weights that go with it, 0 if picked anew.
+
+    Particles that are left as they are keep their weights, times N.
+    """
+    n = len(particles.x)
+    if settings.resample_below < 1 and effective_sample_size(particles.log_w) >= settings.resample_below * n:
+        both = np.arange(n), particles.log_w + np.log(n)
+        return tuple(np.repeat(one[:, None], columns, axis=1) for one in both)  # type: ignore[return-value]
+    log_w = np.repeat(particles.log_w[:, None], columns, axis=1)
+    return SCHEMES[settings.resampling](rng, log_w, n), np.zeros((n, columns))
+
+
+def _regularised(settings: filters.Kept, rng: Generator, x: Array, origins: Whole) -> Array:
+    """x (N, K, D), picked from `origins` (N, C), as drawn of a kernel density over them (Musso et al. 2001, 12.2.1).
+
+    The kernel is normal, with the covariance of each part's particles times h^2, h the best width for a normal density
+    of as many samples as there are origins, times `regularise`. x is drawn to its mean, so that the covariance stays.
+    """
+    if settings.regularise == 0 or len(x) < 2:
+        return x
+    n, k, d = x.shape
+    if (origins[:, 0] == np.arange(n)).all():
+        return x  # nothing was picked
+    out = np.empty_like(x)
+    for i in range(k):
+        samples = len(np.unique(origins[:, min(i, origins.shape[1] - 1)]))
+        h = min(settings.regularise * (4 / (samples * (d + 2))) ** (1 / (d + 4)), 1.0)
+        mean = x[:, i].mean(axis=0)
+        off = x[:, i] - mean
+        values, vectors = np.linalg.eigh(off.T @ off / n)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        out[:, i] = mean + np.sqrt(1 - h * h) * off + h * rng.standard_normal((n, d)) @ root.T
+    return out
 
 
 def _log_ratio(x: Array, previous: Particles, model: FrameModel) -> Array:
@@ -112,9 +209,14 @@ def _log_ratio(x: Array, previous: Particles, model: FrameModel) -> Array:
     return np.asarray(joint - marginals.sum(axis=1))
 
 
-def _move(rng: Generator, x: Array, model: FrameModel, whole: Array, jumps: Mask | None, chosen: Whole) -> Array:
-    """x (N, K, D) moved by the transition, or by the prior where `jumps` (N, K); `whole` are the parents entire."""
-    moved = model.propagate(rng, x)
+def _move(
+    rng: Generator, x: Array, model: FrameModel, whole: Array, jumps: Mask | None, chosen: Whole, *, mean: bool = False
+) -> Array:
+    """x (N, K, D) moved by the transition, or by the prior where `jumps` (N, K); `whole` are the parents entire.
+
+    With `mean` the transition's mean is taken in place of a draw.
+    """
+    moved = model.expect(x) if mean else model.propagate(rng, x)
     if jumps is None:
         return moved
     for i in range(x.shape[1]):
@@ -131,7 +233,7 @@ def adaptive(settings: filters.Adaptive, rng: Generator, particles: Particles, m
     x = model.propagate(rng, parents)
     if settings.centre:
         x[0] = ahead.state + ahead.shift
-    return _weighted(model, x, parents)
+    return _weighted(settings, rng, model, x, parents, np.zeros((len(x), 1)))
 
 
 def number(settings: filters.Adaptive, ahead: Ahead) -> int:
@@ -177,8 +279,10 @@ def guided(settings: correlation_filter.Guided, rng: Generator, particles: Parti
     log_visible = log_visible + model.log_likelihood(x, x)[:, 0]
     total = np.logaddexp(log_visible, log_hidden)
     x[:, 0, -1] = np.exp(log_visible - total)
-    log_w = normalise(np.maximum(total - log_q, LEAST))
-    return Particles(x, log_w), Info(np.full(1, float(effective_sample_size(log_w))))
+    log_ratio = np.maximum(total - log_q, LEAST)
+    log_w = normalise(log_ratio)
+    evidence = float(logsumexp(log_ratio)) - math.log(n)
+    return Particles(x, log_w), Info(np.full(1, float(effective_sample_size(log_w))), evidence)
 
 
 def peak(settings: correlation_filter.Peak, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
@@ -190,11 +294,84 @@ def peak(settings: correlation_filter.Peak, rng: Generator, particles: Particles
     return Particles(x, np.zeros(1)), Info(np.ones(1))
 
 
-def _weighted(model: FrameModel, x: Array, parents: Array, log_proposed: Array | float = 0.0) -> Stepped:
-    """Whole particles x by their observation, over the weights with which they were proposed."""
-    log_w = normalise(_log_observation(model, x, parents) - log_proposed)
+def _weighted(
+    settings: filters.Tempered | None, rng: Generator, model: FrameModel, x: Array, parents: Array, base: Array
+) -> Stepped:
+    """Whole particles x by their observation, with log weights `base` (N, 1) before it."""
+    x, _, log_w, evidence = _observed(settings, rng, model, _log_whole, x, parents, base)
     # a joint weight says the same of every part
-    return Particles(x, log_w), Info(np.full(x.shape[1], float(effective_sample_size(log_w))))
+    return Particles(x, log_w[:, 0]), Info(np.full(x.shape[1], float(effective_sample_size(log_w[:, 0]))), evidence)
+
+
+_Observe: TypeAlias = Callable[[FrameModel, Array, Array], Array]
+
+
+def _observed(
+    settings: filters.Tempered | None, rng: Generator, model: FrameModel, observe: _Observe, x: Array, parents: Array,
+    base: Array,
+) -> tuple[Array, Array, Array, float]:  # fmt: skip
+    """x (N, K, D) and their parents, weighted by `observe`: with normalised log weights (N, C), and the log evidence.
+
+    C is K where parts are weighted apart, else 1; `base` (N, C) are the log weights before. With `temper` the
+    likelihood counts to the power that keeps so many particles effective; with `moves` the rest of it follows in such
+    stages (Del Moral, Doucet & Jasra 2006), between which particles are picked and moved.
+    """
+    n, log_l = len(x), observe(model, x, parents)
+    if settings is None or settings.temper is None:
+        log_ratio = log_l + base
+        return x, parents, _normalised(log_ratio), float(np.sum(logsumexp(log_ratio))) - log_l.shape[1] * math.log(n)
+    done = tempered(base, log_l, settings.temper)
+    log_ratio = base + done * log_l
+    evidence = float(np.sum(logsumexp(log_ratio) - np.log(n)))
+    columns = np.arange(x.shape[1])
+    while settings.moves and (done < 1).any():
+        chosen = SCHEMES["systematic"](rng, normalise(log_ratio), n)
+        x, parents = x[chosen, columns], parents[chosen, columns]
+        log_l = log_l[chosen, np.arange(log_l.shape[1])]
+        for _ in range(settings.moves):
+            x, log_l = _moved(rng, model, observe, x, parents, log_l, done)
+        # a stage adds something, or there would be no end of them
+        step = np.minimum(np.maximum(tempered(np.zeros(1), log_l, settings.temper, 1 - done), 0.01), 1 - done)
+        done, log_ratio = done + step, step * log_l
+        evidence += float(np.sum(logsumexp(log_ratio) - np.log(n)))
+    return x, parents, _normalised(log_ratio), evidence
+
+
+def _normalised(log_w: Array) -> Array:
+    """`normalise` of (N, C), which of one column is to the last bit that of (N,)."""
+    return normalise(log_w) if log_w.shape[1] > 1 else normalise(log_w[:, 0])[:, None]
+
+
+def _moved(
+    rng: Generator, model: FrameModel, observe: _Observe, x: Array, parents: Array, log_l: Array, power: Array
+) -> tuple[Array, Array]:
+    """x (N, K, D) and log likelihoods (N, C) after a Metropolis move that leaves p(x | parents) L(x)^power as it is.
+
+    The noise of the motion, which is normal, is turned into fresh noise (preconditioned Crank-Nicolson; Cotter et al.,
+    Statistical Science 2013), so that no density of the motion is needed, which may have none.
+    """
+    expected = model.expect(parents)
+    fresh, noise = model.propagate(rng, parents) - expected, x - expected
+    # as far as the particles still reach
+    reach = np.sqrt(
+        np.var(x[..., :2], axis=0).sum(axis=1) / np.maximum(np.var(fresh[..., :2], axis=0).sum(axis=1), 1e-12)
+    )
+    part = np.clip(reach if log_l.shape[1] > 1 else reach.min(keepdims=True), 0.02, 1.0)[:, None]
+    tried = expected + np.sqrt(1 - part**2) * noise + part * fresh
+    new = observe(model, tried, parents)
+    with np.errstate(divide="ignore"):
+        accepted = np.log(rng.random(new.shape)) < power * (new - log_l)
+    return np.where(accepted[..., None], tried, x), np.where(accepted, new, log_l)
+
+
+def _log_parts(model: FrameModel, x: Array, parents: Array) -> Array:
+    """(N, K): log p(y | x) of each part."""
+    return np.maximum(model.log_likelihood(x, parents), LEAST)
+
+
+def _log_whole(model: FrameModel, x: Array, parents: Array) -> Array:
+    """(N, 1): what the filters over the joint state take for the observation."""
+    return _log_observation(model, x, parents)[:, None]
 
 
 def _log_observation(model: FrameModel, x: Array, parents: Array) -> Array:

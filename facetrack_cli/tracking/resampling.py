@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.tracking.kernels.resampling import invert_cdf
+from facetrack_cli.tracking.kernels.resampling import invert_cdf, powers
 
 Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Whole]
 
@@ -39,6 +39,26 @@ def normalise(log_w: Array) -> Array:
 def effective_sample_size(log_w: Array) -> Array:
     """1 / sum(w^2) of normalised log weights along N: from 1 (one particle holds all) to N (all equal)."""
     return np.asarray(1.0 / np.exp(2.0 * log_w).sum(axis=0))
+
+
+def distinct(chosen: Whole, log_w: Array) -> Array:
+    """(K,): effective sample size of particles (N, K) that repeat: `chosen` (N, K) are their origins, log_w (N,).
+
+    What comes from one origin is one sample; of all different origins it is that of the weights.
+    """
+    w = np.exp(log_w)
+    return np.array([1.0 / np.sum(np.bincount(column, weights=w) ** 2) for column in chosen.T])
+
+
+def tempered(base: Array, log_l: Array, share: float, most: Array | None = None) -> Array:
+    """(C,): the powers of likelihoods exp(log_l) (N, C) that keep a `share` of the particles effective.
+
+    `base` (N, C) are the log weights without the likelihood. No power is above `most` (C,), 1 if not given. Adaptive
+    tempering after Del Moral, Doucet & Jasra, "An adaptive sequential Monte Carlo method for approximate Bayesian
+    computation", Statistics and Computing 2012.
+    """
+    most = np.ones(log_l.shape[1]) if most is None else most
+    return np.asarray(powers(np.ascontiguousarray(np.broadcast_to(base, log_l.shape)), log_l, share * len(log_l), most))
 
 
 def uniform(n: int) -> Array:

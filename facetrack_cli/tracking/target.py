@@ -22,7 +22,7 @@ from facetrack_cli.tracking.models.shape_prior import BoundPrior
 from facetrack_cli.tracking.models.spaces import Estimate, PointSpace, Space, VisibleBoxSpace, evenly
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
 from facetrack_cli.tracking.resampling import uniform
-from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, NOISE, POSTERIOR, Diagnostic, Diagnostics
+from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, build
 
 Names: TypeAlias = Sequence[str]
@@ -216,7 +216,7 @@ class ParticleTarget:
         particles, info = self.step(rng, state.particles, bound)
         if state.absent is not None:
             particles = particles._replace(x=self.follow(particles.x, state.absent))
-        estimated = self.space.estimate(particles, best=self.best)
+        estimated = self.space.estimate(particles, info.ess, best=self.best)
         if (judgement := state.judgement) is not None:
             assert self.confidence is not None
             if isinstance(self.space, VisibleBoxSpace):
@@ -270,7 +270,7 @@ class ParticleTarget:
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What is reported of the target beside its rows."""
         parts = (self._reports, self.space, self._predicts)
-        return tuple(one for part in parts if part is not None for one in part.diagnostics)
+        return (*(one for part in parts if part is not None for one in part.diagnostics), EVIDENCE)
 
     def _result(self, state: State, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
         """`otherwise` is the status where nothing judges."""
@@ -280,9 +280,11 @@ class ParticleTarget:
         best = max(posterior.values(), default=None)
         likeliest = [name for name, probability in posterior.items() if probability == best]
         std = np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
-        known: dict[str, Any] = {"time_s": np.full(k, frame.time_s), "diagnostics": self._reported(state, frame)}
+        known: dict[str, Any] = {"time_s": np.full(k, frame.time_s), "diagnostics": self._reported(state, frame, info)}
         known |= {"x": estimated.state[:, 0], "y": estimated.state[:, 1], "w": windows[:, 0], "h": windows[:, 1]}
         known |= {"std_x": std[:, 0], "std_y": std[:, 1], "cov_xy": estimated.cov[:, 0, 1]}
+        if estimated.side_std is not None:
+            known |= {"std_w": estimated.side_std[:1], "std_h": estimated.side_std[1:]}
         known |= {"particles": np.full(k, float(len(state.particles.x))), "ess": info.ess, "status": [otherwise] * k}
         if judged is not None:
             known |= {"status": judged.status, "confidence": judged.confidence}
@@ -292,15 +294,13 @@ class ParticleTarget:
             known |= {"identity": likeliest * k, "identity_prob": [best] * k}
         rows = build([(self.name, part) for part in self.parts], np.arange(k), np.full(k, frame.index), **known)
         if state.absent is not None:
-            known = {name: np.where(state.absent, np.nan, getattr(rows, name)) for name in (*PLACE, "cov_xy")}
+            known = {name: np.where(state.absent, np.nan, getattr(rows, name)) for name in PLACE}
             rows = replace(rows, **known, status=np.where(state.absent, "absent", rows.status))
         insets = () if self._adapts is None else self._adapts.insets(state.learned)
         return TargetResult(rows, state.particles.x[..., :2], insets)
 
-    def _reported(self, state: State, frame: Frame) -> Mapping[str, Diagnostics]:
-        if not self.diagnostics:
-            return {}
-        values = {**state.reported, **self.space.diagnose(state.estimated)}
+    def _reported(self, state: State, frame: Frame, info: Info) -> Mapping[str, Diagnostics]:
+        values = {EVIDENCE.name: info.evidence, **state.reported, **self.space.diagnose(state.estimated)}
         if state.ahead is not None:
             values |= {NOISE.name: state.ahead.noise, ERROR.name: state.ahead.error}
         return {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
@@ -333,6 +333,10 @@ class Bound:
         if predicts is None:
             return self.target.motion.propagate(rng, x)
         return predicts.propagate(rng, x, self.ahead.shift, self.ahead.noise)
+
+    def expect(self, x: Array) -> Array:
+        expected = self.target.motion.expect(x)
+        return expected if self.target._predicts is None else expected + self.ahead.shift
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         return self._of_present(self.target.motion.log_transition(x, parents))

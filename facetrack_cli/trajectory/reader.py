@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
-from facetrack_cli.trajectory.trajectory import COLUMNS, FLOATS, TEXTS, Trajectory, build
+from facetrack_cli.trajectory.trajectory import COLUMNS, FLOATS, SPREAD, TEXTS, Trajectory, build
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION
 
 REQUIRED: Final = ("frame", "target", "part", "x", "y")
 MAX_PIXELS: Final = 1e6  # no image is larger: what is beyond is a slip, or no pixel
 MAX_FRAME: Final = 10**9
 _DIGITS: Final = 18  # of a whole number: more do not fit into 64 bits
+_STDS: Final = tuple(name for name in SPREAD if name.startswith("std"))
 _BLOCK: Final = 1_000  # lines that become columns at a time: few enough to stay in the processor's cache
 
 
@@ -69,9 +70,9 @@ def _build(path: Path, targets: list[str], parts: list[str], columns: dict[str, 
         values = columns[name]
         with np.errstate(invalid="ignore"):
             checks = [(np.isinf(values), "is no finite number")]
-            if name in ("x", "y", "w", "h", "std_x", "std_y"):
+            if name in ("x", "y", "w", "h", *_STDS):
                 checks.append((np.abs(values) > MAX_PIXELS, "is farther out than any image"))
-            if name in ("w", "h", "std_x", "std_y"):
+            if name in ("w", "h", *_STDS):
                 checks.append((values < 0, "is negative"))
             if name == "identity_prob":
                 checks.append(((values < 0) | (values > 1), "is no probability"))

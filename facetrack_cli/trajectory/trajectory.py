@@ -25,17 +25,18 @@ if TYPE_CHECKING:
 
 Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
 SEEN: Final = ("", "visible", "init", "tracked")  # statuses, also of ground truth, of what can be seen
-_OF_POSTERIOR: Final = {"std_x": 3, "std_y": 3, "ess": 1, "identity_prob": 4}
+SPREAD: Final = ("std_x", "std_y", "cov_xy", "std_w", "std_h")
+_OF_POSTERIOR: Final = {**dict.fromkeys(SPREAD, 3), "ess": 1, "identity_prob": 4}
 DECIMALS: Final = {"time_s": 4, **dict.fromkeys("xywh", 3), "angle": 2, "confidence": 4, **_OF_POSTERIOR}
 """The decimals of each column of numbers: the bytes of a file are a function of the values."""
 COLUMNS: Final = (
-    "frame", "time_s", "target", "part", "x", "y", "w", "h", "angle", "confidence", "status", "std_x", "std_y",
+    "frame", "time_s", "target", "part", "x", "y", "w", "h", "angle", "confidence", "status", *SPREAD,
     "particles", "ess", "identity", "identity_prob",
 )  # fmt: skip
 """The columns of the CSV, in their order."""
 FLOATS: Final = (*DECIMALS, "particles")
 TEXTS: Final = ("status", "identity")
-PLACE: Final = ("x", "y", "w", "h", "angle", "confidence", "std_x", "std_y", "ess")
+PLACE: Final = ("x", "y", "w", "h", "angle", "confidence", *SPREAD, "ess")
 """The columns that an absent part has no value in."""
 
 
@@ -45,7 +46,8 @@ class Trajectory:
 
     `names` are the (target, part) pairs, `which` the index of each row's pair, `frame` the 0-based source frame. (x, y)
     is the centre and (w, h) the size in pixels; `angle` in degrees; `confidence` 0..1; `std_x`, `std_y` the posterior's
-    standard deviations and `cov_xy` its covariance, in pixels. `status` is init, tracked, lost or absent in a
+    standard deviations in pixels, `cov_xy` its covariance of x and y in square pixels, `std_w`, `std_h` those of a
+    box's size. `status` is init, tracked, lost or absent in a
     trajectory; visible, hidden or absent in ground truth; "" where nothing is said. `by_hand` marks rows that a
     correction gave, which a CSV does not tell. `corners` (R, 4, 2), clockwise from the top left, are there for rotated
     boxes and polygons. `header` is what a JSON file says of its run, `diagnostics` what a tracker reports of each
@@ -65,12 +67,14 @@ class Trajectory:
     status: Texts
     std_x: Array
     std_y: Array
+    cov_xy: Array
+    std_w: Array
+    std_h: Array
     particles: Array
     ess: Array
     identity: Texts
     identity_prob: Array
     by_hand: Mask
-    cov_xy: Array
     corners: Array | None = None
     header: Mapping[str, Any] = field(default_factory=dict)
     diagnostics: Mapping[str, Diagnostics] = field(default_factory=dict)

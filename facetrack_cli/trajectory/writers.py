@@ -17,7 +17,7 @@ from facetrack_cli import __version__
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostics
-from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, Trajectory, by_frame
+from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, SPREAD, Trajectory, by_frame
 
 SCHEMA = "facetrack-trajectory"
 VERSION = 1
@@ -28,13 +28,17 @@ _Form: TypeAlias = Callable[[list[Any]], list[str]]  # values to texts, "" for w
 
 
 class Footer(NamedTuple):
-    """How a run ended. `complete`: all frames that were asked for are there; `lost_frames` counts by "target/part"."""
+    """How a run ended. `complete`: all frames that were asked for are there; `lost_frames` counts by "target/part".
+
+    `evidence`: log p(Y) of each target's frames after the first, in nats.
+    """
 
     complete: bool = True
     stopped: str | None = None
     warnings: tuple[str, ...] = ()
     lost_frames: Mapping[str, int] = {}
     variable_fps: bool | None = None
+    evidence: Mapping[str, float] = {}
 
 
 class Sink(Protocol):
@@ -78,6 +82,7 @@ class Writer:
             foot |= {"stopped": footer.stopped} if footer.stopped else {}
             foot |= {"frames_tracked": records - 1, "variable_fps": footer.variable_fps}
             foot |= {"lost_frames": dict(footer.lost_frames), "warnings": list(footer.warnings)}
+            foot |= {"evidence": {name: round(nats, 4) for name, nats in footer.evidence.items()}}
             if self._form == "json":
                 return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
             return "" if self._form == "csv" else dumps({"type": "footer", **foot}) + "\n"
@@ -132,7 +137,7 @@ def as_written(rows: Trajectory) -> Trajectory:
 
     columns: dict[str, Any] = {name: rounded(getattr(rows, name), decimals) for name, decimals in DECIMALS.items()}
     diagnostics = {target: reported(found) for target, found in rows.diagnostics.items()}
-    return replace(rows, **columns, cov_xy=np.full(len(rows), np.nan), corners=None, diagnostics=diagnostics)
+    return replace(rows, **columns, corners=None, diagnostics=diagnostics)
 
 
 def _frames(rows: Trajectory, forms: Mapping[str, _Form]) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
@@ -197,7 +202,7 @@ def _quoted(text: str) -> str:
 
 _key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
 _OF_TARGET = ("target", "particles", "identity", "identity_prob")
-_OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", "std_x", "std_y", "ess")
+_OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", *SPREAD, "ess")
 _SPECS = {"frame": "d", "particles": ".0f", **{name: f".{decimals}f" for name, decimals in DECIMALS.items()}}
 _CSV = {name: _numbers(_SPECS[name]) if name in _SPECS else _texts(_quoted) for name in COLUMNS}
 _JSON = {

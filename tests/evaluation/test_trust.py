@@ -149,5 +149,15 @@ def test_the_ellipses_hold_what_they_are_named_for():
     assert np.mean(squared <= ELLIPSE_90) == pytest.approx(0.9, abs=0.006)
 
 
+def test_the_ellipses_lie_along_the_covariance():
+    rng = np.random.default_rng(0)
+    cov = np.array([[4.0, 2.5], [2.5, 2.0]])
+    offset = rng.multivariate_normal(np.zeros(2), cov, 40_000)
+    std = np.broadcast_to(np.sqrt(np.diag(cov)), offset.shape)
+    squared = mahalanobis_squared(offset, std, np.full(len(offset), 2.5))
+    np.testing.assert_allclose(squared, np.einsum("ni,ij,nj->n", offset, np.linalg.inv(cov), offset), rtol=1e-9)
+    assert np.mean(squared <= ELLIPSE_90) == pytest.approx(0.9, abs=0.006)
+
+
 def test_a_tiny_spread_is_infinitely_far_and_no_warning():
     assert mahalanobis_squared(np.array([[1.0, 0.0]]), np.array([[1e-320, 1.0]])).tolist() == [math.inf]

@@ -20,8 +20,8 @@ PIXELS = UNKNOWN | st.floats(-1e6, 1e6)
 LENGTHS = UNKNOWN | st.floats(0, 1e6)
 SHARES = UNKNOWN | st.floats(0, 1)
 VALUES: Mapping[str, st.SearchStrategy[Any]] = {
-    **dict.fromkeys(("x", "y", "angle", "confidence", "ess"), PIXELS),
-    **dict.fromkeys(("w", "h", "std_x", "std_y"), LENGTHS),
+    **dict.fromkeys(("x", "y", "angle", "confidence", "ess", "cov_xy"), PIXELS),
+    **dict.fromkeys(("w", "h", "std_x", "std_y", "std_w", "std_h"), LENGTHS),
     "status": st.sampled_from(["init", "tracked", "lost", "absent", "visible", ""]),
     "by_hand": st.booleans(),
 }

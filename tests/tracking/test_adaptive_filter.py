@@ -106,13 +106,13 @@ def test_it_converges_to_the_exact_posterior(noise):
     off = []
     for number in (500, 8000, 128_000):
         runs = [stepped(model, number, seed, adapt=False) for seed in range(6)]
-        found = np.array([estimate(particles).state for particles, _ in runs])
+        found = np.array([estimate(particles, info.ess).state for particles, info in runs])
         off.append(float(np.sqrt(np.mean(((found - mean) / spread) ** 2))))
     assert off[2] < 0.02, off
     # a sixteenth of the variance each time, so a quarter of the error
     assert off[0] > 2.5 * off[1] > 6 * off[2], off
     x, log_w = runs[0][0]
-    cov = estimate(runs[0][0]).cov[0]
+    cov = estimate(runs[0][0], runs[0][1].ess).cov[0]
     np.testing.assert_allclose(np.sqrt(np.diag(cov)), spread[:2], rtol=0.03)
     assert np.exp(log_w).sum() == pytest.approx(1)
     assert runs[0][1].ess == pytest.approx(1 / np.sum(np.exp(log_w) ** 2)) and len(x) == 128_000
@@ -121,7 +121,7 @@ def test_it_converges_to_the_exact_posterior(noise):
 def test_the_best_particle_is_the_one_at_the_peak():
     y = STATE + SHIFT
     particles, _ = stepped(Gaussian(y, 0.2 * SPREAD, ahead()), 20_000, adapt=False)
-    best = estimate(particles, best=True).state
+    best = estimate(particles, np.ones(1), best=True).state
     nearest = np.argmin((((particles.x - y) / SPREAD) ** 2).sum(axis=(1, 2)))
     np.testing.assert_array_equal(best, particles.x[nearest])
 

@@ -31,6 +31,9 @@ class LinearGaussian:
     def propagate(self, rng, x):
         return RandomWalk(np.full(K, Q)).propagate(rng, x)
 
+    def expect(self, x):
+        return x
+
     def log_transition(self, x, parents):
         return RandomWalk(np.full(K, Q)).log_transition(x, parents)
 

@@ -22,7 +22,10 @@ from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, as_writte
 from tests.support import results, trajectories
 from tests.support.results import file_rows, part, rows_of, target
 
-HEADER = "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,particles,ess,identity,identity_prob"
+HEADER = (
+    "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,cov_xy,std_w,std_h,particles,ess,"
+    "identity,identity_prob"
+)
 
 
 def result(index: int = 7, x: float = 1.25, *, status: str = "tracked", cov: float = 4.0) -> FrameResult:
@@ -81,7 +84,7 @@ def corrected() -> FrameResult:
 def test_columns_are_the_schema() -> None:
     assert ",".join(COLUMNS) == HEADER
     fields = [name for name in COLUMNS if name not in ("target", "part")]
-    own = ["names", "which", *fields, "by_hand", "cov_xy", "corners", "header", "diagnostics", "path"]
+    own = ["names", "which", *fields, "by_hand", "corners", "header", "diagnostics", "path"]
     assert sorted(Trajectory.__dataclass_fields__) == sorted(own)
 
 
@@ -94,8 +97,8 @@ def test_a_row_for_each_part_also_when_lost() -> None:
 
 def test_csv_has_fixed_decimals() -> None:
     first, second = lines(result().rows).splitlines()
-    assert first == "7,0.2800,face,nose,1.250,-2.000,25.000,13.000,,0.5000,tracked,2.000,3.000,100,61.2,,"
-    assert second == "7,0.2800,face,lip,3.000,4.000,13.000,13.000,-7.50,0.0000,lost,0.000,0.000,100,1.0,,"
+    assert first == "7,0.2800,face,nose,1.250,-2.000,25.000,13.000,,0.5000,tracked,2.000,3.000,0.000,,,100,61.2,,"
+    assert second == "7,0.2800,face,lip,3.000,4.000,13.000,13.000,-7.50,0.0000,lost,0.000,0.000,0.000,,,100,1.0,,"
 
 
 def test_an_absent_part_has_a_row_without_a_place() -> None:
@@ -103,8 +106,8 @@ def test_an_absent_part_has_a_row_without_a_place() -> None:
     assert (lip.x, lip.y, lip.w, lip.h, lip.status, lip.by_hand) == (None, None, None, None, "absent", True)
     assert (hand.particles, hand.by_hand) == (None, False)
     written = lines(corrected().rows).splitlines()
-    assert written[1] == "7,0.2800,face,lip,,,,,,,absent,,,100,,,"
-    assert written[3] == "7,0.2800,hand,lip,,,,,,,absent,,,,,,"
+    assert written[1] == "7,0.2800,face,lip,,,,,,,absent,,,,,,100,,,"
+    assert written[3] == "7,0.2800,hand,lip,,,,,,,absent,,,,,,,,,"
 
 
 @pytest.mark.parametrize("form", ["json", "jsonl"])
@@ -213,7 +216,7 @@ def test_json_is_one_object_with_a_line_a_frame(tmp_path: Path) -> None:
     assert target["target"] == "face"
     assert target["parts"][0] == {
         "part": "nose", "x": 1.25, "y": -2.0, "w": 25.0, "h": 13.0, "confidence": 0.5, "status": "tracked",
-        "std_x": 2.0, "std_y": 3.0, "ess": 61.2,
+        "std_x": 2.0, "std_y": 3.0, "cov_xy": 0.0, "ess": 61.2,
     }  # fmt: skip
 
 

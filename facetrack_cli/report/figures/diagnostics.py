@@ -11,13 +11,14 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures.lines import Line, Panel, Pen
 from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, Axes, clean, limit
-from facetrack_cli.trajectory.diagnostics import AFFINE, POSTERIOR, SURE, Diagnostic, Diagnostics
+from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SURE, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 NAMED = 5  # people with a colour and a name, of more the most likely
 MOST = 6  # targets with a panel each for who they are
-_ELSEWHERE = (POSTERIOR.name, AFFINE.name)  # drawn in the panel of identities, and in the positions of the page
+# drawn in the panel of identities and in the positions of the page; evidence says little but as a sum
+_ELSEWHERE = (POSTERIOR.name, AFFINE.name, EVIDENCE.name)
 # title, note and height in inches of diagnostics that do not have those of their declaration
 _LOOK: Final[Mapping[str, tuple[str, str, float]]] = {
     "scale": ("scale", "1 at the start", 0.85),

@@ -30,7 +30,7 @@ from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
 from facetrack_cli.tracking.start.detectors import Detector
 from facetrack_cli.tracking.target import Names, ParticleTarget, State
-from facetrack_cli.trajectory.diagnostics import ROLL, SCALE, Diagnostics
+from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, joined
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
@@ -219,7 +219,7 @@ class FaceTarget:
 
     @property
     def diagnostics(self) -> tuple[Any, ...]:
-        return SCALE, ROLL
+        return SCALE, ROLL, EVIDENCE
 
     def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
         """Rows of the points, as last seen in the still face, and of the box."""
@@ -246,6 +246,9 @@ class FaceTarget:
         # of a target one number: both filters' together
         faces = replace(faces, particles=np.full(len(faces), float(np.max(rows.particles) + box.rows.particles[0])))
         values = {SCALE.name: scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
+        # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
+        seen = [one for one in (box.rows, state.points.rows) if one.frame[0] == frame.index]
+        values[EVIDENCE.name] = sum(float(one.diagnostics[self.name].get(EVIDENCE.name)[0]) for one in seen)
         found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
         cloud = similarity.to_frame(state.points.cloud - registration.bias[0])
         return TargetResult(replace(faces, diagnostics=found), cloud, (), box.notes)
@@ -253,7 +256,8 @@ class FaceTarget:
     def _face(self, rows: Trajectory, face: Similarity) -> Trajectory:
         """The row of the head's box, where the face is in it, as large as that, and turned by its roll."""
         roll, grown = face.angle, face.scale * FACE / np.sqrt(rows.w * rows.h)
-        rows = replace(rows, x=face.centre[:1], y=face.centre[1:], w=rows.w * grown, h=rows.h * grown)
+        sizes = {name: getattr(rows, name) * grown for name in ("w", "h", "std_w", "std_h")}
+        rows = replace(rows, x=face.centre[:1], y=face.centre[1:], **sizes)
         way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
         # the border runs through the middle of the outermost pixels
         found = corners(way, np.column_stack([rows.x, rows.y]), np.column_stack([rows.w - 1, rows.h - 1]))

@@ -14,7 +14,7 @@ from facetrack_cli.core.types import Array, Box, Frame, Particles, Start, factor
 from facetrack_cli.recipe import affine, correlation_filter, points, regions, skin
 from facetrack_cli.recipe.model import ParticleFilter, Recipe
 from facetrack_cli.tracking.kernels.affine import boxes_extent, read_patches
-from facetrack_cli.tracking.resampling import normalise
+from facetrack_cli.tracking.resampling import effective_sample_size, normalise
 from facetrack_cli.tracking.start.checks import box_of, check_size, size_of_box
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostic
 
@@ -23,10 +23,14 @@ MOST_FACTOR = 256  # a face of 13 times 256 pixels or more is read with gaps
 
 
 class Estimate(NamedTuple):
-    """Point estimate of the state (K, D), and covariance (K, 2, 2) of the parts' centres, in pixels."""
+    """Point estimate of the state (K, D), and covariance (K, 2, 2) of the parts' centres, in pixels.
+
+    `side_std` (2,): standard deviations in pixels of the width and height of a box; None of what has no size to follow.
+    """
 
     state: Array
     cov: Array
+    side_std: Array | None = None
 
 
 class Outline(NamedTuple):
@@ -50,8 +54,9 @@ class Space(Protocol):
 
     def windows(self, estimated: Estimate) -> Array: ...
 
-    def estimate(self, particles: Particles, *, best: bool) -> Estimate:
-        return estimate(particles, best=best)
+    def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
+        """Of particles whose effective sample sizes are `ess` (K,)."""
+        return estimate(particles, ess, best=best)
 
     def outline(self, estimated: Estimate) -> Outline | None:
         return None
@@ -79,6 +84,10 @@ class BoxSpace(Space):
     def windows(self, estimated: Estimate) -> Array:
         return np.asarray(estimated.state[:, 2:3] * np.array(self.size))
 
+    def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
+        scale = particles.x[:, 0, 2:3]
+        return estimate(particles, ess, best=best, sides=scale * np.array(self.size))
+
     def at(self, box: Box) -> Array:
         """Its scale is that of the area: the shape stays the start's."""
         scale = math.sqrt(box[2] * box[3] / (self.size[0] * self.size[1]))
@@ -94,13 +103,13 @@ class VisibleBoxSpace(BoxSpace):
         state[0, VISIBLE] = 1.0
         return state
 
-    def estimate(self, particles: Particles, *, best: bool) -> Estimate:
+    def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
         """The mean given that the target is visible, or, if it rather is hidden, given that; and P(visible)."""
         shown = particles.x[:, 0, VISIBLE]
         visible = float(np.sum(np.exp(particles.log_w) * shown))
         with np.errstate(divide="ignore"):
             log_w = normalise(particles.log_w + np.log(shown if visible >= 0.5 else 1 - shown))
-        found = estimate(Particles(particles.x, log_w), best=best)
+        found = super().estimate(Particles(particles.x, log_w), effective_sample_size(log_w)[None], best=best)
         found.state[0, VISIBLE] = visible
         return found
 
@@ -114,6 +123,10 @@ class VisibleBoxSpace(BoxSpace):
 @dataclass(frozen=True)
 class CloudSpace(Space):
     """Each particle is a pixel (Gianni et al. 2007): state (1, 2) = (x, y); its box has four deviations a side."""
+
+    def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
+        """The covariance is that of the pixels themselves, which are the target and not what is known of its place."""
+        return estimate(particles, np.full_like(ess, np.inf), best=best)
 
     def windows(self, estimated: Estimate) -> Array:
         return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
@@ -137,6 +150,11 @@ class AffineSpace(Space):
         _, _, a1, a2, a3, a4 = estimated.state[0].tolist()
         return np.array([[math.hypot(a1, a3) * self.size[0], math.hypot(a2, a4) * self.size[1]]])
 
+    def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
+        columns = particles.x[:, 0, 2:].reshape(-1, 2, 2)
+        sides = np.sqrt(np.square(columns).sum(axis=1)) * np.array(self.size)
+        return estimate(particles, ess, best=best, sides=sides)
+
     def at(self, box: Box) -> Array:
         """Upright, and as wide and as high as the box."""
         return np.array([[*centre(box), box[2] / self.size[0], 0.0, 0.0, box[3] / self.size[1]]])
@@ -154,13 +172,20 @@ class AffineSpace(Space):
         return Outline(angle, np.array([(cx + i * a1 + j * a2, cy + i * a3 + j * a4) for i, j in ways]))
 
 
-def estimate(particles: Particles, *, best: bool = False) -> Estimate:
-    """Weighted mean of x (N, K, D), or the first `best` particle; covariance of x and y about the mean."""
+def estimate(particles: Particles, ess: Array, *, best: bool = False, sides: Array | None = None) -> Estimate:
+    """Weighted mean of x (N, K, D), or the first `best` particle; covariance of the true x and y about the mean.
+
+    Weighted squares about the mean of n equal samples fall short of the variance by a factor 1 - 1 / n, and the mean is
+    off by the variance over n. So they are multiplied by (n + 1) / (n - 1), n the effective sample size `ess` (K,),
+    which is nothing where many particles count. `sides` (N, 2): width and height of each particle's box.
+    """
     w = np.exp(particles.log_w)
+    more = (1 + 1 / ess) / np.maximum(1 - 1 / ess, 1e-12)
     mean = np.einsum("n,nkd->kd", w, particles.x)
     centred = particles.x[..., :2] - mean[:, :2]
-    cov = np.einsum("n,nkd,nke->kde", w, centred, centred)
-    return Estimate(particles.x[int(np.argmax(particles.log_w))] if best else mean, cov)
+    cov = np.einsum("n,nkd,nke->kde", w, centred, centred) * more[:, None, None]
+    side_std = None if sides is None else np.sqrt(w @ np.square(sides - w @ sides) * more[0])
+    return Estimate(particles.x[int(np.argmax(particles.log_w))] if best else mean, cov, side_std)
 
 
 def evenly(x0: Array, windows: Array | None) -> Estimate:
