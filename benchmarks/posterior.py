@@ -85,9 +85,7 @@ def run(clip: Path, config: str, seed: int) -> Array:
         float(np.nanmedian(track.ess)),
         None if trusted is None else trusted.ece,
         float(np.nanmean([jitter(pair) for pair in pairs])),
-        float(np.nanmean(np.concatenate(evidence)))
-        if evidence and np.isfinite(np.concatenate(evidence)).any()
-        else None,
+        float(np.nanmean(evidence)) if np.isfinite(evidence).any() else None,
     )
     return np.array([np.nan if value is None else value for value in values])
 

@@ -157,8 +157,12 @@ class Appearance(PatchLikelihood):
     """Beyond the paper: share of a fourth component, uniform, for pixels that are covered; null: none."""
     pixels: Annotated[float, Field(gt=0, le=16384)] | None = None
     """Beyond the paper: how many pixels of the patch count as independent; null: all."""
+    independent: Literal["all", "estimated"] = "all"
+    """Beyond the paper: how many pixels count as independent is estimated from their autocorrelation, or all do."""
 
     def mistakes(self) -> Iterable[Refusal]:
+        if self.pixels is not None and self.independent != "all":
+            yield Refusal(("independent",), "pixels says how many are independent; leave it out, or independent")
         if sum(self.mixing.each) <= 0:
             yield Refusal(("mixing",), "likelihood.mixing is all 0; give w, s or f a share")
         for name, share, sigma in zip("wsf", self.mixing.each, self.sigma.each, strict=True):

@@ -110,6 +110,8 @@ class Contour(Component):
     """K, the least likelihood of a normal: where no edge is found, or one too far off."""
     max_size: Annotated[int, Field(ge=16)] | None = 64
     """Boxes with a longer side, in pixels, are read from a reduced frame; null: every pixel."""
+    independent: Literal["all", "estimated"] = "all"
+    """Beyond the paper: how many normals count as independent is estimated from their autocorrelation, or all do."""
 
     def mistakes(self) -> Iterable[Refusal]:
         most = MOST_SEARCH_PX if self.search.px else MOST_SEARCH
@@ -154,8 +156,12 @@ class Correlation(Component):
     """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2) for l2, 1 / sigma_c for the others."""
     saturation: Annotated[float, Field(gt=0, le=255)] | None = None
     """Where saturated_l1 stops to grow, in grey levels."""
+    independent: Literal["all", "estimated"] = "all"
+    """Beyond the paper: how many points count as independent is estimated from their autocorrelation, or all do."""
 
     def mistakes(self) -> Iterable[Refusal]:
+        if self.distance == "hausdorff" and self.independent != "all":
+            yield Refusal(("independent",), "hausdorff is no sum over points alone; leave independent out")
         if self.distance == "saturated_l1" and self.saturation is None:
             yield Refusal(("distance",), "distance: saturated_l1 needs saturation; add one, as in saturation: 20")
         if self.distance != "saturated_l1" and self.saturation is not None:

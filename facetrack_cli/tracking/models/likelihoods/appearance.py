@@ -20,13 +20,14 @@ printed m_s sigma_s^2 + F^2 does not. Beyond the paper:
   authors' earlier tracker.
 - `outlier` is the weight of a fourth component, the L of Jepson et al. (the paper's [3]), uniform over `OUTLIER_RANGE`;
   the other three share the rest.
-- `pixels`: neighbours in a patch are not independent. log p_a is multiplied by `pixels` / d.
+- `pixels`: neighbours in a patch are not independent. log p_a is multiplied by `pixels` / d; with `independent:
+  estimated` by the share that is estimated from frame to frame (independent.py).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,6 +37,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.recipe import affine
 from facetrack_cli.tracking.kernels import mixture as kernel
+from facetrack_cli.tracking.models.likelihoods.independent import averaged, effective_share
 from facetrack_cli.tracking.models.spaces import Context, Patches, patches_of
 
 OUTLIER_RANGE = 6.0  # a normalised patch lies within 3 standard deviations of its mean, but for a few points
@@ -46,7 +48,8 @@ _NEVER = -1e30
 class Mixture:
     """a_t: weights `m`, centres `mu`, standard deviations `sigma`, (3, d) float32 each, in the order w, s, f.
 
-    `moments` (2, d) are M_1 and M_2 of S; `state` (1, 6) the estimate at which the model last learned.
+    `moments` (2, d) are M_1 and M_2 of S; `state` (1, 6) the estimate at which the model last learned. `share`: how
+    much of the pixels counts as independent, averaged over `frames`.
     """
 
     m: NDArray[np.float32]
@@ -56,6 +59,15 @@ class Mixture:
     state: Array
     laplace: bool = False
     outlier: float = 0.0
+    share: float = 1.0
+    frames: int = 0
+
+    def log_terms(self, y: NDArray[np.float32]) -> Array:
+        """(d,): log of the mixture in each pixel of one patch y (d,), the terms of the sum in eq. 6."""
+        rate, log = self.terms
+        off = np.abs(y - self.mu)
+        each = np.logaddexp2.reduce(log - rate * (off if self.laplace else off * off), axis=0).astype(np.float64)
+        return np.asarray(np.logaddexp(each * math.log(2.0), math.log(max(self.outlier / OUTLIER_RANGE, 1e-300))))
 
     @cached_property
     def terms(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -98,7 +110,12 @@ class Appearance:
         first = face.astype(np.float64)
         moments = m[1].astype(np.float64) * np.stack([first, sigmas[1] ** 2 + np.square(first)])
         centres = np.repeat(face[None], 3, axis=0)
-        return Mixture(m, centres, sigma, moments, x0, settings.density == "laplace", settings.outlier or 0.0)
+        begun = Mixture(m, centres, sigma, moments, x0, settings.density == "laplace", settings.outlier or 0.0)
+        if settings.independent == "all":
+            return begun
+        # a pixel off, which is what a tracker is at best
+        shifted = self.patches.read(frame, (x0 + np.eye(1, 6) + np.eye(1, 6, 1))[None], self.patches.factor(x0))[0]
+        return replace(begun, share=effective_share(begun.log_terms(shifted).reshape(self.patches.shape)))
 
     def score(self, learned: Mixture, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a of x (N, 1, 6) -> (N, 1), eq. 6; parents do not matter."""
@@ -107,7 +124,7 @@ class Appearance:
         rate, log = learned.terms
         log_p = np.asarray(kernel.log_densities(y, learned.mu, rate, log, uniform, learned.laplace))[:, None]
         pixels = self.settings.pixels
-        return log_p if pixels is None else log_p * (pixels / y.shape[1])
+        return log_p * learned.share if pixels is None else log_p * (pixels / y.shape[1])
 
     def learn(self, learned: Mixture, frame: Frame, state: Array, particles: Particles | None = None) -> Mixture:
         """The model after the patch at the estimate `state` (1, 6), eq. 7-11; particles do not matter."""
@@ -118,7 +135,11 @@ class Appearance:
         old, outside = (learned.m, learned.mu, learned.sigma, learned.moments), learned.outlier / OUTLIER_RANGE
         rates = settings.alpha, settings.least_sigma, settings.least_mixing
         m, mu, sigma, moments = kernel.update(y, *old, rate, log, outside, learned.laplace, *rates)
-        return Mixture(m, mu, sigma, moments, np.array(state), learned.laplace, learned.outlier)
+        after = replace(learned, m=m, mu=mu, sigma=sigma, moments=moments, state=np.array(state))
+        if settings.independent == "all":
+            return after
+        share = effective_share(learned.log_terms(y).reshape(self.patches.shape))
+        return replace(after, share=averaged(learned.share, learned.frames + 1, share), frames=learned.frames + 1)
 
     def error(self, learned: Mixture, patches: NDArray[np.float32]) -> Array:
         """eps_t of section 3.1.2 for patches (N, d) -> (N,): phi = 1/d sum_pixels sum_i m_i ((y - mu_i) / sigma_i)^2.

@@ -15,7 +15,7 @@ For the rest, the paper refers to Blake & Isard, *Active Contours*, 1998. Chosen
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -23,6 +23,7 @@ import numpy as np
 from facetrack_cli.core.types import Array, Frame, Particles, factor_for
 from facetrack_cli.recipe import regions
 from facetrack_cli.tracking.kernels import contour
+from facetrack_cli.tracking.models.likelihoods.independent import averaged, effective_share
 from facetrack_cli.tracking.models.spaces import Context
 
 _FAR = 1e9  # pixels; no frame is as large
@@ -30,11 +31,16 @@ _FAR = 1e9  # pixels; no frame is as large
 
 @dataclass(frozen=True)
 class Outline:
-    """The ellipse at scale 1: `points` (L, 2) from its centre, in pixels, and its outward unit `normals` (L, 2)."""
+    """The ellipse at scale 1: `points` (L, 2) from its centre, in pixels, and its outward unit `normals` (L, 2).
+
+    `share`: how much of the normals counts as independent, averaged over `frames`.
+    """
 
     factor: int
     points: Array
     normals: Array
+    share: float = 1.0
+    frames: int = 0
 
 
 @dataclass(frozen=True)
@@ -52,24 +58,32 @@ class Contour:
         return cls(settings, context.placed.size, settings.sigma.pixels(unit), settings.search.pixels(unit))
 
     def init(self, frame: Frame, x0: Array) -> Outline:
-        """The ellipse; nothing is learned from the first frame or from x0 (1, 6)."""
-        return Outline(factor_for(max(self.size), self.settings.max_size), *ellipse(self.size, self.settings.normals))
+        """The ellipse; of the first frame and x0 (1, 6) nothing is learned but how independent the normals are."""
+        begun = Outline(factor_for(max(self.size), self.settings.max_size), *ellipse(self.size, self.settings.normals))
+        return self.learn(begun, frame, x0)
 
     def score(self, learned: Outline, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_o of x (N, 1, 6) -> (N, 1), from L log K to 0; parents do not matter."""
-        least = math.log(self.settings.outlier)
-        # what lies farther off counts K, found or not
-        reach = min(self.search, self.sigma * math.sqrt(-2.0 * least))
-        d = self._nearest(learned, frame, x, reach)
-        return np.asarray(np.maximum(-0.5 * (d / self.sigma) ** 2, least).sum(axis=1, keepdims=True))
+        return np.asarray(self._terms(learned, frame, x).sum(axis=1, keepdims=True) * learned.share)
 
     def distances(self, learned: Outline, frame: Frame, x: Array) -> Array:
         """1 - mean over l of exp(-d_l^2 / (2 sigma^2)) of x (N, 1, 6) -> (N, 1), 0 to 1 (no edges)."""
         d = self._nearest(learned, frame, x, self.search)
         return np.asarray(1.0 - np.exp(-0.5 * (d / self.sigma) ** 2).mean(axis=1, keepdims=True))
 
-    def learn(self, learned: Outline, frame: Frame, state: Array, particles: Particles) -> Outline:
-        return learned
+    def learn(self, learned: Outline, frame: Frame, state: Array, particles: Particles | None = None) -> Outline:
+        """How independent the normals are, if that is estimated."""
+        if self.settings.independent == "all":
+            return learned
+        share = effective_share(self._terms(learned, frame, state[None])[0], ring=True)
+        return replace(learned, share=averaged(learned.share, learned.frames, share), frames=learned.frames + 1)
+
+    def _terms(self, learned: Outline, frame: Frame, x: Array) -> Array:
+        """(N, L): log of the factor of each normal in eq. 11."""
+        least = math.log(self.settings.outlier)
+        # what lies farther off counts K, found or not
+        reach = min(self.search, self.sigma * math.sqrt(-2.0 * least))
+        return np.maximum(-0.5 * (self._nearest(learned, frame, x, reach) / self.sigma) ** 2, least)
 
     def _nearest(self, learned: Outline, frame: Frame, x: Array, reach: float) -> Array:
         """How far the nearest edge lies on each normal, (N, L), in pixels; inf without one within `reach`."""

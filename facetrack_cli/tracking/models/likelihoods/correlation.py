@@ -28,12 +28,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.recipe import regions
 from facetrack_cli.tracking.kernels import patches
 from facetrack_cli.tracking.kernels.affine import boxes_extent
+from facetrack_cli.tracking.models.likelihoods.independent import averaged, effective_share
 from facetrack_cli.tracking.models.spaces import Context
 
 # grey levels: a region that is followed well has 6 to 20 (RMS); much more would push regions back into the frame
@@ -42,10 +44,16 @@ OUTSIDE = 32.0
 
 @dataclass(frozen=True)
 class Previous:
-    """The frame that parents lie in; `factor`: by what frames are reduced."""
+    """The frame that parents lie in; `factor`: by what frames are reduced.
+
+    `state` (1, 6) is the estimate there, `share` how much of the points counts as independent, averaged over `frames`.
+    """
 
     frame: Frame
     factor: int
+    state: Array
+    share: float = 1.0
+    frames: int = 0
 
 
 @dataclass(frozen=True)
@@ -61,16 +69,18 @@ class Correlation:
         return cls(settings, (w * settings.region, h * settings.region))
 
     def init(self, frame: Frame, x0: Array) -> Previous:
-        """What the first frame after this one is compared with; x0 (1, 6) does not matter."""
+        """What the first frame after this one is compared with."""
         columns, rows = self.settings.grid
         step = min(self.size[0] / columns, self.size[1] / rows)
-        return Previous(frame, 2 ** math.floor(math.log2(max(step, 1.0))))
+        begun = Previous(frame, 2 ** math.floor(math.log2(max(step, 1.0))), x0)
+        # half a step off, as a region that is followed well may be
+        return self.learn(begun, frame, x0 + 0.5 * step * (np.eye(1, 6) + np.eye(1, 6, 1)))
 
     def score(self, learned: Previous, frame: Frame, x: Array, parents: Array) -> Array:
         """log p_c of x (N, 1, 6) in `frame` given its parents (N, 1, 6) in the frame before -> (N, 1), at most 0."""
         sigma = self.settings.sigma
         rate = 0.5 / sigma**2 if self.settings.distance == "l2" else 1.0 / sigma
-        return -rate * self.differences(learned, frame, x, parents)
+        return -rate * learned.share * self.differences(learned, frame, x, parents)
 
     def differences(self, learned: Previous, frame: Frame, x: Array, parents: Array) -> Array:
         """d_c of eq. 13 -> (N, 1): grey levels, or their squares for `l2`, summed over the grid."""
@@ -87,9 +97,24 @@ class Correlation:
         patches.patch_distances(*images, *boxes, *self.settings.grid, *kind, out[:, 0])
         return out
 
-    def learn(self, learned: Previous, frame: Frame, state: Array, particles: Particles) -> Previous:
-        """`frame`, in which the parents of the next frame's particles lie."""
-        return replace(learned, frame=frame)
+    def learn(self, learned: Previous, frame: Frame, state: Array, particles: Particles | None = None) -> Previous:
+        """`frame`, in which the parents of the next frame's particles lie, and how independent the points are."""
+        if self.settings.independent == "all":
+            return replace(learned, frame=frame)
+        off = self._read(frame, learned.factor, state) - self._read(learned.frame, learned.factor, learned.state)
+        terms = off**2 if self.settings.saturation is None else np.minimum(np.abs(off), self.settings.saturation)
+        share = averaged(learned.share, learned.frames, effective_share(terms))
+        return replace(learned, frame=frame, state=state, share=share, frames=learned.frames + 1)
+
+    def _read(self, frame: Frame, factor: int, state: Array) -> Array:
+        """(rows, columns): grey values of the grid at a state (1, 6); those beyond the frame are its border's."""
+        image, (left, top, _, _) = self._image(frame, factor, np.ascontiguousarray(state[:, :3]))
+        at = []
+        for place, side, count, first in zip(state[0, :2], self.size, self.settings.grid, (left, top), strict=True):
+            cells = place + state[0, 2] * side * ((np.arange(count) + 0.5) / count - 0.5)
+            at.append(((cells - first - 0.5 * (factor - 1)) / factor).astype(np.float32))
+        x, y = np.meshgrid(*at)
+        return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float64)
 
     def _image(self, frame: Frame, factor: int, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:
         """The grey image around the boxes (N, 3), reduced, and its view: (left, top, whole width, whole height)."""
