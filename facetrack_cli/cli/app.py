@@ -23,6 +23,7 @@ COMMANDS = {
     "eval": "Measure a trajectory against ground truth.",
     "compare": "Run and rank several recipes on a clip with ground truth.",
     "repeat": "Show how far a recipe's runs differ from seed to seed.",
+    "calibrate": "Learn from ground truth how sure a recipe's rows are.",
     "regress": "Check clips against their golden results, for CI.",
     "plot": "Draw what happened in a trajectory.",
     "report": "Write one HTML page about a run.",

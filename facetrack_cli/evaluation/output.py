@@ -88,7 +88,7 @@ _TABLES: Final = {
     "lost": ("LOST", "status against the ground truth; covered: hidden or absent; gone: covered or not near"),
     "confidence": (
         "CONFIDENCE",
-        "how well it tells near rows from others (AUROC: 0.5 not at all, 1 always); it is no probability",
+        "how well it tells near rows from others (AUROC: 0.5 not at all, 1 always), and right ones by its value",
     ),
     "coverage": ("SPREAD", "std_x, std_y against the error of visible rows"),
 }
@@ -159,6 +159,8 @@ def _head(found: Evaluation, about: About) -> Iterator[Text]:
         yield _line(f"a point is near if its error is less than 1/6 of the length; {failed}")
     if found.all.boxes:
         yield _line(f"a box is near if its IoU with the ground truth is more than {NEAR_IOU:g}")
+    if found.all.confidence:
+        yield _line("a row is right if its centre is off by less than 1/4 of the length, of a box 1/4 of its size")
 
 
 def _measured(group: str, rows: Sequence[Measured], name: Callable[[str, str], str]) -> Table:
@@ -199,7 +201,7 @@ def _occlusions(found: Evaluation, name: Callable[[str, str], str]) -> Iterator[
 def _calibration(bins: Sequence[CalibrationBin]) -> Table:
     table = _grid(["confidence", *(f"{one.low:.1f}-{one.high:.1f}" for one in bins)])
     table.add_row("rows", *(f"{one.rows:,}" for one in bins))
-    for title, name in (("near, %", "near"), ("visible, %", "visible")):
+    for title, name in (("right, %", "right"), ("visible, %", "visible")):
         shares = [getattr(one, name) for one in bins]
         table.add_row(title, *(DASH if one is None else PERCENT(one) for one in shares))
     return table

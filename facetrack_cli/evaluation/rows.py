@@ -17,6 +17,7 @@ from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 NEAR = 1 / 6  # of the normalising length: a point is near if its error is less
+RIGHT = 1 / 4  # of the size: a row is right, as calibration has it, if the error of its centre is less
 NEAR_IOU = 0.5  # a box is near if its overlap with the ground truth (intersection over union) is more
 
 
@@ -28,9 +29,10 @@ class Rows:
 
     `offset` is ours minus the ground truth in pixels, nan where either has no position; `unit` the length in pixels by
     which errors are normalised, nan where it is unknown. Each row is one of visible, hidden, absent; `placed` are the
-    visible and hidden ones whose true position is known. `near` is defined where `judged`; an absent row is judged, and
-    not near. `lost` is defined where `stated`: the status is tracked or lost. `init` are the rows that the tracker was
-    given, `later` those of them after the first, by corrections; `left_out` rows that a correction calls absent.
+    visible and hidden ones whose true position is known. `near` and `right` are defined where `judged`; an absent row
+    is judged, and neither. A box is right by its centre, in sizes of the true one, sqrt(width * height). `lost` is
+    defined where `stated`: the status is tracked or lost. `init` are the rows that the tracker was given, `later` those
+    of them after the first, by corrections; `left_out` rows that a correction calls absent.
     """
 
     target: str
@@ -43,6 +45,7 @@ class Rows:
     absent: Mask
     placed: Mask
     near: Mask
+    right: Mask
     judged: Mask
     stated: Mask
     lost: Mask
@@ -82,11 +85,13 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
     ours, truth = pair.ours, pair.truth
     hidden, absent = truth.status == "hidden", truth.status == "absent"
     offset = np.stack([ours.x - truth.x, ours.y - truth.y], axis=1)
+    error = np.hypot(offset[:, 0], offset[:, 1])
     placed = ~absent & np.isfinite(truth.x) & np.isfinite(truth.y)
     if pair.is_box:  # which is near without a unit too
         near, known = iou(ours.boxes, truth.boxes) > NEAR_IOU, np.isfinite(truth.boxes).all(axis=1)
+        size = np.sqrt(np.maximum(truth.w * truth.h, 0))
     else:
-        near, known = np.hypot(offset[:, 0], offset[:, 1]) < NEAR * unit, np.isfinite(unit)
+        near, known, size = error < NEAR * unit, np.isfinite(unit), unit
     first = np.arange(len(ours)) == 0
     init = ours.status == "init" if np.any(ours.status != "") else first
     return Rows(
@@ -100,6 +105,7 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         absent=absent,
         placed=placed,
         near=near & placed & known,
+        right=(error < RIGHT * size) & placed & known,
         judged=(placed & known) | absent,
         stated=(ours.status == "tracked") | (ours.status == "lost"),
         lost=ours.status == "lost",

@@ -111,7 +111,7 @@ def evaluate(
     pairs = [Pair(*(one.take(rows) for one in pair)) for pair, rows in zip(pairs, known, strict=True)]
     if not any(len(pair.ours) for pair in pairs):
         raise InputError("there is no row that both the trajectory and the ground truth have; nothing can be measured")
-    units = _units(pairs, options.normalise, reference)
+    units = units_of(pairs, options.normalise, reference)
     every = [(pair, rows_of(pair, units[pair.ours.target].at(pair.ours.frame))) for pair in pairs]
     rows = tuple(one for _, one in every)
     found = errors.occlusions(rows)
@@ -122,7 +122,7 @@ def evaluate(
     return replace(evaluation, notes=(*notes, *_strange_start(rows), *_why_undefined(evaluation)))
 
 
-def _units(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory]) -> dict[str, Unit]:
+def units_of(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory]) -> dict[str, Unit]:
     """By target, the length that normalises its errors."""
     check_normalise(normalise)
     found = {}
@@ -186,7 +186,7 @@ _WHY: Final = (  # a figure that is not defined although the other is, and why
     ("lost.precision", "lost.rows", "no row is called lost, so lost has no precision"),
     ("lost.recall", "lost.rows", "the ground truth marks no row as hidden or absent, so lost has no recall"),
     ("confidence.auroc_near", "confidence.near", "AUROC compares near rows with others, and there is only one kind"),
-    ("confidence.ece", "confidence.near", "confidence is not within 0 and 1, so its calibration is not defined"),
+    ("confidence.ece", "confidence.right", "confidence is not within 0 and 1, so its calibration is not defined"),
     ("coverage.within_50", "coverage.rows", "no visible row has a true position and a std, so there is no coverage"),
     ("coverage.factor", "coverage.within_50", "half of the rows have no spread, which no factor changes"),
 )

@@ -1,6 +1,6 @@
 """How far `lost`, `confidence` and the posterior's spread can be trusted, against the ground truth. Rows are counted,
-without those that the tracker was given: *near* as in rows.py, *covered* if hidden or absent in the ground truth,
-*gone* if covered or not near.
+without those that the tracker was given: *near* and *right* as in rows.py, *covered* if hidden or absent in the ground
+truth, *gone* if covered or not near.
 """
 
 import math
@@ -52,32 +52,33 @@ class LostMeasures:
 
 @dataclass(frozen=True)
 class CalibrationBin:
-    """Rows with low <= confidence < high (last bin: <= high), their mean confidence, the shares near and visible."""
+    """Rows with low <= confidence < high (last bin: <= high), their mean confidence, the shares right and visible."""
 
     low: float
     high: float
     rows: int
     mean_confidence: Value
-    near: Value
+    right: Value
     visible: Value
 
 
 @dataclass(frozen=True)
 class ConfidenceMeasures:
-    """How far `confidence` behaves as a probability of being near, which it is not.
+    """How well `confidence` tells rows apart, and how far it is the probability that a row is right.
 
     rows           rows with a confidence of which is known whether they are near; absent rows are not
-    near           share of them that are near, whatever their confidence
+    near, right    share of them that are near, and that are right, whatever their confidence
     auroc_near     area under the ROC curve: chance that a near row has more confidence than one that is not near, ties
                    counting half; 0.5 is no better than chance, 1 separates them by a threshold
     auroc_visible  the same of visible rows against covered ones
-    ece            expected calibration error: mean over rows of |share near - mean confidence| of their bin
-    brier          mean of (confidence - 1 if near else 0) squared
+    ece            expected calibration error: mean over rows of |share right - mean confidence| of their bin
+    brier          mean of (confidence - 1 if right else 0) squared
     bins           `BINS` bins of equal width
     """
 
     rows: Annotated[int, Measure("rows\n", COUNT)]
     near: Annotated[Value, Measure("near\n%", PERCENT)]
+    right: Annotated[Value, Measure("right\n%", PERCENT)]
     auroc_near: Annotated[Value, Measure("AUROC\nnear", UNIT, "more")]
     auroc_visible: Annotated[Value, Measure("AUROC\nvisible", UNIT, "more")]
     ece: Annotated[Value, Measure("calibration\nerror", UNIT, "less")]
@@ -144,24 +145,26 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
 def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
     """None if no row has a confidence."""
     parts = [part.take(~part.init) for part in parts]
-    confidence, near, judged, visible = (column(parts, name) for name in ("confidence", "near", "judged", "visible"))
+    names = ("confidence", "near", "right", "judged", "visible")
+    confidence, near, right, judged, visible = (column(parts, name) for name in names)
     known = np.isfinite(confidence)
     if not known.any():
         return None
     seen = auroc(confidence[known], visible[known])
     rows = known & judged
-    confidence, near, visible = confidence[rows], near[rows], visible[rows]
+    confidence, near, right, visible = confidence[rows], near[rows], right[rows], visible[rows]
     # scores of other tools need not lie between 0 and 1; then they rank rows, and that is all
     scaled = len(confidence) and np.all((confidence >= 0) & (confidence <= 1))
-    bins = calibration(confidence, near, visible) if scaled else ()
-    gaps = [one.rows * abs((one.near or 0.0) - (one.mean_confidence or 0.0)) for one in bins]
+    bins = calibration(confidence, right, visible) if scaled else ()
+    gaps = [one.rows * abs((one.right or 0.0) - (one.mean_confidence or 0.0)) for one in bins]
     return ConfidenceMeasures(
         rows=len(confidence),
         near=mean(near),
+        right=mean(right),
         auroc_near=auroc(confidence, near),
         auroc_visible=seen,
         ece=float(sum(gaps) / len(confidence)) if scaled else None,
-        brier=float(np.mean((confidence - near) ** 2)) if scaled else None,
+        brier=float(np.mean((confidence - right) ** 2)) if scaled else None,
         bins=bins,
     )
 
@@ -219,12 +222,12 @@ def auroc(score: Array, positive: Mask) -> Value:
     return above / (positives * negatives)
 
 
-def calibration(confidence: Array, near: Mask, visible: Mask) -> tuple[CalibrationBin, ...]:
-    """`BINS` bins of equal width for confidence (R,) from 0 to 1, near (R,) and visible (R,)."""
+def calibration(confidence: Array, right: Mask, visible: Mask) -> tuple[CalibrationBin, ...]:
+    """`BINS` bins of equal width for confidence (R,) from 0 to 1, right (R,) and visible (R,)."""
     edges = np.arange(BINS + 1) / BINS
     which = np.clip(np.searchsorted(edges, confidence, side="right") - 1, 0, BINS - 1)
     rows = np.bincount(which, minlength=BINS)
-    sums = (np.bincount(which, weights=one.astype(np.float64), minlength=BINS) for one in (confidence, near, visible))
+    sums = (np.bincount(which, weights=one.astype(np.float64), minlength=BINS) for one in (confidence, right, visible))
     with np.errstate(invalid="ignore"):
         means = np.stack([one / rows for one in sums], axis=1)
     return tuple(

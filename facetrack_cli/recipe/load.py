@@ -36,6 +36,8 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
             for section, given in one.components.items():
                 for key, file in given.files.items():
                     find_file(recipe, file, f"{above(name)}{section}.{key}")
+            if one.confidence.calibration is not None:
+                find_file(recipe, one.confidence.calibration, f"{above(name)}confidence.calibration")
     except YamlProblems as refused:
         return list(refused.problems)
     return []

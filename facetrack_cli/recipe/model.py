@@ -31,6 +31,8 @@ class Confidence(Section):
     """Frames over which it is learned how well a part matches when it is there; null: the first frame says so."""
     beside: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""
+    calibration: Annotated[str, Field(min_length=1)] | None = None
+    """File of `facetrack calibrate` by which `confidence` becomes a probability; null: as it is. No status changes."""
 
 
 class ParticleFilter(Section):
@@ -74,6 +76,9 @@ class ParticleFilter(Section):
             return
         for one in given.values():
             yield from one.mismatches(self)
+        if self.confidence.calibration is not None and not self.likelihood.judges:
+            message = f'likelihood type "{self.likelihood.type}" gives no confidence; remove the calibration'
+            yield Refusal(("confidence", "calibration"), message)
         if self.head is not None and not self.points:
             yield Refusal(("head",), "head carries points of a face; remove it, or follow points")
         if self.hypotheses > MOST_HYPOTHESES:

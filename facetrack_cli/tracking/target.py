@@ -9,10 +9,12 @@ import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Array, Frame, Image, Info, Mask, Particles, TargetStart
 from facetrack_cli.recipe.model import Confidence
 from facetrack_cli.recipe.skin import Exclusion
 from facetrack_cli.tracking import confidence
+from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.confidence import Judgement, Measures
 from facetrack_cli.tracking.filters import Ahead, Step
 from facetrack_cli.tracking.guides import Arrived, Guides
@@ -123,7 +125,8 @@ class ParticleTarget:
 
     `confidence` is None where the likelihood knows how the target moves and not what it looks like. With `scatter`
     (K, 2), particles begin evenly over so many pixels around x0, which are then the size of each part at the start.
-    `best`: the estimate is the best particle, not the mean.
+    `best`: the estimate is the best particle, not the mean. `calibration` makes a probability of the confidence that is
+    reported, and of nothing else.
     """
 
     name: str
@@ -139,6 +142,7 @@ class ParticleTarget:
     exclusion: Exclusion | None = None
     scatter: Array | None = None
     best: bool = False
+    calibration: Calibration | None = None
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
@@ -296,8 +300,15 @@ class ParticleTarget:
         if state.absent is not None:
             known = {name: np.where(state.absent, np.nan, getattr(rows, name)) for name in PLACE}
             rows = replace(rows, **known, status=np.where(state.absent, "absent", rows.status))
+        if self.calibration is not None:
+            rows = self.calibration.applied(rows, self.size)
         insets = () if self._adapts is None else self._adapts.insets(state.learned)
         return TargetResult(rows, state.particles.x[..., :2], insets)
+
+    @cached_property
+    def size(self) -> float:
+        """The largest distance between two parts at the start, in pixels."""
+        return size_of_points(self.x0[:, :2])
 
     def _reported(self, state: State, frame: Frame, info: Info) -> Mapping[str, Diagnostics]:
         values = {EVIDENCE.name: info.evidence, **state.reported, **self.space.diagnose(state.estimated)}

@@ -83,9 +83,9 @@ def test_confidence_in_bins():
     found = measure_confidence([rows(errors, "vvvhvva", confidence=[1.0, 0.9, 0.95, 0.2, 0.1, 0.0, 0.05])])
     # the absent row is not near, whatever its offset
     assert found.rows == 7 and found.near == 3 / 7
-    filled = [(b.low, b.high, b.rows, b.near) for b in found.bins if b.rows]
+    filled = [(b.low, b.high, b.rows, b.right) for b in found.bins if b.rows]
     assert filled == [(0.0, 0.1, 2, 0.0), (0.1, 0.2, 1, 0.0), (0.2, 0.3, 1, 1.0), (0.9, 1.0, 3, 2 / 3)]
-    assert len(found.bins) == 10 and found.bins[5].near is found.bins[5].mean_confidence is None
+    assert len(found.bins) == 10 and found.bins[5].right is found.bins[5].mean_confidence is None
     gaps = 2 * 0.025 + 1 * 0.1 + 1 * 0.8 + 3 * (0.95 - 2 / 3)
     assert found.ece == pytest.approx(gaps / 7)
     assert found.brier == pytest.approx((0 + 0.1**2 + 0.95**2 + 0.8**2 + 0.1**2 + 0 + 0.05**2) / 7)
@@ -116,7 +116,7 @@ def test_every_confidence_is_in_the_bin_that_says_so(confidence):
         inside = (confidence >= one.low) & ((confidence < one.high) | (i == 9))
         assert one.rows == inside.sum()
         assert not one.rows or one.mean_confidence == pytest.approx(confidence[inside].mean())
-        assert not one.rows or one.near == pytest.approx((confidence[inside] > 0.5).mean())
+        assert not one.rows or one.right == pytest.approx((confidence[inside] > 0.5).mean())
         assert not one.rows or one.visible == pytest.approx((confidence[inside] < 0.3).mean())
 
 

@@ -80,7 +80,7 @@ def test_calibration_shows_share_and_count():
     confidence = np.r_[np.full(30, 0.95), np.full(10, 0.15)]
     near = np.r_[np.ones(24, bool), np.zeros(16, bool)]
     bins = calibration(confidence, near, confidence > 0.5)
-    measures = ConfidenceMeasures(40, 0.6, None, None, 0.15, None, bins)
+    measures = ConfidenceMeasures(40, 0.6, 0.6, None, None, 0.15, None, bins)
     upper, lower = plots.calibration_figure(measures).axes
     points = {line.get_label(): line.get_xydata() for line in upper.lines}
     assert np.allclose(points["near the ground truth"], [(0.15, 0), (0.95, 0.8)])

@@ -131,17 +131,17 @@ def spread_figure(
 
 
 def calibration_figure(measures: ConfidenceMeasures, *, title: str = "Confidence against the ground truth") -> Figure:
-    """By bin of confidence, the share of rows near the ground truth and of visible rows, and the number of rows. On the
-    diagonal, confidence is the chance of being near. Bins without rows are left out; some bin must have rows.
+    """By bin of confidence, the share of rows that are right and of visible rows, and the number of rows. On the
+    diagonal, confidence is the probability of being right. Bins without rows are left out; some bin must have rows.
     """
     filled = [b for b in measures.bins if b.rows]
-    mean, near, visible = np.array([(b.mean_confidence, b.near, b.visible) for b in filled], np.float64).T
+    mean, right, visible = np.array([(b.mean_confidence, b.right, b.visible) for b in filled], np.float64).T
     with style.style():
         figure = style.new_figure(5.6, 5.8)
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.2, 1]})
         upper.plot([0, 1], [0, 1], **_MARK, label="ideal: equal to confidence")
-        upper.vlines(mean, mean, near, color=style.STATUS["lost"], linewidth=1.0, alpha=0.55, zorder=1.5)
-        upper.plot(mean, near, "o-", color=style.COLOURS[0], linewidth=1.5, markersize=5, label="near the ground truth")
+        upper.vlines(mean, mean, right, color=style.STATUS["lost"], linewidth=1.0, alpha=0.55, zorder=1.5)
+        upper.plot(mean, right, "o-", color=style.COLOURS[0], linewidth=1.5, markersize=5, label="off by less than 1/4")
         if (visible < 1).any():
             marked: dict[str, Any] = {"color": style.COLOURS[1], "linewidth": 1.2, "markersize": 4}
             upper.plot(mean, visible, "s--", **marked, label="visible in the ground truth")

@@ -8,7 +8,9 @@ import numpy as np
 from facetrack_cli.core.geometry import centre, size_of_points
 from facetrack_cli.core.types import BOX, Box, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS, Detections, Head
+from facetrack_cli.recipe.files import resolve_file
 from facetrack_cli.recipe.model import Confidence, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe, above
+from facetrack_cli.tracking.calibration import Calibration, load_calibration
 from facetrack_cli.tracking.face.still import FACE, Similarity
 from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.models.spaces import Context
@@ -34,6 +36,7 @@ def particle_target(recipe: Recipe, key: str, given: ParticleFilter, start: Star
         exclusion=None if exclusion and name in exclusion.first else exclusion,
         scatter=placed.scatter,
         best=given.target.best,
+        calibration=_calibration(recipe, key, given),
     )
 
 
@@ -54,12 +57,20 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
     return FaceTarget(
         name=name,
         head=particle_target(recipe, f"{key}.head" if key else "head", alone, boxed, name),
-        features=replace(particle_target(recipe, key, given, still, name), exclusion=None),
+        features=replace(particle_target(recipe, key, given, still, name), exclusion=None, calibration=None),
         settings=head,
         side=side,
         detector=None if head.detections is None else detector(_detector(head.detections, start)),
         searched=start.origin in DETECTORS,
+        calibration=_calibration(recipe, key, given),
     )
+
+
+def _calibration(recipe: Recipe, key: str, given: ParticleFilter) -> Calibration | None:
+    name = given.confidence.calibration
+    if name is None:
+        return None
+    return load_calibration(resolve_file(recipe, name, f"{above(key)}confidence.calibration"))
 
 
 def _detector(detections: Detections, start: Start) -> str:

@@ -24,6 +24,7 @@ from numpy.random import Generator
 from facetrack_cli.core.geometry import centre, corners
 from facetrack_cli.core.types import BOX, Array, Frame, TargetStart
 from facetrack_cli.recipe.face import Head
+from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import still
 from facetrack_cli.tracking.face.registration import Registration
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
@@ -73,6 +74,7 @@ class FaceTarget:
     side: float
     detector: Detector | None
     searched: bool
+    calibration: Calibration | None = None
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -245,6 +247,8 @@ class FaceTarget:
         faces = joined([replace(rows, **columns), self._face(box.rows, similarity)])
         # of a target one number: both filters' together
         faces = replace(faces, particles=np.full(len(faces), float(np.max(rows.particles) + box.rows.particles[0])))
+        if self.calibration is not None:
+            faces = self.calibration.applied(faces, self.features.size * self.side / FACE)
         values = {SCALE.name: scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
         # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
         seen = [one for one in (box.rows, state.points.rows) if one.frame[0] == frame.index]

@@ -1,0 +1,166 @@
+"""Runs of a recipe on clips with ground truth, and the calibration of its confidence that follows from them.
+
+    found = run(recipe, [(clip, truth), ...], seeds=2)
+    found.calibration.to_json()
+
+Of each clip at most `MOST` rows of a kind are taken, evenly spaced: a long one is no better than a short one.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.geometry import size_of_points
+from facetrack_cli.core.types import BOX, Mask
+from facetrack_cli.evaluation.experiments.calibration_fit import Fitted, Sample, bins_of, fit, joined
+from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name
+from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.rows import Pair, rows_of
+from facetrack_cli.evaluation.summary import units_of
+from facetrack_cli.evaluation.trust import BINS, ConfidenceMeasures, calibration
+from facetrack_cli.recipe.model import ParticleFilter, ParticlesRecipe, Recipe
+from facetrack_cli.runs.seeds import Plan, Report, run_plans
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.start import Begin
+from facetrack_cli.tracking.calibration import Calibration, PartKind, boxes_of, features
+from facetrack_cli.trajectory.trajectory import Trajectory
+
+MOST: Final = 500
+KINDS: Final[tuple[PartKind, ...]] = ("points", "box")
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """What was fitted to a recipe's runs, `seeds` of each clip, by kind of part."""
+
+    recipe: str
+    clips: tuple[str, ...]
+    seeds: int
+    fitted: Mapping[PartKind, Fitted]
+
+    @property
+    def calibration(self) -> Calibration:
+        """What is stored; the order of the clips says nothing."""
+        maps = {kind: one.map for kind, one in self.fitted.items()}
+        checked = {kind: one.checked for kind, one in self.fitted.items()}
+        return Calibration(recipe=self.recipe, maps=maps, checked=checked, clips=sorted(self.clips), seeds=self.seeds)
+
+    def sheets(self) -> list[Sheet]:
+        """A reliability table for each kind."""
+        about = f"{self.recipe}, {self.seeds} run{'s' * (self.seeds > 1)} of {len(self.clips)} clips"
+        return [_sheet(f"{about}: {kind}", one) for kind, one in self.fitted.items()]
+
+    def measures(self) -> ConfidenceMeasures:
+        """The calibrated rows of the clips left out, of all kinds together, by bins of equal width."""
+        p = np.concatenate([one.left_out for one in self.fitted.values()])
+        every = joined([one.sample for one in self.fitted.values()])
+        bins = calibration(p, every.right, every.visible)
+        ece = sum(one.found.ece * len(one.sample) for one in self.fitted.values()) / len(p)
+        return ConfidenceMeasures(len(p), None, float(np.mean(every.right)), None, None, float(ece), None, bins)
+
+
+def _sheet(title: str, one: Fitted) -> Sheet:
+    raw, found, weight, columns = one.raw, one.found, one.sample.weight, []
+    for p in (one.sample.known["confidence"], one.left_out):
+        rows, mean, right = bins_of(p, one.sample.right, weight)
+        for values in (rows / rows.sum(), mean, right):
+            shown = zip(values.tolist(), rows.tolist(), strict=True)
+            columns.append([f"{100 * value:.1f}" if n > 0 else NO_FIGURE for value, n in shown])
+    names = [f"{i / BINS:.1f}-{(i + 1) / BINS:.1f}" for i in range(BINS)]
+    heads = [f"{when}\n{what}, %" for when in ("raw", "calibrated") for what in ("rows", "mean", "right")]
+    losses = ", ".join(f"{name} {loss:.3f}" for name, loss in one.losses.items())
+    notes = (
+        f"Clips left out: calibration error {raw.ece:.3f} raw, {found.ece:.3f} calibrated; Brier score "
+        f"{raw.brier:.3f} raw, {found.brier:.3f} calibrated.",
+        f"The map is {one.name}. Log loss on clips left out: {losses}.",
+    )
+    return Sheet(title, ("confidence", *heads), tuple(zip(names, *columns, strict=True)), notes, left=(0,))
+
+
+def run(
+    recipe: Recipe,
+    clips: Sequence[tuple[Path, Trajectory]],
+    seeds: int,
+    last: int | None = None,
+    workers: int = 1,
+    stopped: Stop | None = None,
+    report: Report = lambda done, total: None,
+) -> Calibrated | None:
+    """Run a recipe on clips with their ground truth, up to the frame before `last`; None once `stopped` says so.
+
+    Raises what keeps a clip from running, and UsageError for a recipe without confidence.
+    """
+    if not recipe.judges or not recipe.filters:
+        raise UsageError(f"{recipe.name} gives no confidence to calibrate; take a recipe that does")
+    stopped, recipe = stopped or Stop(), uncalibrated(recipe)
+    numbers = tuple(range(seeds if recipe.random else 1))
+    plans = []
+    for clip, truth in clips:
+        begin = Begin(clip, stop=last)
+        plans.append(Plan(recipe.name, clip, recipe, begin.find(recipe, truth, stopped), numbers, begin.stop))
+    runs = []
+    for ended in run_plans(plans, workers, stopped, report):
+        if ended.error is not None:
+            raise ended.error
+        runs.append([one.trajectory for one in ended.runs])
+    if len(runs) < len(plans):
+        return None
+    samples = collect(list(zip(runs, (truth for _, truth in clips), strict=True)))
+    names = tuple(clip_name(clip) for clip, _ in clips)
+    return Calibrated(recipe.name, names, len(numbers), {kind: fit(one) for kind, one in samples.items()})
+
+
+def uncalibrated(recipe: Recipe) -> Recipe:
+    """The recipe with the confidence that it computes itself."""
+
+    def raw(one: ParticleFilter) -> ParticleFilter:
+        return one.model_copy(update={"confidence": one.confidence.model_copy(update={"calibration": None})})
+
+    if isinstance(recipe, ParticlesRecipe):
+        targets = {name: None if one is None else raw(one) for name, one in recipe.targets.items()}
+        return recipe.model_copy(update={"targets": targets})
+    return raw(recipe) if isinstance(recipe, ParticleFilter) else recipe  # type: ignore[return-value]
+
+
+def collect(clips: Sequence[tuple[Sequence[Trajectory], Trajectory]]) -> dict[PartKind, Sample]:
+    """The rows of each kind of part: of each clip the runs, one a seed, and the ground truth.
+
+    Raises InputError as `match` does, and where no row has confidence and known ground truth.
+    """
+    found: dict[PartKind, Sample] = {}
+    every = [[_rows(run, truth, number) for run in runs] for number, (runs, truth) in enumerate(clips)]
+    for kind in KINDS:
+        thinned = []
+        for runs in every:
+            whole = joined([one.take(boxes == (kind == BOX)) for one, boxes in runs])
+            thinned.append(
+                whole.take(np.unique(np.linspace(0, len(whole) - 1, min(len(whole), MOST)).astype(np.int64)))
+            )
+        if len(sample := joined(thinned)):
+            found[kind] = sample
+    if not found:
+        raise InputError("no row has both a confidence and known ground truth; give clips with the truth of its parts")
+    return found
+
+
+def _rows(run: Trajectory, truth: Trajectory, clip: int) -> tuple[Sample, Mask]:
+    """The rows of a run in which it is known what is right, and which of them are boxes."""
+    pairs, samples, boxes = [], [], []
+    for ours, true in match(run, truth, partial=True, select=None, check_shift=False):
+        stated = true.status != "lost"  # as a trajectory has it that serves as ground truth
+        pairs.append(Pair(ours.take(stated), true.take(stated)))
+    units = units_of(pairs, "size", truth.parts)
+    for pair in pairs:
+        ours = pair.ours
+        points = [one for one in run.of_target(ours.target) if one.part != BOX and len(one)]
+        size = size_of_points(np.array([(one.x[0], one.y[0]) for one in points])) if points else 0.0
+        one, mine = rows_of(pair, units[ours.target].at(ours.frame)), boxes_of(ours)
+        known = features(ours, mine, size)
+        kept = one.judged & ~one.init & np.all([np.isfinite(values) for values in known.values()], axis=0)
+        samples.append(Sample(known, one.right, one.visible, np.full(len(ours), clip)).take(kept))
+        boxes.append(mine[kept])
+    return joined(samples), np.concatenate(boxes)

@@ -1,0 +1,242 @@
+"""The map from what is known of a row to the probability that it is right, fitted to rows with ground truth.
+
+R rows of C clips. Every clip weighs the same, however many rows it has: their weights add up to 1. Rows of one clip are
+much alike, so a clip counts as `ALIKE` independent rows. With n of those in all, a row is taken as right with
+probability (n y + 1) / (n + 2), where y is 1 if it is and else 0 (Platt, 1999): few clips do not give 0 or 1.
+
+The map is the candidate of the least log loss in cross-validation, each clip by the map that was fitted to the others.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Array, Mask, Whole
+from facetrack_cli.evaluation.trust import BINS
+from facetrack_cli.tracking.calibration import RISES, Checked, Feature, Isotonic, Logistic, Map
+
+ALIKE: Final = 20
+LEVELS: Final = 20  # quantiles of a score that isotonic regression tells apart
+RIDGE: Final = 1.0  # precision of the coefficients of standardised features; an independent row adds at most 1/4
+STEPS: Final = 50  # of Newton's method, at most
+Fit: TypeAlias = Callable[["Sample"], Map]
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Rows of one kind of part: features (R,), whether they are right and visible (R,), numbers of their clips (R,)."""
+
+    known: Mapping[Feature, Array]
+    right: Mask
+    visible: Mask
+    clip: Whole
+
+    def __len__(self) -> int:
+        return len(self.right)
+
+    @property
+    def clips(self) -> list[int]:
+        return [int(number) for number in np.unique(self.clip)]
+
+    @property
+    def weight(self) -> Array:
+        """(R,) those of each clip add up to 1."""
+        return np.asarray(1 / np.bincount(self.clip)[self.clip])
+
+    @property
+    def smoothed(self) -> Array:
+        """(R,) the probability with which each row is taken as right."""
+        n = ALIKE * len(self.clips)
+        return np.asarray((n * self.right + 1) / (n + 2))
+
+    def take(self, rows: Mask | Whole) -> "Sample":
+        known = {name: values[rows] for name, values in self.known.items()}
+        return Sample(known, self.right[rows], self.visible[rows], self.clip[rows])
+
+
+def joined(samples: Sequence[Sample]) -> Sample:
+    names: list[Feature] = list(RISES)
+    known = {name: np.concatenate([one.known[name] for one in samples]) for name in names}
+    right, visible, clip = (
+        np.concatenate([getattr(s, name) for s in samples]) for name in ("right", "visible", "clip")
+    )
+    return Sample(known, right, visible, clip)
+
+
+class Figures(NamedTuple):
+    """Expected calibration error, Brier score and mean log loss of probabilities, all clips alike."""
+
+    ece: float
+    brier: float
+    log_loss: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A map, the name of its candidate, and what it was fitted to. `left_out` (R,): of each clip by the others' map."""
+
+    map: Map
+    name: str
+    sample: Sample
+    left_out: Array
+    losses: Mapping[str, float]
+
+    @property
+    def raw(self) -> Figures:
+        return figures(self.sample, self.sample.known["confidence"])
+
+    @property
+    def found(self) -> Figures:
+        return figures(self.sample, self.left_out)
+
+    @property
+    def checked(self) -> Checked:
+        raw, found, right = self.raw, self.found, np.average(self.sample.right, weights=self.sample.weight)
+        values = {"right": right, "ece": found.ece, "brier": found.brier, "ece_raw": raw.ece, "brier_raw": raw.brier}
+        return Checked(rows=len(self.sample), **{name: round(float(value), 4) for name, value in values.items()})
+
+
+# --- maps ----------------------------------------------------------------------------------------------------------
+
+
+def pool(y: Array, weight: Array) -> Array:
+    """The non-decreasing (n,) nearest to y (n,), in weighted squares: pool adjacent violators (Ayer et al., 1955)."""
+    means: list[float] = []
+    weights: list[float] = []
+    counts: list[int] = []
+    for value, w in zip(y.tolist(), weight.tolist(), strict=True):
+        means.append(value)
+        weights.append(w)
+        counts.append(1)
+        while len(means) > 1 and means[-2] >= means[-1]:
+            w = weights[-2] + weights[-1]
+            means[-2:] = [(means[-2] * weights[-2] + means[-1] * weights[-1]) / w]
+            weights[-2:] = [w]
+            counts[-2:] = [counts[-2] + counts[-1]]
+    return np.repeat(means, counts)
+
+
+def fit_isotonic(feature: Feature, sample: Sample) -> Isotonic:
+    """Isotonic regression of what is right on one feature, at the means of at most `LEVELS` quantiles."""
+    x, weight = sample.known[feature], sample.weight
+    order = np.argsort(x, kind="stable")
+    at = np.empty(len(x))
+    at[order] = np.cumsum(weight[order])
+    # a value has one level: that of its last row
+    values, which = np.unique(x, return_inverse=True)
+    last = np.zeros(len(values))
+    np.maximum.at(last, which, at)
+    level = np.ceil(LEVELS * last / at.max() - 1e-9).astype(np.int64)[which]
+    _, level = np.unique(level, return_inverse=True)
+    total: Array = np.bincount(level, weight).astype(np.float64)
+    means, y = (np.bincount(level, weight * values) / total for values in (x, sample.smoothed))
+    sign = -1 if RISES[feature] < 0 else 1
+    p = sign * pool(sign * y, total)
+    knots = [[_short(value) for value in pair] for pair in zip(means.tolist(), p.tolist(), strict=True)]
+    # of a level stretch the two ends say all
+    inner = [1 <= i < len(knots) - 1 and knots[i - 1][1] == knot[1] == knots[i + 1][1] for i, knot in enumerate(knots)]
+    return Isotonic(feature=feature, knots=[knot for knot, flat in zip(knots, inner, strict=True) if not flat])
+
+
+def fit_logistic(names: Sequence[Feature], sample: Sample) -> Logistic:
+    """Ridge-penalised logistic regression on these features, by Newton's method; one of the wrong sign is left out."""
+    names, weight = list(names), ALIKE * sample.weight
+    while True:
+        x = np.array([sample.known[name] for name in names]).reshape(len(names), len(sample)).T
+        middle = np.average(x, axis=0, weights=weight)
+        scale = np.sqrt(np.average((x - middle) ** 2, axis=0, weights=weight))
+        scale = np.where(scale > 1e-9, scale, np.inf)  # what never differs has no coefficient
+        beta = newton(np.column_stack([np.ones(len(x)), (x - middle) / scale]), sample.smoothed, weight)
+        slopes = beta[1:] / scale
+        wrong = [name for name, slope in zip(names, slopes, strict=True) if RISES[name] * slope < 0]
+        if not wrong:
+            break
+        names.remove(min(wrong, key=lambda name: RISES[name] * beta[1 + names.index(name)]))
+    coefficients = {name: _short(slope) for name, slope in zip(names, slopes.tolist(), strict=True)}
+    return Logistic(intercept=_short(float(beta[0] - slopes @ middle)), coefficients=coefficients)
+
+
+def newton(x: Array, y: Array, weight: Array) -> Array:
+    """(D,): maximises sum weight (y log p + (1 - y) log (1 - p)) - `RIDGE` / 2 |beta[1:]|^2, p = logistic(x beta).
+
+    x (R, D) begins with a column of ones, y (R,) is within 0 and 1.
+    """
+    penalty = RIDGE * np.diag([0.0] + [1.0] * (x.shape[1] - 1))
+    beta, value = np.zeros(x.shape[1]), -np.inf
+    for _ in range(STEPS):
+        p = 1 / (1 + np.exp(-x @ beta))
+        slope = x.T @ (weight * (y - p)) - penalty @ beta
+        step = np.linalg.solve((x.T * (weight * p * (1 - p))) @ x + penalty + 1e-12 * np.eye(len(beta)), slope)
+        value = _objective(x, y, weight, penalty, beta)
+        while _objective(x, y, weight, penalty, beta + step) < value and np.abs(step).max() > 1e-12:
+            step /= 2
+        beta = beta + step
+        if np.abs(step).max() < 1e-10:
+            break
+    return beta
+
+
+def _objective(x: Array, y: Array, weight: Array, penalty: Array, beta: Array) -> float:
+    z = x @ beta
+    return float(np.sum(weight * (y * z - np.logaddexp(0, z))) - beta @ penalty @ beta / 2)
+
+
+def _short(value: float) -> float:
+    """To six digits, so that rounding of the processor does not show."""
+    return float(f"{value:.6g}")
+
+
+# --- which map -----------------------------------------------------------------------------------------------------
+
+
+CANDIDATES: Final[Mapping[str, Fit]] = {
+    "isotonic of confidence": partial(fit_isotonic, "confidence"),
+    "isotonic of spread": partial(fit_isotonic, "spread"),
+    "logistic of confidence": partial(fit_logistic, ("confidence",)),
+    "logistic of log_odds": partial(fit_logistic, ("log_odds",)),
+    "logistic of confidence, spread": partial(fit_logistic, ("confidence", "spread")),
+    "logistic of all": partial(fit_logistic, tuple(RISES)),
+}
+
+
+def fit(sample: Sample) -> Fitted:
+    """The best candidate, fitted to all rows. Raises InputError for a single clip, of which none can be left out."""
+    if len(sample.clips) < 2:
+        raise InputError(
+            "a calibration is checked on clips that are left out; give two clips or more with ground truth"
+        )
+    every = {name: left_out(sample, one) for name, one in CANDIDATES.items()}
+    losses = {name: figures(sample, p).log_loss for name, p in every.items()}
+    best = min(losses, key=lambda name: losses[name])
+    return Fitted(CANDIDATES[best](sample), best, sample, every[best], losses)
+
+
+def left_out(sample: Sample, one: Fit) -> Array:
+    """(R,) p of each clip, by the map that was fitted to the others."""
+    p = np.empty(len(sample))
+    for clip in sample.clips:
+        mine = sample.clip == clip
+        p[mine] = one(sample.take(~mine))({name: values[mine] for name, values in sample.known.items()})
+    return p
+
+
+def bins_of(p: Array, right: Mask, weight: Array) -> tuple[Array, Array, Array]:
+    """(BINS,) of bins of equal width: the weight in each, the mean of p, the share right; nan where there is none."""
+    which = np.minimum((BINS * p).astype(np.int64), BINS - 1)
+    rows: Array = np.bincount(which, weight, BINS).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        mean, share = (np.bincount(which, weight * values, BINS) / rows for values in (p, right))
+    return rows, mean, share
+
+
+def figures(sample: Sample, p: Array) -> Figures:
+    weight, right = sample.weight, sample.right
+    rows, mean, share = bins_of(p, right, weight)
+    ece = np.nansum(rows * np.abs(share - mean)) / rows.sum()
+    chance = np.clip(np.where(right, p, 1 - p), 1e-6, 1)
+    brier, loss = (np.average(values, weights=weight) for values in ((p - right) ** 2, -np.log(chance)))
+    return Figures(float(ece), float(brier), float(loss))

@@ -1,0 +1,163 @@
+"""The probability that a row is right, from what its recipe knows of it (ours).
+
+A row is right if the error of its centre is less than a quarter of the size. `facetrack calibrate` fits a map from the
+features below to that probability, one for points and one for boxes, and a recipe names its file:
+
+    confidence   as the recipe says it without a calibration
+    log_odds     log (c + 0.01) / (1.01 - c) of that confidence c
+    spread       log sqrt(std_x^2 + std_y^2) / size, within 0.001 and 10
+    ess          log10 ess / particles, no less than -3
+    lost         1 where the status is lost, else 0
+
+The size is sqrt(w * h) of a box, or of a single point's window; of points the largest distance between two of them at
+the start. The maps are
+logistic regression (Platt, 1999, on several features) and isotonic regression (Zadrozny & Elkan, KDD 2002), between
+whose knots p is linear. Neither falls where confidence rises, nor rises where spread does.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TypeAlias
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import BOX, Array, Mask
+from facetrack_cli.trajectory.trajectory import Trajectory
+
+FORMAT: Final = "facetrack-calibration"
+Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost"]
+RISES: Final[Mapping[Feature, int]] = {"confidence": 1, "log_odds": 1, "spread": -1, "ess": 0, "lost": -1}
+"""Whether p rises with a feature or falls; 0: either."""
+PartKind: TypeAlias = Literal["points", "box"]
+_Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Logistic(_Stored):
+    """p = 1 / (1 + exp(-(intercept + sum of coefficient * feature)))."""
+
+    method: Literal["logistic"] = "logistic"
+    intercept: float
+    coefficients: dict[Feature, float]
+
+    def __call__(self, known: Mapping[Feature, Array]) -> Array:
+        """p (R,) of rows with these features (R,); nan where one is."""
+        logit = sum((slope * known[name] for name, slope in self.coefficients.items()), self.intercept)
+        return np.asarray(1 / (1 + np.exp(-np.clip(logit, -700, 700))) + np.zeros_like(known["confidence"]))
+
+
+class Isotonic(_Stored):
+    """p is linear between `knots`, pairs of a value of the feature and p, and level beyond them."""
+
+    method: Literal["isotonic"] = "isotonic"
+    feature: Feature
+    knots: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=1)]
+
+    @field_validator("knots")
+    @classmethod
+    def _ordered(cls, knots: list[list[float]], info: Any) -> list[list[float]]:
+        x, p = np.array(knots).T
+        falls = RISES.get(info.data.get("feature"), 0) < 0
+        if np.any(np.diff(x) <= 0) or np.any(np.diff(p) * (-1 if falls else 1) < 0) or p.min() < 0 or p.max() > 1:
+            raise ValueError(
+                f"values must rise from knot to knot, and p, within 0 and 1, {'fall' if falls else 'rise'}"
+            )
+        return knots
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        x, p = np.array(self.knots).T
+        return x, p
+
+    def __call__(self, known: Mapping[Feature, Array]) -> Array:
+        """As of `Logistic`."""
+        return np.interp(known[self.feature], *self._table)
+
+
+Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
+
+
+class Checked(_Stored):
+    """On each clip the map of the others: the calibration error and Brier score, and those of raw confidence."""
+
+    rows: Annotated[int, Field(ge=0)]
+    right: _Share
+    ece: _Share
+    brier: _Share
+    ece_raw: _Share
+    brier_raw: _Share
+
+
+class Calibration(_Stored):
+    """A map for each kind of part, and what it was fitted to: a recipe's runs, `seeds` of each clip."""
+
+    format: Literal["facetrack-calibration"] = FORMAT
+    version: Literal[1] = 1
+    recipe: str
+    right: Literal["error of the centre below 1/4 of the size"] = "error of the centre below 1/4 of the size"
+    maps: dict[PartKind, Map]
+    checked: dict[PartKind, Checked]
+    clips: list[str]
+    seeds: int
+
+    def applied(self, rows: Trajectory, size: float) -> Trajectory:
+        """The rows with p as their confidence, for points whose largest distance was `size` pixels at the start.
+
+        What was given to the tracker (status init) keeps its own; p is unknown where confidence is, or there is no map.
+        """
+        boxes, p = boxes_of(rows), np.full(len(rows), np.nan)
+        known = features(rows, boxes, size)
+        for kind, of in self.maps.items():
+            p = np.where(boxes == (kind == "box"), of(known), p)
+        given = (rows.status == "init") | np.isnan(rows.confidence)
+        return replace(rows, confidence=np.where(given, rows.confidence, p))
+
+    def to_json(self) -> str:
+        return json.dumps(self.model_dump(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def boxes_of(rows: Trajectory) -> Mask:
+    """(R,) which rows are of boxes."""
+    return np.array([part == BOX for _, part in rows.names], np.bool_)[rows.which]
+
+
+def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]:
+    """The features (R,) of rows of which these (R,) are `boxes`; `size`, in pixels, is that of the points."""
+    c = rows.confidence
+    sides = np.where(boxes | (size == 0), np.sqrt(rows.w * rows.h), size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = np.log(np.clip(np.hypot(rows.std_x, rows.std_y) / sides, 1e-3, 10))
+        ess = np.log10(np.clip(rows.ess / rows.particles, 1e-3, 1))
+    odds = np.log((c + 0.01) / (1.01 - c))
+    return {"confidence": c, "log_odds": odds, "spread": spread, "ess": ess, "lost": (rows.status == "lost") * 1.0}
+
+
+def load_calibration(path: Path) -> Calibration:
+    """The calibration in a file of `facetrack calibrate`. Raises InputError for anything else."""
+    remedy = "make it anew with facetrack calibrate"
+    try:
+        stored = json.loads(path.read_bytes())
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read: {e.strerror}; check the file's permissions") from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: is no calibration, which is JSON; {remedy}") from None
+    if not isinstance(stored, dict) or stored.get("format") != FORMAT:
+        raise InputError(f'{path}: is no calibration: its "format" is not {FORMAT}; {remedy}')
+    if stored.get("version") != 1:
+        raise InputError(f"{path}: is of another version than 1, the only one that is known; {remedy}")
+    try:
+        return Calibration.model_validate(stored)
+    except ValidationError as e:
+        first = e.errors()[0]
+        place, said = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
+        raise InputError(f"{path}: {place}: {said[:1].lower()}{said[1:]}; {remedy}") from None
