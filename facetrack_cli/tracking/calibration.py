@@ -44,16 +44,18 @@ class _Stored(BaseModel):
 
 
 class Logistic(_Stored):
-    """p = 1 / (1 + exp(-(intercept + sum of coefficient * feature)))."""
+    """p = 1 / (1 + exp(-(intercept + sum of coefficient * feature))), within `least` and 1 - `least`."""
 
     method: Literal["logistic"] = "logistic"
     intercept: float
     coefficients: dict[Feature, float]
+    least: Annotated[float, Field(ge=0, le=0.5)]
 
     def __call__(self, known: Mapping[Feature, Array]) -> Array:
         """p (R,) of rows with these features (R,); nan where one is."""
         logit = sum((slope * known[name] for name, slope in self.coefficients.items()), self.intercept)
-        return np.asarray(1 / (1 + np.exp(-np.clip(logit, -700, 700))) + np.zeros_like(known["confidence"]))
+        p = 1 / (1 + np.exp(-np.clip(logit, -700, 700)))
+        return np.asarray(np.clip(p + np.zeros_like(known["confidence"]), self.least, 1 - self.least))
 
 
 class Isotonic(_Stored):

@@ -6,14 +6,14 @@
 Of each clip at most `MOST` rows of a kind are taken, evenly spaced: a long one is no better than a short one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Mask
 from facetrack_cli.evaluation.experiments.calibration_fit import Fitted, Sample, bins_of, fit, joined
@@ -89,28 +89,39 @@ def run(
     workers: int = 1,
     stopped: Stop | None = None,
     report: Report = lambda done, total: None,
+    failed: Callable[[Path, FacetrackError], None] | None = None,
 ) -> Calibrated | None:
     """Run a recipe on clips with their ground truth, up to the frame before `last`; None once `stopped` says so.
 
-    Raises what keeps a clip from running, and UsageError for a recipe without confidence.
+    Raises UsageError for a recipe without confidence, and what keeps a clip from running; with `failed` that is called
+    instead, and the clip left out.
     """
     if not recipe.judges or not recipe.filters:
         raise UsageError(f"{recipe.name} gives no confidence to calibrate; take a recipe that does")
     stopped, recipe = stopped or Stop(), uncalibrated(recipe)
     numbers = tuple(range(seeds if recipe.random else 1))
-    plans = []
-    for clip, truth in clips:
+    plans, runs, truths = [], [], dict(clips)
+
+    def refuse(clip: Path, error: FacetrackError) -> None:
+        if failed is None:
+            raise error
+        failed(clip, error)
+
+    for clip in sorted(truths, key=clip_name):  # their order must not show in the last digit
         begin = Begin(clip, stop=last)
-        plans.append(Plan(recipe.name, clip, recipe, begin.find(recipe, truth, stopped), numbers, begin.stop))
-    runs = []
+        try:
+            plans.append(Plan(recipe.name, clip, recipe, begin.find(recipe, truths[clip], stopped), numbers, last))
+        except InputError as e:
+            refuse(clip, e)
     for ended in run_plans(plans, workers, stopped, report):
         if ended.error is not None:
-            raise ended.error
-        runs.append([one.trajectory for one in ended.runs])
+            refuse(ended.plan.clip, ended.error)
+        runs.append((ended.plan.clip, [one.trajectory for one in ended.runs]))
     if len(runs) < len(plans):
         return None
-    samples = collect(list(zip(runs, (truth for _, truth in clips), strict=True)))
-    names = tuple(clip_name(clip) for clip, _ in clips)
+    runs = [(clip, own) for clip, own in runs if own]
+    samples = collect([(own, truths[clip]) for clip, own in runs])
+    names = tuple(clip_name(clip) for clip, _ in runs)
     return Calibrated(recipe.name, names, len(numbers), {kind: fit(one) for kind, one in samples.items()})
 
 
@@ -150,7 +161,10 @@ def collect(clips: Sequence[tuple[Sequence[Trajectory], Trajectory]]) -> dict[Pa
 def _rows(run: Trajectory, truth: Trajectory, clip: int) -> tuple[Sample, Mask]:
     """The rows of a run in which it is known what is right, and which of them are boxes."""
     pairs, samples, boxes = [], [], []
-    for ours, true in match(run, truth, partial=True, select=None, check_shift=False):
+    alone = [one.name for one in run.parts if one.part == BOX]
+    # boxes without names are those of the only box, though points have windows
+    select = alone[0] if truth.targets == ("",) and len(alone) == 1 else None
+    for ours, true in match(run, truth, partial=True, select=select, check_shift=False):
         stated = true.status != "lost"  # as a trajectory has it that serves as ground truth
         pairs.append(Pair(ours.take(stated), true.take(stated)))
     units = units_of(pairs, "size", truth.parts)

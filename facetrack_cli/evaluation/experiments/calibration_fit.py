@@ -22,6 +22,7 @@ from facetrack_cli.tracking.calibration import RISES, Checked, Feature, Isotonic
 ALIKE: Final = 20
 LEVELS: Final = 20  # quantiles of a score that isotonic regression tells apart
 RIDGE: Final = 1.0  # precision of the coefficients of standardised features; an independent row adds at most 1/4
+NOTHING: Final = 1e-6  # a coefficient that is the rounding of the processor
 STEPS: Final = 50  # of Newton's method, at most
 Fit: TypeAlias = Callable[["Sample"], Map]
 
@@ -50,8 +51,12 @@ class Sample:
     @property
     def smoothed(self) -> Array:
         """(R,) the probability with which each row is taken as right."""
-        n = ALIKE * len(self.clips)
-        return np.asarray((n * self.right + 1) / (n + 2))
+        return np.asarray(np.where(self.right, 1 - self.least, self.least))
+
+    @property
+    def least(self) -> float:
+        """Nothing is less probable than this, nor more probable than 1 less this."""
+        return 1 / (ALIKE * len(self.clips) + 2)
 
     def take(self, rows: Mask | Whole) -> "Sample":
         known = {name: values[rows] for name, values in self.known.items()}
@@ -136,14 +141,16 @@ def fit_isotonic(feature: Feature, sample: Sample) -> Isotonic:
     means, y = (np.bincount(level, weight * values) / total for values in (x, sample.smoothed))
     sign = -1 if RISES[feature] < 0 else 1
     p = sign * pool(sign * y, total)
-    knots = [[_short(value) for value in pair] for pair in zip(means.tolist(), p.tolist(), strict=True)]
+    # of those that six digits cannot tell apart the last
+    last_of = {_short(at): _short(level) for at, level in zip(means.tolist(), p.tolist(), strict=True)}
+    knots = [list(pair) for pair in last_of.items()]
     # of a level stretch the two ends say all
     inner = [1 <= i < len(knots) - 1 and knots[i - 1][1] == knot[1] == knots[i + 1][1] for i, knot in enumerate(knots)]
     return Isotonic(feature=feature, knots=[knot for knot, flat in zip(knots, inner, strict=True) if not flat])
 
 
 def fit_logistic(names: Sequence[Feature], sample: Sample) -> Logistic:
-    """Ridge-penalised logistic regression on these features, by Newton's method; one of the wrong sign is left out."""
+    """Logistic regression with a ridge on these features; one of the wrong sign, or without effect, is left out."""
     names, weight = list(names), ALIKE * sample.weight
     while True:
         x = np.array([sample.known[name] for name in names]).reshape(len(names), len(sample)).T
@@ -152,12 +159,14 @@ def fit_logistic(names: Sequence[Feature], sample: Sample) -> Logistic:
         scale = np.where(scale > 1e-9, scale, np.inf)  # what never differs has no coefficient
         beta = newton(np.column_stack([np.ones(len(x)), (x - middle) / scale]), sample.smoothed, weight)
         slopes = beta[1:] / scale
-        wrong = [name for name, slope in zip(names, slopes, strict=True) if RISES[name] * slope < 0]
+        wrong = [name for name, own in zip(names, beta[1:], strict=True) if abs(own) < NOTHING or RISES[name] * own < 0]
         if not wrong:
             break
         names.remove(min(wrong, key=lambda name: RISES[name] * beta[1 + names.index(name)]))
     coefficients = {name: _short(slope) for name, slope in zip(names, slopes.tolist(), strict=True)}
-    return Logistic(intercept=_short(float(beta[0] - slopes @ middle)), coefficients=coefficients)
+    return Logistic(
+        intercept=_short(float(beta[0] - slopes @ middle)), coefficients=coefficients, least=_short(sample.least)
+    )
 
 
 def newton(x: Array, y: Array, weight: Array) -> Array:
@@ -211,7 +220,7 @@ def fit(sample: Sample) -> Fitted:
         )
     every = {name: left_out(sample, one) for name, one in CANDIDATES.items()}
     losses = {name: figures(sample, p).log_loss for name, p in every.items()}
-    best = min(losses, key=lambda name: losses[name])
+    best = min(losses, key=lambda name: round(losses[name], 6))  # of equals the first
     return Fitted(CANDIDATES[best](sample), best, sample, every[best], losses)
 
 

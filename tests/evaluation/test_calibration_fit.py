@@ -1,0 +1,155 @@
+"""The map from what is known of a row to the probability that it is right, on rows whose probability is known."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.evaluation.experiments import calibration_fit as fitting
+from facetrack_cli.evaluation.experiments.calibration_fit import Sample, figures, fit, fit_isotonic, fit_logistic, pool
+from facetrack_cli.tracking.calibration import RISES
+
+
+def logistic(z):
+    return 1 / (1 + np.exp(-z))
+
+
+def sample(probability, rows=400, clips=20, random=1):
+    """Rows of which one is right with `probability(known)`; features are drawn evenly."""
+    rng, n = np.random.default_rng(random), rows * clips
+    c = rng.random(n)
+    known = {"confidence": c, "log_odds": np.log((c + 0.01) / (1.01 - c)), "spread": rng.uniform(-6, 2, n)}
+    known |= {"ess": rng.uniform(-3, 0, n), "lost": (rng.random(n) < 0.2) * 1.0}
+    right = rng.random(n) < probability(known)
+    return Sample(known, right, np.ones(n, np.bool_), np.repeat(np.arange(clips), rows))
+
+
+# --- pool adjacent violators ----------------------------------------------------------------------------------------
+
+
+def naive_pool(y, weight):
+    """max over a <= i of min over b >= i of the weighted mean of y[a..b] (Barlow et al., 1972)."""
+    n, mean = len(y), lambda a, b: np.average(y[a : b + 1], weights=weight[a : b + 1])
+    return np.array([max(min(mean(a, b) for b in range(i, n)) for a in range(i + 1)) for i in range(n)])
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.floats(0.1, 10)), min_size=1, max_size=12))
+def test_pool_is_the_twin_and_never_falls(pairs):
+    y, weight = np.array(pairs).T
+    found = pool(y, weight)
+    np.testing.assert_allclose(found, naive_pool(y, weight), atol=1e-12)
+    assert np.all(np.diff(found) >= 0)
+    assert np.sum(weight * found) == pytest.approx(np.sum(weight * y))
+    np.testing.assert_allclose(pool(found, weight), found, atol=1e-12)
+
+
+# --- maps -----------------------------------------------------------------------------------------------------------
+
+
+def test_logistic_recovers_what_rows_were_drawn_by():
+    def probability(known):
+        return logistic(-3 + 4 * known["confidence"] - 0.8 * known["spread"])
+
+    whole = sample(probability, rows=2000, clips=100)
+    found = fit_logistic(("confidence", "spread"), whole)
+    assert found.intercept == pytest.approx(-3, abs=0.15)
+    assert found.coefficients == pytest.approx({"confidence": 4, "spread": -0.8}, abs=0.15)
+
+
+def test_isotonic_recovers_what_rows_were_drawn_by():
+    def probability(known):
+        return np.where(known["confidence"] > 0.6, 0.9, 0.2 + 0.3 * known["confidence"])
+
+    found = fit_isotonic("confidence", sample(probability, rows=2000, clips=50))
+    c = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+    np.testing.assert_allclose(found({"confidence": c}), probability({"confidence": c}), atol=0.03)
+
+
+def test_scores_that_six_digits_cannot_tell_apart_are_one_knot():
+    drawn = sample(lambda known: known["confidence"], rows=40, clips=4)
+    close = 0.5 + 1e-9 * drawn.known["confidence"]
+    found = fit_isotonic(
+        "confidence", Sample({**drawn.known, "confidence": close}, drawn.right, drawn.visible, drawn.clip)
+    )
+    assert [knot[0] for knot in found.knots] == [0.5]
+
+
+def test_newton_stops_where_the_slope_is_zero():
+    rng = np.random.default_rng(3)
+    x = np.column_stack([np.ones(300), rng.normal(size=(300, 3))])
+    y, weight = rng.random(300), rng.uniform(0.1, 2, 300)
+    beta = fitting.newton(x, y, weight)
+    slope = x.T @ (weight * (y - logistic(x @ beta))) - fitting.RIDGE * np.append(0, beta[1:])
+    np.testing.assert_allclose(slope, 0, atol=1e-8)
+
+
+@given(st.integers(0, 10_000), st.integers(1, 6), st.integers(2, 4))
+def test_no_map_falls_with_confidence_or_rises_with_spread(random, rows, clips):
+    drawn = sample(lambda known: np.full(len(known["ess"]), 0.5), rows, clips, random)
+    for name, candidate in fitting.CANDIDATES.items():
+        made = candidate(drawn)
+        known = {feature: np.full(9, values.mean()) for feature, values in drawn.known.items()}
+        for feature, sign in RISES.items():
+            span = drawn.known[feature]
+            p = made({**known, feature: np.linspace(span.min() - 1, span.max() + 1, 9)})
+            assert np.all((p > 0) & (p < 1)), name
+            assert not sign or np.all(sign * np.diff(p) >= 0), (name, feature)
+
+
+def test_all_right_is_not_certain_and_more_clips_are_surer():
+    few, many = (sample(lambda known: np.ones(len(known["ess"])), 50, clips) for clips in (2, 20))
+    for candidate in fitting.CANDIDATES.values():
+        p = [candidate(one)(few.known).max() for one in (few, many)]
+        assert p[0] == pytest.approx(41 / 42) and p[1] == pytest.approx(401 / 402)
+    assert fit_logistic(("confidence", "spread"), few).coefficients == {}
+
+
+def test_clips_weigh_alike_however_long():
+    def often(rows, clip, share):
+        one = sample(lambda known: np.full(len(known["ess"]), share), rows, 1, clip)
+        return Sample(one.known, one.right, one.visible, np.full(rows, clip))
+
+    both = fitting.joined([often(4000, 0, 0.9), often(400, 1, 0.1)])
+    p = fit_logistic(("confidence",), both)(both.known)
+    assert np.average(p, weights=both.weight) == pytest.approx(0.5, abs=0.03)
+
+
+# --- the choice -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "probability",
+    [
+        lambda known: logistic(-4 + 7 * known["confidence"] ** 4),
+        lambda known: logistic(-4 + 3 * known["confidence"] - 1.5 * known["spread"] - known["lost"]),
+    ],
+)
+def test_the_calibrated_are_nearer_to_the_truth_on_clips_never_seen(probability):
+    seen, held = sample(probability, clips=12), sample(probability, clips=12, random=2)
+    found = fit(seen)
+    raw, after = figures(held, held.known["confidence"]), figures(held, found.map(held.known))
+    assert after.ece < 0.04 < 0.15 < raw.ece and after.brier < raw.brier
+    assert found.checked.ece < 0.04 and found.checked.ece_raw > 0.15
+    assert found.losses[found.name] == min(found.losses.values())
+
+
+def test_each_clip_is_checked_by_the_map_of_the_others():
+    whole = sample(lambda known: known["confidence"], rows=60, clips=4)
+    p = fitting.left_out(whole, fitting.CANDIDATES["isotonic of confidence"])
+    mine = whole.clip == 2
+    np.testing.assert_array_equal(p[mine], fit_isotonic("confidence", whole.take(~mine))(whole.take(mine).known))
+
+
+def test_one_clip_cannot_be_left_out():
+    with pytest.raises(InputError, match="two clips or more"):
+        fit(sample(lambda known: known["confidence"], clips=1))
+
+
+def test_figures_by_hand():
+    known = {name: np.array([0.05, 0.95, 0.95]) for name in RISES}
+    three = Sample(known, np.array([False, True, False]), np.ones(3, np.bool_), np.array([0, 1, 1]))
+    found = figures(three, known["confidence"])  # the first row weighs as much as the other two
+    assert found.ece == pytest.approx((0.05 + abs(0.5 - 0.95)) / 2)
+    assert found.brier == pytest.approx((0.05**2 + (0.05**2 + 0.95**2) / 2) / 2)
+    assert found.log_loss == pytest.approx((-np.log(0.95) + (-np.log(0.95) - np.log(0.05)) / 2) / 2)

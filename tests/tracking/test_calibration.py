@@ -1,0 +1,176 @@
+"""A calibration's file, and what it does to the rows of a recipe that names it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.runs.api import track_video
+from facetrack_cli.tracking.calibration import Calibration, Checked, Isotonic, Logistic, features, load_calibration
+from facetrack_cli.trajectory.trajectory import build
+from tests.support.samples import FOLDER
+
+POINTS = Logistic(
+    intercept=-1.0, coefficients={"confidence": 2.0, "spread": -0.5, "ess": 0.1, "lost": -1.0}, least=0.01
+)
+BOX = Isotonic(feature="confidence", knots=[[0.0, 0.1], [0.5, 0.2], [1.0, 0.75]])
+NUMBERS = Checked(rows=10, right=0.5, ece=0.1, brier=0.2, ece_raw=0.3, brier_raw=0.4)
+
+
+def calibration(**maps):
+    checked = dict.fromkeys(maps, NUMBERS)
+    return Calibration(recipe="sir", maps=maps, checked=checked, clips=["a.mp4", "b.mp4"], seeds=2)
+
+
+BOTH = calibration(points=POINTS, box=BOX)
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "both.json"
+    path.write_text(BOTH.to_json(), encoding="utf-8")
+    return path
+
+
+def rows(**columns):
+    """A point in three frames and a box in one."""
+    known = {"confidence": [1.0, 0.6, np.nan, 0.75], "status": ["init", "lost", "absent", "tracked"]}
+    known |= {"w": [8.0, 8.0, np.nan, 40.0], "h": [8.0, 8.0, np.nan, 10.0]}
+    known |= {"std_x": [0.0, 3.0, np.nan, 3.0], "std_y": [0.0, 4.0, np.nan, 4.0], "ess": [100.0, 10.0, np.nan, 1.0]}
+    known |= {"particles": [100.0] * 4} | columns
+    return build([("face", "nose"), ("face", "box")], [0, 0, 0, 1], [0, 1, 2, 1], **known)
+
+
+# --- the file -------------------------------------------------------------------------------------------------------
+
+
+def test_a_file_is_read_as_it_was_written(file):
+    found = load_calibration(file)
+    assert found == BOTH and found.to_json().encode() == file.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"format": "facetrack-gallery"}, '"format" is not facetrack-calibration'),
+        ({"version": 2}, "another version than 1"),
+        (
+            {"maps": {"points": {"method": "logistic", "intercept": "1", "coefficients": {}}}},
+            "maps.points.logistic.int",
+        ),
+        ({"maps": {"points": {"method": "tree"}}}, "maps.points"),
+        ({"maps": {"box": {"method": "isotonic", "feature": "confidence", "knots": []}}}, "knots"),
+        ({"maps": {"box": {"method": "isotonic", "feature": "confidence", "knots": [[0, 0.5], [1, 0.4]]}}}, "knots"),
+        ({"maps": {"box": {"method": "isotonic", "feature": "spread", "knots": [[0, 0.4], [1, 0.5]]}}}, "fall"),
+        ({"maps": {"box": {"method": "isotonic", "feature": "confidence", "knots": [[0, 0.4], [1, 1.5]]}}}, "within"),
+        ({"maps": {"nose": {"method": "logistic", "intercept": 1.0, "coefficients": {}}}}, "maps.nose"),
+        ({"maps": {"box": {"method": "logistic", "intercept": 1.0, "coefficients": {"size": 1.0}}}}, "size"),
+        ({"colour": 1}, "colour"),
+    ],
+)
+def test_a_damaged_file_is_refused_in_a_line_that_names_it(file, change, said):
+    stored = {**json.loads(file.read_text(encoding="utf-8")), **change}
+    file.write_text(json.dumps(stored), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        load_calibration(file)
+    line = str(refused.value)
+    assert line.startswith(f"{file}: ") and said in line and "\n" not in line and "facetrack calibrate" in line
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"[1, 2]", b"\xff\xfe", b'{"format": NaN}', b"[" * 100_000])
+def test_what_is_no_calibration_is_refused(tmp_path, data):
+    path = tmp_path / "x.json"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="is no calibration"):
+        load_calibration(path)
+
+
+# --- rows -----------------------------------------------------------------------------------------------------------
+
+
+def test_features_by_hand():
+    given = rows()
+    known = features(given, np.array([False, False, False, True]), 50.0)
+    assert known["spread"][[0, 1, 3]].tolist() == pytest.approx([np.log(1e-3), np.log(5 / 50), np.log(5 / 20)])
+    assert known["ess"][[0, 1, 3]].tolist() == pytest.approx([0, -1, -2])
+    assert known["log_odds"][1] == pytest.approx(np.log(0.61 / 0.41)) and known["lost"].tolist() == [0, 1, 0, 0]
+    # a single point has no distance to others, but a window
+    assert features(given, np.zeros(4, np.bool_), 0.0)["spread"][1] == pytest.approx(np.log(5 / 8))
+
+
+def test_points_and_boxes_have_maps_of_their_own():
+    given = rows()
+    found = BOTH.applied(given, 50.0)
+    point = 1 / (1 + np.exp(-(-1 + 2 * 0.6 - 0.5 * np.log(0.1) - 0.1 - 1)))
+    # what was given is certain; of what is absent nothing is known
+    np.testing.assert_allclose(found.confidence, [1.0, point, np.nan, 0.475])
+    assert replace(found, confidence=given.confidence).columns().keys() == given.columns().keys()
+    for name, values in given.columns().items():
+        if name != "confidence":
+            np.testing.assert_array_equal(found.columns()[name], values)
+
+
+def test_without_a_map_for_a_part_its_confidence_is_not_known():
+    found = calibration(points=POINTS).applied(rows(), 50.0)
+    assert np.isnan(found.confidence[3]) and np.isfinite(found.confidence[1])
+    assert calibration(box=BOX).applied(rows(), 50.0).confidence[0] == 1.0  # in the first frame
+
+
+# --- recipes --------------------------------------------------------------------------------------------------------
+
+COLUMNS = ("x", "y", "w", "h", "angle", "std_x", "std_y", "cov_xy", "ess", "particles", "status")
+
+
+@pytest.mark.parametrize(
+    ("recipe", "clip", "stop"),
+    [
+        ("factorized_robust", "occlusion", 70),
+        ("correlation_filter", "passerby", 40),
+        ("adaptive_robust", "lamp", 15),
+        ("face", "occlusion", 25),
+    ],
+)
+def test_a_calibration_changes_confidence_alone(file, recipe, clip, stop):
+    path = FOLDER / f"{clip}.mp4"
+    raw = track_video(path, recipe, stop=stop)
+    named = load_recipe(recipe, {"confidence.calibration": str(file)})
+    found = track_video(path, named, stop=stop)
+    for name in COLUMNS:
+        assert getattr(found, name).tobytes() == getattr(raw, name).tobytes(), name
+    assert found.header["recipe"]["confidence"]["calibration"] == str(file)
+    later = raw.status != "init"
+    assert np.all(found.confidence[~later] == 1.0) and not np.any(found.confidence[later] == raw.confidence[later])
+    boxes = np.array([part == "box" for _, part in raw.names])[raw.which] & later
+    np.testing.assert_allclose(found.confidence[boxes], BOX({"confidence": raw.confidence[boxes]}))
+
+
+def test_each_cloud_has_its_own(file):
+    path, key = FOLDER / "signing.mp4", "targets.left_hand.confidence.calibration"
+    few = {f"targets.{name}.filter.particles": 200 for name in ("head", "left_hand", "right_hand")}
+    raw, found = (
+        track_video(path, load_recipe("head_hands_cloud", {**few, **more}), stop=6) for more in ({}, {key: str(file)})
+    )
+    changed = {raw.names[i][0] for i in raw.which[raw.confidence != found.confidence]}
+    assert changed == {"left_hand"} and found.x.tobytes() == raw.x.tobytes()
+
+
+def test_a_file_stands_beside_its_recipe_or_is_refused(file, tmp_path):
+    text = (Path(__file__).parents[2] / "configs" / "sir.yaml").read_text(encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text(f"{text}confidence: {{calibration: both.json}}\n", encoding="utf-8")
+    assert check_recipe(str(tmp_path / "mine.yaml")) == []
+    found = track_video(FOLDER / "occlusion.mp4", tmp_path / "mine.yaml", stop=3)
+    assert found.header["recipe"]["confidence"]["calibration"] == "both.json"
+    file.unlink()
+    [problem] = check_recipe(str(tmp_path / "mine.yaml"))
+    assert 'there is no file "both.json"' in str(problem)
+    with pytest.raises(RecipeError, match=r'there is no file "both\.json"'):
+        track_video(FOLDER / "occlusion.mp4", tmp_path / "mine.yaml", stop=3)
+
+
+def test_what_gives_no_confidence_has_none_to_calibrate():
+    with pytest.raises(RecipeError, match="gives no confidence; remove the calibration"):
+        load_recipe("contour_correlation", {"likelihood.contour": None, "confidence.calibration": "x.json"})

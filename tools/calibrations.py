@@ -1,0 +1,122 @@
+"""Fits a calibration of confidence for each shipped recipe: configs/calibration/<recipe>.json.
+
+    python tools/calibrations.py                                     # what is not there yet
+    python tools/calibrations.py --again --config factorized --config face
+    FACETRACK_CLIPS=../clips python tools/calibrations.py -j 2       # with the real clips in that folder
+
+Each recipe is fitted to rendered clips (benchmarks/rendered.py, seeds 200 to 203 of each kind, in --clips), to the
+sample clips that it has goldens of, and, if it follows boxes, to the real clips of $FACETRACK_CLIPS: folders with a
+groundtruth.csv and a video or images. For each it prints the calibration error and Brier score on clips left out, raw
+and calibrated. Clips that are rendered, and recipes that have a file, are left as they are, so that it may be
+interrupted. A clip that a recipe cannot run on is named and left out, and so is a recipe with fewer than two clips.
+Rendering needs the `samples` extra.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from itertools import product
+from pathlib import Path
+
+import cv2
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
+
+from boxes import clip_in
+
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.evaluation.experiments import calibrate
+from facetrack_cli.evaluation.experiments.compare import default_truth
+from facetrack_cli.recipe.files import shipped_recipes
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.seeds import load_recipes
+from facetrack_cli.trajectory.formats.read import read_truth
+
+ROOT = Path(__file__).parent.parent
+SAMPLES = ROOT / "sample_videos"
+SEEDS = range(200, 204)
+KINDS = ("object", "passer", "gestures")
+
+
+def render(folder: Path) -> list[Path]:
+    """The rendered clips, those that are missing made first."""
+    clips = []
+    for seed, kind in product(SEEDS, KINDS):
+        clip = folder / f"{kind}-{seed}.mp4"
+        if not clip.with_suffix(".init.yaml").exists():  # which is written last
+            script = str(ROOT / "benchmarks" / "rendered.py")
+            subprocess.run([sys.executable, script, str(folder), "--seeds", str(seed), "--kind", kind], check=True)
+        clips.append(clip)
+    return clips
+
+
+def real() -> list[Path]:
+    folder = os.environ.get("FACETRACK_CLIPS")
+    return [] if folder is None else [clip_in(file.parent) for file in sorted(Path(folder).glob("*/groundtruth.csv"))]
+
+
+def clips_of(recipe: Recipe, rendered: Sequence[Path]) -> list[Path]:
+    """The clips that the recipe is made for."""
+    goldens = sorted((SAMPLES / "goldens").glob(f"*.{recipe.name}.json"))
+    samples = [SAMPLES / f"{golden.name.partition('.')[0]}.mp4" for golden in goldens]
+    boxes = not recipe.points or any(one.head is not None for one in recipe.filters.values())
+    return samples if len(recipe.followed) > 1 else [*rendered, *samples, *(real() if boxes else [])]
+
+
+def fit(recipe: Recipe, clips: Sequence[Path], seeds: int, workers: int) -> calibrate.Calibrated:
+    """The calibration by all clips that the recipe runs on. Raises what speaks against all of them."""
+
+    def left_out(clip: Path, error: FacetrackError) -> None:
+        print(f"{recipe.name}: {clip.name} is left out: {error}", file=sys.stderr, flush=True)
+
+    given = [(clip, read_truth(default_truth(clip))) for clip in clips]
+    found = calibrate.run(recipe, given, seeds, workers=workers, failed=left_out)
+    assert found is not None
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    default = Path(tempfile.gettempdir()) / "facetrack-calibrations"
+    parser.add_argument("--clips", type=Path, default=default, help=f"rendered clips [default: {default}]")
+    parser.add_argument("--config", action="append", default=[], metavar="NAME", help="this recipe; repeatable")
+    parser.add_argument("--seeds", type=int, default=1, help="runs of each clip [default: 1]")
+    parser.add_argument("-j", "--jobs", type=int, default=1, help="processes")
+    parser.add_argument("-o", "--out", type=Path, default=ROOT / "configs" / "calibration", help="folder of the files")
+    parser.add_argument("--again", action="store_true", help="also those that have a file")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    args.clips.mkdir(parents=True, exist_ok=True)
+    args.out.mkdir(parents=True, exist_ok=True)
+    rendered = render(args.clips)
+    print(f"{'recipe':<40} {'part':<6} clips right    raw: ECE Brier   calibrated: ECE Brier  map", flush=True)
+    for path in shipped_recipes():
+        file = args.out / f"{path.stem}.json"
+        if (args.config and path.stem not in args.config) or (file.exists() and not args.again):
+            continue
+        gallery = str(SAMPLES / "people.npz") if "recognition" in path.stem else None
+        began = time.monotonic()
+        try:
+            [recipe] = load_recipes([(str(path), ())], gallery)
+            found = fit(recipe, clips_of(recipe, rendered), args.seeds, args.jobs)
+        except FacetrackError as e:
+            print(f"{path.stem}: no calibration: {e}", file=sys.stderr, flush=True)
+            continue
+        file.write_text(found.calibration.to_json(), encoding="utf-8")
+        for kind, one in found.fitted.items():
+            now, clips = one.checked, len(one.sample.clips)
+            print(
+                f"{path.stem:<40} {kind:<6} {clips:5} {now.right:5.2f} {now.ece_raw:11.3f} {now.brier_raw:5.3f} "
+                f"{now.ece:17.3f} {now.brier:5.3f}  {one.name} ({time.monotonic() - began:.0f} s)",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
