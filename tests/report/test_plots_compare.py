@@ -83,7 +83,7 @@ def test_calibration_shows_share_and_count():
     measures = ConfidenceMeasures(40, 0.6, 0.6, None, None, 0.15, None, bins)
     upper, lower = plots.calibration_figure(measures).axes
     points = {line.get_label(): line.get_xydata() for line in upper.lines}
-    assert np.allclose(points["near the ground truth"], [(0.15, 0), (0.95, 0.8)])
+    assert np.allclose(points["right"], [(0.15, 0), (0.95, 0.8)])
     assert np.allclose(points["visible in the ground truth"], [(0.15, 0), (0.95, 1)])
     assert [bar.get_height() for bar in lower.patches] == [10, 30]
     assert "0.150" in panel_note(upper)

@@ -21,10 +21,8 @@ class Calibrate:
     for points, one for boxes. All clips weigh the same. Tables show how reliable confidence is before and after, each
     clip by the map that was fitted to the others.
 
-    A recipe names the file, and its column confidence is then that probability. Places and status stay the same:
-
-    \b
-        confidence: {calibration: NAME.json}
+    A recipe names the file as confidence.calibration, and the column confidence is then that probability. Places and
+    status stay the same.
 
     \b
     Examples:
@@ -40,7 +38,7 @@ class Calibrate:
     """
 
     clips: tuple[Path, ...] = argument("INPUT...", nargs=-1, required=True)
-    config: str | None = options.CONFIG
+    config: str | None = option("--config RECIPE", "Recipe: a file, or a name [default: face].")
     truth: tuple[Path, ...] = option(
         "--truth FILE",
         "Ground truth of each clip, in their order; repeatable [default: <clip>.truth.csv, else groundtruth.csv beside "

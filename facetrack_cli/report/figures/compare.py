@@ -141,7 +141,7 @@ def calibration_figure(measures: ConfidenceMeasures, *, title: str = "Confidence
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3.2, 1]})
         upper.plot([0, 1], [0, 1], **_MARK, label="ideal: equal to confidence")
         upper.vlines(mean, mean, right, color=style.STATUS["lost"], linewidth=1.0, alpha=0.55, zorder=1.5)
-        upper.plot(mean, right, "o-", color=style.COLOURS[0], linewidth=1.5, markersize=5, label="off by less than 1/4")
+        upper.plot(mean, right, "o-", color=style.COLOURS[0], linewidth=1.5, markersize=5, label="right")
         if (visible < 1).any():
             marked: dict[str, Any] = {"color": style.COLOURS[1], "linewidth": 1.2, "markersize": 4}
             upper.plot(mean, visible, "s--", **marked, label="visible in the ground truth")
