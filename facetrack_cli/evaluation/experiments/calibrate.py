@@ -122,7 +122,9 @@ def run(
     runs = [(clip, own) for clip, own in runs if own]
     samples = collect([(own, truths[clip]) for clip, own in runs])
     names = tuple(clip_name(clip) for clip, _ in runs)
-    return Calibrated(recipe.name, names, len(numbers), {kind: fit(one) for kind, one in samples.items()})
+    # a kind of a single clip has no map, unless it is the only one: then that is the error
+    several = {kind: one for kind, one in samples.items() if len(one.clips) > 1} or samples
+    return Calibrated(recipe.name, names, len(numbers), {kind: fit(one) for kind, one in several.items()})
 
 
 def uncalibrated(recipe: Recipe) -> Recipe:
