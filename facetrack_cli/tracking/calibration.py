@@ -10,9 +10,9 @@ features below to that probability, one for points and one for boxes, and a reci
     lost         1 where the status is lost, else 0
 
 The size is sqrt(w * h) of a box, or of a single point's window; of points the largest distance between two of them at
-the start. The maps are
-logistic regression (Platt, 1999, on several features) and isotonic regression (Zadrozny & Elkan, KDD 2002), between
-whose knots p is linear. Neither falls where confidence rises, nor rises where spread does.
+the start. The maps are logistic regression (Platt, 1999, on several features) and isotonic regression (Zadrozny &
+Elkan, KDD 2002), between whose knots p is linear, of a feature or of such a logistic regression. None falls where
+confidence rises, nor rises where spread does.
 """
 
 from __future__ import annotations
@@ -59,17 +59,21 @@ class Logistic(_Stored):
 
 
 class Isotonic(_Stored):
-    """p is linear between `knots`, pairs of a value of the feature and p, and level beyond them."""
+    """p is linear between `knots`, pairs of a value of the score and p, and level beyond them.
+
+    The score is a feature, or the probability of a logistic regression on several.
+    """
 
     method: Literal["isotonic"] = "isotonic"
-    feature: Feature
+    score: Feature | Logistic
     knots: Annotated[list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=1)]
 
     @field_validator("knots")
     @classmethod
     def _ordered(cls, knots: list[list[float]], info: Any) -> list[list[float]]:
         x, p = np.array(knots).T
-        falls = RISES.get(info.data.get("feature"), 0) < 0
+        score = info.data.get("score")
+        falls = isinstance(score, str) and RISES[score] < 0  # type: ignore[index]
         if np.any(np.diff(x) <= 0) or np.any(np.diff(p) * (-1 if falls else 1) < 0) or p.min() < 0 or p.max() > 1:
             raise ValueError(
                 f"values must rise from knot to knot, and p, within 0 and 1, {'fall' if falls else 'rise'}"
@@ -83,7 +87,8 @@ class Isotonic(_Stored):
 
     def __call__(self, known: Mapping[Feature, Array]) -> Array:
         """As of `Logistic`."""
-        return np.interp(known[self.feature], *self._table)
+        score = self.score(known) if isinstance(self.score, Logistic) else known[self.score]
+        return np.interp(score, *self._table)
 
 
 Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
@@ -161,5 +166,6 @@ def load_calibration(path: Path) -> Calibration:
         return Calibration.model_validate(stored)
     except ValidationError as e:
         first = e.errors()[0]
-        place, said = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
+        place = ".".join(str(key) for key in first["loc"] if not str(key).startswith("literal["))
+        said = first["msg"].removeprefix("Value error, ")
         raise InputError(f"{path}: {place}: {said[:1].lower()}{said[1:]}; {remedy}") from None

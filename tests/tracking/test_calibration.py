@@ -17,7 +17,7 @@ from tests.support.samples import FOLDER
 POINTS = Logistic(
     intercept=-1.0, coefficients={"confidence": 2.0, "spread": -0.5, "ess": 0.1, "lost": -1.0}, least=0.01
 )
-BOX = Isotonic(feature="confidence", knots=[[0.0, 0.1], [0.5, 0.2], [1.0, 0.75]])
+BOX = Isotonic(score="confidence", knots=[[0.0, 0.1], [0.5, 0.2], [1.0, 0.75]])
 NUMBERS = Checked(rows=10, right=0.5, ece=0.1, brier=0.2, ece_raw=0.3, brier_raw=0.4)
 
 
@@ -63,12 +63,13 @@ def test_a_file_is_read_as_it_was_written(file):
             "maps.points.logistic.int",
         ),
         ({"maps": {"points": {"method": "tree"}}}, "maps.points"),
-        ({"maps": {"box": {"method": "isotonic", "feature": "confidence", "knots": []}}}, "knots"),
-        ({"maps": {"box": {"method": "isotonic", "feature": "confidence", "knots": [[0, 0.5], [1, 0.4]]}}}, "knots"),
-        ({"maps": {"box": {"method": "isotonic", "feature": "spread", "knots": [[0, 0.4], [1, 0.5]]}}}, "fall"),
-        ({"maps": {"box": {"method": "isotonic", "feature": "confidence", "knots": [[0, 0.4], [1, 1.5]]}}}, "within"),
+        ({"maps": {"box": {"method": "isotonic", "score": "confidence", "knots": []}}}, "knots"),
+        ({"maps": {"box": {"method": "isotonic", "score": "confidence", "knots": [[0, 0.5], [1, 0.4]]}}}, "knots"),
+        ({"maps": {"box": {"method": "isotonic", "score": "spread", "knots": [[0, 0.4], [1, 0.5]]}}}, "fall"),
+        ({"maps": {"box": {"method": "isotonic", "score": "confidence", "knots": [[0, 0.4], [1, 1.5]]}}}, "within"),
         ({"maps": {"nose": {"method": "logistic", "intercept": 1.0, "coefficients": {}}}}, "maps.nose"),
         ({"maps": {"box": {"method": "logistic", "intercept": 1.0, "coefficients": {"size": 1.0}}}}, "size"),
+        ({"maps": {"box": {"method": "isotonic", "score": "size", "knots": [[0.0, 0.5]]}}}, "isotonic.score: input"),
         ({"colour": 1}, "colour"),
     ],
 )
@@ -79,6 +80,14 @@ def test_a_damaged_file_is_refused_in_a_line_that_names_it(file, change, said):
         load_calibration(file)
     line = str(refused.value)
     assert line.startswith(f"{file}: ") and said in line and "\n" not in line and "facetrack calibrate" in line
+
+
+def test_isotonic_of_a_logistic_regression(tmp_path):
+    both = Isotonic(score=POINTS, knots=[[0.0, 0.2], [1.0, 0.6]])
+    known = features(rows(), np.zeros(4, np.bool_), 50.0)
+    np.testing.assert_allclose(both(known), 0.2 + 0.4 * POINTS(known))
+    (tmp_path / "x.json").write_text(calibration(points=both).to_json(), encoding="utf-8")
+    assert load_calibration(tmp_path / "x.json").maps["points"] == both
 
 
 @pytest.mark.parametrize("data", [b"", b"{", b"[1, 2]", b"\xff\xfe", b'{"format": NaN}', b"[" * 100_000])

@@ -125,9 +125,13 @@ def pool(y: Array, weight: Array) -> Array:
     return np.repeat(means, counts)
 
 
-def fit_isotonic(feature: Feature, sample: Sample) -> Isotonic:
-    """Isotonic regression of what is right on one feature, at the means of at most `LEVELS` quantiles."""
-    x, weight = sample.known[feature], sample.weight
+def fit_isotonic(score: Feature | tuple[Feature, ...], sample: Sample) -> Isotonic:
+    """Isotonic regression of what is right on a feature, or on the logistic regression of several.
+
+    Its knots are at the means of at most `LEVELS` quantiles.
+    """
+    of = fit_logistic(score, sample) if isinstance(score, tuple) else score
+    x, weight = of(sample.known) if isinstance(of, Logistic) else sample.known[of], sample.weight
     order = np.argsort(x, kind="stable")
     at = np.empty(len(x))
     at[order] = np.cumsum(weight[order])
@@ -139,14 +143,14 @@ def fit_isotonic(feature: Feature, sample: Sample) -> Isotonic:
     _, level = np.unique(level, return_inverse=True)
     total: Array = np.bincount(level, weight).astype(np.float64)
     means, y = (np.bincount(level, weight * values) / total for values in (x, sample.smoothed))
-    sign = -1 if RISES[feature] < 0 else 1
+    sign = -1 if not isinstance(of, Logistic) and RISES[of] < 0 else 1
     p = sign * pool(sign * y, total)
     # of those that six digits cannot tell apart the last
     last_of = {_short(at): _short(level) for at, level in zip(means.tolist(), p.tolist(), strict=True)}
     knots = [list(pair) for pair in last_of.items()]
     # of a level stretch the two ends say all
     inner = [1 <= i < len(knots) - 1 and knots[i - 1][1] == knot[1] == knots[i + 1][1] for i, knot in enumerate(knots)]
-    return Isotonic(feature=feature, knots=[knot for knot, flat in zip(knots, inner, strict=True) if not flat])
+    return Isotonic(score=of, knots=[knot for knot, flat in zip(knots, inner, strict=True) if not flat])
 
 
 def fit_logistic(names: Sequence[Feature], sample: Sample) -> Logistic:
@@ -206,9 +210,9 @@ CANDIDATES: Final[Mapping[str, Fit]] = {
     "isotonic of confidence": partial(fit_isotonic, "confidence"),
     "isotonic of spread": partial(fit_isotonic, "spread"),
     "logistic of confidence": partial(fit_logistic, ("confidence",)),
-    "logistic of log_odds": partial(fit_logistic, ("log_odds",)),
     "logistic of confidence, spread": partial(fit_logistic, ("confidence", "spread")),
     "logistic of all": partial(fit_logistic, tuple(RISES)),
+    "isotonic of logistic of all": partial(fit_isotonic, tuple(RISES)),
 }
 
 
