@@ -231,6 +231,7 @@ def test_the_annotated_recipes_of_boxes_have_every_key(shipped):
 # what makes a run of each short; commands that are not here want what another one made, or have tests of their own
 SHORT = {
     "run": ["--no-video", "--stop", "3", "--overwrite", "-q"],
+    "calibrate": ["--stop", "3", "--seeds", "1", "--overwrite", "-q"],
     "compare": ["--stop", "3", "--seeds", "1", "--no-plots", "--overwrite", "-q"],
     "repeat": ["--stop", "3", "--seeds", "2", "--overwrite", "-q"],
     "prior": ["--overwrite", "-q"],

@@ -235,7 +235,7 @@ def _recipe(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) ->
     if any(file.stem == name for file in shipped_recipes()):
         folders = [shipped_folder(), *folders]
     for one in [known, *_mappings(known.get("targets"))]:
-        for section, key in (("prior", "file"), ("recognition", "gallery")):
+        for section, key in (("prior", "file"), ("recognition", "gallery"), ("confidence", "calibration")):
             for place in _mappings({section: one.get(section)}):
                 if isinstance(file := place.get(key), str):
                     place[key] = str(_sought(main, file, [*folders, shipped_folder()]))

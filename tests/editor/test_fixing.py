@@ -532,8 +532,9 @@ def test_every_recipe_is_read_back_from_the_header_as_it_was(tmp_path):
         found = _recipe(tmp_path / "trajectory.json", header, [tmp_path])
         assert found.name == path.stem
         got = to_dict(found)
-        if wanted.get("prior"):
-            assert Path(got["prior"].pop("file")).samefile(path.parent / wanted["prior"].pop("file"))
+        for section, key in (("prior", "file"), ("confidence", "calibration")):
+            if (wanted.get(section) or {}).get(key):
+                assert Path(got[section].pop(key)).samefile(path.parent / wanted[section].pop(key))
         assert got == wanted
 
 
@@ -547,6 +548,12 @@ def test_files_that_a_recipe_names_are_found_again_or_missed_in_one_line(tmp_pat
     shutil.copy(shipped.path.parent / "mouth_prior.npz", tmp_path / "my.npz")
     found = _recipe(tmp_path / "trajectory.json", header, [tmp_path])
     assert found.prior.file == str(tmp_path / "my.npz") and header["prior"]["file"] == "my.npz"
+    header["confidence"]["calibration"] = "my.json"
+    with pytest.raises(InputError, match=r'its recipe names the file "my.json", which is in none of'):
+        _recipe(tmp_path / "trajectory.json", header, [tmp_path])
+    (tmp_path / "my.json").touch()
+    found = _recipe(tmp_path / "trajectory.json", header, [tmp_path])
+    assert found.confidence.calibration == str(tmp_path / "my.json")
     header["filter"]["particles"] = "many"
     with pytest.raises(InputError, match=r"does not know its recipe \(filter"):
         _recipe(tmp_path / "trajectory.json", header, [tmp_path])
