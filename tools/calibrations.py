@@ -113,7 +113,8 @@ def main() -> None:
             now, clips = one.checked, len(one.sample.clips)
             print(
                 f"{path.stem:<40} {kind:<6} {clips:5} {now.right:5.2f} {now.ece_raw:11.3f} {now.brier_raw:5.3f} "
-                f"{now.ece:17.3f} {now.brier:5.3f}  {one.name} ({time.monotonic() - began:.0f} s)",
+                f"{now.ece:17.3f} {now.brier:5.3f}   50 %: {now.within_50:.2f} 90 %: {now.within_90_raw:.2f} -> "
+                f"{now.within_90:.2f}  {one.name} ({time.monotonic() - began:.0f} s)",
                 flush=True,
             )
 

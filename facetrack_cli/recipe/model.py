@@ -32,7 +32,7 @@ class Confidence(Section):
     beside: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""
     calibration: Annotated[str, Field(min_length=1)] | None = None
-    """File of `facetrack calibrate` by which `confidence` becomes a probability; null: as it is. No status changes."""
+    """File of `facetrack calibrate` by which `confidence` is a probability and the spread covers; null: neither."""
 
 
 class ParticleFilter(Section):

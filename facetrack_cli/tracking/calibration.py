@@ -29,9 +29,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Array, Mask
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import SPREAD, Trajectory
 
 FORMAT: Final = "facetrack-calibration"
+LARGEST: Final = 20.0
+"""What a spread is multiplied by at most; divided by no more."""
 Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost"]
 RISES: Final[Mapping[Feature, int]] = {"confidence": 1, "log_odds": 1, "spread": -1, "ess": 0, "lost": -1}
 """Whether p rises with a feature or falls; 0: either."""
@@ -95,7 +97,10 @@ Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
 
 
 class Checked(_Stored):
-    """On each clip the map of the others: the calibration error and Brier score, and those of raw confidence."""
+    """On each clip the map of the others: the calibration error and Brier score, and those of raw confidence.
+
+    `within_..`: share of the right and visible rows in the ellipses that should hold 50 and 90 % of them.
+    """
 
     rows: Annotated[int, Field(ge=0)]
     right: _Share
@@ -103,16 +108,24 @@ class Checked(_Stored):
     brier: _Share
     ece_raw: _Share
     brier_raw: _Share
+    within_50: _Share
+    within_90: _Share
+    within_90_raw: _Share
 
 
 class Calibration(_Stored):
-    """A map for each kind of part, and what it was fitted to: a recipe's runs, `seeds` of each clip."""
+    """A map for each kind of part, and what it was fitted to: a recipe's runs, `seeds` of each clip.
+
+    `spread`: by what the standard deviations are multiplied, so that of the rows that are right and visible 90 % are in
+    the ellipse that should hold so many.
+    """
 
     format: Literal["facetrack-calibration"] = FORMAT
     version: Literal[1] = 1
     recipe: str
     right: Literal["error of the centre below 1/4 of the size"] = "error of the centre below 1/4 of the size"
     maps: dict[PartKind, Map]
+    spread: dict[PartKind, Annotated[float, Field(gt=0, le=LARGEST)]]
     checked: dict[PartKind, Checked]
     clips: list[str]
     seeds: int
@@ -122,12 +135,14 @@ class Calibration(_Stored):
 
         What was given to the tracker (status init) keeps its own; p is unknown where confidence is, or there is no map.
         """
-        boxes, p = boxes_of(rows), np.full(len(rows), np.nan)
+        boxes, p, by = boxes_of(rows), np.full(len(rows), np.nan), np.ones(len(rows))
         known = features(rows, boxes, size)
         for kind, of in self.maps.items():
-            p = np.where(boxes == (kind == "box"), of(known), p)
+            mine = boxes == (kind == "box")
+            p, by = np.where(mine, of(known), p), np.where(mine, self.spread[kind], by)
         given = (rows.status == "init") | np.isnan(rows.confidence)
-        return replace(rows, confidence=np.where(given, rows.confidence, p))
+        spread = {name: getattr(rows, name) * (by**2 if name == "cov_xy" else by) for name in SPREAD}
+        return replace(rows, confidence=np.where(given, rows.confidence, p), **spread)
 
     def to_json(self) -> str:
         return json.dumps(self.model_dump(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"

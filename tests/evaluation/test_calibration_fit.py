@@ -1,5 +1,7 @@
 """The map from what is known of a row to the probability that it is right, on rows whose probability is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.evaluation.experiments import calibration_fit as fitting
 from facetrack_cli.evaluation.experiments.calibration_fit import Sample, figures, fit, fit_isotonic, fit_logistic, pool
+from facetrack_cli.evaluation.trust import ELLIPSE_90
 from facetrack_cli.tracking.calibration import RISES
 
 
@@ -22,7 +25,7 @@ def sample(probability, rows=400, clips=20, random=1):
     known = {"confidence": c, "log_odds": np.log((c + 0.01) / (1.01 - c)), "spread": rng.uniform(-6, 2, n)}
     known |= {"ess": rng.uniform(-3, 0, n), "lost": (rng.random(n) < 0.2) * 1.0}
     right = rng.random(n) < probability(known)
-    return Sample(known, right, np.ones(n, np.bool_), np.repeat(np.arange(clips), rows))
+    return Sample(known, right, np.ones(n, np.bool_), np.repeat(np.arange(clips), rows), rng.chisquare(2, n))
 
 
 # --- pool adjacent violators ----------------------------------------------------------------------------------------
@@ -70,7 +73,7 @@ def test_scores_that_six_digits_cannot_tell_apart_are_one_knot():
     drawn = sample(lambda known: known["confidence"], rows=40, clips=4)
     close = 0.5 + 1e-9 * drawn.known["confidence"]
     found = fit_isotonic(
-        "confidence", Sample({**drawn.known, "confidence": close}, drawn.right, drawn.visible, drawn.clip)
+        "confidence", Sample({**drawn.known, "confidence": close}, drawn.right, drawn.visible, drawn.clip, drawn.far)
     )
     assert [knot[0] for knot in found.knots] == [0.5]
 
@@ -108,7 +111,7 @@ def test_all_right_is_not_certain_and_more_clips_are_surer():
 def test_clips_weigh_alike_however_long():
     def often(rows, clip, share):
         one = sample(lambda known: np.full(len(known["ess"]), share), rows, 1, clip)
-        return Sample(one.known, one.right, one.visible, np.full(rows, clip))
+        return Sample(one.known, one.right, one.visible, np.full(rows, clip), one.far)
 
     both = fitting.joined([often(4000, 0, 0.9), often(400, 1, 0.1)])
     p = fit_logistic(("confidence",), both)(both.known)
@@ -148,8 +151,33 @@ def test_one_clip_cannot_be_left_out():
 
 def test_figures_by_hand():
     known = {name: np.array([0.05, 0.95, 0.95]) for name in RISES}
-    three = Sample(known, np.array([False, True, False]), np.ones(3, np.bool_), np.array([0, 1, 1]))
+    three = Sample(known, np.array([False, True, False]), np.ones(3, np.bool_), np.array([0, 1, 1]), np.ones(3))
     found = figures(three, known["confidence"])  # the first row weighs as much as the other two
     assert found.ece == pytest.approx((0.05 + abs(0.5 - 0.95)) / 2)
     assert found.brier == pytest.approx((0.05**2 + (0.05**2 + 0.95**2) / 2) / 2)
     assert found.log_loss == pytest.approx((-np.log(0.95) + (-np.log(0.95) - np.log(0.05)) / 2) / 2)
+
+
+# --- spread --------------------------------------------------------------------------------------------------------
+
+
+def test_the_spread_is_multiplied_by_what_brings_nine_of_ten_rows_into_the_ellipse():
+    one = sample(lambda known: 0.7)
+    assert one.spread == pytest.approx(1.0, rel=0.03)  # distances are those of a normal
+    wide = replace(one, far=one.far * 9.0)
+    assert wide.spread == pytest.approx(3.0, rel=0.03)
+    assert wide.within(ELLIPSE_90, wide.spread) == pytest.approx(0.9, abs=1e-3)
+    # what is wrong or hidden says nothing
+    off = replace(one, far=np.where(one.right, one.far, np.inf))
+    assert off.spread == one.spread
+    assert replace(one, far=np.full(len(one), np.inf)).spread == 20.0
+    assert replace(one, right=np.zeros(len(one), np.bool_)).spread == 1.0
+
+
+def test_clips_left_out_are_covered_by_the_spread_of_the_others():
+    rng = np.random.default_rng(3)
+    one = sample(lambda known: 0.8, clips=10)
+    scaled = replace(one, far=one.far * np.exp(rng.normal(2.0, 0.3, 10))[one.clip])
+    checked = fit(scaled).checked
+    assert checked.within_90_raw < 0.5 < 0.85 < checked.within_90 < 0.95
+    assert 0.4 < checked.within_50 < 0.6

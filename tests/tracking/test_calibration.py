@@ -11,19 +11,23 @@ from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.tracking.calibration import Calibration, Checked, Isotonic, Logistic, features, load_calibration
-from facetrack_cli.trajectory.trajectory import build
+from facetrack_cli.trajectory.trajectory import SPREAD, build
 from tests.support.samples import FOLDER
 
 POINTS = Logistic(
     intercept=-1.0, coefficients={"confidence": 2.0, "spread": -0.5, "ess": 0.1, "lost": -1.0}, least=0.01
 )
 BOX = Isotonic(score="confidence", knots=[[0.0, 0.1], [0.5, 0.2], [1.0, 0.75]])
-NUMBERS = Checked(rows=10, right=0.5, ece=0.1, brier=0.2, ece_raw=0.3, brier_raw=0.4)
+NUMBERS = Checked(
+    rows=10, right=0.5, ece=0.1, brier=0.2, ece_raw=0.3, brier_raw=0.4, within_50=0.5, within_90=0.9, within_90_raw=0.6
+)
+BY = {"points": 2.0, "box": 0.5}
 
 
 def calibration(**maps):
     checked = dict.fromkeys(maps, NUMBERS)
-    return Calibration(recipe="sir", maps=maps, checked=checked, clips=["a.mp4", "b.mp4"], seeds=2)
+    spread = {kind: BY[kind] for kind in maps}
+    return Calibration(recipe="sir", maps=maps, spread=spread, checked=checked, clips=["a.mp4", "b.mp4"], seeds=2)
 
 
 BOTH = calibration(points=POINTS, box=BOX)
@@ -41,7 +45,7 @@ def rows(**columns):
     known = {"confidence": [1.0, 0.6, np.nan, 0.75], "status": ["init", "lost", "absent", "tracked"]}
     known |= {"w": [8.0, 8.0, np.nan, 40.0], "h": [8.0, 8.0, np.nan, 10.0]}
     known |= {"std_x": [0.0, 3.0, np.nan, 3.0], "std_y": [0.0, 4.0, np.nan, 4.0], "ess": [100.0, 10.0, np.nan, 1.0]}
-    known |= {"particles": [100.0] * 4} | columns
+    known |= {"particles": [100.0] * 4, "cov_xy": [0.0, -2.0, np.nan, 1.0]} | columns
     return build([("face", "nose"), ("face", "box")], [0, 0, 0, 1], [0, 1, 2, 1], **known)
 
 
@@ -119,8 +123,10 @@ def test_points_and_boxes_have_maps_of_their_own():
     np.testing.assert_allclose(found.confidence, [1.0, point, np.nan, 0.475])
     assert replace(found, confidence=given.confidence).columns().keys() == given.columns().keys()
     for name, values in given.columns().items():
-        if name != "confidence":
+        if name != "confidence" and name not in SPREAD:
             np.testing.assert_array_equal(found.columns()[name], values)
+    np.testing.assert_allclose(found.std_x, given.std_x * [2, 2, 2, 0.5])
+    np.testing.assert_allclose(found.cov_xy, given.cov_xy * [4, 4, 4, 0.25])
 
 
 def test_without_a_map_for_a_part_its_confidence_is_not_known():
@@ -131,7 +137,7 @@ def test_without_a_map_for_a_part_its_confidence_is_not_known():
 
 # --- recipes --------------------------------------------------------------------------------------------------------
 
-COLUMNS = ("x", "y", "w", "h", "angle", "std_x", "std_y", "cov_xy", "ess", "particles", "status")
+COLUMNS = ("x", "y", "w", "h", "angle", "ess", "particles", "status")
 
 
 @pytest.mark.parametrize(
@@ -143,7 +149,7 @@ COLUMNS = ("x", "y", "w", "h", "angle", "std_x", "std_y", "cov_xy", "ess", "part
         ("face", "occlusion", 25),
     ],
 )
-def test_a_calibration_changes_confidence_alone(file, recipe, clip, stop):
+def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip, stop):
     path = FOLDER / f"{clip}.mp4"
     raw = track_video(path, recipe, stop=stop)
     named = load_recipe(recipe, {"confidence.calibration": str(file)})
@@ -153,7 +159,9 @@ def test_a_calibration_changes_confidence_alone(file, recipe, clip, stop):
     assert found.header["recipe"]["confidence"]["calibration"] == str(file)
     later = raw.status != "init"
     assert np.all(found.confidence[~later] == 1.0) and not np.any(found.confidence[later] == raw.confidence[later])
-    boxes = np.array([part == "box" for _, part in raw.names])[raw.which] & later
+    of_box = np.array([part == "box" for _, part in raw.names])[raw.which]
+    np.testing.assert_allclose(found.std_y, raw.std_y * np.where(of_box, 0.5, 2.0))
+    boxes = of_box & later
     np.testing.assert_allclose(found.confidence[boxes], BOX({"confidence": raw.confidence[boxes]}))
 
 

@@ -21,7 +21,7 @@ from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_na
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Pair, rows_of
 from facetrack_cli.evaluation.summary import units_of
-from facetrack_cli.evaluation.trust import BINS, ConfidenceMeasures, calibration
+from facetrack_cli.evaluation.trust import BINS, ConfidenceMeasures, calibration, mahalanobis_squared
 from facetrack_cli.recipe.model import ParticleFilter, ParticlesRecipe, Recipe
 from facetrack_cli.runs.seeds import Plan, Report, run_plans
 from facetrack_cli.runs.signals import Stop
@@ -47,7 +47,9 @@ class Calibrated:
         """What is stored; the order of the clips says nothing."""
         maps = {kind: one.map for kind, one in self.fitted.items()}
         checked = {kind: one.checked for kind, one in self.fitted.items()}
-        return Calibration(recipe=self.recipe, maps=maps, checked=checked, clips=sorted(self.clips), seeds=self.seeds)
+        spread = {kind: one.sample.spread for kind, one in self.fitted.items()}
+        clips = sorted(self.clips)
+        return Calibration(recipe=self.recipe, maps=maps, spread=spread, checked=checked, clips=clips, seeds=self.seeds)
 
     def sheets(self) -> list[Sheet]:
         """A reliability table for each kind."""
@@ -76,6 +78,8 @@ def _sheet(title: str, one: Fitted) -> Sheet:
     notes = (
         f"Clips left out: calibration error {raw.ece:.3f} raw, {found.ece:.3f} calibrated; Brier score "
         f"{raw.brier:.3f} raw, {found.brier:.3f} calibrated.",
+        f"Of the right and visible rows of clips left out, {100 * one.checked.within_90:.0f} % are in the ellipse of "
+        f"90 %, with the spread as it is {100 * one.checked.within_90_raw:.0f} %.",
         f"The map is {one.name}. Log loss on clips left out: {losses}.",
     )
     return Sheet(title, ("confidence", *heads), tuple(zip(names, *columns, strict=True)), notes, left=(0,))
@@ -177,6 +181,7 @@ def _rows(run: Trajectory, truth: Trajectory, clip: int) -> tuple[Sample, Mask]:
         one, mine = rows_of(pair, units[ours.target].at(ours.frame)), boxes_of(ours)
         known = features(ours, mine, size)
         kept = one.judged & ~one.init & np.all([np.isfinite(values) for values in known.values()], axis=0)
-        samples.append(Sample(known, one.right, one.visible, np.full(len(ours), clip)).take(kept))
+        far = mahalanobis_squared(one.offset, one.std, one.cov_xy)
+        samples.append(Sample(known, one.right, one.visible, np.full(len(ours), clip), far).take(kept))
         boxes.append(mine[kept])
     return joined(samples), np.concatenate(boxes)

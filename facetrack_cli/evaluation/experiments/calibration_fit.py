@@ -16,8 +16,8 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.trust import BINS
-from facetrack_cli.tracking.calibration import RISES, Checked, Feature, Isotonic, Logistic, Map
+from facetrack_cli.evaluation.trust import BINS, ELLIPSE_50, ELLIPSE_90
+from facetrack_cli.tracking.calibration import LARGEST, RISES, Checked, Feature, Isotonic, Logistic, Map
 
 ALIKE: Final = 20
 LEVELS: Final = 20  # quantiles of a score that isotonic regression tells apart
@@ -29,12 +29,16 @@ Fit: TypeAlias = Callable[["Sample"], Map]
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Rows of one kind of part: features (R,), whether they are right and visible (R,), numbers of their clips (R,)."""
+    """Rows of one kind of part: features (R,), whether they are right and visible (R,), numbers of their clips (R,).
+
+    `far` (R,): squared Mahalanobis distance of the true centre, by the row's own spread.
+    """
 
     known: Mapping[Feature, Array]
     right: Mask
     visible: Mask
     clip: Whole
+    far: Array
 
     def __len__(self) -> int:
         return len(self.right)
@@ -60,16 +64,32 @@ class Sample:
 
     def take(self, rows: Mask | Whole) -> "Sample":
         known = {name: values[rows] for name, values in self.known.items()}
-        return Sample(known, self.right[rows], self.visible[rows], self.clip[rows])
+        return Sample(known, self.right[rows], self.visible[rows], self.clip[rows], self.far[rows])
+
+    @property
+    def spread(self) -> float:
+        """By what the standard deviations are to be multiplied; 1 where no row is right and visible."""
+        kept = self.right & self.visible
+        far, weight = self.far[kept], self.weight[kept]
+        if not len(far):
+            return 1.0
+        order = np.argsort(far)
+        reached = np.cumsum(weight[order]) / weight.sum()
+        at = far[order][min(int(np.searchsorted(reached, 0.9)), len(far) - 1)]
+        return _short(float(np.clip(np.sqrt(at / ELLIPSE_90), 1 / LARGEST, LARGEST)))
+
+    def within(self, ellipse: float, by: Array | float = 1.0) -> float:
+        """Share of the right and visible rows within an ellipse, whose axes are multiplied by `by` (R,)."""
+        kept = self.right & self.visible
+        inside = self.far <= ellipse * np.square(by)
+        return float(np.average(inside[kept], weights=self.weight[kept])) if kept.any() else 0.0
 
 
 def joined(samples: Sequence[Sample]) -> Sample:
     names: list[Feature] = list(RISES)
     known = {name: np.concatenate([one.known[name] for one in samples]) for name in names}
-    right, visible, clip = (
-        np.concatenate([getattr(s, name) for s in samples]) for name in ("right", "visible", "clip")
-    )
-    return Sample(known, right, visible, clip)
+    others = [np.concatenate([getattr(s, name) for s in samples]) for name in ("right", "visible", "clip", "far")]
+    return Sample(known, *others)
 
 
 class Figures(NamedTuple):
@@ -102,6 +122,11 @@ class Fitted:
     def checked(self) -> Checked:
         raw, found, right = self.raw, self.found, np.average(self.sample.right, weights=self.sample.weight)
         values = {"right": right, "ece": found.ece, "brier": found.brier, "ece_raw": raw.ece, "brier_raw": raw.brier}
+        one, by = self.sample, np.ones(len(self.sample))
+        for clip in one.clips if len(one.clips) > 1 else ():
+            by[one.clip == clip] = one.take(one.clip != clip).spread
+        values |= {"within_50": one.within(ELLIPSE_50, by), "within_90": one.within(ELLIPSE_90, by)}
+        values |= {"within_90_raw": one.within(ELLIPSE_90)}
         return Checked(rows=len(self.sample), **{name: round(float(value), 4) for name, value in values.items()})
 
 
