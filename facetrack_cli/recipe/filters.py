@@ -32,11 +32,9 @@ class Tempered(Filter):
     """A filter that can keep more particles than a narrow likelihood leaves; beyond the papers."""
 
     temper: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """The likelihood counts to a power of 1 or less, such that this share of the particles is effective; null: to 1."""
+    """Share of the particles that stays effective: the likelihood counts to a power of 1 or less; null: to 1."""
     moves: Annotated[int, Field(ge=0, le=100)] = 0
-    """With temper: the rest of the likelihood follows in stages, with so many moves of each particle in each; 0: none.
-
-    With 0 what remains is the posterior with the tempered likelihood, with more it is the posterior itself."""
+    """With temper: the rest of the likelihood follows in stages, each with so many Metropolis moves; 0: left out."""
 
     def mistakes(self) -> Iterable[Refusal]:
         if self.moves and self.temper is None:
@@ -51,9 +49,7 @@ class Kept(Resampled, Tempered):
     resample_below: Annotated[float, Field(gt=0, le=1)] = 1.0
     """New particles are picked only where less than this share of them is effective; as published 1, in each frame."""
     regularise: Annotated[float, Field(ge=0, le=2)] = 0.0
-    """Picked particles are drawn of a kernel density, as wide as is best for a normal one times this; as published 0.
-
-    Musso, Oudjane & Le Gland, "Improving regularised particle filters", 2001; mean and covariance stay."""
+    """Picked particles come from a kernel density (Musso et al. 2001), this times as wide as best; as published 0."""
 
 
 class Kld(Section):
@@ -61,7 +57,7 @@ class Kld(Section):
 
     error: Annotated[float, Field(gt=0, lt=10)] = 0.05
     """Kullback-Leibler divergence, in nats, from the prediction that is accepted with a probability of 0.99."""
-    bin: Length = Length(0.05)
+    bin: Length
     """Side of the bins over places by which the divergence is measured."""
     least: Annotated[int, Field(ge=1)] = 20
     """Never fewer particles than this; `particles` are the most."""
@@ -94,15 +90,14 @@ class Auxiliary(Resampled):
     type: Literal["auxiliary"]
     """Auxiliary particle filter over the joint state."""
     look_ahead: Literal["draw", "mean"] = "draw"
-    """What a particle is picked by: the likelihood at a draw of its transition, as published, or at the mean of it."""
+    """What a particle is picked by: the likelihood at a draw of its transition, as published, or at its mean."""
 
 
 class LooksAhead(Kept):
     """A filter that steps each part on its own."""
 
     look_ahead: Literal["draw", "mean", "none"] = "draw"
-    """What a part is picked by before it moves: the likelihood at a draw of its transition, as published, at the mean
-    of it, or its weight in the last frame alone, which takes half of the evaluations."""
+    """What a part is picked by: the likelihood at a draw of its transition, as published, at its mean, or none."""
 
     def mistakes(self) -> Iterable[Refusal]:
         yield from super().mistakes()

@@ -120,7 +120,7 @@ def test_shipped_recipes_differ_in_filter_and_prior_only_where_they_should():
     assert kinds == {
         "auxiliary_prior": ("auxiliary", 1000, True),
         "factorized": ("factorized", 100, True),
-        "factorized_robust": ("factorized", 100, True),
+        "factorized_robust": ("factorized", 200, True),
         "factorized_transition": ("factorized", 100, False),
         "independent": ("independent", 1000, False),
         "sir": ("sir", 1000, False),
