@@ -10,6 +10,8 @@ Every message is one line that names the file, the place and the remedy. `Recipe
 excerpt with a caret, in `excerpt`.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 
 
@@ -52,3 +54,17 @@ def reason(error: Exception) -> str:
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     text = " ".join(str(text).split())
     return text if len(text) <= 120 else text[:117] + "..."
+
+
+@contextmanager
+def needed(what: str, package: str, extra: str = "plot") -> Iterator[None]:
+    """Around imports of an extra's packages: UsageError in one line where one is missing or broken."""
+    remedy = f"pip install 'facetrack[{extra}]'"
+    try:
+        yield
+    except ModuleNotFoundError as e:
+        missing = (e.name or package).partition(".")[0]
+        raise UsageError(f"{what} need {missing}, which is not installed: {remedy}") from None
+    except (ImportError, ValueError, OSError) as e:
+        said = " ".join(str(e).split())
+        raise UsageError(f"{package} cannot be loaded: {said}; install it again: {remedy}") from e

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from facetrack_cli import __version__
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, needed
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Pair
@@ -22,7 +22,6 @@ from facetrack_cli.report import figures as plots
 from facetrack_cli.report import text
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
 from facetrack_cli.report.events import Clock, LostSpan, Stretch, history_of, key_frames
-from facetrack_cli.report.figures.style import needed
 from facetrack_cli.report.frames import Image, Report, key_images
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.errors import needed
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -49,19 +49,6 @@ _SECONDS = (
     0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000,
 )  # fmt: skip
 _STYLE: Final = Path(__file__).with_name("facetrack.mplstyle")
-
-
-@contextmanager
-def needed(what: str, package: str) -> Iterator[None]:
-    """Around imports of the extra `plot`: UsageError in one line where a package is missing or broken."""
-    try:
-        yield
-    except ModuleNotFoundError as e:
-        missing = (e.name or package).partition(".")[0]
-        raise UsageError(f"{what} need {missing}, which is not installed: pip install 'facetrack[plot]'") from None
-    except (ImportError, ValueError, OSError) as e:
-        said = " ".join(str(e).split())
-        raise UsageError(f"{package} cannot be loaded: {said}; install it again: pip install 'facetrack[plot]'") from e
 
 
 @cache
