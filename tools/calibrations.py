@@ -4,7 +4,7 @@
     python tools/calibrations.py --again --config factorized --config face
     FACETRACK_CLIPS=../clips python tools/calibrations.py -j 2       # with the real clips in that folder
 
-Each recipe is fitted to rendered clips (benchmarks/rendered.py, seeds 200 to 203 of each kind, in --clips), to the
+Each recipe is fitted to rendered clips (benchmarks/rendered.py, seeds 0 to 3 of each kind, in --clips), to the
 sample clips that it has goldens of, and, if it follows boxes, to the real clips of $FACETRACK_CLIPS: folders with a
 groundtruth.csv and a video or images. For each it prints the calibration error and Brier score on clips left out, raw
 and calibrated. Clips that are rendered, and recipes that have a file, are left as they are, so that it may be
@@ -40,7 +40,7 @@ from facetrack_cli.trajectory.formats.read import read_truth
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ROOT / "sample_videos"
-SEEDS = range(200, 204)
+SEEDS = range(4)
 KINDS = ("object", "passer", "gestures")
 
 
