@@ -28,7 +28,8 @@ def read_trajectory(path: Path | str) -> Trajectory:
     """A trajectory or ground-truth file of facetrack, or the folder of a run; CSV and JSON are told apart by content.
 
     Columns of a CSV may stand in any order; frame, target, part, x and y are required, columns of other tools are
-    passed over. Raises InputError, with the line where there is one, for a file that is none of them.
+    passed over. A column `hidden` of 0 and 1 says where an empty status is that of a hidden part. Raises InputError,
+    with the line where there is one, for a file that is none of them.
     """
     path = Path(path)
     try:
@@ -95,13 +96,15 @@ def _read_csv(path: Path) -> Trajectory:
                 raise InputError(f"{path}: is empty; a trajectory begins with the header {','.join(COLUMNS)}")
             if missing := ", ".join(name for name in REQUIRED if name not in header):
                 raise InputError(f"{path}:1: the header has no column {missing}; it should read {','.join(COLUMNS)}")
-            if twice := sorted(name for name in COLUMNS if header.count(name) > 1):
+            if twice := sorted(name for name in (*COLUMNS, "hidden") if header.count(name) > 1):
                 raise InputError(f"{path}:1: column {twice[0]} is there twice; keep one of them")
             rows = _rows(path, lines, len(header))
             while block := list(itertools.islice(rows, _BLOCK)):
                 numbers = [number for number, _ in block]
                 cells = dict(zip(header, zip(*(row for _, row in block), strict=True), strict=True))
                 columns = {name: list(map(str.strip, cells.get(name, [""] * len(block)))) for name in COLUMNS}
+                if "hidden" in cells:
+                    columns["status"] = _hidden(path, cells["hidden"], columns["status"], numbers)
                 for name in named:
                     if "" in columns[name]:
                         place = f"{path}:{numbers[columns[name].index('')]}"
@@ -125,6 +128,17 @@ def _rows(path: Path, lines: Any, width: int) -> Iterator[tuple[int, list[str]]]
             raise InputError(f"{place}: {len(cells)} values under {width} columns; {why}")
         if cells:
             yield lines.line_num, cells
+
+
+def _hidden(path: Path, cells: Sequence[str], status: Sequence[str], numbers: Sequence[int]) -> list[str]:
+    """The `status`, and where it is empty what a column of 0 and 1, or false and true, says of it."""
+    known = {"": "", "0": "", "false": "", "1": "hidden", "true": "hidden"}
+    said = [known.get(cell.strip().lower()) for cell in cells]
+    if None in said:
+        at = said.index(None)
+        why = "is none of 0, 1, true and false; correct it or leave it empty"
+        raise InputError(f"{path}:{numbers[at]}: column hidden: {cells[at].strip()!r} {why}")
+    return [one or other or "" for one, other in zip(status, said, strict=True)]
 
 
 def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int]) -> NDArray[Any]:

@@ -46,6 +46,13 @@ def test_bom_crlf_and_blank_lines_are_fine(tmp_path: Path) -> None:
     assert file_rows(path) == [row(frame=0, x=1.0, y=2.0, status="hidden")]
 
 
+def test_a_column_hidden_says_what_an_empty_status_does_not(tmp_path: Path) -> None:
+    cells = (("", "1"), ("", " True "), ("", "0"), ("", "false"), ("", ""), ("visible", "1"), ("hidden", "0"))
+    rows = "".join(f"{n},face,nose,1,2,{status},{hidden}\n" for n, (status, hidden) in enumerate(cells))
+    found = read_trajectory(saved(tmp_path, f"frame,target,part,x,y,status,hidden\n{rows}"))
+    assert found.status.tolist() == ["hidden", "hidden", "", "", "", "visible", "hidden"]
+
+
 def test_a_part_that_is_absent_has_no_place(tmp_path: Path) -> None:
     path = saved(tmp_path, "frame,target,part,x,y,status\n0,face,nose,,,absent\n")
     assert file_rows(path) == [row(frame=0, status="absent")]
@@ -56,6 +63,11 @@ def test_a_part_that_is_absent_has_no_place(tmp_path: Path) -> None:
     [
         ("", r"truth\.csv: is empty; .*header"),
         ("\n", r"truth\.csv: is empty"),
+        (
+            "frame,target,part,x,y,hidden\n0,face,nose,1,2,0\n1,face,nose,1,2,yes\n",
+            r"truth\.csv:3: column hidden: 'yes' is none of 0, 1, true and false; correct it or leave it empty",
+        ),
+        ("frame,target,part,x,y,hidden,hidden\n", r"truth\.csv:1: column hidden is there twice"),
         ("a,b\n1,2\n", r"truth\.csv:1: the header has no column frame, target, part, x, y; it should read frame,"),
         ("frame;target;part;x;y\n", r"truth\.csv:1: the header has no column"),
         ("frame,target,part,x,y,x\n", r"truth\.csv:1: column x is there twice"),
