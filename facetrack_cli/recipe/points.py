@@ -87,6 +87,8 @@ class ColourRatio(Likelihood):
     """Difference of colours that does not change with the intensity of the light."""
     robust: Literal["l1", "huber", "tukey", "geman_mcclure"] = "l1"
     """rho of eq. 9, the robust function of a colour difference; the paper takes l1."""
+    norm: Literal["channel", "pixel"] = "channel"
+    """rho of a pixel in eq. 9: the mean of its three channels (our reading), or their sum, as printed."""
     scale: Annotated[float, Field(gt=0)] | None = None
     """Scale of rho, in colour differences (window mean = 1), beyond which it grows less; for all but l1."""
     sigma: Annotated[float, Field(gt=0)] = 1.5

@@ -62,14 +62,16 @@ def test_perfect_match_has_distance_zero_and_light_changes_next_to_nothing():
     assert likelihood.distances(learned, frame(darker), X0[None]).max() < 0.006
 
 
-def test_agrees_with_the_formula():
+@pytest.mark.parametrize("norm", ["channel", "pixel"])
+@pytest.mark.parametrize(("robust", "scale"), [("l1", None), ("tukey", 0.3)])
+def test_agrees_with_the_formula(norm, robust, scale):
     picture = texture()
-    likelihood = colour_ratio(WINDOWS)
+    likelihood = colour_ratio(WINDOWS, norm=norm, robust=robust, scale=scale)
     learned = likelihood.init(frame(picture), np.round(X0))
     x = X0 + 2.7
     for i, (w, h) in enumerate(WINDOWS.astype(int)):
         template = naive.window(picture, *np.round(X0[i]), w, h)
-        d = naive.colour_ratio_distance(picture, template, *x[i])
+        d = naive.colour_ratio_distance(picture, template, *x[i], robust, scale, norm=norm)
         sigma = 1.5 / template.mean()
         assert likelihood.score(learned, frame(picture), x[None])[0, i] == pytest.approx(-d / sigma, rel=1e-4)
 

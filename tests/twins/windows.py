@@ -40,9 +40,10 @@ def rho(u, robust, scale):
     raise ValueError(robust)
 
 
-def colour_ratio_distance(image, template, x, y, robust="l1", scale=0.2, least_mean=1.0):
-    """Eq. 8 and 9: `template` (h, w, 3) as seen, not divided by its mean."""
+def colour_ratio_distance(image, template, x, y, robust="l1", scale=0.2, least_mean=1.0, norm="channel"):
+    """Eq. 8 and 9: `template` (h, w, 3) as seen, not divided by its mean; `norm` as in the recipe."""
     h, w = template.shape[:2]
     q = window(image, x, y, w, h)
     c = template / max(template.mean(), least_mean) - q / max(q.mean(), least_mean)
-    return float(np.mean([rho(v, robust, scale) for v in c.ravel()]))
+    pixels = [[rho(v, robust, scale) for v in colour] for colour in c.reshape(-1, 3)]
+    return float(np.mean([sum(each) / (3 if norm == "channel" else 1) for each in pixels]))
