@@ -30,7 +30,7 @@ class Affine(Scaled):
     type: Literal["affine"]
     """A box that moves, turns, stretches and shears."""
     estimate: Literal["map", "mean"] = "map"
-    """The particle of the greatest weight, as published, or the mean of them all."""
+    """The particle of the greatest weight, thus likelihood, which the paper calls MAP, or the mean of them all."""
     scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.2, 5.0)
     """The least and the largest scale, as factors of the size at the start."""
 

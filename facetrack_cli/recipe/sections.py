@@ -120,7 +120,7 @@ class Target(Kind):
 
     @property
     def best(self) -> bool:
-        """Whether the estimate is the particle of the greatest weight, not the mean."""
+        """Whether the estimate is the particle of the greatest weight, which is that of the greatest likelihood."""
         return False
 
     def place(self, start: Any, name: str) -> Any:
