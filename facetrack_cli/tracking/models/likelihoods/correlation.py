@@ -15,9 +15,10 @@ centres of equal cells of the box, read bilinearly from the grey frame. The dist
                   point the least |difference| from the 3x3 points of the other patch around it, summed over the grid,
                   and of both directions the larger sum.
 
-d_c is a sum, so sigma belongs to one grid. On 16x16 points sigma = 100 (l2), 400 (saturated_l1 at 20) or 100
-(hausdorff) leaves some tens of 200 particles that are scattered by 5 % of the region's size; with n points, times
-sqrt(n / 256) for l2, and n / 256 for the others.
+d_c is a sum, so sigma belongs to one grid: with n points in place of 16x16, times sqrt(n / 256) for l2, and n / 256 for
+the others. Of 200 particles that are scattered by 5 % of the region's size, sigma = 100 (l2), 400 (saturated_l1 at 20)
+or 100 (hausdorff) leaves some tens. The recipes take 60 (l2) and 120 (saturated_l1), which leave two to five: a flatter
+likelihood has a truer spread, but lets a region drift (`docs/decisions.md` has the figures).
 
 Chosen here: the frame is reduced by the largest power of two that leaves a pixel for each step of the grid at the start
 (area means). A point beyond the frame's border, now or before, differs by `OUTSIDE`, at most by `saturation`.
