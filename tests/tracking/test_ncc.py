@@ -29,16 +29,17 @@ def test_kernels_do_what_their_twins_do(picture, template, boxes):
     values = rng.integers(0, 256, picture[:2], dtype=np.uint8)
     weights = rng.normal(0, 30, template).astype(np.float32)
     th, tw = template
-    found = kernel.cross_direct(values, weights, np.array(boxes))
+    found = kernel.moments_direct(values, weights, np.array(boxes))
     integrals = cv2.integral2(values, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
     level, square = kernel.means(*integrals, np.array(boxes), th, tw).T
     for n, (u, v, s) in enumerate(boxes):
-        assert found[n] == pytest.approx(naive.cross(values, weights, u, v, s), rel=1e-4, abs=0.5)
-        seen = kernel.read_patch(values, u, v, s, th, tw)
-        np.testing.assert_allclose(seen, naive.patch(values, u, v, s, th, tw), atol=1e-3)
+        assert found[n, 0] * th * tw == pytest.approx(naive.cross(values, weights, u, v, s), rel=1e-4, abs=0.5)
+        there = naive.patch(values, u, v, s, th, tw)
+        assert found[n, 1] == pytest.approx(np.var(there), rel=1e-4, abs=0.05)
         edges, area = (u - s / 2, v - s / 2, u + s * (tw - 0.5), v + s * (th - 0.5)), s * s * th * tw
         assert level[n] == pytest.approx(naive.area_sum(values, *edges) / area, abs=1e-6)
         assert square[n] == pytest.approx(naive.area_sum(values, *edges, power=2) / area, abs=1e-4)
+        np.testing.assert_allclose(kernel.read_patch(values, u, v, s, th, tw), there, atol=1e-3)
 
 
 @given(
@@ -149,6 +150,22 @@ def test_ncc_is_equation_10_at_whole_places():
     assert half[1][0] > 0.999
     assert added[1][0] > 0.999
     assert added[0][0] < 0.999
+
+
+@pytest.mark.parametrize("dense", [False, True])
+def test_ncc_is_equation_10_between_pixels(dense, monkeypatch):
+    monkeypatch.setattr(matching, "DENSE", 0.0 if dense else np.inf)
+    values = np.random.default_rng(3).integers(0, 256, (60, 70))
+    template = matching.learn_template(grey(values), (12.0, 9.0), states((30.5, 25.0))[0], None)
+    # the last two over a border
+    corners = [(25.5, 21.5), (26.3, 20.9), (20.0, 30.7), (25.01, 21.99), (-4.4, 10.2), (63.7, 54.6)]
+    if not dense:
+        corners += [(20.3, 18.8, 1.3), (12.6, 30.1, 0.7)]
+    boxes = [(*corner, *(() if len(corner) == 3 else (1.0,))) for corner in corners]
+    found = matching.correlate(template, grey(values), states([(u + 5.5 * s, v + 4 * s, s) for u, v, s in boxes]))
+    for n, (u, v, s) in enumerate(boxes):
+        seen = naive.patch(values, u, v, s, 9, 12)
+        assert found[1][n] == pytest.approx(naive.ncc(template.first, seen, remove=True), abs=1e-5)
 
 
 @pytest.mark.parametrize("factor", [1, 2, 4])

@@ -67,19 +67,27 @@ def _axis(start, step, length, near, far, share_near, share_far):
 
 
 @fast
-def cross_direct(image, template, boxes):
-    """Sum of template (th, tw) times image (H, W) for boxes (N, 3) = (u, v, s), finite, s > 0 -> (N,) float64."""
+def moments_direct(image, template, boxes):
+    """Mean of template (th, tw) times image (H, W), and the image's variance, at the template's points.
+
+    Boxes (N, 3) = (u, v, s), finite, s > 0 -> (N, 2) float64.
+    """
     (height, width), (th, tw) = image.shape, template.shape
     left, right = np.zeros(tw, np.int64), np.zeros(tw, np.int64)
     upper, lower = np.zeros(th, np.int64), np.zeros(th, np.int64)
     a, b = np.zeros(tw, np.float32), np.zeros(tw, np.float32)
     c, d = np.zeros(th, np.float32), np.zeros(th, np.float32)
-    line, out = np.zeros(width, np.float32), np.zeros(boxes.shape[0])
+    line, out = np.zeros(width, np.float32), np.zeros((boxes.shape[0], 2))
     for p in range(boxes.shape[0]):
         x0, x1 = _axis(boxes[p, 0], boxes[p, 2], width, left, right, a, b)
         y0, y1 = _axis(boxes[p, 1], boxes[p, 2], height, upper, lower, c, d)
         if x1 <= x0 or y1 <= y0:
             continue
+        (u, v, s), level = boxes[p], np.float32(0.0)
+        if u >= 0.0 and v >= 0.0 and u + s * (tw - 1) <= width - 1 and v + s * (th - 1) <= height - 1:
+            # squares about 0 would lose a faint pattern to rounding
+            level = np.float32(image[(y0 + y1) // 2, (x0 + x1) // 2])
+        cross, first, second = 0.0, 0.0, 0.0
         for i in range(th):
             if c[i] + d[i] == 0.0:
                 continue
@@ -87,10 +95,18 @@ def cross_direct(image, template, boxes):
             for j in range(len(blend)):
                 blend[j] = c[i] * np.float32(above[j]) + d[i] * np.float32(below[j])
             # summed row by row, so that float32 loses nothing
-            total, row = np.float32(0.0), template[i]
+            total, off, square, row = np.float32(0.0), np.float32(0.0), np.float32(0.0), template[i]
             for j in range(tw):
-                total += row[j] * (a[j] * line[left[j]] + b[j] * line[right[j]])
-            out[p] += total
+                value = a[j] * line[left[j]] + b[j] * line[right[j]]
+                total += row[j] * value
+                value -= level
+                off += value
+                square += value * value
+            cross += float(total)
+            first += float(off)
+            second += float(square)
+        n = th * tw
+        out[p, 0], out[p, 1] = cross / n, second / n - (first / n) ** 2
     return out
 
 
@@ -115,11 +131,32 @@ def read_patch(image, u, v, s, th, tw):
 def bilinear(values, places, left, top):
     """values (H, W), which begin at (left, top), read bilinearly at places (N, 2+) = (u, v, ...) -> (N,) float64.
 
-    At scale 1 and from the sums at whole places, this is what `cross_direct` gives: the sum is linear in the image.
+    At scale 1 and from the sums at whole places, this is what `moments_direct` sums: the sum is linear in the image.
     """
     out = np.empty(places.shape[0])
     for p in range(places.shape[0]):
         out[p] = read_at(values, places[p, 0] - left, places[p, 1] - top)
+    return out
+
+
+@exact
+def variances(sums, boxes, left, top, th, tw):
+    """Variance of the bilinear image at the points of boxes (N, 3) = (u, v, 1) -> (N,) float64.
+
+    sums: integral images of an image that begins at (left, top) and covers what the points are read from; of it, its
+    square, and the squares of its differences to the right, downwards, and both. Between two values a and b, at the
+    share f of the way, the square of the bilinear value is (1 - f) a^2 + f b^2 - f (1 - f) (b - a)^2.
+    """
+    plain, squares, across, down, both = sums
+    out, n = np.empty(boxes.shape[0]), th * tw
+    for p in range(boxes.shape[0]):
+        x, y = boxes[p, 0] - left, boxes[p, 1] - top
+        i, j = math.floor(x), math.floor(y)
+        fx, fy = (x - i) * (1.0 - x + i), (y - j) * (1.0 - y + j)
+        square = box_sum(squares, x, y, x + tw, y + th) + fx * fy * box_sum(both, i, j, i + tw, j + th)
+        square -= fx * box_sum(across, i, y, i + tw, y + th) + fy * box_sum(down, x, j, x + tw, j + th)
+        level = box_sum(plain, x, y, x + tw, y + th) / n
+        out[p] = square / n - level * level
     return out
 
 
