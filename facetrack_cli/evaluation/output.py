@@ -91,6 +91,7 @@ _TABLES: Final = {
         "how well it tells near rows from others (AUROC: 0.5 not at all, 1 always), and right ones by its value",
     ),
     "coverage": ("SPREAD", "std_x, std_y against the error of visible rows"),
+    "jitter": ("JITTER", "how far visible rows are from the middle of those before and after"),
 }
 
 

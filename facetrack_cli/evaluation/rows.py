@@ -23,21 +23,22 @@ NEAR_IOU = 0.5  # a box is near if its overlap with the ground truth (intersecti
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """One part against its ground truth; every array is (R,) but `offset` and `std`, which are (R, 2), x before y.
+    """One part against its ground truth; every array is (R,) but `at`, `offset` and `std`, (R, 2), x before y.
 
     `cov_xy` is the covariance of the posterior in x and y, 0 where it is not known.
 
-    `offset` is ours minus the ground truth in pixels, nan where either has no position; `unit` the length in pixels by
-    which errors are normalised, nan where it is unknown. Each row is one of visible, hidden, absent; `placed` are the
-    visible and hidden ones whose true position is known. `near` and `right` are defined where `judged`; an absent row
-    is judged, and neither. A box is right by its centre, in sizes of the true one, sqrt(width * height). `lost` is
-    defined where `stated`: the status is tracked or lost. `init` are the rows that the tracker was given, `later` those
-    of them after the first, by corrections; `left_out` rows that a correction calls absent.
+    `at` is our position, `offset` ours minus the ground truth in pixels, nan where either has no position; `unit` the
+    length in pixels by which errors are normalised, nan where it is unknown. Each row is one of visible, hidden,
+    absent; `placed` are the visible and hidden ones whose true position is known. `near` and `right` are defined where
+    `judged`; an absent row is judged, and neither. A box is right by its centre, in sizes of the true one, sqrt(width *
+    height). `lost` is defined where `stated`: the status is tracked or lost. `init` are the rows that the tracker was
+    given, `later` those of them after the first, by corrections; `left_out` rows that a correction calls absent.
     """
 
     target: str
     part: str
     frame: Whole
+    at: Array
     offset: Array
     unit: Array
     visible: Mask
@@ -98,6 +99,7 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         target=ours.target,
         part=ours.part,
         frame=ours.frame,
+        at=np.stack([ours.x, ours.y], axis=1),
         offset=offset,
         unit=unit,
         visible=~hidden & ~absent,

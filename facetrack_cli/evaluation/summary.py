@@ -47,6 +47,7 @@ class Measured:
     lost: trust.LostMeasures | None
     confidence: trust.ConfidenceMeasures | None
     coverage: trust.CoverageMeasures | None
+    jitter: trust.JitterMeasures | None
 
     @property
     def name(self) -> str:
@@ -149,7 +150,8 @@ def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], option
     of_points = errors.measure_points(points, options.failure) if points else None
     of_boxes = _boxes(boxed, options.size) if boxed else None
     trusted = trust.measure_lost(rows), trust.measure_confidence(rows), trust.measure_coverage(rows)
-    return Measured(target, part, of_points, of_boxes, None, *trusted)
+    jitter = trust.measure_jitter(rows)
+    return Measured(target, part, of_points, of_boxes, None, *trusted, jitter)
 
 
 def _boxes(those: Sequence[tuple[Pair, Rows]], size: tuple[int, int] | None) -> BoxMeasures:

@@ -105,6 +105,33 @@ class CoverageMeasures:
     unknown_std: Annotated[int, Measure("std not\nknown", COUNT, rare=True)]
 
 
+@dataclass(frozen=True)
+class JitterMeasures:
+    """How much a track trembles: the median over `rows` of |x_{t-1} - 2 x_t + x_{t+1}| / sqrt(6), in pixels.
+
+    Of noise at rest, independent from frame to frame, it is 1.18 times the standard deviation along an axis; a motion
+    adds its acceleration. `truth_px` is that of the ground truth. Counted are visible rows with a visible one in the
+    frame before and the one after.
+    """
+
+    rows: Annotated[int, Measure("rows", COUNT)]
+    median_px: Annotated[Value, Measure("median\npx", PX, "less")]
+    truth_px: Annotated[Value, Measure("of the\ntruth", PX)]
+
+
+def measure_jitter(parts: Sequence[Rows]) -> JitterMeasures | None:
+    """None if no part has three visible rows in a row."""
+    found: list[Array] = []
+    for part in parts:
+        known = part.visible & part.placed & np.isfinite(part.at).all(axis=1) & ~part.by_hand
+        three = known[:-2] & known[1:-1] & known[2:] & (part.frame[2:] - part.frame[:-2] == 2)
+        both = np.stack([part.at, part.at - part.offset])
+        off = both[:, :-2] - 2 * both[:, 1:-1] + both[:, 2:]
+        found.append(np.hypot(off[..., 0], off[..., 1])[:, three] / math.sqrt(6))
+    ours, truth = np.concatenate(found, axis=1)
+    return JitterMeasures(len(ours), median(ours), median(truth)) if len(ours) else None
+
+
 def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
     """`lost` against the ground truth; None if no row has a status. Delays: of spans in which no correction helped."""
     by_hand = [part.frame[part.by_hand] for part in parts]

@@ -16,6 +16,7 @@ from facetrack_cli.evaluation.trust import (
     mahalanobis_squared,
     measure_confidence,
     measure_coverage,
+    measure_jitter,
     measure_lost,
 )
 from tests.evaluation.test_points import rows
@@ -161,3 +162,18 @@ def test_the_ellipses_lie_along_the_covariance():
 
 def test_a_tiny_spread_is_infinitely_far_and_no_warning():
     assert mahalanobis_squared(np.array([[1.0, 0.0]]), np.array([[1e-320, 1.0]])).tolist() == [math.inf]
+
+
+def test_jitter_is_the_deviation_of_noise_and_nothing_of_an_even_motion():
+    rng = np.random.default_rng(0)
+    noise = measure_jitter([rows(rng.normal(0, 2, 20_000))])  # along x alone
+    assert noise.rows == 19_998 and noise.truth_px == 0
+    assert noise.median_px == pytest.approx(2 * 0.6745, rel=0.03)  # the median of a normal deviate
+    assert measure_jitter([rows(np.arange(9.0))]).median_px == pytest.approx(0)
+
+
+def test_jitter_needs_three_visible_rows_in_a_row():
+    found = measure_jitter([rows([0, 6, 0, 1, 9, 9], "vvvhvv"), rows([0, 0, 6, 0], part="b", frame=[0, 1, 3, 4])])
+    assert found.rows == 1
+    assert found.median_px == pytest.approx(12 / math.sqrt(6))
+    assert measure_jitter([rows([0, 1])]) is None
