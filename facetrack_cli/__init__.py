@@ -20,6 +20,7 @@ from facetrack_cli.tracking.kernels.cache import provide_cache
 if TYPE_CHECKING:
     from facetrack_cli.core.errors import FacetrackError, InputError, RecipeError
     from facetrack_cli.core.types import Frame, Start, TargetStart
+    from facetrack_cli.editor.smooth import smooth
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.api import draw, track_frames, track_video
     from facetrack_cli.trajectory.formats.read import read_truth
@@ -42,6 +43,7 @@ __all__ = [
     "load_recipe",
     "read_trajectory",
     "read_truth",
+    "smooth",
     "track_frames",
     "track_video",
 ]
@@ -49,6 +51,7 @@ __all__ = [
 _PLACES = {
     "core.errors": ("FacetrackError", "InputError", "RecipeError"),
     "core.types": ("Frame", "Start", "TargetStart"),
+    "editor.smooth": ("smooth",),
     "recipe.load": ("load_recipe",),
     "runs.api": ("draw", "track_frames", "track_video"),
     "trajectory.formats.read": ("read_truth",),

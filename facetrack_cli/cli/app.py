@@ -17,6 +17,7 @@ COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",
     "init": "Write where the track of a clip begins, as a file to edit.",
     "fix": "Correct a finished run, on a page.",
+    "smooth": "Smooth a finished run: every row given the whole clip.",
     "recipes": "List, show and check the recipes of trackers.",
     "prior": "Learn shape priors from annotated frames, and draw them.",
     "gallery": "Learn who is who from images and videos, and draw it.",

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
-from zipfile import BadZipFile
+from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import write_new
+from facetrack_cli.core.files import beside, cannot_write, discard, publish, write_new
 
 T = TypeVar("T")
 
@@ -95,3 +96,51 @@ class Stored:
         if found.dtype.kind not in kinds or found.ndim != ndim:
             raise ValueError(f"{key} is of {found.dtype} and {found.ndim} axes")
         return found
+
+
+class Blocks:
+    """A file of a kind that is written a block of arrays at a time; it appears, or is replaced, when it is closed.
+
+    Raises OutputError when it cannot be written.
+    """
+
+    def __init__(self, kind: Kind, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """With these `arrays` first."""
+        self.path, self.published, self._blocks = path, False, 0
+        try:
+            self._zip = ZipFile(beside(path), "w", ZIP_DEFLATED, compresslevel=1)
+        except OSError as e:
+            raise cannot_write(path, e) from e
+        self._add({"format": np.array(kind.format), "version": np.array(kind.version, "<i8"), **arrays})
+
+    def add(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """One more block; of the first, an array is named `0/name`."""
+        self._add({f"{self._blocks}/{name}": one for name, one in arrays.items()})
+        self._blocks += 1
+
+    def _add(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        try:
+            for name, one in arrays.items():
+                info = ZipInfo(f"{name}.npy")  # of 1980: equal arrays give equal bytes
+                info.compress_type = ZIP_DEFLATED
+                with self._zip.open(info, "w") as member:
+                    np.lib.format.write_array(member, one, allow_pickle=False)
+        except OSError as e:
+            raise cannot_write(self.path, e) from e
+
+    def close(self) -> None:
+        try:
+            self._zip.close()
+            publish(self.path)
+            self.published = True
+        except OSError as e:
+            raise cannot_write(self.path, e) from e
+        finally:
+            self.discard()
+
+    def discard(self) -> None:
+        """Close and remove the temporary file, if it is still there."""
+        with contextlib.suppress(OSError, ValueError):
+            self._zip.close()
+        if not self.published:
+            discard(self.path)

@@ -78,7 +78,7 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     """
     finish(folder)  # a save that was interrupted
     main = trajectory_of(folder)
-    files = {form: folder / f"trajectory.{form}" for form in FORMATS if (folder / f"trajectory.{form}").is_file()}
+    files = run_files(folder)
     stamped = {form: (path, stamp(path)) for form, path in files.items()}
     rows = read_files(files)
     header = read_header(rows)
@@ -90,6 +90,11 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     run = Run(folder, rows, header, recipe, header.init.start, path, fps, stamped)
     _check_rows(main, run)
     return run
+
+
+def run_files(folder: Path) -> dict[Format, Path]:
+    """The trajectories in the folder of a run."""
+    return {form: folder / f"trajectory.{form}" for form in FORMATS if (folder / f"trajectory.{form}").is_file()}
 
 
 def read_files(files: Mapping[Format, Path]) -> Trajectory:
@@ -106,6 +111,9 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
     rows = read_trajectory(main)
     if "lost_frames" not in rows.header or "init" not in rows.header:
         raise _not_ours(main)
+    if "smoothed" in rows.header:
+        how = f"take a run that was not, as with --keep-posterior, and smooth it last: {_AGAIN}"
+        raise InputError(f"{main}: its rows are smoothed, and can be neither corrected nor smoothed; {how}")
     _check_main(rows)
     for form, path in files.items():
         try:

@@ -23,7 +23,7 @@ from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 
 
-class _Plain:
+class Plain:
     """A sink into an open file."""
 
     def __init__(self, file: BinaryIO) -> None:
@@ -59,7 +59,7 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
             at = path
             files.append(at)
             with beside(at).open("wb") as file:
-                write_rows(form, _Plain(file), rows, fixer.corrections)
+                write_rows(form, Plain(file), rows, fixer.corrections)
         at = run.folder / CORRECTED
         files.append(at)
         beside(at).write_bytes(as_yaml(fixer.start, run.clip.name).encode())

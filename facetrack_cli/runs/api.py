@@ -15,11 +15,13 @@ from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.clip import Job, Memory, track_clip
+from facetrack_cli.runs.clip import Job, Memory, check, track_clip
+from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import completed, search
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -37,6 +39,7 @@ def track_video(
     start: int = 0,
     stop: int | None = None,
     fps: float | None = None,
+    lag: int = 0,
     report: Callable[[int, int | None], None] = lambda done, total: None,
 ) -> Trajectory:
     """Track a video file, or a folder of images, from its start to its end; what `facetrack run` does, in memory.
@@ -44,8 +47,8 @@ def track_video(
     `recipe` is a recipe, the name of a shipped one, or a file; None: correlation_filter where `init` is a box, else
     face. `init` says where the track starts: an init file; "haar" or "yunet" to look for a face; a box (left, top,
     width, height) in pixels; a `Start`. None: the init file beside the clip, else a face. `start` and `stop` are the
-    first frame and the frame to stop before, `fps` the rate of a folder of images.
-    `report` is called with the frames done and the frames in all, if that is known.
+    first frame and the frame to stop before, `fps` the rate of a folder of images. With `lag`, each row takes so many
+    later frames into account. `report` is called with the frames done and the frames in all, if that is known.
 
     The trajectory's `header` says what a trajectory.json says: source, recipe, seed, init, warnings, `complete`.
     Raises a FacetrackError (RecipeError, InputError) as the command line would print it; what is wrong after the first
@@ -60,7 +63,9 @@ def track_video(
         start=start,
         stop=stop,
         fps=None if fps is None else Fraction(fps).limit_denominator(1001),
+        lag=lag,
     )
+    check(job)
     with Memory(job) as memory:
         track_clip(job, memory, Stop(), report)
         return memory.trajectory
@@ -73,14 +78,18 @@ def track_frames(
     init: Init | None = None,
     seed: int | None = None,
     fps: float = 25.0,
+    lag: int = 0,
 ) -> Iterator[FrameResult]:
     """Track images as they come: from a webcam, a list, an array (T, H, W, 3); a result for each, from the start on.
 
     Images are (H, W, 3) uint8 in OpenCV's order, blue first, or (H, W) grey, all of one size. `recipe` and `init` are
     those of `track_video`, but there is nothing beside the images: None looks for a face, in at most 250 images.
+    With `lag`, each comes so many images later, and its rows take them into account.
     Raises InputError for images that are none, or no start in them.
     """
     chosen = _recipe(recipe, seed, init)
+    if lag:
+        check_smoothing(chosen)
     frames = _frames(images, fps)
     begin = _init(init, 0)
     if begin is None or isinstance(begin, str):
@@ -95,7 +104,8 @@ def track_frames(
         raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
     first = found
     tracker = tracker_for(chosen, completed(chosen, start, lambda: first, IMAGES), first.size)
-    yield from track(tracker, chain([first], frames), chosen.seed, clip=IMAGES)
+    results = track(tracker, chain([first], frames), chosen.seed, clip=IMAGES)
+    yield from lagged(results, lag) if lag else results
 
 
 def draw(result: FrameResult, overlay: Overlay | None = None) -> Image:

@@ -6,7 +6,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,13 +18,15 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FileSink, StreamSink, check_folder, make_folder, remove_folders
-from facetrack_cli.core.types import Correction, Start
+from facetrack_cli.core.types import Correction, Frame, Start
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs import pipeline
+from facetrack_cli.runs.posterior import POSTERIOR, PosteriorWriter, check_smoothing
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Begin, frames_of
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, KNOWN
 from facetrack_cli.trajectory.header import to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
@@ -34,12 +36,16 @@ from facetrack_cli.video.source import Source
 from facetrack_cli.video.writer import VideoWriter
 
 VIDEO = "annotated.mp4"
+_File: TypeAlias = FileSink | StreamSink | VideoWriter | PosteriorWriter
 Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
 
 
 @dataclass(frozen=True)
 class Job(Begin):
-    """What is asked of one clip. `out` None streams the one format to standard output."""
+    """What is asked of one clip. `out` None streams the one format to standard output.
+
+    `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept.
+    """
 
     recipe: Recipe
     out: Path | None
@@ -48,6 +54,8 @@ class Job(Begin):
     video: bool = True
     overwrite: bool = False
     threads: int = 2
+    lag: int = 0
+    posterior: bool = False
 
 
 @dataclass
@@ -119,6 +127,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
             began, notes = time.perf_counter(), result.notes  # the rate leaves the start-up out
             outputs.begin(source, start, result.rows)
         outputs.write(result.rows)
+        outputs.keep(result)
         done.count(result)
         last = result.frame.index
         report(done.frames, source.frames_hint)
@@ -134,9 +143,14 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
     with job.open(start.frame) as source:
         tracker = tracker_for(job.recipe, start, source.size)
         try:
+
+            def tracked(frames: Iterator[Frame]) -> Iterator[FrameResult]:
+                results = track(tracker, frames, job.recipe.seed, clip=str(job.clip))
+                return lagged(results, job.lag) if job.lag else results
+
             pipeline.run(
                 frames_of(source, start.frame, job.origin(start)),
-                lambda frames: track(tracker, frames, job.recipe.seed, clip=str(job.clip)),
+                tracked,
                 record,
                 outputs.paint if job.video else None,
                 threaded=job.threads > 1,
@@ -184,8 +198,11 @@ def past_end(corrections: Iterable[Correction], last: int, origin: str) -> list[
 
 def check(job: Job) -> None:
     """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
+    if job.lag or job.posterior:
+        check_smoothing(job.recipe)
     if job.out is not None:
-        names = [*[VIDEO] * job.video, *(f"trajectory.{form}" for form in job.formats)]
+        kept = [*[VIDEO] * job.video, *[POSTERIOR] * job.posterior]
+        names = [*kept, *(f"trajectory.{form}" for form in job.formats)]
         init = job.init if isinstance(job.init, Path) else None
         check_folder(job.out, names, overwrite=job.overwrite, inputs=(job.clip, init, job.recipe.path))
 
@@ -200,6 +217,7 @@ class Outputs:
         self._video: VideoWriter | None = None
         self._overlay: Overlay | None = None
         self._writers: list[Writer] = []
+        self._posterior: PosteriorWriter | None = None
         self.written: list[Path] = []
 
     def __enter__(self) -> Outputs:
@@ -221,6 +239,9 @@ class Outputs:
         header = _header(self._job, source, start, rows)
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self._writers.append(WRITERS[form](sink, header))
+        if self._job.out is not None and self._job.posterior:
+            corrections = header["init"].get("corrections", [])
+            self._posterior = PosteriorWriter(self._job.out / POSTERIOR, rows.targets, corrections)
         if self._job.out is not None and self._job.video:
             self._overlay = Overlay(source.size, fps=float(source.fps), title=self._job.recipe.name)
             sound = source.path if source.is_video else None
@@ -230,6 +251,11 @@ class Outputs:
         """Write the rows of one frame."""
         for writer in self._writers:
             writer.write(rows)
+
+    def keep(self, result: FrameResult) -> None:
+        """Write what the filters know after one frame, if it is asked for."""
+        if self._posterior is not None:
+            self._posterior.add(result)
 
     def paint(self, result: FrameResult) -> None:
         """Draw one result and pass it to the encoder."""
@@ -247,12 +273,17 @@ class Outputs:
             footer = footer._replace(warnings=(*footer.warnings, *self._video.warnings))
         for writer, sink in zip(self._writers, self._sinks, strict=True):
             self._finish(sink, partial(writer.close, footer), errors)
+        if self._posterior is not None:
+            self._finish(self._posterior, self._posterior.close, errors)
         if errors:
             raise errors[0]
         return footer
 
     def _finish(
-        self, file: FileSink | StreamSink | VideoWriter, end: Callable[[], None], errors: list[Exception]
+        self,
+        file: FileSink | StreamSink | VideoWriter | PosteriorWriter,
+        end: Callable[[], None],
+        errors: list[Exception],
     ) -> None:
         try:
             end()
@@ -266,8 +297,9 @@ class Outputs:
         """Drop what was not closed, and the folders made for it."""
         for sink in self._sinks:
             sink.discard()
-        if self._video is not None:
-            self._video.discard()
+        for made in (self._video, self._posterior):
+            if made is not None:
+                made.discard()
         remove_folders(self._made)
 
 
@@ -306,5 +338,6 @@ def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
         "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
         "seed": job.recipe.seed,
         "init": {"from": start.origin, **to_record(start)},
+        **({"smoothed": {"lag": job.lag}} if job.lag else {}),
         **({"diagnostics": [one.record() for one in declared.values()]} if declared else {}),
     }

@@ -19,11 +19,12 @@ from facetrack_cli.tracking.confidence import Judgement, Measures
 from facetrack_cli.tracking.filters import Ahead, Step
 from facetrack_cli.tracking.guides import Arrived, Guides
 from facetrack_cli.tracking.loop import Cover, log_weights
-from facetrack_cli.tracking.models.motion import VisibleWalk
+from facetrack_cli.tracking.models.motion import Linear, VisibleWalk
 from facetrack_cli.tracking.models.shape_prior import BoundPrior
-from facetrack_cli.tracking.models.spaces import Estimate, PointSpace, Space, VisibleBoxSpace, evenly
+from facetrack_cli.tracking.models.spaces import CloudSpace, Estimate, PointSpace, Space, VisibleBoxSpace, evenly
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
 from facetrack_cli.tracking.resampling import uniform
+from facetrack_cli.tracking.smoothing import Belief, belief
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, build
 
@@ -97,6 +98,7 @@ class Motion(Protocol):
     def propagate(self, rng: Generator, x: Array) -> Array: ...
     def log_transition(self, x: Array, parents: Array) -> Array: ...
     def expect(self, x: Array) -> Array: ...
+    def linear(self, state: Array) -> Linear: ...
 
 
 @dataclass(frozen=True)
@@ -303,7 +305,21 @@ class ParticleTarget:
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)
         insets = () if self._adapts is None else self._adapts.insets(state.learned)
-        return TargetResult(rows, state.particles.x[..., :2], insets)
+        cloud = state.particles.x[..., :2]
+        return TargetResult(rows, cloud, insets, beliefs=lambda: self.beliefs(state))
+
+    def beliefs(self, state: State) -> tuple[Belief, ...]:
+        """What is known after a frame, for the smoother; nothing of a cloud, whose particles are the target itself."""
+        if isinstance(self.space, CloudSpace):
+            return ()
+        estimated, judged = state.estimated, state.judgement
+        motion = self.motion.linear(estimated.state)
+        if (ahead := state.ahead) is not None:
+            # its shift comes from this frame, and corrects the last estimate too: it is no motion of the target alone
+            motion = motion._replace(cov=motion.cov * ahead.noise**2)
+        doubt = np.zeros(len(self.parts), dtype=np.bool_) if judged is None else judged.below > 0
+        counted = Particles(state.particles.x, self.space.counted(state.particles))
+        return (belief(counted, motion, estimated.cov, doubt),)
 
     @cached_property
     def size(self) -> float:

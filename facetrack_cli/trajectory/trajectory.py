@@ -6,7 +6,7 @@ number that is not known is nan, a text "".
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import groupby
@@ -277,13 +277,15 @@ class TargetResult(NamedTuple):
     """What a tracker says of one target in one frame: a row for each of its K parts, with its diagnostics.
 
     `cloud` (N, K, 2) are the particles' centres in pixels; `insets` are small grey images of what the tracker knows,
-    each with its name; `notes` are lines for the user, said in the first frame.
+    each with its name; `notes` are lines for the user, said in the first frame. `beliefs` gives what the smoother needs
+    (`tracking.smoothing.Belief`); None of what has none.
     """
 
     rows: Trajectory
     cloud: Array
     insets: tuple[tuple[str, Image], ...] = ()
     notes: tuple[str, ...] = ()
+    beliefs: Callable[[], tuple[Any, ...]] | None = None
 
 
 @dataclass(frozen=True)

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
-from facetrack_cli.core.errors import ExitCode, OutputError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, OutputError, UsageError
 
 if TYPE_CHECKING:
+    from facetrack_cli.recipe.model import Recipe
     from facetrack_cli.runs.clip import Job, Outcome
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.writers import Format
+
+    After: TypeAlias = Callable[[Outcome, Stop, Progress], None]
 
 
 def _formats(value: str) -> tuple[Format, ...]:
@@ -47,6 +51,7 @@ class Run:
       facetrack run clip.mp4 --config sir --set filter.particles=500 -o out
       facetrack run clip.mp4 --box 110,93,56,64
       facetrack run clip.mp4 --config adaptive_recognition --gallery people.npz
+      facetrack run clip.mp4 --smooth
       facetrack run frames/ --fps 25 -o - | head
       find . -name '*.mp4' -print0 | xargs -0 facetrack run -j 4 --no-video
 
@@ -75,6 +80,10 @@ class Run:
     format: tuple[Format, ...] | None = option(
         "--format LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats
     )
+    smooth: bool = flag("--smooth", "Then smooth it: every row given the whole clip, see docs/smooth.md.")
+    motion: Literal["recipe", "fitted"] = options.MOTION
+    lag: int | None = option("--lag N", "Rows N frames later, given the frames up to then.", type=Whole(1, 1000))
+    keep_posterior: bool = flag("--keep-posterior", "Write posterior.npz, for facetrack smooth.")
     overwrite: bool = options.OVERWRITE
     fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
     threads: int | None = option("--threads N", "Threads a clip [default: the cores, shared by -j].", type=Whole(min=1))
@@ -101,6 +110,7 @@ class Run:
             )
         clips = list({absolute(clip): clip for clip in reversed(self.inputs)}.values())[::-1]
         places, formats = self._places(clips, recipe.name)
+        self._check_smoothing(recipe, formats)
         workers = min(self.jobs, len(clips))
         with Stop().listening() as ending, progress(self.quiet) as shown:
             jobs = [
@@ -113,13 +123,57 @@ class Run:
                     init_frame=self.init_frame,
                     faces=self.faces,
                     overwrite=self.overwrite,
+                    lag=self.lag or 0,
+                    posterior=self.smooth or self.keep_posterior,
                     threads=self.threads or max(1, cores() // workers),
                     **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
                 )
                 for clip, folder in zip(clips, places, strict=True)
             ]
-            code = _one(jobs[0], ending, shown) if len(jobs) == 1 else _several(jobs, workers, ending, shown)
+            after = self._smooth if self.smooth else None
+            if len(jobs) == 1:
+                code = _one(jobs[0], ending, shown, after)
+            else:
+                code = _several(jobs, workers, ending, shown, after)
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
+
+    def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
+        from facetrack_cli.runs.posterior import check_smoothing
+
+        whole = "--smooth" if self.smooth else "--keep-posterior" if self.keep_posterior else ""
+        if self.motion != "recipe" and not self.smooth:
+            raise UsageError("--motion is that of --smooth; give that too")
+        if not whole:
+            return
+        check_smoothing(recipe)
+        if self.smooth and self.keep_posterior:
+            raise UsageError("--keep-posterior is for facetrack smooth, later, --smooth does it now; give one of them")
+        if self.lag:
+            raise UsageError(f"--lag smooths while it runs, {whole} after it; give one of them")
+        if self.out == "-":
+            raise UsageError(f"{whole} reads the run's files again, and -o - writes none; take --lag, or a folder")
+        if not {"json", "jsonl"} & {*formats}:
+            raise UsageError(f"{whole} reads the rows from JSON; give --format csv,json")
+
+    def _smooth(self, outcome: Outcome, stop: Stop, shown: Progress) -> None:
+        """Smooth what a clip gave."""
+        from facetrack_cli.editor.smooth import save_smoothed
+        from facetrack_cli.runs.signals import StoppedError
+
+        if not outcome.files or outcome.error is not None:
+            return
+        folder = outcome.files[0].parent
+        shown.begin(f"{outcome.clip.name}, smoothed")
+        try:
+            files, notes = save_smoothed(
+                folder, motion=self.motion, overwrite=True, clip=outcome.clip, report=shown.update, stop=stop
+            )
+        except StoppedError:
+            shown.say(f"{outcome.clip}: not smoothed; facetrack smooth {folder} --overwrite does it")
+            return
+        for note in notes:
+            shown.say(f"facetrack: warning: {note}")
+        shown.say(f"{outcome.clip}: smoothed: {', '.join(path.name for path in files)}")
 
     def _places(self, clips: list[Path], recipe: str) -> tuple[list[Path | None], tuple[Format, ...]]:
         """The folder of each clip's results, None for standard output, and the formats to write."""
@@ -137,7 +191,7 @@ class Run:
         return [Path(self.out or ".") / name for name in names], self.format or ("csv", "json")
 
 
-def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
+def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
     """Run one clip; its error is the command's."""
     import cv2
 
@@ -152,10 +206,13 @@ def _one(job: Job, stop: Stop, shown: Progress) -> ExitCode:
     _report(outcome, shown)
     if outcome.error is not None:
         raise outcome.error
+    if after is not None and not stop():
+        after(outcome, stop, shown)
+        shown.close()
     return stop.code or (ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE)
 
 
-def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> ExitCode:
+def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
     import cv2
 
@@ -169,6 +226,11 @@ def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress) -> Exit
         if outcome.frames or outcome.error is None:
             _report(outcome, shown, named=True)
             lost += bool(outcome.lost_at_end)
+            if after is not None and not stop():
+                try:
+                    after(outcome, stop, shown)
+                except FacetrackError as e:
+                    outcome.error = e
         if outcome.error is not None:
             failed += 1
             named = "" if str(outcome.clip) in str(outcome.error) else f"{outcome.clip}: "

@@ -29,6 +29,7 @@ from facetrack_cli.tracking.face import still
 from facetrack_cli.tracking.face.registration import Registration
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
+from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.start.detectors import Detector
 from facetrack_cli.tracking.target import Names, ParticleTarget, State
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
@@ -255,7 +256,14 @@ class FaceTarget:
         values[EVIDENCE.name] = sum(float(one.diagnostics[self.name].get(EVIDENCE.name)[0]) for one in seen)
         found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
         cloud = similarity.to_frame(state.points.cloud - registration.bias[0])
-        return TargetResult(replace(faces, diagnostics=found), cloud, (), box.notes)
+        rows = replace(faces, diagnostics=found)
+        return TargetResult(rows, cloud, (), box.notes, lambda: self.beliefs(state))
+
+    def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
+        """What is known of the points in the still face, without their bias, and of the head."""
+        [points], [head] = self.features.beliefs(state.features), self.head.beliefs(state.head)
+        bias = state.registration.bias
+        return points._replace(mean=points.mean - bias[0]), head
 
     def _face(self, rows: Trajectory, face: Similarity) -> Trajectory:
         """The row of the head's box, where the face is in it, as large as that, and turned by its roll."""

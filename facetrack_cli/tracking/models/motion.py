@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,17 @@ from facetrack_cli.tracking.guides import Arrived
 from facetrack_cli.tracking.kernels.affine import diffuse
 from facetrack_cli.tracking.kernels.walk import arrive
 from facetrack_cli.tracking.models.spaces import VISIBLE, Context
+
+
+class Linear(NamedTuple):
+    """The motion of K parts as x_t = matrix x_{t-1} + offset + noise, noise ~ N(0, cov), for the smoother.
+
+    `matrix` and `cov` are (K, D, D), `offset` (K, D), of the first D coordinates of the state, in its units.
+    """
+
+    matrix: Array
+    offset: Array
+    cov: Array
 
 
 @dataclass(frozen=True)
@@ -37,6 +49,11 @@ class RandomWalk:
         constant = -0.5 * d * np.log(2 * np.pi) - d * np.log(self.sigma)
         return np.asarray(-0.5 * squared / self.sigma**2 + constant)
 
+    def linear(self, state: Array) -> Linear:
+        """The motion around a state (K, D)."""
+        eye = np.broadcast_to(np.eye(state.shape[1]), (len(state), state.shape[1], state.shape[1]))
+        return Linear(eye, np.zeros_like(state), eye * self.sigma[:, None, None] ** 2)
+
 
 @dataclass(frozen=True)
 class RestingWalk(RandomWalk):
@@ -53,6 +70,10 @@ class RestingWalk(RandomWalk):
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         return super().log_transition(x, self.expect(parents))
+
+    def linear(self, state: Array) -> Linear:
+        walk = super().linear(state)
+        return walk._replace(matrix=self.keep * walk.matrix, offset=(1 - self.keep) * self.rest)
 
 
 @dataclass(frozen=True)
@@ -100,6 +121,13 @@ class FirstOrder:
             off = x[:, None, :, i::3] - parents[None, :, :, i::3] @ a.T
             total += _log_normal(off, b @ b.T)
         return total
+
+    def linear(self, state: Array) -> Linear:
+        """The motion around a state (K, 6); the bounds of s are left out."""
+        matrix, cov = np.zeros((2, len(state), 6, 6))
+        for i, (a, b) in enumerate((self.position, self.position, self.scale)):
+            matrix[:, i::3, i::3], cov[:, i::3, i::3] = a, b @ b.T
+        return Linear(matrix, np.zeros((len(state), 6)), cov)
 
 
 @dataclass(frozen=True)
@@ -178,6 +206,16 @@ class VisibleWalk:
         size = float(w @ parents[:, 0, 2]) * self.unit
         return Arrived(x, log_visible, log_hidden, returns, np.array([0.4 * size, 0.4 * size, 0.04]))
 
+    def linear(self, state: Array) -> Linear:
+        """The motion around a state (1, 6), without its last coordinate, by whether the target is visible there."""
+        one, s, shown = self.settings, float(state[0, 2]), float(state[0, VISIBLE])
+        var = s**2 * (shown * self.sigma[0] ** 2 + (1 - shown) * self.sigma[1] ** 2)
+        matrix, cov = np.eye(5), np.diag([var, var, (one.scale * s) ** 2, *[one.acceleration * var] * 2])
+        for place, speed in ((0, 3), (1, 4)):
+            matrix[place, speed] = matrix[speed, speed] = one.velocity
+            cov[place, speed] = cov[speed, place] = one.acceleration * var
+        return Linear(matrix[None], np.zeros((1, 5)), cov[None])
+
     def _visible(self, x: Array) -> Array:
         """(N,): P(visible) a frame later. What returns elsewhere is not counted."""
         one, before = self.settings, x[:, 0, VISIBLE]
@@ -225,6 +263,10 @@ class AffineWalk:
     def log_transition(self, x: Array, parents: Array) -> Array:
         """log p(x_n | parents_m): x (N, 1, 6), parents (M, 1, 6) -> (N, M, 1); the bounds are left out."""
         return _log_normal((x[:, None] - parents[None]) @ _AFFINE, np.diag(self._sigma**2))
+
+    def linear(self, state: Array) -> Linear:
+        """The motion around a state (1, 6); the bounds of the scale are left out."""
+        return Linear(np.eye(6)[None], np.zeros((1, 6)), (_AFFINE * self._sigma**2 @ _AFFINE.T)[None])
 
 
 # from noise of (x, y, scale, turn, stretch, shear) to that of (x, y, a1, a2, a3, a4); orthogonal

@@ -54,6 +54,10 @@ class Space(Protocol):
 
     def windows(self, estimated: Estimate) -> Array: ...
 
+    def counted(self, particles: Particles) -> Array:
+        """(N,) log weights by which particles count in the estimate."""
+        return particles.log_w
+
     def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
         """Of particles whose effective sample sizes are `ess` (K,)."""
         return estimate(particles, ess, best=best)
@@ -103,14 +107,18 @@ class VisibleBoxSpace(BoxSpace):
         state[0, VISIBLE] = 1.0
         return state
 
-    def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
-        """The mean given that the target is visible, or, if it rather is hidden, given that; and P(visible)."""
+    def counted(self, particles: Particles) -> Array:
+        """Given that the target is visible, or, if it rather is hidden, given that."""
         shown = particles.x[:, 0, VISIBLE]
         visible = float(np.sum(np.exp(particles.log_w) * shown))
         with np.errstate(divide="ignore"):
-            log_w = normalise(particles.log_w + np.log(shown if visible >= 0.5 else 1 - shown))
+            return normalise(particles.log_w + np.log(shown if visible >= 0.5 else 1 - shown))
+
+    def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
+        """The mean of those that count; and P(visible)."""
+        log_w = self.counted(particles)
         found = super().estimate(Particles(particles.x, log_w), effective_sample_size(log_w)[None], best=best)
-        found.state[0, VISIBLE] = visible
+        found.state[0, VISIBLE] = float(np.sum(np.exp(particles.log_w) * particles.x[:, 0, VISIBLE]))
         return found
 
     def presence(self, particles: Particles, estimated: Estimate) -> Array:

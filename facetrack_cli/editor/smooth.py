@@ -1,0 +1,106 @@
+"""A finished run smoothed: its rows given the whole clip, from what its filters knew (`run --keep-posterior`)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.files import beside, check_folder, discard, make_folder, remove_folders
+from facetrack_cli.editor.journal import announce, finish, sweep
+from facetrack_cli.editor.retrack import Report, Stop, silent
+from facetrack_cli.editor.run_folder import open_run, read_files, run_files, write_rows
+from facetrack_cli.editor.save import Plain, repaint
+from facetrack_cli.report.make import trajectory_of
+from facetrack_cli.runs.clip import VIDEO
+from facetrack_cli.runs.posterior import POSTERIOR, read_posterior
+from facetrack_cli.runs.signals import never
+from facetrack_cli.tracking.smoothed import MotionName, smoothed_rows
+from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.trajectory import Trajectory, successive
+from facetrack_cli.trajectory.writers import Format
+
+FILTERED: Final = "trajectory.filtered.csv"
+
+
+def smooth(run: str | Path, *, motion: MotionName = "recipe") -> Trajectory:
+    """The rows of a run given all of its clip; `run` is the folder, made with `facetrack run --keep-posterior`.
+
+    With `motion` "fitted" the noise of each part's motion is not the recipe's, but what the clip itself shows. Rows
+    that were given by hand, and those of parts that are never seen again, stay. Nothing is written; `smoothed` in the
+    header says how. Raises InputError for a folder without a JSON trajectory or posterior, or with damaged ones.
+    """
+    folder = Path(run)
+    return _smoothed(folder, _read(folder), motion)
+
+
+def save_smoothed(
+    folder: Path,
+    to: Path | None = None,
+    *,
+    motion: MotionName = "recipe",
+    overwrite: bool = False,
+    video: bool = True,
+    clip: Path | None = None,
+    report: Report = silent,
+    stop: Stop = never,
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Write the smoothed run into `to`, None for its own folder; the files, and warnings of its video.
+
+    It has the trajectories and, with `video`, the annotated video of the run, drawn again from `clip`. In its own
+    folder the rows of before go to trajectory.filtered.csv, and the posterior is removed. Raises OutputError or
+    InputError, StoppedError once `stop` says so; nothing is written then.
+    """
+    rows, place = _read(folder), folder if to is None else to
+    drawn = video and (folder / VIDEO).is_file()
+    forms = list(run_files(folder))
+    if place.resolve() == folder.resolve():
+        if not overwrite:
+            raise OutputError(f"{folder}: has the filter's rows, which --overwrite replaces; or name a folder with -o")
+        sweep(folder)
+    else:
+        names = [*[VIDEO] * drawn, *(f"trajectory.{form}" for form in forms)]
+        check_folder(place, names, overwrite=overwrite, inputs=[])
+    run = open_run(folder, clip) if drawn else None
+    after, notes = _smoothed(folder, rows, motion), tuple[str, ...]()
+    made = make_folder(place)
+    files: list[Path] = []
+    try:
+        if run is not None:
+            files.append(place / VIDEO)
+            notes = repaint(run, place / VIDEO, after, report, stop)
+        texts: list[tuple[str, Format, Trajectory]] = [(f"trajectory.{form}", form, after) for form in forms]
+        if place.resolve() == folder.resolve():
+            texts.append((FILTERED, "csv", rows))
+        for name, form, those in texts:
+            files.append(place / name)
+            with beside(place / name).open("wb") as file:
+                write_rows(form, Plain(file), those)
+        # what is smoothed is not smoothed again
+        announce(place, files, [folder / POSTERIOR] * (place.resolve() == folder.resolve()))
+        finish(place)
+    except OSError as e:
+        remedy = "free some space, or make it writable"
+        raise OutputError(f"{e.filename or files[-1]}: cannot be written: {e.strerror or e}; {remedy}") from e
+    finally:
+        for path in files:
+            discard(path)
+        remove_folders(made)
+    return files, notes
+
+
+def _read(folder: Path) -> Trajectory:
+    """The run's rows, finished if a save was interrupted."""
+    trajectory_of(folder)
+    finish(folder)
+    return read_files(run_files(folder))
+
+
+def _smoothed(folder: Path, rows: Trajectory, motion: MotionName) -> Trajectory:
+    if not (folder / POSTERIOR).exists():
+        raise InputError(f"{folder}: has no {POSTERIOR}; run again with --keep-posterior, or --smooth")
+    beliefs = read_posterior(folder / POSTERIOR, rows)
+    pieces = [smoothed_rows(choose(rows, name), beliefs[name], motion) for name in rows.targets]
+    after = successive(pieces, rows)
+    return replace(after, header={**rows.header, "smoothed": {"motion": motion}})

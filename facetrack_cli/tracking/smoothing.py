@@ -1,0 +1,211 @@
+"""Smoothing: the posterior of each frame given the frames after it too, p(x_t | Y_T) with t < T.
+
+A filter leaves a belief a frame, mean and covariance of its particles, and the motion by which it came there. Backward
+from the last frame, with m, P the belief of frame t, m', P' what the motion makes of it in frame t + 1, and m_s, P_s
+the smoothed belief of that frame (Rauch, Tung & Striebel, AIAA Journal 1965; Särkkä, Bayesian Filtering and Smoothing,
+2013, section 8.2):
+
+    m' = A m + o,  P' = A P A^T + Q,  G = P A^T P'^-1
+    m <- m + G (m_s - m'),  P <- P + G (P_s - P') G^T
+
+The parts are smoothed apart. A frame that did not show a part says nothing of it: its belief becomes the prediction
+from the last frame that did, so that between that frame and the next that does, the result is the bridge of the motion,
+along with the parts that are seen meanwhile (ours).
+Where a correction placed a target, its belief has no covariance, and nothing comes over it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from facetrack_cli.core.types import Array, Mask, Particles
+from facetrack_cli.tracking.models.motion import Linear
+
+# of expectation and maximisation; more make errors larger again, which last from frame to frame
+ROUNDS = 5
+_LEAST: Final = 1e-9  # of a variance: what is less is rounding
+
+
+class Belief(NamedTuple):
+    """What a filter knows of K parts after a frame: `mean` (K, D) and `cov` (K, D, D) of D coordinates of the state.
+
+    `motion` is that from the frame before; `doubt` (K,) says which parts the frame may not show.
+    """
+
+    mean: Array
+    cov: Array
+    motion: Linear
+    doubt: Mask
+
+
+class Chain(NamedTuple):
+    """Beliefs of T frames: `mean` (T, K, D), `cov` (T, K, D, D), the motions into each frame, of one axis more.
+
+    Of (T, K) are `unseen`, whether the frame did not show the part; `joined`, whether there is a belief of it in this
+    frame and in the one before; `linked`, whether it also says something of the frame before.
+    """
+
+    mean: Array
+    cov: Array
+    motion: Linear
+    unseen: Mask
+    joined: Mask
+    linked: Mask
+
+
+def belief(particles: Particles, motion: Linear, cov: Array, doubt: Mask) -> Belief:
+    """Of particles x (N, K, D), with the estimate's covariance `cov` (K, 2, 2) of their places."""
+    d = motion.matrix.shape[-1]
+    w, x = np.exp(particles.log_w), particles.x[..., :d]
+    mean = np.einsum("n,nkd->kd", w, x)
+    spread = np.einsum("n,nkd,nke->kde", w, x - mean, x - mean)
+    ours, theirs = (np.trace(one[:, :2, :2], axis1=1, axis2=2) for one in (spread, cov))
+    # the estimate's counts how few particles it stands on; without particles that differ there is nothing to count
+    more = np.divide(theirs, ours, out=np.ones(len(ours)), where=ours > _LEAST)
+    return Belief(mean, spread * more[:, None, None], motion, doubt)
+
+
+def chain(beliefs: Sequence[Belief], lost: Mask, gone: Mask, given: Mask | None = None) -> Chain:
+    """Of beliefs of T frames; `lost` (T, K) as the tracker judged, `gone` where there is no part to know of.
+
+    In frames that are `given` (T,) corrections placed the parts. A part is `lost` only after some frames in doubt,
+    which did not show it either. Those of the last stretch, after which it is never seen again, say nothing of what
+    was before.
+    """
+    given = np.zeros(len(lost), dtype=np.bool_) if given is None else given
+    unseen = lost & ~gone & ~given[:, None]
+    seen_later = np.zeros_like(unseen)
+    for t in range(len(unseen) - 2, -1, -1):
+        unseen[t] |= unseen[t + 1] & beliefs[t].doubt & ~gone[t] & ~given[t]
+        seen_later[t] = ~gone[t + 1] & (~unseen[t + 1] | seen_later[t + 1])
+    joined = np.zeros_like(unseen)
+    joined[1:] = ~gone[1:] & ~gone[:-1]
+    mean, cov = (np.stack([getattr(one, name) for one in beliefs]) for name in ("mean", "cov"))
+    motion = Linear(*(np.stack(each) for each in zip(*(one.motion for one in beliefs), strict=True)))
+    # what a frame does not show moves with the parts that it shows
+    shown, offset = joined & ~unseen, motion.offset.copy()
+    shown[1:] &= ~unseen[:-1] & ~given[1:, None]
+    for t in np.flatnonzero(shown.any(axis=1) & (joined & ~shown).any(axis=1)).tolist():
+        offset[t, joined[t] & ~shown[t]] += (mean[t] - mean[t - 1])[shown[t]].mean(axis=0)
+    return Chain(mean, cov, motion._replace(offset=offset), unseen, joined, joined & (~unseen | seen_later))
+
+
+def bridged(one: Chain) -> Chain:
+    """With predictions in place of the beliefs of frames that did not show a part."""
+    mean, cov = one.mean.copy(), one.cov.copy()
+    for t in np.flatnonzero((one.unseen & one.joined).any(axis=1)).tolist():
+        those = one.unseen[t] & one.joined[t]
+        ahead, spread = _predicted(one, t, mean[t - 1], cov[t - 1])
+        mean[t, those], cov[t, those] = ahead[those], spread[those]
+    return one._replace(mean=mean, cov=cov)
+
+
+def smoothed(one: Chain) -> tuple[Array, Array]:
+    """(T, K, D) means and (T, K, D, D) covariances given all T frames."""
+    mean, cov, _ = _backward(bridged(one))
+    return mean, cov
+
+
+def _backward(one: Chain) -> tuple[Array, Array, Array]:
+    """The same of beliefs that are `bridged`, and the gains (T, K, D, D) from each frame to the one before."""
+    mean, cov, gains = one.mean.copy(), one.cov.copy(), np.zeros_like(one.cov)
+    for t in range(len(mean) - 1, 0, -1):
+        if not one.linked[t].any():
+            continue
+        ahead, spread = _predicted(one, t, mean[t - 1], cov[t - 1])
+        gain = cov[t - 1] @ _turned(one.motion.matrix[t]) @ _inverse(spread)
+        gain[~one.linked[t]] = 0.0
+        mean[t - 1] += np.einsum("kde,ke->kd", gain, mean[t] - ahead)
+        cov[t - 1] = _even(cov[t - 1] + gain @ (cov[t] - spread) @ _turned(gain))
+        gains[t] = gain
+    return mean, cov, gains
+
+
+def _predicted(one: Chain, t: int, mean: Array, cov: Array) -> tuple[Array, Array]:
+    """What the motion into frame t makes of mean (K, D) and covariance (K, D, D)."""
+    matrix = one.motion.matrix[t]
+    ahead = np.einsum("kde,ke->kd", matrix, mean) + one.motion.offset[t]
+    return ahead, matrix @ cov @ _turned(matrix) + one.motion.cov[t]
+
+
+def fitted(one: Chain) -> tuple[Chain, Array]:
+    """The chain with the motion that the clip itself shows, and its noise over that of the recipe (K,).
+
+    Of each part, the recipe's noise is multiplied by the factor that makes the beliefs most likely, by expectation and
+    maximisation (Shumway & Stoffer, Journal of Time Series Analysis 1982). What a frame says is what its belief has
+    beyond the recipe's prediction, N(z, R) with R^-1 = P^-1 - P'^-1; from that the beliefs follow by a Kalman filter
+    with the other noise.
+    """
+    told = _observations(bridged(one))
+    motion, inverse = one.motion, _inverse(one.motion.cov)
+    rank = np.maximum(np.linalg.matrix_rank(motion.cov @ inverse, tol=1e-6), 1)
+    factor, counted = np.ones(one.mean.shape[1]), one.linked
+    now = one
+    for _ in range(ROUNDS):
+        now = _filtered(one._replace(motion=motion._replace(cov=motion.cov * factor[:, None, None])), told)
+        mean, cov, gains = _backward(now)
+        matrix = motion.matrix[1:]
+        off = mean[1:] - np.einsum("tkde,tke->tkd", matrix, mean[:-1]) - motion.offset[1:]
+        cross = cov[1:] @ _turned(gains[1:]) @ _turned(matrix)
+        squared = off[..., None] * off[..., None, :] + cov[1:] + matrix @ cov[:-1] @ _turned(matrix)
+        squared -= cross + _turned(cross)
+        each = np.einsum("tkde,tked->tk", inverse[1:], squared) / rank[1:]
+        total = np.sum(each, axis=0, where=counted[1:])
+        found = total / np.maximum(counted[1:].sum(axis=0), 1)
+        factor = np.where(counted[1:].any(axis=0), np.clip(found, 1e-6, 1e3), 1.0)
+    return now, factor
+
+
+class _Told(NamedTuple):
+    """What frames say of parts: their state, `at` (T, K, D), up to N(0, `noise` (T, K, D, D))."""
+
+    at: Array
+    noise: Array
+
+
+def _observations(one: Chain) -> _Told:
+    at, noise = one.mean.copy(), one.cov.copy()
+    for t in range(1, len(at)):
+        ahead, spread = _predicted(one, t, one.mean[t - 1], one.cov[t - 1])
+        before = _inverse(spread)
+        values, vectors = np.linalg.eigh(_even(_inverse(one.cov[t]) - before))
+        # a frame that made the belief no narrower than the prediction says next to nothing
+        least = 1e-3 * np.trace(before, axis1=1, axis2=2)[:, None] / before.shape[1]
+        r = vectors / np.maximum(values, least)[:, None] @ _turned(vectors)
+        exact = np.trace(one.cov[t], axis1=1, axis2=2) <= _LEAST
+        use = one.linked[t] & ~exact
+        z = one.mean[t] + np.einsum("kde,kef,kf->kd", r, before, one.mean[t] - ahead)
+        at[t, use], noise[t, use] = z[use], r[use]
+    return _Told(at, noise)
+
+
+def _filtered(one: Chain, told: _Told) -> Chain:
+    """The beliefs that follow from what frames say."""
+    mean, cov = one.mean.copy(), one.cov.copy()
+    for t in range(1, len(mean)):
+        use = one.linked[t]
+        ahead, spread = _predicted(one, t, mean[t - 1], cov[t - 1])
+        gain = spread @ _inverse(spread + told.noise[t])
+        gain[one.unseen[t]] = 0.0
+        mean[t, use] = (ahead + np.einsum("kde,ke->kd", gain, told.at[t] - ahead))[use]
+        cov[t, use] = _even(spread - gain @ spread)[use]
+    return one._replace(mean=mean, cov=cov)
+
+
+def _inverse(cov: Array) -> Array:
+    """The inverse of covariances (..., D, D), on their support."""
+    scale = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
+    scale = np.where(scale > 1e-12, scale, 1.0)
+    both = scale[..., None] * scale[..., None, :]
+    return np.asarray(np.linalg.pinv(cov / both, rcond=_LEAST, hermitian=True) / both)
+
+
+def _turned(matrix: Array) -> Array:
+    return np.swapaxes(matrix, -1, -2)
+
+
+def _even(cov: Array) -> Array:
+    return np.asarray((cov + _turned(cov)) / 2)

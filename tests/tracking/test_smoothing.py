@@ -1,0 +1,199 @@
+"""The smoother against the exact posterior of linear-Gaussian models, given a batch of all frames at once."""
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.types import Particles
+from facetrack_cli.recipe import affine, correlation_filter
+from facetrack_cli.tracking import smoothing
+from facetrack_cli.tracking.models.motion import AffineWalk, FirstOrder, RandomWalk, RestingWalk, VisibleWalk
+from facetrack_cli.tracking.smoothing import Belief
+
+STAY = np.array([[1.0, 0.0], [0.0, 0.0]])
+PLACE = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[2.0], [1.0]])  # one source of noise for place and speed
+SIZE = np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[0.02], [0.0]])
+VISIBLE = VisibleWalk(
+    correlation_filter.VisibleWalk(type="visible_walk", sigma="2px", scale=0.02, hide=1e-6),
+    40.0,
+    (2.0, 4.0),
+    (0.2, 5.0),
+)
+MOTIONS = {
+    "random_walk": (RandomWalk(np.array([3.0, 1.0])), np.array([[10.0, 20.0], [30.0, 5.0]])),
+    "resting_walk": (
+        RestingWalk(np.array([3.0, 1.0]), np.array([[12.0, 18.0], [31.0, 6.0]]), 0.9),
+        np.array([[10.0, 20.0], [30.0, 5.0]]),
+    ),
+    "first_order": (FirstOrder(PLACE, SIZE, 0.1, 10.0), np.array([[10.0, 20.0, 1.0, 1.0, -1.0, 0.0]])),
+    "visible_walk": (VISIBLE, np.array([[10.0, 20.0, 1.0, 1.0, -1.0, 1.0]])),
+}
+
+
+def kalman(motion, x0, rng, t, hidden=(), noise=1.5):
+    """Beliefs of a Kalman filter of `t` frames whose places are seen but in the `hidden` ones; x of all, and z."""
+    linear = motion.linear(x0)
+    d, places = linear.matrix.shape[-1], 2
+    x0 = x0[:, :d]
+    h = np.eye(d)[:places]
+    x, seen, found = x0, [], []
+    mean, cov = x0.copy(), np.zeros((len(x0), d, d))
+    found.append(Belief(mean, cov, linear, np.zeros(len(x0), bool)))
+    for i in range(1, t):
+        x = np.einsum("kde,ke->kd", linear.matrix, x) + linear.offset
+        x = x + np.array([rng.multivariate_normal(np.zeros(d), one, method="eigh") for one in linear.cov])
+        z = x @ h.T + noise * rng.standard_normal((len(x), places))
+        mean = np.einsum("kde,ke->kd", linear.matrix, mean) + linear.offset
+        cov = linear.matrix @ cov @ linear.matrix.transpose(0, 2, 1) + linear.cov
+        if i not in hidden:
+            gain = cov @ h.T @ np.linalg.inv(h @ cov @ h.T + noise**2 * np.eye(places))
+            mean, cov = mean + np.einsum("kde,ke->kd", gain, z - mean @ h.T), cov - gain @ h @ cov
+        seen.append(z)
+        found.append(Belief(mean, cov, linear, np.zeros(len(x0), bool)))
+    return found, np.array(seen)
+
+
+def batch(linear, x0, seen, hidden, noise, k):
+    """Mean and covariance of x_1 ... x_T-1 of part k given all that was seen, from their joint normal distribution."""
+    a, o, q, x = linear.matrix[k], linear.offset[k], linear.cov[k], x0[k, : linear.matrix.shape[-1]]
+    t, d = len(seen), len(a)
+    drift, spread, power = np.zeros((t, d)), np.zeros((t * d, t * d)), [np.eye(d)]
+    for i in range(t):
+        x = a @ x + o
+        drift[i] = x
+        power.append(a @ power[-1])
+    carry = np.zeros((t * d, t * d))
+    for i in range(t):
+        for j in range(i + 1):
+            carry[i * d : i * d + d, j * d : j * d + d] = power[i - j]
+    spread = carry @ np.kron(np.eye(t), q) @ carry.T
+    rows = [i * d + c for i in range(t) if i + 1 not in hidden for c in (0, 1)]
+    gain = spread[:, rows] @ np.linalg.inv(spread[np.ix_(rows, rows)] + noise**2 * np.eye(len(rows)))
+    z = np.concatenate([seen[i, k] for i in range(t) if i + 1 not in hidden])
+    mean = drift.ravel() + gain @ (z - drift.ravel()[rows])
+    cov = spread - gain @ spread[rows]
+    return mean.reshape(t, d), np.stack([cov[i * d : i * d + d, i * d : i * d + d] for i in range(t)])
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize("hidden", [(), range(8, 15)])
+def test_the_smoothed_belief_is_the_posterior_given_all_frames(name, hidden):
+    """Also where the filter, in frames that did not show the part, believed something else."""
+    motion, x0 = MOTIONS[name]
+    found, seen = kalman(motion, x0, np.random.default_rng(1), 25, hidden)
+    lost = np.zeros((25, len(x0)), bool)
+    lost[[i for i in hidden if i > 9]] = True  # the first two were in doubt before
+    for i in hidden:
+        found[i] = found[i]._replace(mean=found[i].mean + 50, cov=np.eye(found[i].cov.shape[-1]) * found[i].cov * 3)
+        found[i] = found[i]._replace(doubt=np.ones(len(x0), bool))
+    mean, cov = smoothing.smoothed(smoothing.chain(found, lost, np.zeros_like(lost)))
+    for k in range(len(x0)):
+        exact, spread = batch(motion.linear(x0), x0, seen, hidden, 1.5, k)
+        np.testing.assert_allclose(mean[1:, k], exact, atol=1e-6)
+        np.testing.assert_allclose(cov[1:, k], spread, atol=1e-6)
+
+
+def test_a_part_that_is_not_seen_again_says_nothing_of_before():
+    motion, x0 = MOTIONS["random_walk"]
+    found, _ = kalman(motion, x0, np.random.default_rng(2), 12)
+    lost = np.zeros((12, 2), bool)
+    lost[8:, 0] = True
+    gone = np.zeros_like(lost)
+    mean, cov = smoothing.smoothed(smoothing.chain(found, lost, gone))
+    before, spread = smoothing.smoothed(smoothing.chain(found[:8], lost[:8], gone[:8]))
+    np.testing.assert_allclose(mean[:8, 0], before[:, 0])
+    np.testing.assert_allclose(cov[:8, 0], spread[:, 0])
+
+
+def test_what_is_gone_parts_before_from_after():
+    motion, x0 = MOTIONS["random_walk"]
+    found, _ = kalman(motion, x0, np.random.default_rng(3), 12)
+    gone = np.zeros((12, 2), bool)
+    gone[5:7] = True
+    mean, _ = smoothing.smoothed(smoothing.chain(found, np.zeros_like(gone), gone))
+    for part in (slice(5), slice(7, 12)):
+        alone, _ = smoothing.smoothed(smoothing.chain(found[part], gone[:1].repeat(12, 0)[part], gone[part]))
+        np.testing.assert_allclose(mean[part], alone)
+
+
+def test_a_hidden_part_moves_with_those_that_are_seen():
+    walk = RandomWalk(np.array([2.0, 2.0]))
+    x = np.stack([np.array([[3.0 * i**2, 0.0], [3.0 * i**2, 40.0]]) for i in range(9)])
+    doubt, exact = np.zeros(2, bool), np.broadcast_to(0.01 * np.eye(2), (2, 2, 2))
+    found = [Belief(one, exact, walk.linear(one), doubt) for one in x]
+    lost = np.zeros((9, 2), bool)
+    lost[3:6, 1] = True
+    mean, _ = smoothing.smoothed(smoothing.chain(found, lost, np.zeros_like(lost)))
+    np.testing.assert_allclose(mean[3:6, 1], x[3:6, 1], atol=0.1)
+
+
+def test_the_noise_of_a_clip_is_found_and_its_posterior_is_exact(monkeypatch):
+    """The filter believed in a noise ten times as large as the target has."""
+    monkeypatch.setattr(smoothing, "ROUNDS", 40)
+    true, x0 = RandomWalk(np.array([0.5, 0.5])), MOTIONS["random_walk"][1]
+    _, seen = kalman(true, x0, np.random.default_rng(4), 150)
+    wide = RandomWalk(np.array([5.0, 5.0])).linear(x0)
+    mean, cov = x0.copy(), np.zeros((2, 2, 2))
+    found = [Belief(mean, cov, wide, np.zeros(2, bool))]
+    for z in seen:
+        cov = cov + wide.cov
+        gain = cov @ np.linalg.inv(cov + 1.5**2 * np.eye(2))
+        mean, cov = mean + np.einsum("kde,ke->kd", gain, z - mean), cov - gain @ cov
+        found.append(Belief(mean, cov, wide, np.zeros(2, bool)))
+    lost = np.zeros((len(found), 2), bool)
+    now, factor = smoothing.fitted(smoothing.chain(found, lost, lost))
+    assert np.all(np.abs(np.sqrt(factor) - 0.1) < 0.05)
+    mean, cov = smoothing.smoothed(now)
+    exact, spread = batch(wide._replace(cov=now.motion.cov[0]), x0, seen[:60], (), 1.5, 0)
+    np.testing.assert_allclose(mean[1:20, 0], exact[:19], atol=0.02)
+    np.testing.assert_allclose(cov[1:20, 0], spread[:19], atol=0.02)
+
+
+def test_particles_come_to_the_exact_posterior():
+    """A bootstrap filter of many particles, smoothed by the moments of its particles."""
+    motion, x0 = MOTIONS["random_walk"]
+    rng = np.random.default_rng(5)
+    _, seen = kalman(motion, x0, rng, 15)
+    x, found = np.repeat(x0[None], 20_000, axis=0), []
+    for i in range(15):
+        each = []
+        for k in range(2):  # the parts are filtered apart
+            w = np.full(len(x), 1 / len(x))
+            if i:
+                x[:, k] += motion.sigma[k] * rng.standard_normal((len(x), 2))
+                w = np.exp(-0.5 * np.sum((x[:, k] - seen[i - 1, k]) ** 2, axis=1) / 1.5**2)
+                w /= w.sum()
+            one = Particles(x[:, k : k + 1].copy(), np.log(np.maximum(w, 1e-300)))
+            mean = w @ x[:, k]
+            cov = np.einsum("n,nd,ne->de", w, x[:, k] - mean, x[:, k] - mean)[None]
+            each.append(smoothing.belief(one, motion.linear(x0), cov, np.zeros(1, bool)))
+            x[:, k] = x[rng.choice(len(x), len(x), p=w), k]
+        mean, cov = (np.concatenate([getattr(one, name) for one in each]) for name in ("mean", "cov"))
+        found.append(Belief(mean, cov, motion.linear(x0), np.zeros(2, bool)))
+    lost = np.zeros((15, 2), bool)
+    mean, cov = smoothing.smoothed(smoothing.chain(found, lost, lost))
+    for k in range(2):
+        exact, spread = batch(motion.linear(x0), x0, seen, (), 1.5, k)
+        assert np.abs(mean[1:, k] - exact).max() < 0.05
+        assert np.abs(cov[1:, k] / spread[0, 0, 0] - spread / spread[0, 0, 0]).max() < 0.1
+
+
+WALK = affine.AffineWalk(type="affine_walk", sigma="3px", deform=0.02, turn=0.03, shear=0.01)
+
+
+@pytest.mark.parametrize(
+    ("motion", "state"),
+    [
+        *MOTIONS.values(),
+        (AffineWalk(WALK, 3.0, (0.01, 100.0)), np.array([[10.0, 20.0, 1.0, 0.1, -0.1, 1.0]])),
+    ],
+)
+def test_linear_motions_are_those_that_particles_are_drawn_by(motion, state):
+    linear = motion.linear(state)
+    d = linear.matrix.shape[-1]
+    drawn = motion.propagate(np.random.default_rng(6), np.repeat(state[None], 60_000, axis=0))[..., :d]
+    expected = np.einsum("kde,ke->kd", linear.matrix, state[:, :d]) + linear.offset
+    for k in range(len(state)):
+        std = np.sqrt(np.diagonal(linear.cov[k])) + 1e-12
+        assert np.abs((drawn[:, k].mean(axis=0) - expected[k]) / std).max() < 0.03
+        scatter = np.cov(drawn[:, k].T)
+        assert np.abs((scatter - linear.cov[k]) / np.outer(std, std)).max() < 0.05
