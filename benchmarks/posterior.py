@@ -12,8 +12,7 @@ deviation over seeds of the mean over clips.
     50, 90 %   share of visible rows whose true centre is in the ellipse that should hold so many
     ESS        median effective sample size
     ECE        expected calibration error of `confidence`
-    jitter     of rows that are not lost: median second difference of the path over that of the truth in the same rows,
-               both in pixels over sqrt(6), the difference of their squares rooted
+    jitter     as `facetrack eval` has it, in pixels
     evidence   log evidence a frame, in nats
 
     python benchmarks/posterior.py CLIP... --config sir:motion.sigma=.05 --config sir:motion.sigma=.1 --pairs
@@ -37,7 +36,6 @@ from boxes import clip_in
 from facetrack_cli.core.types import Array, Start, TargetStart
 from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.evaluation.match import match
-from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.clip import Job, Memory, track_clip
@@ -84,23 +82,10 @@ def run(clip: Path, config: str, seed: int) -> Array:
         None if cover is None or cover.within_90 is None else 100 * cover.within_90,
         float(np.nanmedian(track.ess)),
         None if trusted is None else trusted.ece,
-        float(np.nanmean([jitter(pair) for pair in pairs])),
+        None if found.jitter is None else found.jitter.median_px,
         float(np.nanmean(evidence)) if np.isfinite(evidence).any() else None,
     )
     return np.array([np.nan if value is None else value for value in values])
-
-
-def jitter(pair: Pair) -> float:
-    """Pixels of noise from frame to frame, beyond that of the truth: of rows between two others, none of them lost."""
-    ours, truth = pair
-    kept = (np.diff(ours.frame, 2) == 0) & (np.diff(ours.frame)[1:] == 1)
-    held = ours.status == "tracked"
-    kept &= held[:-2] & held[1:-1] & held[2:] & (truth.status != "hidden")[1:-1]
-    if kept.sum() < 10:
-        return np.nan
-    second = [np.diff(np.stack([one.x, one.y], axis=1), 2, axis=0)[kept] for one in (ours, truth)]
-    noise, still = (float(np.nanmedian(np.hypot(*one.T))) for one in second)
-    return float(np.sqrt(max(noise**2 - still**2, 0.0) / 6))
 
 
 def table(clips: Sequence[Path], configs: Sequence[str], seeds: int, jobs: int, each: bool) -> Array:
