@@ -25,7 +25,7 @@ COMMANDS = {
     "compare": "Run and rank several recipes on a clip with ground truth.",
     "repeat": "Show how far a recipe's runs differ from seed to seed.",
     "calibrate": "Learn from ground truth how sure a recipe's rows are.",
-    "tune": "Search settings of a recipe on clips, and check them on held-out ones.",
+    "tune": "Search settings of a recipe, checked on held-out clips.",
     "motion": "Learn motion models from annotated tracks.",
     "regress": "Check clips against their golden results, for CI.",
     "plot": "Draw what happened in a trajectory.",

@@ -173,6 +173,8 @@ def rewritten(text: str, assignments: Sequence[str]) -> str:
     """A valid text with values put into it as `assign` does; all else, comments too, stays as it is."""
     yaml = YAML()
     yaml.width, yaml.preserve_quotes = MAX_BYTES, True
+    # otherwise nothing at all is written for null in a block
+    yaml.representer.add_representer(type(None), lambda r, _: r.represent_scalar("tag:yaml.org,2002:null", "null"))
     tree = yaml.load(text)
     for path, _, value in (one.partition("=") for one in assignments):
         *above, last = (name.strip() for name in path.split("."))

@@ -362,8 +362,7 @@ class Bound:
         return predicts.propagate(rng, x, self.ahead.shift, self.ahead.noise)
 
     def expect(self, x: Array) -> Array:
-        expected = self.target.motion.expect(x)
-        return expected if self.target._predicts is None else expected + self.ahead.shift
+        return self.target.motion.expect(x) + (0.0 if self.target._predicts is None else self.ahead.shift)
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         return self._of_present(self.target.motion.log_transition(x, parents))
@@ -397,6 +396,5 @@ class Bound:
         return self.target.motion.arrive(rng, z, particles, found=found)
 
     def propose_part(self, rng: Generator, x: Array, part: int) -> Array:
-        if self.target.prior is None:
-            raise ValueError("there is no shape prior to propose from")
+        assert self.target.prior is not None
         return self.target.prior.propose(rng, x, part)

@@ -21,7 +21,7 @@ from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
 from facetrack_cli.trajectory.writers import SCHEMA
 
 FORMS = ("mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
-Row = namedtuple("Row", COLUMNS, defaults=[None] * 11)
+Row = namedtuple("Row", COLUMNS, defaults=[None] * (len(COLUMNS) - 6))
 
 
 def rows(target="face", parts=("nose", "lip_upper"), frames=range(6), lost=(3, 4), size=(20.0, 10.0), **more):

@@ -159,14 +159,15 @@ def test_the_scale_stays_within_its_bounds_however_far_it_is_shifted():
 def test_the_best_particle_or_the_mean():
     x = np.arange(18.0).reshape(3, 1, 6)
     particles = Particles(x, np.log([0.2, 0.5, 0.3]))
-    mean, best = estimate(particles), estimate(particles, best=True)
+    many = np.full(1, np.inf)
+    mean, best = estimate(particles, many), estimate(particles, many, best=True)
     np.testing.assert_allclose(mean.state, 0.2 * x[0] + 0.5 * x[1] + 0.3 * x[2])
     np.testing.assert_array_equal(best.state, x[1])
     # the spread is about the mean in both
     np.testing.assert_array_equal(best.cov, mean.cov)
     variance = 0.2 * 6.6**2 + 0.5 * 0.6**2 + 0.3 * 5.4**2  # 0, 6 and 12 about 6.6
     np.testing.assert_allclose(mean.cov[0], variance)
-    of_equals = estimate(Particles(x, np.log([0.4, 0.4, 0.2])), best=True)
+    of_equals = estimate(Particles(x, np.log([0.4, 0.4, 0.2])), many, best=True)
     np.testing.assert_array_equal(of_equals.state, x[0])
-    alone = estimate(Particles(x, np.array([-np.inf, 0.0, -np.inf])))
+    alone = estimate(Particles(x, np.array([-np.inf, 0.0, -np.inf])), many)
     np.testing.assert_array_equal(alone.state, x[1])

@@ -151,7 +151,7 @@ COLUMNS = ("x", "y", "w", "h", "angle", "ess", "particles", "status")
 )
 def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip, stop):
     path = FOLDER / f"{clip}.mp4"
-    raw = track_video(path, recipe, stop=stop)
+    raw = track_video(path, load_recipe(recipe, {"confidence.calibration": None}), stop=stop)
     named = load_recipe(recipe, {"confidence.calibration": str(file)})
     found = track_video(path, named, stop=stop)
     for name in COLUMNS:

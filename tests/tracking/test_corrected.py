@@ -170,7 +170,7 @@ def test_absent_parts_have_no_place_and_the_others_go_on(face):
     assert {(one.x, one.y, one.w, one.h, one.confidence) for one in nose[10:30]} == {(None,) * 5}
     assert (nose[10].by_hand, nose[11].by_hand) == (True, False)
     assert (nose[30].status, nose[31].status) == ("init", "tracked")
-    assert "10,0.4000,face,nose,,,,,,,absent,,,100,,," in lines(hidden)[10]
+    assert "10,0.4000,face,nose,,,,,,,absent,,,,,,100,,," in lines(hidden)[10]
     for name in PARTS[1:]:
         off = [np.hypot(part(r, name).x - face.point(r.frame.index, name)[0],
                         part(r, name).y - face.point(r.frame.index, name)[1]) for r in hidden[10:]]  # fmt: skip

@@ -14,7 +14,7 @@ from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import save
 from facetrack_cli.report import figures as plots
 from facetrack_cli.tracking.models.likelihoods import colour_ratio
-from facetrack_cli.trajectory.diagnostics import Diagnostic
+from facetrack_cli.trajectory.diagnostics import EVIDENCE, Diagnostic
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.source import open_source
@@ -55,7 +55,8 @@ def test_it_goes_into_json_and_leaves_the_csv_alone(done, tmp_path, monkeypatch)
     assert whole["diagnostics"] == json.loads(json.dumps([one.record() for one in (COLOURS, FOCUS, SHARES)]))
     for frame in whole["frames"]:
         (target,) = frame["targets"]
-        assert list(target) == ["target", "particles", "shares", "focus", "colours", "parts"]
+        evidence = ["evidence"] * (frame["frame"] > 0)
+        assert list(target) == ["target", "particles", "shares", *evidence, "focus", "colours", "parts"]
         assert target["shares"] == {"half": 0.5}
         assert target["focus"] == pytest.approx(np.mean(target["colours"]), abs=1e-3)
     first = (done / "trajectory.json").read_text().split('"focus":')[1].split(",")[0]
@@ -72,7 +73,7 @@ def test_it_goes_into_json_and_leaves_the_csv_alone(done, tmp_path, monkeypatch)
 def test_it_is_read_with_its_meaning_and_has_a_panel(done, form):
     table = read_trajectory(done / f"trajectory.{form}")
     found = table.diagnostics["face"]
-    assert set(found.declared) == {COLOURS, FOCUS, SHARES}
+    assert set(found.declared) == {COLOURS, FOCUS, SHARES, EVIDENCE}
     assert found.frame.tolist() == list(range(STOP)) and found.get("colours").shape == (STOP, 5)
     assert (found.get("focus") > 0).all() and found.labels == {"shares": ("half",)}
     pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")

@@ -19,6 +19,7 @@ from facetrack_cli.recipe.model import completed, json_schema, rebuild, register
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import read_init
+from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.video.source import open_source
 from tests.support.results import rows_of
 from tests.support.samples import FOLDER, read_rows
@@ -103,7 +104,7 @@ def test_what_the_likelihood_reports_is_in_the_trajectory(plugged, monkeypatch):
     assert len(found) == 25 and np.isnan(found[0]) and ((found[1:] > 0) & (found[1:] < 60)).all()
     # it is the one that was declared, and its values are those of the likelihood at the estimate
     rows, recipe = names["trajectory"], plugged["recipe"]
-    assert rows.diagnostics["face"].declared == (module.DIFFERENCE,)
+    assert rows.diagnostics["face"].declared == (module.DIFFERENCE, EVIDENCE)
     [target] = build_tracker(recipe, read_init(FOLDER / "occlusion.init.yaml"))
     with open_source(FOLDER / "occlusion.mp4", stop=25) as source:
         frames = list(source)

@@ -129,8 +129,8 @@ def test_the_bootstrap_filter_agrees_with_a_kalman_filter():
         mean, cov = a @ mean, a @ cov @ a.T + q
         gain = cov @ h.T @ np.linalg.inv(h @ cov @ h.T + r * np.eye(2))
         mean, cov = mean + gain @ (seen - h @ mean), cov - gain @ h @ cov
-        particles, _ = sir()(rng, particles, Seen(seen, r))
-        found = estimate(particles)
+        particles, info = sir()(rng, particles, Seen(seen, r))
+        found = estimate(particles, info.ess)
         # in standard deviations of the posterior, speeds included
         off.append((found.state[0, [0, 1, 3, 4]] - mean[[0, 1, 3, 4]]) / np.sqrt(np.diag(cov)[[0, 1, 3, 4]]))
         spread.append(found.cov[0] / cov[:2, :2].diagonal().mean())

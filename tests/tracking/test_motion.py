@@ -44,7 +44,7 @@ def test_every_pair_of_particle_and_parent_is_scored():
 
 def test_estimate_is_the_weighted_mean_and_covariance():
     x = np.array([[[0.0, 0.0]], [[4.0, 2.0]]])
-    found = estimate(Particles(x, np.log([0.25, 0.75])))
+    found = estimate(Particles(x, np.log([0.25, 0.75])), np.full(1, np.inf))
     np.testing.assert_allclose(found.state, [[3.0, 1.5]])
     np.testing.assert_allclose(found.cov, [[[3.0, 1.5], [1.5, 0.75]]])
 

@@ -18,7 +18,7 @@ def command() -> None:
 
 
 class Fit:
-    """Learn the section `motion` of a recipe from ground truth or checked trajectories.
+    """Learn the section `motion` of a recipe from tracks.
 
     Of boxes: A and B of first_order, c_k = A c_{k-1} + B w_k for place and scale with their speeds (Odobez et al.
     2003, section 3.2), by maximum likelihood, and sigma of random_walk. Of points: sigma of random_walk for each part.

@@ -11,7 +11,7 @@ from facetrack_cli.core.errors import ExitCode, UsageError
 
 
 class Tune:
-    """Search settings of a recipe on clips, and check them on held-out ones.
+    """Search settings of a recipe, checked on held-out clips.
 
     Optuna proposes settings within the ranges. Each runs on all clips with the seeds 0 to N-1, and so does the recipe
     as it is. Then each clip in turn is held out: the setting with the best mean over the others is measured on it. The
