@@ -18,7 +18,7 @@ confidence rises, nor rises where spread does.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +29,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Array, Mask
+from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.trajectory.trajectory import SPREAD, Trajectory
 
 FORMAT: Final = "facetrack-calibration"
@@ -129,6 +130,10 @@ class Calibration(_Stored):
     checked: dict[PartKind, Checked]
     clips: list[str]
     seeds: int
+
+    def believed(self, parts: Sequence[str], one: Belief) -> Belief:
+        """What the filter knows of these parts, with the spread that their rows have."""
+        return one._replace(cov=one.cov * self.spread.get("box" if BOX in parts else "points", 1.0) ** 2)
 
     def applied(self, rows: Trajectory, size: float) -> Trajectory:
         """The rows with p as their confidence, for points whose largest distance was `size` pixels at the start.

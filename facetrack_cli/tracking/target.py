@@ -305,8 +305,7 @@ class ParticleTarget:
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)
         insets = () if self._adapts is None else self._adapts.insets(state.learned)
-        cloud = state.particles.x[..., :2]
-        return TargetResult(rows, cloud, insets, beliefs=lambda: self.beliefs(state))
+        return TargetResult(rows, state.particles.x[..., :2], insets, beliefs=lambda: self.beliefs(state))
 
     def beliefs(self, state: State) -> tuple[Belief, ...]:
         """What is known after a frame, for the smoother; nothing of a cloud, whose particles are the target itself."""
@@ -319,7 +318,8 @@ class ParticleTarget:
             motion = motion._replace(cov=motion.cov * ahead.noise**2)
         doubt = np.zeros(len(self.parts), dtype=np.bool_) if judged is None else judged.below > 0
         counted = Particles(state.particles.x, self.space.counted(state.particles))
-        return (belief(counted, motion, estimated.cov, doubt),)
+        one = belief(counted, motion, estimated.cov, doubt)
+        return (one if self.calibration is None else self.calibration.believed(self.parts, one),)
 
     @cached_property
     def size(self) -> float:

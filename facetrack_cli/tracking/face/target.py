@@ -262,8 +262,10 @@ class FaceTarget:
     def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
         """What is known of the points in the still face, without their bias, and of the head."""
         [points], [head] = self.features.beliefs(state.features), self.head.beliefs(state.head)
-        bias = state.registration.bias
-        return points._replace(mean=points.mean - bias[0]), head
+        points = points._replace(mean=points.mean - state.registration.bias[0])
+        if self.calibration is None:
+            return points, head
+        return self.calibration.believed(self.features.parts, points), self.calibration.believed(self.head.parts, head)
 
     def _face(self, rows: Trajectory, face: Similarity) -> Trajectory:
         """The row of the head's box, where the face is in it, as large as that, and turned by its roll."""
