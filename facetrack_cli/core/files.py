@@ -1,14 +1,15 @@
 """Writing results: files that appear, or are replaced, when they are whole; streams; the folder of a command's results.
 
-Every file is written under a temporary name `beside` its own and then renamed. A symbolic link stays one: the file that
-it leads to is replaced. On a full disk `FileSink` keeps the records that fit: the end of the file is written over the
-last of them, in space that the file already has, so a closed file is always valid.
+Every file is written under a temporary name `beside` its own, brought to the disk and then renamed. A symbolic link
+stays one: the file that it leads to is replaced. On a full disk `FileSink` keeps the records that fit: the end of the
+file is written over the last of them, in space that the file already has, so a finished file is always valid.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,7 +18,7 @@ from typing import BinaryIO
 
 from facetrack_cli.core.errors import OutputError, reason
 
-BLOCK = 1 << 16  # bytes held back before they are written
+_TAIL = 1 << 17  # bytes of whole records at the end of a file, in which there is space for its end
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -37,9 +38,25 @@ def beside(path: Path, process: int | None = None) -> Path:
     return whole.with_name(f".{whole.stem}-{os.getpid() if process is None else process}.part{whole.suffix}")
 
 
+def sync(path: Path) -> None:
+    """Bring a file, or the names in a folder, to the disk, where the system can. Raises OSError."""
+    if os.name != "posix" and path.is_dir():
+        return
+    place = os.open(path, os.O_RDONLY if os.name == "posix" else os.O_RDWR)
+    try:
+        os.fsync(place)
+    except OSError as e:
+        if e.errno not in (errno.EINVAL, errno.ENOTSUP):  # of a file system that has none
+            raise
+    finally:
+        os.close(place)
+
+
 def publish(path: Path) -> None:
-    """Rename the file `beside` a path to it. Raises OSError."""
+    """Rename the file `beside` a path to it, both on the disk. Raises OSError."""
+    sync(beside(path))
     beside(path).replace(os.path.realpath(path))
+    sync(Path(os.path.realpath(path)).parent)
 
 
 def discard(path: Path) -> None:
@@ -49,14 +66,11 @@ def discard(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def replacing(path: Path, *, sync: bool = False) -> Iterator[BinaryIO]:
-    """A file that replaces `path` when the block ends without an error; with `sync`, once on the disk. OSError."""
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A file that replaces `path` when the block ends without an error. OSError."""
     try:
         with beside(path).open("wb") as file:
             yield file
-            if sync:
-                file.flush()
-                os.fsync(file.fileno())
         publish(path)
     finally:
         discard(path)
@@ -68,7 +82,7 @@ def _bytes(text: str) -> bytes:
 
 
 class FileSink:
-    """Records into `path`, which appears, or is replaced, at `finish`.
+    """Records into the file `beside` a path, each of them at once: a process that is killed loses none.
 
     Raises OutputError when the file cannot be written; `finish` may still be called then, and keeps what fits.
     """
@@ -79,85 +93,71 @@ class FileSink:
             self._file: BinaryIO = self._open()
         except OSError as e:
             raise cannot_write(path, e) from e
-        self._buffer = bytearray()
-        self._flushed = self._records = 0  # bytes in the file, and records
+        self._written = self._records = 0  # bytes in the file, and records
         self._ends: deque[int] = deque()  # where the last records end
-        self._full = self.published = False  # `published`: whether the file stands at `path`
+        self._full = False
 
     def _open(self) -> BinaryIO:
         return beside(self.path).open("wb", buffering=0)
 
     def write(self, record: str) -> None:
         data = _bytes(record)
-        self._buffer += data
         self._records += 1
         self._ends.append((self._ends[-1] if self._ends else 0) + len(data))
-        if len(self._buffer) >= BLOCK:
-            self._flush()
+        self._write(data)
+        while len(self._ends) > 1 and self._ends[0] < self._written - _TAIL:
+            self._ends.popleft()
 
     def finish(self, tail: Callable[[int], str]) -> None:
-        """End the file with `tail(number of records)` and give it its name."""
+        """End the file with `tail(number of records)` and close it."""
         try:
-            end = _bytes(tail(self._records))
-            try:
-                if self._full:
-                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-                self._buffer += end
-                self._flush()
-            except (OSError, OutputError):
+            if self._full:
                 self._cut(tail)
-                self._rename()
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            try:
+                self._write(_bytes(tail(self._records)))
+            except OutputError:
+                self._cut(tail)
                 raise
-            self._rename()
         except OSError as e:
             raise cannot_write(self.path, e) from e
         finally:
-            self.discard()
+            self._file.close()
 
     def discard(self) -> None:
         """Close and remove the temporary file, if it is still there."""
         with contextlib.suppress(OSError):
             self._file.close()
-        if not self.published:
-            discard(self.path)
+        discard(self.path)
 
-    def _flush(self) -> None:
-        view = memoryview(bytes(self._buffer))
+    def _write(self, data: bytes) -> None:
+        view = memoryview(data)
         try:
             while view:
                 n = self._file.write(view)
-                self._flushed += n
+                self._written += n
                 view = view[n:]
         except OSError as e:
             self._full = True
             raise cannot_write(self.path, e) from e
-        self._buffer.clear()
-        # two blocks of record ends are enough to find space for the tail
-        while len(self._ends) > 1 and self._ends[0] < self._flushed - 2 * BLOCK:
-            self._ends.popleft()
 
     def _cut(self, tail: Callable[[int], str]) -> None:
         """End the file within the bytes that reached it, after as many whole records as leave space for the tail."""
         for kept, place in zip(range(self._records, 0, -1), reversed(self._ends), strict=False):
             end = _bytes(tail(kept))
-            if place + len(end) <= self._flushed:
+            if place + len(end) <= self._written:
                 self._file.seek(place)
                 self._file.write(end)
                 self._file.truncate(place + len(end))
                 return
         self._file.truncate(0)
 
-    def _rename(self) -> None:
-        self._file.close()
-        publish(self.path)
-        self.published = True
-
 
 class StreamSink:
     """Records to an open binary stream, each passed on at once. ReaderGoneError when the reader has closed it."""
 
     def __init__(self, stream: BinaryIO) -> None:
-        self.path, self.published, self._records = None, False, 0
+        self.path, self._records = None, 0
         # unbuffered: what a reader did not take must not be written again at exit
         self._stream = getattr(stream, "raw", stream)
 
@@ -212,6 +212,20 @@ def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
                 file.write(data)
     except OSError as e:
         raise cannot_write(path, e, "write it elsewhere") from None
+
+
+def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], bool] = lambda: False) -> str:
+    """SHA-256 of the bytes of these files, with `names` of their names too; "" once `stopped`. Raises OSError."""
+    found = hashlib.sha256()
+    for path in files:
+        if names:
+            found.update(path.name.encode(errors="surrogateescape") + b"\0")
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                found.update(block)
+                if stopped():
+                    return ""
+    return found.hexdigest()
 
 
 def same_file(path: Path, other: Path) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import beside, cannot_write, discard, publish, write_new
+from facetrack_cli.core.files import beside, cannot_write, discard, write_new
 
 T = TypeVar("T")
 
@@ -99,14 +99,14 @@ class Stored:
 
 
 class Blocks:
-    """A file of a kind that is written a block of arrays at a time; it appears, or is replaced, when it is closed.
+    """A file of a kind that is written `beside` its path, a block of arrays at a time.
 
     Raises OutputError when it cannot be written.
     """
 
     def __init__(self, kind: Kind, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
         """With these `arrays` first."""
-        self.path, self.published, self._blocks = path, False, 0
+        self.path, self._blocks = path, 0
         try:
             self._zip = ZipFile(beside(path), "w", ZIP_DEFLATED, compresslevel=1)
         except OSError as e:
@@ -131,16 +131,12 @@ class Blocks:
     def close(self) -> None:
         try:
             self._zip.close()
-            publish(self.path)
-            self.published = True
         except OSError as e:
-            raise cannot_write(self.path, e) from e
-        finally:
             self.discard()
+            raise cannot_write(self.path, e) from e
 
     def discard(self) -> None:
         """Close and remove the temporary file, if it is still there."""
         with contextlib.suppress(OSError, ValueError):
             self._zip.close()
-        if not self.published:
-            discard(self.path)
+        discard(self.path)

@@ -16,7 +16,6 @@ from pydantic import ValidationError
 
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
 from facetrack_cli.core.types import Correction, Start
-from facetrack_cli.editor.journal import finish
 from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
 from facetrack_cli.report.make import trajectory_of
@@ -26,7 +25,7 @@ from facetrack_cli.tracking.start import check_start
 from facetrack_cli.trajectory.header import Header, corrections_record, read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
-from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, Sink, json_frames
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, Sink, footer_of, json_frames
 from facetrack_cli.video.images import listing
 
 UNSAVED: Final = "unsaved.init.yaml"
@@ -76,7 +75,6 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     Raises InputError for a folder without JSON, files that are cut short or differ, rows that do not fit the recipe and
     the start, a recipe of another version, and a clip or a file of the recipe that is missing.
     """
-    finish(folder)  # a save that was interrupted
     main = trajectory_of(folder)
     files = run_files(folder)
     stamped = {form: (path, stamp(path)) for form, path in files.items()}
@@ -194,16 +192,10 @@ def write_rows(form: Format, sink: Sink, rows: Trajectory, corrections: Sequence
     if corrections is not None:
         init = {key: value for key, value in head["init"].items() if key != "corrections"}
         head["init"] = {**init, **corrections_record(corrections)}
-        footer = footer._replace(lost_frames=lost_frames(rows))
+        footer = footer._replace(lost_frames=footer_of(rows).lost_frames)
     writer = WRITERS[form](sink, head)
     writer.write(rows)
     writer.close(footer)
-
-
-def lost_frames(rows: Trajectory) -> dict[str, int]:
-    """The number of frames in which each part is lost, in the order in which they first are, as a run counts them."""
-    lost = {one.name: np.flatnonzero(one.status == "lost") for one in rows.parts}
-    return {name: len(at) for name, at in sorted(lost.items(), key=lambda one: one[1][:1].tolist()) if len(at)}
 
 
 def check_writable(run: Run) -> None:

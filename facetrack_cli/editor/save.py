@@ -7,8 +7,8 @@ from typing import BinaryIO
 
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, beside, discard
+from facetrack_cli.core.sets import Lock, sweep
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.journal import announce, finish, sweep
 from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import UNSAVED, Run, stamp, write_rows
 from facetrack_cli.report.make import NAME as PAGE
@@ -17,7 +17,9 @@ from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.tracking.start import write_init
 from facetrack_cli.tracking.start.init_file import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.trajectory.manifest import commit, read_manifest
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
+from facetrack_cli.trajectory.writers import footer_of
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
@@ -42,10 +44,16 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     Raises OutputError or InputError if something cannot be written, StoppedError once `stop` says so; the folder is
     then as it was.
     """
-    run, rows = fixer.run, fixer.rows
+    run = fixer.run
     if not fixer.changed:
         forget(run)
         return [f"{run.folder}: nothing was corrected, all is as it was"]
+    with Lock(run.folder):
+        return _save(fixer, video, report, stop)
+
+
+def _save(fixer: Fixer, video: bool, report: Report, stop: Stop) -> list[str]:
+    run, rows = fixer.run, fixer.rows
     _check(run)
     files: list[Path] = []
     notes: list[str] = []
@@ -64,7 +72,9 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
         files.append(at)
         beside(at).write_bytes(as_yaml(fixer.start, run.clip.name).encode())
         _check(run)
-        announce(run.folder, files, [run.folder / UNSAVED])
+        known = read_manifest(run.folder)
+        ended = known and known.model_copy(update={"lost_frames": footer_of(rows).lost_frames})
+        commit(run.folder, files, ended, [run.folder / UNSAVED])
     except BaseException as e:
         for path in files:
             discard(path)
@@ -72,7 +82,6 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
             raise
         remedy = "free some space" if e.errno in FULL else "make it writable"
         raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
-    finish(run.folder)
     notes += past_end(fixer.corrections, run.last, str(run.folder / CORRECTED))
     old = [run.video] if run.video is not None and not video else []
     old += [path for path in (run.folder / PAGE,) if path.is_file()]

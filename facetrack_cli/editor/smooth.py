@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import beside, check_folder, discard, make_folder, remove_folders
-from facetrack_cli.editor.journal import announce, finish, sweep
+from facetrack_cli.core.sets import Lock, sweep
 from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import open_run, read_files, run_files, write_rows
 from facetrack_cli.editor.save import Plain, repaint
@@ -17,11 +16,10 @@ from facetrack_cli.runs.clip import VIDEO
 from facetrack_cli.runs.posterior import POSTERIOR, read_posterior
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.smoothed import MotionName, smoothed_rows
+from facetrack_cli.trajectory.manifest import FILTERED, OWNED, commit, read_manifest
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 from facetrack_cli.trajectory.writers import Format
-
-FILTERED: Final = "trajectory.filtered.csv"
 
 
 def smooth(run: str | Path, *, motion: MotionName = "recipe") -> Trajectory:
@@ -58,28 +56,30 @@ def save_smoothed(
     if place.resolve() == folder.resolve():
         if not overwrite:
             raise OutputError(f"{folder}: has the filter's rows, which --overwrite replaces; or name a folder with -o")
-        sweep(folder)
     else:
-        names = [*[VIDEO] * drawn, *(f"trajectory.{form}" for form in forms)]
-        check_folder(place, names, overwrite=overwrite, inputs=[])
+        check_folder(place, OWNED, overwrite=overwrite, inputs=[])
     run = open_run(folder, clip) if drawn else None
     after, notes = _smoothed(folder, rows, motion), tuple[str, ...]()
     made = make_folder(place)
     files: list[Path] = []
     try:
-        if run is not None:
-            files.append(place / VIDEO)
-            notes = repaint(run, place / VIDEO, after, report, stop)
-        texts: list[tuple[str, Format, Trajectory]] = [(f"trajectory.{form}", form, after) for form in forms]
-        if place.resolve() == folder.resolve():
-            texts.append((FILTERED, "csv", rows))
-        for name, form, those in texts:
-            files.append(place / name)
-            with beside(place / name).open("wb") as file:
-                write_rows(form, Plain(file), those)
-        # what is smoothed is not smoothed again
-        announce(place, files, [folder / POSTERIOR] * (place.resolve() == folder.resolve()))
-        finish(place)
+        with Lock(place):
+            sweep(place)
+            if run is not None:
+                files.append(place / VIDEO)
+                notes = repaint(run, place / VIDEO, after, report, stop)
+            texts: list[tuple[str, Format, Trajectory]] = [(f"trajectory.{form}", form, after) for form in forms]
+            known = read_manifest(folder)
+            stays = dict(known.files) if known is not None and place.resolve() == folder.resolve() else {}
+            if place.resolve() == folder.resolve():
+                texts.append((FILTERED, "csv", rows))
+                stays.pop(POSTERIOR, None)  # what is smoothed is not smoothed again
+            for name, form, those in texts:
+                files.append(place / name)
+                with beside(place / name).open("wb") as file:
+                    write_rows(form, Plain(file), those)
+            gone = [folder / POSTERIOR] * (place.resolve() == folder.resolve())
+            commit(place, files, known and known.model_copy(update={"smoothed": True, "files": stays}), gone)
     except OSError as e:
         remedy = "free some space, or make it writable"
         raise OutputError(f"{e.filename or files[-1]}: cannot be written: {e.strerror or e}; {remedy}") from e
@@ -93,7 +93,6 @@ def save_smoothed(
 def _read(folder: Path) -> Trajectory:
     """The run's rows, finished if a save was interrupted."""
     trajectory_of(folder)
-    finish(folder)
     return read_files(run_files(folder))
 
 

@@ -31,16 +31,21 @@ def load_recipe(name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] 
 def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Problem]:
     """Everything that is wrong with a recipe; also that the files it names are there."""
     try:
-        recipe = _load(find_recipe(name_or_path), overrides)
-        for name, one in recipe.filters.items():
-            for section, given in one.components.items():
-                for key, file in given.files.items():
-                    find_file(recipe, file, f"{above(name)}{section}.{key}")
-            if one.confidence.calibration is not None:
-                find_file(recipe, one.confidence.calibration, f"{above(name)}confidence.calibration")
+        files_of(_load(find_recipe(name_or_path), overrides))
     except YamlProblems as refused:
         return list(refused.problems)
     return []
+
+
+def files_of(recipe: Recipe) -> list[Path]:
+    """The files that a recipe names: priors, galleries, calibrations. YamlProblems for one that is not there."""
+    named: dict[str, str] = {}
+    for name, one in recipe.filters.items():
+        for section, given in one.components.items():
+            named |= {f"{above(name)}{section}.{key}": file for key, file in given.files.items()}
+        if one.confidence.calibration is not None:
+            named[f"{above(name)}confidence.calibration"] = one.confidence.calibration
+    return [find_file(recipe, file, key) for key, file in named.items()]
 
 
 def _load(path: Path, overrides: Sequence[str]) -> Recipe:

@@ -26,6 +26,7 @@ from facetrack_cli.report.frames import Image, Report, key_images
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
+from facetrack_cli.trajectory.killed import settle
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -121,6 +122,7 @@ def trajectory_of(run: Path) -> Path:
         raise InputError(f"{run}: is a file; {remedy}")
     if not run.is_dir():
         raise InputError(f"{run}: no such folder; {remedy}")
+    settle(run)
     for form in ("json", "jsonl"):
         if (path := run / f"trajectory.{form}").is_file():
             return path

@@ -10,17 +10,27 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import cv2
 import numba
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import FileSink, StreamSink, check_folder, make_folder, remove_folders
+from facetrack_cli.core.files import (
+    FileSink,
+    StreamSink,
+    beside,
+    cannot_write,
+    check_folder,
+    make_folder,
+    remove_folders,
+)
+from facetrack_cli.core.sets import Lock
 from facetrack_cli.core.types import Correction, Frame, Start
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs import pipeline
+from facetrack_cli.runs.again import Fingerprint, asked, previous
 from facetrack_cli.runs.posterior import POSTERIOR, PosteriorWriter, check_smoothing
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Begin, frames_of
@@ -28,7 +38,9 @@ from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, KNOWN
-from facetrack_cli.trajectory.header import to_record
+from facetrack_cli.trajectory.header import is_there, to_record
+from facetrack_cli.trajectory.killed import recover, settle
+from facetrack_cli.trajectory.manifest import OWNED, Clip, Manifest, commit
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Format, Header, Writer
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -79,6 +91,21 @@ class Outcome:
     error: Exception | None = None
     streamed: bool = False
     note: str = ""
+    again: Manifest | None = None  # the run was done before: nothing was tracked now
+
+    @classmethod
+    def of(cls, job: Job, known: Manifest) -> Outcome:
+        """That of a run that its folder holds already."""
+        assert job.out is not None
+        return cls(
+            job.clip,
+            files=[job.out / name for name in known.files],
+            frames=known.frames,
+            lost=known.lost_frames,
+            lost_at_end=known.lost_at_end,
+            complete=known.complete,
+            again=known,
+        )
 
     def count(self, result: FrameResult) -> None:
         """Take in one more frame."""
@@ -95,7 +122,11 @@ class Outcome:
         """One line: what was written, how fast, what was lost."""
         if self.frames == 0:
             return f"{self.clip}: {self.stopped or 'ended'} before the first frame; nothing was written"
-        parts = [f"{self.frames} frames", f"{self.frames_per_s:.1f} frames/s"] if self.frames > 1 else ["1 frame"]
+        parts = [f"{self.frames} frames" if self.frames > 1 else "1 frame"]
+        if self.again is not None:
+            parts.insert(0, "done before")
+        elif self.frames > 1:
+            parts.append(f"{self.frames_per_s:.1f} frames/s")
         if self.lost:
             parts.append("lost: " + ", ".join(f"{part} in {n}" for part, n in self.lost.items()))
         if self.stopped or not self.complete:
@@ -109,9 +140,13 @@ class Outcome:
 def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
     """Track one clip into its files; raises, and leaves no file, if nothing was tracked. `stop` is asked each frame.
 
-    An error after the first frame is in the outcome, beside what was kept.
+    An error after the first frame is in the outcome, beside what was kept. What the folder holds of the same job is
+    left as it is if it was not cut short by an error, a signal or a kill; else the clip is tracked again.
     """
     check(job)
+    known = None if job.overwrite else previous(job)
+    if known is not None and known.stopped is None:
+        return Outcome.of(job, known)
     with Outputs(job) as outputs:
         return track_clip(job, outputs, stop, report)
 
@@ -140,6 +175,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         done.stopped = stop.reason
         return done
     done.note = start.note
+    fingerprint = Fingerprint(job.clip)
     with job.open(start.frame) as source:
         tracker = tracker_for(job.recipe, start, source.size)
         try:
@@ -173,8 +209,9 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
             variable_fps=source.variable,
             evidence=done.evidence,
         )
+        clip = fingerprint.end(whole=stopped is None)
         try:
-            footer = outputs.close(footer)
+            footer = outputs.close(footer._replace(source_sha256=clip.sha256 if clip else ""), done, clip)
         except Exception as e:
             done.error = done.error or e
     done.files, done.warnings = outputs.written, footer.warnings
@@ -201,10 +238,11 @@ def check(job: Job) -> None:
     if job.lag or job.posterior:
         check_smoothing(job.recipe)
     if job.out is not None:
-        kept = [*[VIDEO] * job.video, *[POSTERIOR] * job.posterior]
-        names = [*kept, *(f"trajectory.{form}" for form in job.formats)]
+        if is_there(job.out):
+            settle(job.out)
+        overwrite = job.overwrite or previous(job) is not None  # what is cut short is replaced
         init = job.init if isinstance(job.init, Path) else None
-        check_folder(job.out, names, overwrite=job.overwrite, inputs=(job.clip, init, job.recipe.path))
+        check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
 
 
 class Outputs:
@@ -218,6 +256,7 @@ class Outputs:
         self._overlay: Overlay | None = None
         self._writers: list[Writer] = []
         self._posterior: PosteriorWriter | None = None
+        self._lock: Lock | None = None
         self.written: list[Path] = []
 
     def __enter__(self) -> Outputs:
@@ -227,6 +266,9 @@ class Outputs:
             return self
         self._made = make_folder(out)
         try:
+            self._lock = Lock(out).__enter__()
+            recover(out, self._lock)
+            check(self._job)  # again, as somebody may have written since
             for form in self._job.formats:
                 self._sinks.append(FileSink(out / f"trajectory.{form}"))
         except OutputError:
@@ -237,6 +279,9 @@ class Outputs:
     def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
         """Write the headers and start the encoder; `rows` are those of the first frame."""
         header = _header(self._job, source, start, rows)
+        if self._lock is not None:
+            self._run = Manifest(asked=asked(self._job))
+            self._lock.note({"run": self._run.model_dump()})
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self._writers.append(WRITERS[form](sink, header))
         if self._job.out is not None and self._job.posterior:
@@ -245,7 +290,8 @@ class Outputs:
         if self._job.out is not None and self._job.video:
             self._overlay = Overlay(source.size, fps=float(source.fps), title=self._job.recipe.name)
             sound = source.path if source.is_video else None
-            self._video = VideoWriter(self._job.out / VIDEO, source.size, source.fps, audio_from=sound)
+            video = self._job.out / VIDEO
+            self._video = VideoWriter(video, source.size, source.fps, audio_from=sound, replace=False)
 
     def write(self, rows: Trajectory) -> None:
         """Write the rows of one frame."""
@@ -262,8 +308,8 @@ class Outputs:
         assert self._overlay is not None and self._video is not None
         self._video.write(self._overlay.draw(result), result.frame.time_s)
 
-    def close(self, footer: Footer) -> Footer:
-        """Finish every file and return the footer written; what could not be finished is raised after the others are.
+    def close(self, footer: Footer, done: Outcome, clip: Clip | None) -> Footer:
+        """Finish every file, let all replace the old ones, and return the footer; what failed is raised after that.
 
         The video comes first, so that the trajectory can tell what was wrong with it.
         """
@@ -275,22 +321,30 @@ class Outputs:
             self._finish(sink, partial(writer.close, footer), errors)
         if self._posterior is not None:
             self._finish(self._posterior, self._posterior.close, errors)
+        if self._job.out is not None:
+            ended: dict[str, Any] = {
+                "complete": footer.complete,
+                "stopped": footer.stopped,
+                "warnings": footer.warnings,
+                "clip": clip,
+            }
+            ended |= {"frames": done.frames, "lost_frames": done.lost, "lost_at_end": done.lost_at_end}
+            try:
+                commit(self._job.out, self.written, self._run.model_copy(update=ended), anyway=True)
+            except OSError as e:
+                self.written = []
+                errors.append(cannot_write(Path(e.filename or self._job.out), e))
         if errors:
             raise errors[0]
         return footer
 
-    def _finish(
-        self,
-        file: FileSink | StreamSink | VideoWriter | PosteriorWriter,
-        end: Callable[[], None],
-        errors: list[Exception],
-    ) -> None:
+    def _finish(self, file: _File, end: Callable[[], None], errors: list[Exception]) -> None:
         try:
             end()
         except Exception as e:
             errors.append(e)
         # a text file that a full disk cut short is kept, a video is not
-        if file.path is not None and file.published:
+        if file.path is not None and beside(file.path).is_file():
             self.written.append(file.path)
 
     def __exit__(self, *_: object) -> None:
@@ -300,6 +354,8 @@ class Outputs:
         for made in (self._video, self._posterior):
             if made is not None:
                 made.discard()
+        if self._lock is not None:
+            self._lock.__exit__()
         remove_folders(self._made)
 
 
@@ -318,7 +374,7 @@ class Memory(Outputs):
     def write(self, rows: Trajectory) -> None:
         self._collected.add(rows)
 
-    def close(self, footer: Footer) -> Footer:
+    def close(self, footer: Footer, done: Outcome, clip: Clip | None) -> Footer:
         header = {**self._header, **footer._asdict()}
         self.trajectory = self._collected.trajectory(header=header, path=self._job.clip)
         return footer

@@ -46,10 +46,6 @@ class PosteriorWriter:
     def path(self) -> Path:
         return self._file.path
 
-    @property
-    def published(self) -> bool:
-        return self._file.published
-
     def add(self, result: FrameResult) -> None:
         for kept, target in zip(self._kept, result.targets, strict=True):
             if target.beliefs is not None and (found := target.beliefs()):

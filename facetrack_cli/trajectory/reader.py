@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.sets import JOURNAL, LOCK
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
+from facetrack_cli.trajectory.manifest import check_belongs
 from facetrack_cli.trajectory.trajectory import COLUMNS, FLOATS, SPREAD, TEXTS, Trajectory, build
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION
 
@@ -33,10 +35,16 @@ def read_trajectory(path: Path | str) -> Trajectory:
     """
     path = Path(path)
     try:
+        folder = path if path.is_dir() else path.parent
+        if (folder / LOCK).exists() or (folder / JOURNAL).exists():
+            from facetrack_cli.trajectory.killed import settle  # which reads what it ends
+
+            settle(folder)
         if path.is_dir():
             inside = (path / f"trajectory.{form}" for form in ("json", "csv", "jsonl"))
             path = next((file for file in inside if file.is_file()), path)
         refuse_pipe(path)
+        check_belongs(path)
         with path.open("rb") as file:
             first = file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
         return _read_json(path) if first == b"{" else _read_csv(path)

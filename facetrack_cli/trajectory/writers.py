@@ -16,7 +16,7 @@ import numpy as np
 from facetrack_cli import __version__
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostics
+from facetrack_cli.trajectory.diagnostics import EVIDENCE, KNOWN, Diagnostics
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, SPREAD, Trajectory, by_frame
 
 SCHEMA = "facetrack-trajectory"
@@ -30,7 +30,7 @@ _Form: TypeAlias = Callable[[list[Any]], list[str]]  # values to texts, "" for w
 class Footer(NamedTuple):
     """How a run ended. `complete`: all frames that were asked for are there; `lost_frames` counts by "target/part".
 
-    `evidence`: log p(Y) of each target's frames after the first, in nats.
+    `evidence`: log p(Y) of each target's frames after the first, in nats. `source_sha256`: of the clip, or "".
     """
 
     complete: bool = True
@@ -39,6 +39,16 @@ class Footer(NamedTuple):
     lost_frames: Mapping[str, int] = {}
     variable_fps: bool | None = None
     evidence: Mapping[str, float] = {}
+    source_sha256: str = ""
+
+
+def footer_of(rows: Trajectory, **ended: Any) -> Footer:
+    """The footer of a run's rows: what is lost in them, by the first frame in which it is, and their evidence."""
+    lost = {one.name: np.flatnonzero(one.status == "lost") for one in rows.parts}
+    counts = {name: len(at) for name, at in sorted(lost.items(), key=lambda one: one[1][:1].tolist()) if len(at)}
+    nats = {name: found.get(EVIDENCE.name) for name, found in rows.diagnostics.items()}
+    evidence = {name: float(np.nansum(those)) for name, those in nats.items() if np.isfinite(those).any()}
+    return Footer(lost_frames=counts, evidence=evidence, **ended)
 
 
 class Sink(Protocol):
@@ -77,17 +87,20 @@ class Writer:
                 self._sink.write('{"type":"frame",' + frame + "}\n")
 
     def close(self, footer: Footer) -> None:
-        def tail(records: int) -> str:
-            foot: dict[str, Any] = {"complete": footer.complete}
-            foot |= {"stopped": footer.stopped} if footer.stopped else {}
-            foot |= {"frames_tracked": records - 1, "variable_fps": footer.variable_fps}
-            foot |= {"lost_frames": dict(footer.lost_frames), "warnings": list(footer.warnings)}
-            foot |= {"evidence": {name: round(nats, 4) for name, nats in footer.evidence.items()}}
-            if self._form == "json":
-                return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
-            return "" if self._form == "csv" else dumps({"type": "footer", **foot}) + "\n"
+        self._sink.finish(lambda records: tail(self._form, footer, records - 1))
 
-        self._sink.finish(tail)
+
+def tail(form: Format, footer: Footer, frames: int) -> str:
+    """How a file of so many frames ends."""
+    foot: dict[str, Any] = {"complete": footer.complete}
+    foot |= {"stopped": footer.stopped} if footer.stopped else {}
+    foot |= {"frames_tracked": frames, "variable_fps": footer.variable_fps}
+    foot |= {"lost_frames": dict(footer.lost_frames), "warnings": list(footer.warnings)}
+    foot |= {"evidence": {name: round(nats, 4) for name, nats in footer.evidence.items()}}
+    foot |= {"source_sha256": footer.source_sha256} if footer.source_sha256 else {}
+    if form == "json":
+        return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
+    return "" if form == "csv" else dumps({"type": "footer", **foot}) + "\n"
 
 
 WRITERS: Mapping[Format, Callable[[Sink, Header], Writer]] = {form: partial(Writer, form) for form in FORMATS}

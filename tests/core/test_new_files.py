@@ -9,7 +9,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import FileSink, check_new, write_new
+from facetrack_cli.core.files import FileSink, check_new, publish, write_new
 
 HEADER = (
     '{"schema": "facetrack-trajectory", "version": 1, "source": {"path": "clip.mp4", "size": [64, 48]}, "frames": ['
@@ -54,6 +54,7 @@ def test_a_link_stays_one(tmp_path):
     sink = FileSink(link)
     sink.write("records")
     sink.finish(lambda count: f", {count}")
+    publish(link)
     assert link.is_symlink()
     assert real.read_text() == "records, 1"
     assert [path.name for path in real.parent.iterdir()] == ["real.csv"]

@@ -519,7 +519,7 @@ def test_a_folder_of_images_cut_at_both_ends_and_json_lines_alone(tmp_path):
     assert (one.run.first, one.run.last, str(one.run.fps)) == (6, 19, "30000/1001")
     one.fixer.put([points("anna", 12, nose=(150.0, 130.0))])
     save(one.fixer)
-    assert sorted(path.name for path in one.folder.iterdir()) == [CORRECTED, "trajectory.jsonl"]
+    assert sorted(path.name for path in one.folder.iterdir()) == [CORRECTED, "run.json", "trajectory.jsonl"]
     again = one.again(tmp_path / "again", "--fps", "30000/1001")
     assert frames_of(one.folder, "jsonl") == frames_of(again, "jsonl")
     one.close()

@@ -11,8 +11,8 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import beside
+from facetrack_cli.core.sets import JOURNAL, announce, finish, sweep
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.journal import JOURNAL, announce, finish, sweep
 from facetrack_cli.editor.run_folder import UNSAVED, open_run
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.trajectory.header import CORRECTED

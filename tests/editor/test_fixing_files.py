@@ -14,14 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import FileSink
 from facetrack_cli.core.types import Correction
 from facetrack_cli.editor.retrack import Store, Track
-from facetrack_cli.editor.run_folder import STATUS, lost_frames, read_files, write_rows
+from facetrack_cli.editor.run_folder import STATUS, read_files, write_rows
 from facetrack_cli.editor.web.fix_session import doubtful, overview
 from facetrack_cli.trajectory.trajectory import COLUMNS, Collector
-from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, as_written
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, as_written, footer_of
 from tests.support.results import part, result, target
+from tests.support.sinks import Alone
 
 PARTS = {"anna": ("nose", "lip"), "ben": ("box",)}
 FIRST, FRAMES = 3, 24
@@ -66,7 +66,7 @@ def write(folder, seeds, corrections=(), forms=FORMATS):
     if corrections:
         init["corrections"] = list(corrections)
     header = {"source": {"path": "c.mp4", "size": [9, 9], "fps": 25.0}, "recipe": {"init": 1}, "seed": 0, "init": init}
-    writers = [WRITERS[form](FileSink(folder / f"trajectory.{form}"), header) for form in forms]
+    writers = [WRITERS[form](Alone(folder / f"trajectory.{form}"), header) for form in forms]
     for frame in range(FIRST, FIRST + FRAMES):
         found = result(frame, [said(name, frame, seeds(name, frame)) for name in PARTS])
         for writer in writers:
@@ -124,14 +124,14 @@ def test_what_is_spliced_is_what_a_run_would_have_written(seed, pieces, forms):
         made = [Correction(f, t, absent=True) for t, f, _ in pieces]
         expected = write(Path(other), seeds, [{"frame": f, "target": t, "absent": True} for t, f, _ in pieces], forms)
         for form in forms:
-            sink = FileSink(Path(one) / "new")
+            sink = Alone(Path(one) / "new")
             write_rows(form, sink, rows, made)
             assert (Path(one) / "new").read_bytes() == expected[form].read_bytes()
         again = read_files(expected)
         assert rows.names == again.names
         for name in (*COLUMNS[:2], *COLUMNS[4:], "by_hand"):
             np.testing.assert_array_equal(getattr(rows, name), getattr(again, name))
-        assert list(lost_frames(rows).items()) == list(again.header["lost_frames"].items())
+        assert list(footer_of(rows).lost_frames.items()) == list(again.header["lost_frames"].items())
         for name, found in again.diagnostics.items():
             ours = rows.diagnostics[name]
             assert [_known(each) for each in ours.records()] == [_known(each) for each in found.records()]

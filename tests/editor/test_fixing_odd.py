@@ -237,6 +237,7 @@ def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_i
 def header_changed(folder, change):
     """JSON lines alone, with another header."""
     (folder / "trajectory.json").unlink()
+    (folder / "run.json").unlink()
     path = folder / "trajectory.jsonl"
     first, rest = path.read_text().split("\n", 1)
     header = json.loads(first)

@@ -257,7 +257,7 @@ def test_save_writes_the_run_and_ends(page, out, monkeypatch):
     assert one.client.save().status == 202
     ended = one.client.until(lambda state: state["ended"])["ended"]
     assert f"{out / CORRECTED}: written" in ended["messages"] and ended["next"] == f"facetrack report {out} --overwrite"
-    assert sorted(path.name for path in out.iterdir()) == [CORRECTED, "trajectory.csv", "trajectory.json"]
+    assert sorted(path.name for path in out.iterdir()) == [CORRECTED, "run.json", "trajectory.csv", "trajectory.json"]
     assert one.post("undo").status == 409
 
 

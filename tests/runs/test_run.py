@@ -19,7 +19,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
-from facetrack_cli.core.files import FileSink
+from facetrack_cli.core.files import FileSink, cannot_write
 from facetrack_cli.core.types import Image
 from facetrack_cli.recipe.files import shipped_folder
 from facetrack_cli.runs.batch import folders
@@ -109,7 +109,7 @@ def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
     code, out, err = run(clip, *SMALL)
     assert (code, out) == (0, "")
     folder = Path("sway-face")
-    assert names(folder) == ["annotated.mp4", "trajectory.csv", "trajectory.json"]
+    assert names(folder) == ["annotated.mp4", "run.json", "trajectory.csv", "trajectory.json"]
     table = file_rows(folder / "trajectory.csv")
     assert [row.frame for row in table] == [i for i in range(30) for _ in range(6)]
     assert {row.status for row in table[:6]} == {"init"}
@@ -141,7 +141,7 @@ def test_the_tracker_follows_the_sway(run: Runner, clip: Path) -> None:
 
 def test_format_and_no_video(run: Runner, clip: Path) -> None:
     assert run(clip, *SMALL, "--no-video", "--format", "jsonl", "-o", "deep/er")[0] == 0
-    assert names(Path("deep/er")) == ["trajectory.jsonl"]
+    assert names(Path("deep/er")) == ["run.json", "trajectory.jsonl"]
 
 
 def test_quiet_says_nothing(run: Runner, clip: Path) -> None:
@@ -330,9 +330,9 @@ def test_results_that_are_there_are_not_touched(run: Runner, clip: Path) -> None
     assert "sway-face/trajectory.json: exists already; replace it with --overwrite" in one_line(err)
     assert names(folder) == ["trajectory.json"]
     assert (folder / "trajectory.json").read_text() == "mine"
-    assert run(clip, *SMALL, "--format", "csv", "--no-video")[0] == 0
+    assert run(clip, *SMALL, "--format", "csv", "--no-video")[0] == 2, "they would stand beside what is no part of them"
     assert run(clip, *SMALL, "--overwrite")[0] == 0
-    assert names(folder) == ["annotated.mp4", "trajectory.csv", "trajectory.json"]
+    assert names(folder) == ["annotated.mp4", "run.json", "trajectory.csv", "trajectory.json"]
     assert json.loads((folder / "trajectory.json").read_text())["complete"]
 
 
@@ -380,24 +380,23 @@ def test_a_folder_that_must_not_be_written(run: Runner, clip: Path) -> None:
 
 
 def test_a_full_disk_keeps_what_was_tracked(run: Runner, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    flush = FileSink._flush
+    write = FileSink._write
 
-    def full(self: FileSink) -> None:
-        if self.path.suffix == ".csv" and self._flushed + len(self._buffer) > 5000:
-            self._buffer = self._buffer[: 5000 - self._flushed]
-            flush(self)
+    def full(self: FileSink, data: bytes) -> None:
+        room = 5000 - self._written
+        write(self, data if self.path.suffix != ".csv" else data[: max(room, 0)])
+        if self.path.suffix == ".csv" and len(data) > room:
             self._full = True
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        flush(self)
+            raise cannot_write(self.path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 
-    monkeypatch.setattr(FileSink, "_flush", full)
+    monkeypatch.setattr(FileSink, "_write", full)
     code, _, err = run(clip, *SMALL)
     assert code == 2
     lines = err.splitlines()
     assert "incomplete" in lines[0]
     assert "trajectory.csv: the disk is full" in lines[1]
     folder = Path("sway-face")
-    assert names(folder) == ["annotated.mp4", "trajectory.csv", "trajectory.json"]
+    assert names(folder) == ["annotated.mp4", "run.json", "trajectory.csv", "trajectory.json"]
     kept = file_rows(folder / "trajectory.csv")
     assert [row.frame for row in kept] == [i for i in range(len(kept) // 6) for _ in range(6)]
     assert 0 < len(kept) < 150
@@ -528,15 +527,30 @@ def test_a_batch_gives_what_each_clip_gives_alone(run: Runner, clip: Path, tmp_p
         assert Path(f"{path.stem}-face/trajectory.csv").read_text() == run(path, *SMALL, "-o", "-")[1]
 
 
-def test_a_batch_leaves_finished_clips_alone(run: Runner, clip: Path, tmp_path: Path) -> None:
-    other = make_clip(tmp_path / "other.mp4", 10)
+def test_the_same_command_goes_on_with_what_is_missing(run: Runner, clip: Path, tmp_path: Path) -> None:
+    other, old = make_clip(tmp_path / "other.mp4", 10), make_clip(tmp_path / "old.mp4", 10)
+    Path("old-face").mkdir()
+    Path("old-face/trajectory.csv").write_text("mine")
     assert run(clip, *SMALL)[0] == 0
     before = Path("sway-face/trajectory.csv").stat().st_mtime_ns
-    code, _, err = run(clip, other, *SMALL, "-q")
+    code, _, err = run(clip, other, old, *SMALL, "-q")
     assert code == 5
-    assert "exists already" in one_line(err)
+    assert "old-face/trajectory.csv: exists already" in one_line(err)
     assert Path("sway-face/trajectory.csv").stat().st_mtime_ns == before
     assert Path("other-face/trajectory.csv").exists()
+    code, _, err = run(clip, other, *SMALL)
+    assert code == 0 and err.count("done before") == 2
+
+
+def test_what_was_done_otherwise_is_refused(run: Runner, clip: Path, tmp_path: Path) -> None:
+    assert run(clip, *SMALL)[0] == 0
+    clip.touch()
+    assert "done before" in run(clip, *SMALL)[2], "the same bytes, although its time is another"
+    for change in (["--seed", "9"], ["--stop", "5"], ["--no-video"], ["--set", "confidence.patience=3"]):
+        assert "exists already" in one_line(run(clip, *SMALL, *change)[2])
+    clip.write_bytes(make_clip(tmp_path / "another.mp4", 11).read_bytes())
+    assert "exists already" in one_line(run(clip, *SMALL)[2])
+    assert run(clip, *SMALL, "--overwrite")[0] == 0
 
 
 def test_a_batch_does_not_stream(run: Runner, clip: Path) -> None:
@@ -610,7 +624,7 @@ def growing(folder: Path, pattern: str = ".annotated*.mp4") -> Callable[[], bool
 
 
 def check_interrupted(folder: Path, all_frames: int, reason: str) -> None:
-    assert names(folder) == ["annotated.mp4", "trajectory.csv", "trajectory.json"]
+    assert names(folder) == ["annotated.mp4", "run.json", "trajectory.csv", "trajectory.json"]
     data = json.loads((folder / "trajectory.json").read_text())
     done = data["frames_tracked"]
     assert 0 < done < all_frames
@@ -830,7 +844,7 @@ def test_an_encoder_that_is_killed(run: Runner, clip: Path, monkeypatch: pytest.
     assert code == ExitCode.USAGE
     assert "(trajectory.csv, trajectory.json)" in summary and "incomplete" in summary
     assert "annotated.mp4: the video cannot be written (ffmpeg was killed by signal 9); run it again" in error
-    assert names(Path("sway-face")) == ["trajectory.csv", "trajectory.json"]
+    assert names(Path("sway-face")) == ["run.json", "trajectory.csv", "trajectory.json"]
     assert len(file_rows(Path("sway-face/trajectory.csv"))) >= 8 * 6
 
 
@@ -847,7 +861,7 @@ def test_streams_that_the_shell_closed(clip: Path, tmp_path: Path, closed: str, 
     if code:
         assert "standard output: cannot be written" in one_line(ended.stderr)
     else:
-        assert names(tmp_path / "sway-face") == ["trajectory.csv", "trajectory.json"]
+        assert names(tmp_path / "sway-face") == ["run.json", "trajectory.csv", "trajectory.json"]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
@@ -857,7 +871,7 @@ def test_a_log_on_a_full_disk_does_not_stop_a_run(clip: Path, tmp_path: Path) ->
             [*FACETRACK, "run", str(clip), "--no-video", *SMALL], cwd=tmp_path, stderr=full, check=False
         )
     assert ended.returncode == 0
-    assert names(tmp_path / "sway-face") == ["trajectory.csv", "trajectory.json"]
+    assert names(tmp_path / "sway-face") == ["run.json", "trajectory.csv", "trajectory.json"]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from facetrack_cli.core.files import FileSink
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trajectory.writers import WRITERS, Footer
 from tests.support.media import SIZE
 from tests.support.results import part, result, target
+from tests.support.sinks import Alone
 
 # part a is lost in frames 8 to 11, part b from 14 to the end
 LOST = {"a": range(8, 12), "b": range(14, 99)}
@@ -28,7 +28,7 @@ def write_run(
         "seed": 3,
         "init": {"from": "haar", "frame": start, "targets": {t: {"points": {"a": [9, 44]}} for t in targets}},
     }
-    writer = WRITERS["json"](FileSink(out / "trajectory.json"), header)
+    writer = WRITERS["json"](Alone(out / "trajectory.json"), header)
     still = np.zeros((1, 1, 3), np.uint8)
     for index in range(start, start + frames):
         found = []

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from facetrack_cli.core.files import FileSink
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import Trajectory, build
 from facetrack_cli.trajectory.writers import WRITERS, Footer, Format
+from tests.support.sinks import Alone
 
 UNKNOWN = st.just(math.nan)
 PIXELS = UNKNOWN | st.floats(-1e6, 1e6)
@@ -74,7 +74,7 @@ def trajectories(draw: st.DrawFn, declared: tuple[Diagnostic, ...] = tuple(KNOWN
 def write(path: Path, rows: Trajectory, header: Mapping[str, Any] | None = None, footer: Footer | None = None) -> Path:
     """A file of these rows, in the format that its name ends with."""
     form: Format = path.suffix[1:]  # type: ignore[assignment]
-    writer = WRITERS[form](FileSink(path), header or {})
+    writer = WRITERS[form](Alone(path), header or {})
     writer.write(rows)
     writer.close(footer or Footer())
     return path

@@ -12,7 +12,6 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import FileSink
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.evaluation.experiments.repeat import spread_of
 from facetrack_cli.evaluation.goldens.goldens import read_golden, record, write_golden
@@ -40,6 +39,7 @@ from tests.evaluation.test_bands import RECORDED
 from tests.evaluation.test_points import rows
 from tests.evaluation.test_trust import statuses
 from tests.support import results
+from tests.support.sinks import Alone
 
 SAMPLE = Path(__file__).parents[2] / "sample_videos" / "occlusion.mp4"
 NAN = math.nan
@@ -81,7 +81,7 @@ def result(index):
 def run(tmp_path):
     """A folder with the run in all formats."""
     for form in ("csv", "json", "jsonl"):
-        writer = WRITERS[form](FileSink(tmp_path / f"trajectory.{form}"), HEADER)
+        writer = WRITERS[form](Alone(tmp_path / f"trajectory.{form}"), HEADER)
         for index in range(13):
             writer.write(result(index))
         writer.close(Footer())

@@ -21,6 +21,7 @@ from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Frame
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, as_written, csv_frames
 from tests.support import results, trajectories
 from tests.support.results import file_rows, part, rows_of, target
+from tests.support.sinks import Alone
 
 HEADER = (
     "frame,time_s,target,part,x,y,w,h,angle,confidence,status,std_x,std_y,cov_xy,std_w,std_h,particles,ess,"
@@ -61,7 +62,7 @@ class Disk(io.BytesIO):
 
 
 def write(path: Path, form: str, frames: list[FrameResult], footer: Footer | None = None) -> None:
-    writer = WRITERS[form](FileSink(path), {"seed": 3})  # type: ignore[index]
+    writer = WRITERS[form](Alone(path), {"seed": 3})  # type: ignore[index]
     for each in frames:
         writer.write(each.rows)
     writer.close(footer or Footer())
@@ -246,7 +247,7 @@ def test_the_same_results_give_the_same_bytes(tmp_path: Path) -> None:
 def test_a_file_appears_when_it_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("old")
-    sink = FileSink(path)
+    sink = Alone(path)
     writer = WRITERS["csv"](sink, {})
     writer.write(result().rows)
     assert path.read_text() == "old"
@@ -256,7 +257,7 @@ def test_a_file_appears_when_it_is_whole(tmp_path: Path) -> None:
 
 
 def test_a_discarded_file_leaves_nothing(tmp_path: Path) -> None:
-    sink = FileSink(tmp_path / "t.csv")
+    sink = Alone(tmp_path / "t.csv")
     sink.write("x")
     sink.discard()
     sink.discard()
@@ -265,7 +266,7 @@ def test_a_discarded_file_leaves_nothing(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"cannot be written: No such file .*--out"):
-        FileSink(tmp_path / "none" / "t.csv")
+        Alone(tmp_path / "none" / "t.csv")
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -274,9 +275,9 @@ def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.Monk
     def small(self: FileSink) -> BinaryIO:
         return Disk(room, beside(self.path))
 
-    monkeypatch.setattr(FileSink, "_open", small)
+    monkeypatch.setattr(Alone, "_open", small)
     path = tmp_path / f"t.{form}"
-    writer = WRITERS[form](FileSink(path), {})  # type: ignore[index]
+    writer = WRITERS[form](Alone(path), {})  # type: ignore[index]
     with pytest.raises(OutputError, match="disk is full"):
         for i in range(3000):
             writer.write(result(i).rows)

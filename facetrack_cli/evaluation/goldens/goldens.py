@@ -8,7 +8,6 @@ averages so). `paths` are the medians of x and y in every frame. What it takes t
 """
 
 import contextlib
-import hashlib
 import json
 import math
 import os
@@ -25,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationEr
 
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import write_new
+from facetrack_cli.core.files import digest, write_new
 from facetrack_cli.core.types import Array, Start
 from facetrack_cli.evaluation.goldens import bands
 from facetrack_cli.evaluation.goldens.bands import QUANTITIES, Name, Statistic, names
@@ -212,16 +211,11 @@ def versions() -> dict[str, str]:
 
 def checksum(clip: Path) -> str:
     """SHA-256 of a clip's bytes; of an image folder, of the names and bytes of its images."""
-    digest = hashlib.sha256()
     images = listing(clip)
     try:
-        for file in [clip] if images is None else images:
-            if images is not None:
-                digest.update(file.name.encode(errors="surrogateescape") + b"\0")
-            digest.update(file.read_bytes())
+        return digest([clip] if images is None else images, names=images is not None)
     except OSError as e:
         raise InputError(f"{clip}: cannot be read: {e.strerror or e}; a golden names it") from e
-    return digest.hexdigest()
 
 
 def differences(recorded: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:

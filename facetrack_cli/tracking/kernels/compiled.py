@@ -1,13 +1,74 @@
-"""How kernels are compiled, a decorator for each kind of arithmetic, and the bilinear reading that they share."""
+"""How kernels are compiled, a decorator for each kind of arithmetic, and the bilinear reading that they share.
 
+numba trusts the files of compiled kernels: what power loss leaves of one is run, or ends the program. So each is
+brought to the disk before it gets its name, and ends with its checksum.
+"""
+
+import contextlib
+import hashlib
+import os
+import sys
 from typing import Any
 
 import numpy as np
 from numba import njit
+from numba.core import caching
 
-exact: Any = njit(cache=True, nogil=True, error_model="numpy")
-# sums may be reordered, which is what lets them vectorise; NaN and infinity keep their meaning
-fast: Any = njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+
+class Checked(caching.IndexDataCacheFile):
+    """The files of one kernel. Damaged ones are passed over, so that it is compiled anew, with one warning for all."""
+
+    warned = False
+
+    def load(self, key: Any) -> Any:
+        try:
+            return super().load(key)
+        except Exception as error:  # whatever the bytes that are left make of it
+            if not Checked.warned:
+                Checked.warned = True
+                what = f"compiled kernels in {self._cache_path} are damaged ({type(error).__name__}): compiled anew"
+                with contextlib.suppress(OSError, ValueError):
+                    sys.stderr.write(f"facetrack: warning: {what}\n")
+            with contextlib.suppress(OSError):
+                self.flush()
+        return None
+
+    def _load_data(self, name: str) -> Any:
+        with open(self._data_path(name), "rb") as file:  # noqa: PTH123
+            data = file.read()
+        if hashlib.sha256(data[:-32]).digest() != data[-32:]:
+            raise ValueError("checksum")
+        return super()._load_data(name)  # what unpickles it stops at its end
+
+    def _dump(self, obj: Any) -> bytes:
+        data: bytes = super()._dump(obj)
+        return data + hashlib.sha256(data).digest()
+
+    @contextlib.contextmanager
+    def _open_for_write(self, filepath: str) -> Any:
+        with super()._open_for_write(filepath) as file:
+            yield file
+            file.flush()
+            with contextlib.suppress(OSError):
+                os.fsync(file.fileno())
+
+
+def _kept(kernel: Any) -> Any:
+    if isinstance(file := getattr(getattr(kernel, "_cache", None), "_cache_file", None), caching.IndexDataCacheFile):
+        file.__class__ = Checked
+    return kernel
+
+
+def exact(function: Any) -> Any:
+    return _kept(njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def fast(function: Any) -> Any:
+    """As `exact`, but sums may be reordered, which lets them vectorise; NaN and infinity keep their meaning."""
+    sums = {"contract", "reassoc", "nsz"}
+    return _kept(njit(cache=True, nogil=True, fastmath=sums, error_model="numpy")(function))
+
+
 # as functions of their own these do not vectorise, and take five times as long
 inline: Any = njit(inline="always", error_model="numpy")
 

@@ -1,0 +1,96 @@
+"""A run again: what its folder already holds of this very job, and the checksums by which that is known."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facetrack_cli import __version__
+from facetrack_cli.core.files import digest
+from facetrack_cli.core.numbers import dumps
+from facetrack_cli.core.types import Start
+from facetrack_cli.core.yaml_tree import YamlProblems
+from facetrack_cli.recipe.load import files_of
+from facetrack_cli.recipe.model import to_dict
+from facetrack_cli.runs.signals import never
+from facetrack_cli.tracking.start import find_init
+from facetrack_cli.trajectory.header import is_there, to_record
+from facetrack_cli.trajectory.manifest import Clip, Manifest, read_manifest
+from facetrack_cli.video.images import listing
+
+if TYPE_CHECKING:
+    from facetrack_cli.runs.clip import Job
+
+
+def previous(job: Job) -> Manifest | None:
+    """What the folder of a job holds of an earlier run of the same job and the same clip; None if nothing."""
+    if job.out is None or not is_there(job.out):
+        return None
+    found = read_manifest(job.out)
+    if found is None or found.clip is None or found.asked != asked(job):
+        return None
+    now = _looked_at(job.clip)
+    if now is None or now.bytes != found.clip.bytes:
+        return None
+    same = now.changed_ns == found.clip.changed_ns or (found.clip.sha256 and _digest(job.clip) == found.clip.sha256)
+    there = {name: (job.out / name).stat().st_size for name in found.files if (job.out / name).is_file()}
+    return found if same and all(there.get(name) == one.bytes for name, one in found.files.items()) else None
+
+
+def asked(job: Job) -> str:
+    """A digest of all that a job asks for, but not of its clip: of recipe, start, frames, options, and their files."""
+    init = find_init(job.clip) if job.init is None and job.box is None else job.init
+    given = [init] if isinstance(init, Path) else []
+    with contextlib.suppress(YamlProblems):  # the run says so
+        given += files_of(job.recipe)
+    start = to_record(init) if isinstance(init, Start) else init if isinstance(init, str) else len(given)
+    settings = [to_dict(job.recipe), start, job.box, job.init_frame, job.faces, job.start, job.stop]
+    options = [str(job.fps), job.lag, job.posterior, job.formats, job.video]
+    files = [_digest(file) for file in given]
+    return hashlib.sha256(dumps([__version__, settings, options, files]).encode()).hexdigest()
+
+
+class Fingerprint:
+    """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked."""
+
+    def __init__(self, clip: Path) -> None:
+        self._clip, self._found, self._stopped = _looked_at(clip), "", False
+
+        def compute() -> None:
+            self._found = _digest(clip, lambda: self._stopped)
+
+        self._thread = threading.Thread(target=compute, name="sha256", daemon=True)
+        self._thread.start()
+
+    def end(self, *, whole: bool) -> Clip | None:
+        """The clip with its checksum, for which it waits if the run is `whole`; None if the clip is gone."""
+        self._stopped = not whole
+        self._thread.join()
+        return self._clip and self._clip.model_copy(update={"sha256": self._found})
+
+
+def _looked_at(clip: Path) -> Clip | None:
+    try:
+        stats = [file.stat() for file in _files(clip)]
+    except OSError:
+        return None
+    changed = max((one.st_mtime_ns for one in stats), default=0)
+    path = str(clip).encode(errors="backslashreplace").decode()
+    return Clip(path=path, bytes=sum(one.st_size for one in stats), changed_ns=changed, sha256="")
+
+
+def _digest(path: Path, stopped: Callable[[], bool] = never) -> str:
+    """The checksum of a file, or of the images of a folder; "" if it cannot be read."""
+    try:
+        return digest(_files(path), names=listing(path) is not None, stopped=stopped)
+    except OSError:
+        return ""
+
+
+def _files(clip: Path) -> list[Path]:
+    images = listing(clip)
+    return [clip] if images is None else images
