@@ -19,6 +19,7 @@ from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
 from facetrack_cli.report.make import trajectory_of
+from facetrack_cli.runs.again import swapped
 from facetrack_cli.runs.clip import VIDEO
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import check_start
@@ -83,6 +84,8 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     path = Path(header.source.path) if clip is None else clip
     if clip is None and not _is_there(path):
         raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
+    if (other := swapped(rows, path)) is not None:
+        raise InputError(f"{other}; name its clip with --clip")
     recipe = _recipe(main, rows.header["recipe"], [Path(), folder, folder.parent, path.parent])
     fps = None if listing(path) is None else Fraction(header.source.fps).limit_denominator(1001)
     run = Run(folder, rows, header, recipe, header.init.start, path, fps, stamped)

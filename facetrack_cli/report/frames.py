@@ -15,7 +15,9 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.core.types import Image as Pixels
 from facetrack_cli.report.events import Clock
+from facetrack_cli.runs.again import swapped
 from facetrack_cli.trajectory.header import Header
+from facetrack_cli.trajectory.manifest import check_belongs
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -87,10 +89,15 @@ class _Maker:
     def read(self, path: Path, wanted: Sequence[int], report: Report, *, annotated: bool = False) -> KeyImages:
         """The images of one source. An `annotated` video counts from the run's first frame, and pads odd sizes."""
         done = KeyImages(origin="annotated" if annotated else "clip")
+        if not annotated and (other := swapped(self._table, path)) is not None:
+            done.notes.append(f"{other}; name its clip with --clip")
+            return done
         frames, (width, height) = self._clock.frames, self._clip.size
         place = {int(np.searchsorted(frames, index)) if annotated else index: index for index in wanted}
         size = (width + width % 2, height + height % 2) if annotated else (width, height)
         try:
+            if annotated:
+                check_belongs(path)
             for frame in _frames(path, size, self._clip.fps, sorted(place), report):
                 index = place[frame.index]
                 then = self._clock.at(index)

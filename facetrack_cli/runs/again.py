@@ -20,6 +20,7 @@ from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.start import find_init
 from facetrack_cli.trajectory.header import is_there, to_record
 from facetrack_cli.trajectory.manifest import Clip, Manifest, read_manifest
+from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.images import listing
 
 if TYPE_CHECKING:
@@ -33,12 +34,20 @@ def previous(job: Job) -> Manifest | None:
     found = read_manifest(job.out)
     if found is None or found.clip is None or found.asked != asked(job):
         return None
-    now = _looked_at(job.clip)
-    if now is None or now.bytes != found.clip.bytes:
-        return None
-    same = now.changed_ns == found.clip.changed_ns or (found.clip.sha256 and _digest(job.clip) == found.clip.sha256)
     there = {name: (job.out / name).stat().st_size for name in found.files if (job.out / name).is_file()}
-    return found if same and all(there.get(name) == one.bytes for name, one in found.files.items()) else None
+    whole = all(there.get(name) == one.bytes for name, one in found.files.items())
+    return found if whole and _same(found.clip, job.clip) else None
+
+
+def swapped(rows: Trajectory, clip: Path) -> str | None:
+    """A line if a clip that is there is not, byte for byte, the one that the rows of a run say they are of."""
+    said, known = rows.header.get("source_sha256"), read_manifest(rows.path.parent)
+    if not isinstance(said, str) or not said or not is_there(clip):
+        return None
+    of_run = known.clip if known is not None and known.clip is not None and known.clip.sha256 == said else None
+    if _digest(clip) == said if of_run is None else _same(of_run, clip):
+        return None
+    return f"{clip}: is not the clip that {rows.path.name} was made from (its SHA-256 differs)"
 
 
 def asked(job: Job) -> str:
@@ -58,7 +67,7 @@ class Fingerprint:
     """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked."""
 
     def __init__(self, clip: Path) -> None:
-        self._clip, self._found, self._stopped = _looked_at(clip), "", False
+        self._clip, self._found, self._stopped = looked_at(clip), "", False
 
         def compute() -> None:
             self._found = _digest(clip, lambda: self._stopped)
@@ -73,7 +82,15 @@ class Fingerprint:
         return self._clip and self._clip.model_copy(update={"sha256": self._found})
 
 
-def _looked_at(clip: Path) -> Clip | None:
+def _same(known: Clip, clip: Path) -> bool:
+    now = looked_at(clip)
+    if now is None or now.bytes != known.bytes:
+        return False
+    return now.changed_ns == known.changed_ns or (known.sha256 != "" and _digest(clip) == known.sha256)
+
+
+def looked_at(clip: Path) -> Clip | None:
+    """A clip without its checksum; None if it is gone."""
     try:
         stats = [file.stat() for file in _files(clip)]
     except OSError:

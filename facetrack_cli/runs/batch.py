@@ -11,6 +11,7 @@ from facetrack_cli.runs.clip import Job, Outcome, Report, check, run
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import side_by_side
+from facetrack_cli.trajectory.killed import settle
 
 
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:
@@ -71,9 +72,14 @@ def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress)
 
     for i, ended in side_by_side(jobs, _attempt, workers, stop, report, threads=jobs[0].threads if jobs else 1):
         finished += 1
-        clip = jobs[i].clip
-        lost = isinstance(ended, Exception)
-        yield Outcome(clip, error=FacetrackError(f"{clip}: {ended}, nothing was kept")) if lost else ended
+        yield _died(jobs[i], ended) if isinstance(ended, Exception) else ended
+
+
+def _died(job: Job, ended: Exception) -> Outcome:
+    """What becomes of a clip whose process ended by itself."""
+    frames = 0 if job.out is None else settle(job.out)
+    kept = f"the {frames} frames that it had tracked are kept" if frames else "nothing was kept"
+    return Outcome(job.clip, error=FacetrackError(f"{job.clip}: {ended}; {kept}"))
 
 
 def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:

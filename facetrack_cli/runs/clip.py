@@ -30,7 +30,7 @@ from facetrack_cli.core.sets import Lock
 from facetrack_cli.core.types import Correction, Frame, Start
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs import pipeline
-from facetrack_cli.runs.again import Fingerprint, asked, previous
+from facetrack_cli.runs.again import Fingerprint, asked, looked_at, previous
 from facetrack_cli.runs.posterior import POSTERIOR, PosteriorWriter, check_smoothing
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Begin, frames_of
@@ -280,7 +280,7 @@ class Outputs:
         """Write the headers and start the encoder; `rows` are those of the first frame."""
         header = _header(self._job, source, start, rows)
         if self._lock is not None:
-            self._run = Manifest(asked=asked(self._job))
+            self._run = Manifest(asked=asked(self._job), clip=looked_at(self._job.clip))
             self._lock.note({"run": self._run.model_dump()})
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self._writers.append(WRITERS[form](sink, header))

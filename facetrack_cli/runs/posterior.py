@@ -16,6 +16,7 @@ from facetrack_cli.recipe.skin import Cloud
 from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.smoothed import Beliefs
 from facetrack_cli.tracking.smoothing import Belief
+from facetrack_cli.trajectory.manifest import check_belongs
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 
 POSTERIOR: Final = "posterior.npz"
@@ -104,6 +105,7 @@ def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
                 raise ValueError(f"lacks frames of {name}")
         return {name: [known.get(frame, ()) for frame in frames] for name, known in found.items()}
 
+    check_belongs(path)
     return KIND.read(path, make)
 
 

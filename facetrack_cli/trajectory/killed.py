@@ -107,6 +107,6 @@ def _ends(form: Format, path: Path) -> Sequence[_Ending]:
                 frames += 1
             end = place - (len(text) - len(text.rstrip(b",\n"))) if form == "json" else place
             found.append(_Ending(frame, end, frames, lines))
-    if len(found) > 1 and found[-1].lines < found[0].lines:
-        found.pop()
+    if form == "csv" and found and (len(found) < 2 or found[-1].lines < found[0].lines):
+        found.pop()  # torn, as far as its number of lines tells
     return found

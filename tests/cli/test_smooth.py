@@ -51,9 +51,9 @@ def run(kept, tmp_path):
 def test_smoothing_later_is_smoothing_at_once(kept, tmp_path):
     done(*RUN, "--smooth", "-o", tmp_path / "once", "--threads", "1")
     names = {path.name for path in (tmp_path / "once").iterdir()}
-    assert names == {"annotated.mp4", "trajectory.csv", "trajectory.json", "trajectory.filtered.csv"}
+    assert names == {"annotated.mp4", "run.json", "trajectory.csv", "trajectory.json", "trajectory.filtered.csv"}
     done("smooth", kept, "-o", tmp_path / "later", "-q")
-    assert {path.name for path in (tmp_path / "later").iterdir()} == {"trajectory.csv", "trajectory.json"}
+    assert {path.name for path in (tmp_path / "later").iterdir()} == {"run.json", "trajectory.csv", "trajectory.json"}
     once, later = ((tmp_path / name / "trajectory.csv").read_bytes() for name in ("once", "later"))
     assert once == later
     assert (tmp_path / "once" / "trajectory.filtered.csv").read_bytes() == (kept / "trajectory.csv").read_bytes()
@@ -163,5 +163,6 @@ def test_a_posterior_of_before_corrections_is_refused(run, tmp_path):
     at = next(i for i, line in enumerate(lines) if line.startswith('"init"'))
     lines[at] = f'"init": {json.dumps(head)},'
     (run / "trajectory.json").write_text("\n".join(lines))
+    (run / "run.json").unlink()
     code, line = refused("smooth", run, "-o", tmp_path / "out")
     assert code == 3 and "before the run was corrected" in line

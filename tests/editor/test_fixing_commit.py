@@ -154,7 +154,7 @@ NOT_OURS = [
 @pytest.mark.parametrize("text", NOT_OURS)
 def test_a_journal_that_is_not_ours_is_refused(out, text):
     (out / JOURNAL).write_text(text)
-    with pytest.raises(OutputError, match=r"saving.json: is not as facetrack fix writes it; remove it"):
+    with pytest.raises(OutputError, match=r"saving.json: is not as facetrack writes it; remove it"):
         open_run(out)
 
 

@@ -542,7 +542,8 @@ def test_the_same_command_goes_on_with_what_is_missing(run: Runner, clip: Path, 
     assert code == 0 and err.count("done before") == 2
 
 
-def test_what_was_done_otherwise_is_refused(run: Runner, clip: Path, tmp_path: Path) -> None:
+def test_what_was_done_otherwise_is_refused(run: Runner, tmp_path: Path) -> None:
+    clip = make_clip(tmp_path / "sway.mp4", 10)
     assert run(clip, *SMALL)[0] == 0
     clip.touch()
     assert "done before" in run(clip, *SMALL)[2], "the same bytes, although its time is another"

@@ -1,0 +1,316 @@
+"""Nothing half done looks finished: kills, power loss, two writers, files of different runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core import sets
+from facetrack_cli.core.sets import Lock
+from facetrack_cli.trajectory.killed import settle
+from facetrack_cli.trajectory.manifest import NAME, read_manifest
+from facetrack_cli.trajectory.reader import read_trajectory
+from tests.runs.test_run import FACETRACK, SMALL, make_clip
+
+posix = pytest.mark.skipif(os.name != "posix", reason="signals and locks of POSIX")
+ROWS = 6  # of a frame
+TABLES = ["--no-video", "--format", "csv,json,jsonl"]
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    return make_clip(tmp_path_factory.mktemp("killed") / "sway.mp4", 300)
+
+
+def run(*arguments):
+    return main(["run", *map(str, arguments)])
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def frames_of(part):
+    return [int(line.split(",", 1)[0]) for line in part.read_text().splitlines()[1:]]
+
+
+def records(folder, form):
+    """The lines of a CSV, the frames of the others."""
+    text = (folder / f"trajectory.{form}").read_text()
+    if form == "json":
+        return json.loads(text)["frames"]
+    lines = text.splitlines()[1:]
+    return lines if form == "csv" else [line for line in lines if '"type":"frame"' in line]
+
+
+def killed(clip, out, *arguments, frames):
+    """Run until so many frames are in the tables, then kill -9; the last frame that was in them."""
+    process = subprocess.Popen([*FACETRACK, "run", clip, "-o", out, *map(str, arguments)], stderr=subprocess.DEVNULL)
+    part = out / f".trajectory-{process.pid}.part.csv"
+    deadline = time.monotonic() + 60
+    while not part.exists() or len(frames_of(part)) < ROWS * frames:
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.002)
+    last = frames_of(part)[-1]
+    process.kill()
+    process.wait()
+    return last
+
+
+# --- kill -9 ---
+
+
+@posix
+@pytest.mark.parametrize("reader", [read_trajectory, settle])
+def test_what_was_tracked_before_a_kill_is_kept_and_taken_up(clip, tmp_path, reader):
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    assert run(clip, "-o", whole, *SMALL, *TABLES, "-q") == 0
+    last = killed(clip, out, *SMALL, *TABLES, frames=20)
+    reader(out)
+    assert names(out) == [NAME, "trajectory.csv", "trajectory.json", "trajectory.jsonl"], "no part is left"
+    done = read_manifest(out)
+    assert (done.complete, done.stopped) == (False, "killed")
+    kept = read_trajectory(out)
+    assert kept.frames[-1] >= last - 1 and len(kept.frames) == done.frames
+    for form in ("csv", "json", "jsonl"):
+        assert records(out, form) == records(whole, form)[: done.frames * (ROWS if form == "csv" else 1)]
+    assert (kept.header["complete"], kept.header["stopped"]) == (False, "killed")
+    assert kept.header["frames_tracked"] == done.frames
+    assert run(clip, "-o", out, *SMALL, *TABLES, "-q") == 0, "the same command tracks it again"
+    assert (out / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
+    assert read_manifest(out).stopped is None
+
+
+@posix
+def test_a_second_kill_keeps_the_longer_track(clip, tmp_path):
+    killed(clip, tmp_path, *SMALL, *TABLES, frames=40)
+    frames = settle(tmp_path)
+    assert frames >= 40
+    killed(clip, tmp_path, *SMALL, *TABLES, frames=3)
+    settle(tmp_path)
+    assert read_manifest(tmp_path).frames == len(read_trajectory(tmp_path).frames) >= frames
+
+
+@posix
+@pytest.mark.parametrize(
+    "left", [b"", b"x" * 50, b'{"process": 1}', b'{"process": 1, "run": {"format": "no"}}', b"[1]"]
+)
+def test_a_lock_that_says_nothing_is_no_harm(clip, tmp_path, left):
+    (tmp_path / sets.LOCK).write_bytes(left)
+    (tmp_path / ".trajectory-999999999.part.csv").write_text("frame,\n0,")
+    assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, *TABLES, "-q") == 0
+    assert names(tmp_path) == [NAME, "trajectory.csv", "trajectory.json", "trajectory.jsonl"]
+
+
+@pytest.mark.parametrize("form", ["csv", "json", "jsonl"])
+def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
+    whole = tmp_path / "whole"
+    assert run(clip, "-o", whole, "--stop", 4, *SMALL, "--no-video", "--format", form, "-q") == 0
+    text = (whole / f"trajectory.{form}").read_bytes()
+    expected = records(whole, form)
+    note = {"process": 999_999_999, "run": read_manifest(whole).model_dump(mode="json")}
+    seen = set()
+    for at in range(0, len(text), 97):
+        out = tmp_path / f"{at}"
+        out.mkdir()
+        (out / sets.LOCK).write_text(json.dumps(note))
+        (out / f".trajectory-999999999.part.{form}").write_bytes(text[:at])
+        frames = settle(out)
+        seen.add(frames)
+        if frames:
+            assert records(out, form) == expected[: frames * (ROWS if form == "csv" else 1)]
+            assert len(read_trajectory(out).frames) == frames
+        else:
+            assert names(out) == []
+    assert seen >= {0, 2, 3}
+
+
+@posix
+def test_a_worker_that_is_killed_keeps_what_it_tracked(clip, tmp_path):
+    other = make_clip(tmp_path / "other.mp4", 5)
+    process = subprocess.Popen(
+        [*FACETRACK, "run", clip, other, "-j", "2", "-o", tmp_path / "out", *SMALL, "--no-video"],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    folder, deadline = tmp_path / "out" / "sway-face", time.monotonic() + 60
+    while not (parts := list(folder.glob(".trajectory-*.part.csv"))) or len(frames_of(parts[0])) < 20 * ROWS:
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.002)
+    os.kill(int(parts[0].name.split("-")[1].split(".")[0]), signal.SIGKILL)
+    said = process.communicate()[1]
+    assert process.returncode == 5
+    assert "its process ended with code -9; the" in said and "frames that it had tracked are kept" in said
+    assert read_manifest(folder).stopped == "killed" and len(read_trajectory(folder).frames) >= 20
+
+
+# --- one writer, one set ---
+
+
+@posix
+def test_a_folder_has_one_writer(clip, tmp_path, capsys):
+    with Lock(tmp_path):
+        assert run(clip, "-o", tmp_path, *SMALL) == 2
+        assert "another facetrack is writing its results here; wait until it ends" in capsys.readouterr().err
+    assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, "-q") == 0
+    assert sets.LOCK not in names(tmp_path)
+
+
+@posix
+def test_of_two_runs_at_once_one_writes(clip, tmp_path):
+    command = [*FACETRACK, "run", clip, "-o", tmp_path, *SMALL, *TABLES]
+    both = [subprocess.Popen([*command, "--seed", str(seed)], stderr=subprocess.PIPE) for seed in (1, 2)]
+    said = [process.communicate()[1].decode() for process in both]
+    assert sorted(process.returncode for process in both) == [0, 2], said
+    [seed] = [seed for seed, process in zip((1, 2), both, strict=True) if process.returncode == 0]
+    assert read_trajectory(tmp_path).header["seed"] == seed
+
+
+def test_a_run_owns_all_its_outputs(clip, tmp_path):
+    assert run(clip, "-o", tmp_path, "--stop", 5, *SMALL, "--format", "csv,json,jsonl", "--keep-posterior", "-q") == 0
+    (tmp_path / "report.html").write_text("mine")
+    assert run(clip, "-o", tmp_path, "--stop", 4, *SMALL, "--no-video", "--format", "csv", "--overwrite", "-q") == 0
+    assert names(tmp_path) == ["report.html", NAME, "trajectory.csv"]
+
+
+@pytest.mark.parametrize("name", ["trajectory.csv", "trajectory.json", "annotated.mp4"])
+def test_files_of_different_runs_are_noticed(clip, tmp_path, name, capsys):
+    for folder, seed in (("a", 1), ("b", 2)):
+        assert run(clip, "-o", tmp_path / folder, "--stop", 5, *SMALL, "--seed", seed, "-q") == 0
+    shutil.copy(tmp_path / "a" / name, tmp_path / "b" / name)
+    command = ["report", tmp_path / "b"] if name == "annotated.mp4" else ["eval", tmp_path / "b" / name]
+    clip.rename(clip.with_name("away.mp4"))
+    try:
+        code = main(
+            [*map(str, command), *(["--truth", str(tmp_path / "a" / "trajectory.csv")] * (command[0] == "eval"))]
+        )
+    finally:
+        clip.with_name("away.mp4").rename(clip)
+    said = capsys.readouterr().err
+    assert f"{name}: is not as its run wrote it" in said
+    assert code == (0 if name == "annotated.mp4" else 3), "the report does without its pictures"
+
+
+@pytest.mark.parametrize("at", ["announced", "one renamed"])
+def test_a_kill_between_two_renames_is_finished_by_whoever_reads(clip, tmp_path, monkeypatch, at):
+    assert run(clip, "-o", tmp_path, "--stop", 5, *SMALL, "--seed", 1, "-q") == 0
+    finish = sets.finish
+
+    def torn(folder):
+        if (folder / sets.JOURNAL).exists():
+            if at == "one renamed":
+                part = sets.beside(folder / "trajectory.csv")
+                part.replace(folder / "trajectory.csv")
+            raise SystemExit
+        finish(folder)
+
+    monkeypatch.setattr(sets, "finish", torn)
+    monkeypatch.setattr(sets, "discard", lambda path: None, raising=False)
+    monkeypatch.setattr("facetrack_cli.runs.clip.Outputs.__exit__", lambda *_: None)
+    with pytest.raises(SystemExit):
+        run(clip, "-o", tmp_path, "--stop", 4, *SMALL, "--seed", 2, "--overwrite", "-q")
+    monkeypatch.undo()
+    assert [len(read_trajectory(tmp_path / f"trajectory.{form}").frames) for form in ("csv", "json")] == [4, 4]
+    assert read_manifest(tmp_path).frames == 4
+    assert sets.JOURNAL not in names(tmp_path)
+
+
+def test_a_swapped_clip_is_known(tmp_path, capsys):
+    clip = make_clip(tmp_path / "one.mp4", 6)
+    assert run(clip, "-o", tmp_path / "out", *SMALL, "-q") == 0
+    header = read_trajectory(tmp_path / "out").header
+    assert len(header["source_sha256"]) == 64
+    make_clip(tmp_path / "one.mp4", 7)
+    for command in (["fix", tmp_path / "out", "--init", clip.with_suffix(".init.yaml")], ["report", tmp_path / "out"]):
+        code = main([*map(str, command)])
+        assert "one.mp4: is not the clip that trajectory.json was made from" in capsys.readouterr().err
+        assert code == (3 if command[0] == "fix" else 0)
+    assert main(["eval", str(tmp_path / "out"), "--truth", str(tmp_path / "out" / "trajectory.csv")]) == 0
+    assert "is not the clip that trajectory.json was made from" in "".join(capsys.readouterr())
+
+
+# --- power loss ---
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="asks Linux which file is brought to the disk")
+def test_each_file_is_on_the_disk_before_its_name(clip, tmp_path, monkeypatch):
+    said = []
+    fsync, replace = os.fsync, Path.replace
+
+    def synced(place):
+        said.append(("sync", Path(f"/proc/self/fd/{place}").readlink().name))
+        fsync(place)
+
+    def renamed_(self, to):
+        said.append((self.name, Path(to).name))
+        return replace(self, to)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", renamed_)
+    assert run(clip, "-o", tmp_path / "out", "--stop", 3, *SMALL, "-q") == 0
+    renamed = [one for one in said if one[0] != "sync"]
+    assert [to for _, to in renamed] == [
+        sets.JOURNAL, "annotated.mp4", "trajectory.csv", "trajectory.json", NAME
+    ]  # fmt: skip
+    for one in renamed:
+        assert said.index(("sync", one[0])) < said.index(one)
+    last = said.index(renamed[-1])
+    assert ("sync", "out") in said[last:], "and the names are on the disk"
+
+
+@pytest.fixture
+def disk(tmp_path):
+    """A file system of its own on a file: (folder, whatever it holds when the power is lost now)."""
+    image, folder = tmp_path / "disk.img", tmp_path / "disk"
+    after = [tmp_path / "after.img", tmp_path / "after"]
+    mounted = []
+
+    def mount(file, to):
+        to.mkdir()
+        done = subprocess.run(["mount", "-o", "loop", file, to], capture_output=True, text=True, check=False)
+        if done.returncode:
+            pytest.skip(f"no file system can be mounted here: {done.stderr.strip()}")
+        mounted.append(to)
+
+    def lose_power():
+        shutil.copy(image, after[0])
+        mount(*after)
+        return after[1]
+
+    if os.name != "posix" or os.getuid() != 0 or shutil.which("mkfs.ext4") is None:
+        pytest.skip("mounting a file system takes root and mkfs.ext4")
+    with image.open("wb") as file:
+        file.truncate(64 << 20)
+    subprocess.run(["mkfs.ext4", "-q", image], check=True)
+    try:
+        mount(image, folder)
+        yield folder, lose_power
+    finally:
+        for one in reversed(mounted):
+            subprocess.run(["umount", one], check=True)
+
+
+def test_what_exits_with_0_survives_a_power_loss(clip, disk):
+    folder, lose_power = disk
+    command = [sys.executable, "-m", "facetrack_cli", "run", clip, "--stop", "20", "-q", *SMALL, "-o", folder / "out"]
+    cache = folder / "kernels"
+    done = subprocess.run(command, env={**os.environ, "NUMBA_CACHE_DIR": str(cache)}, check=False)
+    left = lose_power()
+    assert done.returncode == 0
+    # the removal of those two need not be on the disk
+    found = [name for name in names(left / "out") if name not in (sets.LOCK, sets.JOURNAL)]
+    assert found == ["annotated.mp4", NAME, "trajectory.csv", "trajectory.json"]
+    for name in found:
+        assert (left / "out" / name).read_bytes() == (folder / "out" / name).read_bytes() != b""
+    assert len(read_trajectory(left / "out").frames) == 20
+    kernels = [path for path in (left / "kernels").rglob("*") if path.suffix in (".nbi", ".nbc")]
+    assert len(kernels) > 4 and all(path.stat().st_size for path in kernels)
