@@ -43,7 +43,8 @@ class Run:
     Without --config, whatever is in --box is followed as a box; else the features of a face are. Recipes of points
     look for these features within --box.
 
-    With several INPUTs, --out holds a folder for each; one that fails does not stop the others.
+    With several INPUTs, --out holds a folder for each; one that fails does not stop the others. The same command
+    again skips those that are done, and tracks again those that were interrupted.
 
     \b
     Examples:
