@@ -64,10 +64,10 @@ def asked(job: Job) -> str:
 
 
 class Fingerprint:
-    """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked."""
+    """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked; `clip` is the clip without."""
 
     def __init__(self, clip: Path) -> None:
-        self._clip, self._found, self._stopped = looked_at(clip), "", False
+        self.clip, self._found, self._stopped = _looked_at(clip), "", False
 
         def compute() -> None:
             self._found = _digest(clip, lambda: self._stopped)
@@ -79,17 +79,17 @@ class Fingerprint:
         """The clip with its checksum, for which it waits if the run is `whole`; None if the clip is gone."""
         self._stopped = not whole
         self._thread.join()
-        return self._clip and self._clip.model_copy(update={"sha256": self._found})
+        return self.clip and self.clip.model_copy(update={"sha256": self._found})
 
 
 def _same(known: Clip, clip: Path) -> bool:
-    now = looked_at(clip)
+    now = _looked_at(clip)
     if now is None or now.bytes != known.bytes:
         return False
     return now.changed_ns == known.changed_ns or (known.sha256 != "" and _digest(clip) == known.sha256)
 
 
-def looked_at(clip: Path) -> Clip | None:
+def _looked_at(clip: Path) -> Clip | None:
     """A clip without its checksum; None if it is gone."""
     try:
         stats = [file.stat() for file in _files(clip)]

@@ -30,7 +30,7 @@ from facetrack_cli.core.sets import Lock
 from facetrack_cli.core.types import Correction, Frame, Start
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs import pipeline
-from facetrack_cli.runs.again import Fingerprint, asked, looked_at, previous
+from facetrack_cli.runs.again import Fingerprint, asked, previous
 from facetrack_cli.runs.posterior import POSTERIOR, PosteriorWriter, check_smoothing
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Begin, frames_of
@@ -40,7 +40,7 @@ from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, KNOWN
 from facetrack_cli.trajectory.header import is_there, to_record
 from facetrack_cli.trajectory.killed import recover, settle
-from facetrack_cli.trajectory.manifest import OWNED, Clip, Manifest, commit
+from facetrack_cli.trajectory.manifest import OWNED, Manifest, commit
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Format, Header, Writer
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -175,7 +175,6 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         done.stopped = stop.reason
         return done
     done.note = start.note
-    fingerprint = Fingerprint(job.clip)
     with job.open(start.frame) as source:
         tracker = tracker_for(job.recipe, start, source.size)
         try:
@@ -209,9 +208,8 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
             variable_fps=source.variable,
             evidence=done.evidence,
         )
-        clip = fingerprint.end(whole=stopped is None)
         try:
-            footer = outputs.close(footer._replace(source_sha256=clip.sha256 if clip else ""), done, clip)
+            footer = outputs.close(footer, done)
         except Exception as e:
             done.error = done.error or e
     done.files, done.warnings = outputs.written, footer.warnings
@@ -279,8 +277,9 @@ class Outputs:
     def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
         """Write the headers and start the encoder; `rows` are those of the first frame."""
         header = _header(self._job, source, start, rows)
+        self._fingerprint = Fingerprint(self._job.clip)
         if self._lock is not None:
-            self._run = Manifest(asked=asked(self._job), clip=looked_at(self._job.clip))
+            self._run = Manifest(asked=asked(self._job), clip=self._fingerprint.clip)
             self._lock.note({"run": self._run.model_dump()})
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self._writers.append(WRITERS[form](sink, header))
@@ -308,12 +307,14 @@ class Outputs:
         assert self._overlay is not None and self._video is not None
         self._video.write(self._overlay.draw(result), result.frame.time_s)
 
-    def close(self, footer: Footer, done: Outcome, clip: Clip | None) -> Footer:
+    def close(self, footer: Footer, done: Outcome) -> Footer:
         """Finish every file, let all replace the old ones, and return the footer; what failed is raised after that.
 
         The video comes first, so that the trajectory can tell what was wrong with it.
         """
         errors: list[Exception] = []
+        clip = self._fingerprint.end(whole=footer.stopped is None)
+        footer = footer._replace(source_sha256=clip.sha256 if clip else "")
         if self._video is not None:
             self._finish(self._video, self._video.close, errors)
             footer = footer._replace(warnings=(*footer.warnings, *self._video.warnings))
@@ -374,7 +375,7 @@ class Memory(Outputs):
     def write(self, rows: Trajectory) -> None:
         self._collected.add(rows)
 
-    def close(self, footer: Footer, done: Outcome, clip: Clip | None) -> Footer:
+    def close(self, footer: Footer, done: Outcome) -> Footer:
         header = {**self._header, **footer._asdict()}
         self.trajectory = self._collected.trajectory(header=header, path=self._job.clip)
         return footer
