@@ -16,7 +16,7 @@ import cv2
 import numba
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.errors import InputError, OutputError, UsageError
 from facetrack_cli.core.files import FileSink, StreamSink, check_folder, make_folder, remove_folders
 from facetrack_cli.core.types import Correction, Frame, Start
 from facetrack_cli.recipe.model import Recipe, to_dict
@@ -36,6 +36,7 @@ from facetrack_cli.video.source import Source
 from facetrack_cli.video.writer import VideoWriter
 
 VIDEO = "annotated.mp4"
+LAG_BYTES = 1 << 30  # of the frames that wait for later ones
 _File: TypeAlias = FileSink | StreamSink | VideoWriter | PosteriorWriter
 Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
 
@@ -44,7 +45,8 @@ Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames i
 class Job(Begin):
     """What is asked of one clip. `out` None streams the one format to standard output.
 
-    `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept.
+    `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
+    whether a clip that is damaged is an error, of which what was tracked is kept.
     """
 
     recipe: Recipe
@@ -56,6 +58,7 @@ class Job(Begin):
     threads: int = 2
     lag: int = 0
     posterior: bool = False
+    strict: bool = False
 
 
 @dataclass
@@ -141,6 +144,8 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         return done
     done.note = start.note
     with job.open(start.frame) as source:
+        source.strict = job.strict
+        check_lag(job, source)
         tracker = tracker_for(job.recipe, start, source.size)
         try:
 
@@ -177,10 +182,14 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
             footer = outputs.close(footer)
         except Exception as e:
             done.error = done.error or e
-    done.files, done.warnings = outputs.written, footer.warnings
+    if job.strict and not source.complete and stopped is None:
+        done.error = done.error or InputError(source.warnings[-1])
+    failed = done.error or outputs.missing  # said last, as the command's error
+    done.files, done.warnings = outputs.written, tuple(line for line in footer.warnings if line != str(failed))
     done.frames_per_s = (done.frames - 1) / max(time.perf_counter() - began, 1e-9)
     done.complete = footer.complete and done.error is None
     done.stopped = stopped if done.error is None else None
+    done.error = failed
     return done
 
 
@@ -207,6 +216,14 @@ def check(job: Job) -> None:
         check_folder(job.out, names, overwrite=job.overwrite, inputs=(job.clip, init, job.recipe.path))
 
 
+def check_lag(job: Job, source: Source) -> None:
+    """Refuse a lag whose frames, which are all kept, take too much memory."""
+    of_frame = 3 * source.size[0] * source.size[1]
+    if job.lag * of_frame > LAG_BYTES:
+        most = f"at most --lag {LAG_BYTES // of_frame} at {source.size[0]}x{source.size[1]}"
+        raise UsageError(f"{job.clip}: {job.lag} frames of this size take too much memory; {most}, or take --smooth")
+
+
 class Outputs:
     """The files of one job: they appear when the job closes them; one that fails before its first frame leaves none."""
 
@@ -219,6 +236,7 @@ class Outputs:
         self._writers: list[Writer] = []
         self._posterior: PosteriorWriter | None = None
         self.written: list[Path] = []
+        self.missing: OutputError | None = None  # why there is no video; the tables are whole all the same
 
     def __enter__(self) -> Outputs:
         out = self._job.out
@@ -260,17 +278,26 @@ class Outputs:
     def paint(self, result: FrameResult) -> None:
         """Draw one result and pass it to the encoder."""
         assert self._overlay is not None and self._video is not None
-        self._video.write(self._overlay.draw(result), result.frame.time_s)
+        if self.missing is None:
+            image = self._overlay.draw(result)
+            try:
+                self._video.write(image, result.frame.time_s)
+            except OutputError as e:
+                self.missing = e
 
     def close(self, footer: Footer) -> Footer:
         """Finish every file and return the footer written; what could not be finished is raised after the others are.
 
-        The video comes first, so that the trajectory can tell what was wrong with it.
+        The video comes first, so that the trajectory can tell what was wrong with it; `missing` says if there is none.
         """
         errors: list[Exception] = []
         if self._video is not None:
             self._finish(self._video, self._video.close, errors)
-            footer = footer._replace(warnings=(*footer.warnings, *self._video.warnings))
+            lost = [e for e in errors if isinstance(e, OutputError)]
+            self.missing = self.missing or next(iter(lost), None)
+            errors = [e for e in errors if e not in lost]
+            said = (*self._video.warnings, *(() if self.missing is None else (str(self.missing),)))
+            footer = footer._replace(warnings=(*footer.warnings, *said))
         for writer, sink in zip(self._writers, self._sinks, strict=True):
             self._finish(sink, partial(writer.close, footer), errors)
         if self._posterior is not None:
