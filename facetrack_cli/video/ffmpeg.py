@@ -160,8 +160,8 @@ def ending(path: Path) -> tuple[float, float, float, str]:
     damage = re.sub(r" \(.*?\)", "", damage).strip(" .")
     if not damage and (indexed := _avi_index(path)) > pictures:
         damage = f"{indexed - pictures} frames of its index are missing"
-    if not damage and container(path) == "ts" and path.stat().st_size % TS_PACKET:
-        damage = "it ends within a packet"
+    if not damage and container(path) == "ts":
+        damage = _unmarked(path)
     return hours * 3600 + minutes * 60 + seconds, max(last - first, 0.0), end, damage
 
 
@@ -181,6 +181,17 @@ def _avi_index(path: Path) -> int:
     entries = range(4, min(len(index), 4 + int.from_bytes(index[:4], "little")) - 15, 16)
     names = [index[at : at + 4] for at in entries if any(index[at + 12 : at + 16])]
     return max((names.count(name) for name in {*names} if name[2:] in (b"dc", b"db")), default=0) if found else 0
+
+
+def _unmarked(path: Path) -> str:
+    """What is wrong with the packets of a transport stream, which all begin with one mark; "" if nothing is."""
+    with path.open("rb") as file:
+        while block := file.read(TS_PACKET << 12):
+            if len(block) % TS_PACKET:
+                return "it ends within a packet"
+            if block[::TS_PACKET].count(b"G") < len(block) // TS_PACKET:
+                return "a packet lacks its mark"
+    return ""
 
 
 def container(path: Path) -> str:

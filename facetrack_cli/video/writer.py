@@ -22,7 +22,7 @@ from facetrack_cli.video import ffmpeg
 _COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
 _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
 _TICK_S = 1e-6  # of the pipe to the encoder
-_LONGEST = 2**31 - 1  # ticks that a frame of an MP4 can be shown
+_LONGEST = 2**29  # ticks that a frame is shown at most: an MP4 holds 2**31, over several frames that are reordered
 _SLOW_S = 60  # frames that are shown for longer have a coarser clock
 _LARGE = 3_000_000  # pixels of a frame of which the encoder looks at few others, each of which takes it 60 MB
 
@@ -41,8 +41,8 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     ):
         self.path, self.size, self.warnings = path, size, list[str]()
         self._fps, self._audio_from, self._replace = fps, audio_from, replace
-        # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 1/90000 s
-        finest = 90000 if fps * _SLOW_S > 1 else 1000
+        # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 0.1 ms
+        finest = 10_000 if fps * _SLOW_S > 1 else 1000
         self._timescale = fps.numerator * -(-finest // fps.numerator)
         self._first_s = self._left_out_s = 0.0
         self._frames = self._first_tick = self._last_tick = 0
@@ -81,9 +81,10 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
                 if (beyond := tick - self._last_tick - _LONGEST) > 0:
                     tick -= beyond
                     self._left_out_s += beyond / self._timescale
-                    gap = f"{(beyond + _LONGEST) / self._timescale / 3600:.1f} hours at {time_s:.0f} s"
-                    shown = f"{_LONGEST / self._timescale / 3600:.1f}, the longest that an MP4 holds"
-                    self.warnings.append(f"{self.path}: a gap of {gap} is shown as {shown}")
+                    if not self.warnings:
+                        gap = f"{(beyond + _LONGEST) / self._timescale / 3600:.1f} hours at {time_s:.0f} s"
+                        shown = f"{_LONGEST / self._timescale / 3600:.1f}, which is the longest in an MP4"
+                        self.warnings.append(f"{self.path}: a gap of {gap} is shown as {shown}")
             elapsed = (tick - self._first_tick) / self._timescale
             self._pipe.write(_matroska_block(round(elapsed / _TICK_S), image.nbytes))
             self._pipe.write(np.ascontiguousarray(image).reshape(-1).data)
