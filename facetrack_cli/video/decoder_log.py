@@ -103,7 +103,7 @@ def _listen() -> None:
         library = ctypes.CDLL(str(places[0]))
         function, engine = _function()
         library.av_log_set_callback(ctypes.c_void_p(function))
-    except (OSError, AttributeError, RuntimeError):
+    except (ImportError, OSError, AttributeError, RuntimeError):
         return
     _kept.extend((library, engine))
     # the function goes before the decoder's threads do
@@ -129,7 +129,7 @@ def _function() -> tuple[int, object]:
     at = build.atomic_rmw("add", first, whole(1), "seq_cst")
     place = build.add(build.and_(at, whole(_RING - 1)), whole(1))
     word = build.or_(text, build.shl(build.zext(level, whole), whole(48)))
-    build.store(word, build.gep(first, [place], source_etype=whole))
+    build.store(word, build.gep(first, [place]))
     build.branch(done)
     build.position_at_end(done)
     build.ret_void()
