@@ -58,7 +58,7 @@ def asked(job: Job) -> str:
         given += files_of(job.recipe)
     start = to_record(init) if isinstance(init, Start) else init if isinstance(init, str) else len(given)
     settings = [to_dict(job.recipe), start, job.box, job.init_frame, job.faces, job.start, job.stop]
-    options = [str(job.fps), job.lag, job.posterior, job.formats, job.video]
+    options = [str(job.fps), job.lag, job.posterior, job.formats, job.video, job.strict]
     files = [_digest(file) for file in given]
     return hashlib.sha256(dumps([__version__, settings, options, files]).encode()).hexdigest()
 

@@ -16,7 +16,7 @@ import cv2
 import numba
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.errors import InputError, OutputError, UsageError
 from facetrack_cli.core.files import (
     FileSink,
     StreamSink,
@@ -48,6 +48,7 @@ from facetrack_cli.video.source import Source
 from facetrack_cli.video.writer import VideoWriter
 
 VIDEO = "annotated.mp4"
+LAG_BYTES = 1 << 30  # of the frames that wait for later ones
 _File: TypeAlias = FileSink | StreamSink | VideoWriter | PosteriorWriter
 Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
 
@@ -56,7 +57,8 @@ Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames i
 class Job(Begin):
     """What is asked of one clip. `out` None streams the one format to standard output.
 
-    `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept.
+    `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
+    whether a clip that is damaged is an error, of which what was tracked is kept.
     """
 
     recipe: Recipe
@@ -68,6 +70,7 @@ class Job(Begin):
     threads: int = 2
     lag: int = 0
     posterior: bool = False
+    strict: bool = False
 
 
 @dataclass
@@ -104,6 +107,7 @@ class Outcome:
             lost=known.lost_frames,
             lost_at_end=known.lost_at_end,
             complete=known.complete,
+            error=InputError(known.warnings[-1]) if job.strict and not known.complete else None,
             again=known,
         )
 
@@ -145,7 +149,7 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
     """
     check(job)
     known = None if job.overwrite else previous(job)
-    if known is not None and known.stopped is None:
+    if known is not None and known.stopped is None and (VIDEO in known.files or not job.video):
         return Outcome.of(job, known)
     with Outputs(job) as outputs:
         return track_clip(job, outputs, stop, report)
@@ -176,6 +180,8 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         return done
     done.note = start.note
     with job.open(start.frame) as source:
+        source.strict = job.strict
+        check_lag(job, source)
         tracker = tracker_for(job.recipe, start, source.size)
         try:
 
@@ -212,10 +218,14 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
             footer = outputs.close(footer, done)
         except Exception as e:
             done.error = done.error or e
-    done.files, done.warnings = outputs.written, footer.warnings
+    if job.strict and not source.complete and stopped is None:
+        done.error = done.error or InputError(source.warnings[-1])
+    failed = done.error or outputs.missing  # said last, as the command's error
+    done.files, done.warnings = outputs.written, tuple(line for line in footer.warnings if line != str(failed))
     done.frames_per_s = (done.frames - 1) / max(time.perf_counter() - began, 1e-9)
     done.complete = footer.complete and done.error is None
     done.stopped = stopped if done.error is None else None
+    done.error = failed
     return done
 
 
@@ -243,6 +253,14 @@ def check(job: Job) -> None:
         check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
 
 
+def check_lag(job: Job, source: Source) -> None:
+    """Refuse a lag whose frames, which are all kept, take too much memory."""
+    of_frame = 3 * source.size[0] * source.size[1]
+    if job.lag * of_frame > LAG_BYTES:
+        most = f"at most --lag {LAG_BYTES // of_frame} at {source.size[0]}x{source.size[1]}"
+        raise UsageError(f"{job.clip}: {job.lag} frames of this size take too much memory; {most}, or take --smooth")
+
+
 class Outputs:
     """The files of one job: they appear when the job closes them; one that fails before its first frame leaves none."""
 
@@ -256,6 +274,7 @@ class Outputs:
         self._posterior: PosteriorWriter | None = None
         self._lock: Lock | None = None
         self.written: list[Path] = []
+        self.missing: OutputError | None = None  # why there is no video; the tables are whole all the same
 
     def __enter__(self) -> Outputs:
         out = self._job.out
@@ -305,30 +324,36 @@ class Outputs:
     def paint(self, result: FrameResult) -> None:
         """Draw one result and pass it to the encoder."""
         assert self._overlay is not None and self._video is not None
-        self._video.write(self._overlay.draw(result), result.frame.time_s)
+        if self.missing is None:
+            image = self._overlay.draw(result)
+            try:
+                self._video.write(image, result.frame.time_s)
+            except OutputError as e:
+                self.missing = e
 
     def close(self, footer: Footer, done: Outcome) -> Footer:
         """Finish every file, let all replace the old ones, and return the footer; what failed is raised after that.
 
-        The video comes first, so that the trajectory can tell what was wrong with it.
+        The video comes first, so that the trajectory can tell what was wrong with it; `missing` says if there is none.
         """
         errors: list[Exception] = []
         clip = self._fingerprint.end(whole=footer.stopped is None)
         footer = footer._replace(source_sha256=clip.sha256 if clip else "")
         if self._video is not None:
             self._finish(self._video, self._video.close, errors)
-            footer = footer._replace(warnings=(*footer.warnings, *self._video.warnings))
+            lost = [e for e in errors if isinstance(e, OutputError)]
+            self.missing = self.missing or next(iter(lost), None)
+            errors = [e for e in errors if e not in lost]
+            said = (*self._video.warnings, *(() if self.missing is None else (str(self.missing),)))
+            footer = footer._replace(warnings=(*footer.warnings, *said))
         for writer, sink in zip(self._writers, self._sinks, strict=True):
             self._finish(sink, partial(writer.close, footer), errors)
         if self._posterior is not None:
             self._finish(self._posterior, self._posterior.close, errors)
         if self._job.out is not None:
-            ended: dict[str, Any] = {
-                "complete": footer.complete,
-                "stopped": footer.stopped,
-                "warnings": footer.warnings,
-                "clip": clip,
-            }
+            stopped = footer.stopped or next((str(e) for e in errors), None)
+            whole = footer.complete and stopped is None
+            ended: dict[str, Any] = {"complete": whole, "stopped": stopped, "warnings": footer.warnings, "clip": clip}
             ended |= {"frames": done.frames, "lost_frames": done.lost, "lost_at_end": done.lost_at_end}
             try:
                 commit(self._job.out, self.written, self._run.model_copy(update=ended), anyway=True)

@@ -2,12 +2,12 @@
 
     decode --(frames)--> track, record --(results)--> paint
 
-Each arrow is a queue of a few frames, so memory stays flat and the slowest stage sets the pace. Every stage sees the
-frames in their order, whatever the number of threads: what comes out is the same.
+Each arrow is a queue of a few frames, fewer if they are large: memory is bounded, and the slowest stage sets the pace.
+Every stage sees the frames in their order, whatever the number of threads: what comes out is the same.
 """
 
-import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeAlias, TypeVar
 
@@ -15,6 +15,7 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.trajectory.trajectory import FrameResult
 
 DEPTH = 4  # frames in each queue
+MOST_BYTES = 64 << 20  # of their pixels, unless one alone has more
 POLL_S = 0.1  # how long a stage sleeps at most before it looks whether the run was cancelled
 PATIENCE_S = 1.0  # a decoder that does not come back from a read is left behind after this long
 T = TypeVar("T")
@@ -93,27 +94,43 @@ class _Channel(Generic[T]):
     """A bounded queue whose both ends give up when told to, so that no stage waits for one that has ended."""
 
     def __init__(self, given_up: Callable[[], bool]) -> None:
-        self._queue: queue.Queue[T | BaseException | None] = queue.Queue(DEPTH)
+        self._waiting = deque[tuple[T | BaseException | None, int]]()
+        self._bytes = 0
+        self._changed = threading.Condition()
         self._given_up = given_up
 
     def put(self, item: T | BaseException | None) -> bool:
         """False if nobody takes it any more. None is the end; an exception is raised at the other side."""
+        size = _size(item)
         while not self._given_up():
-            try:
-                self._queue.put(item, timeout=POLL_S)
-                return True
-            except queue.Full:
-                continue
+            with self._changed:
+                if self._changed.wait_for(lambda: self._fits(size), POLL_S):
+                    self._waiting.append((item, size))
+                    self._bytes += size
+                    self._changed.notify_all()
+                    return True
         return False
+
+    def _fits(self, size: int) -> bool:
+        return len(self._waiting) < DEPTH and (not self._waiting or self._bytes + size <= MOST_BYTES)
 
     def items(self, stopped: Callable[[], bool]) -> Iterator[T]:
         while not stopped():
-            try:
-                item = self._queue.get(timeout=POLL_S)
-            except queue.Empty:
-                continue
+            with self._changed:
+                if not self._changed.wait_for(lambda: self._waiting, POLL_S):
+                    continue
+                item, size = self._waiting.popleft()
+                self._bytes -= size
+                self._changed.notify_all()
             if item is None:
                 return
             if isinstance(item, BaseException):
                 raise item
             yield item
+            del item  # while the next one is waited for
+
+
+def _size(item: object) -> int:
+    """The bytes of a frame's pixels."""
+    frame = item.frame if isinstance(item, FrameResult) else item
+    return frame.bgr.nbytes if isinstance(frame, Frame) else 0

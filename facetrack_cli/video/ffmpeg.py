@@ -23,8 +23,11 @@ _CAUSE = re.compile(
     "Permission denied"
 )
 _PREFIX = re.compile(r"^(?:\[[^\]]*\] )+")
+TS_PACKET = 188  # bytes
+_AVI_INDEX = 1 << 26  # bytes at the end of an AVI file in which its index is looked for
 NO_TIME = -(2**63)
-_DURATION = re.compile(r"^  Duration: (\d+):(\d+):(\d+\.\d+)", re.MULTILINE)
+_DURATION = re.compile(r"^  Duration: (\d+):(\d+):(\d+\.\d+)(?:, start: (-?\d+\.\d+))?", re.MULTILINE)
+_OPENH264 = re.compile(r"Video: h264 \((?:Constrained Baseline|Main|High)\).*yuv420p\([^)]*progressive\)")
 
 
 def source_argument(path: Path) -> str:
@@ -80,6 +83,20 @@ def contents(path: Path) -> tuple[str, str, str]:
     return next(iter(video), ""), next(iter(audio), ""), text
 
 
+def strict_decoder(path: Path) -> str:
+    """A decoder that notices more errors of this file than FFmpeg's own does; "" if there is none."""
+    source = ["-i", source_argument(path)]
+    if not _OPENH264.search(run(source)[1]):
+        return ""
+    first = ["-v", "quiet", *source, "-map", "0:v:0", "-c", "copy", "-frames:v", "1", "-f", "h264", "-"]
+    with Program(first, stdout=subprocess.PIPE) as program:
+        assert program.child.stdout is not None
+        data = program.child.stdout.read()
+    # where the first picture is not one at which all begins anew, those after it may lack what they are predicted from
+    units = [data[at.end()] & 31 for at in re.finditer(rb"(?s)\x00\x00\x01(?=.)", data)]
+    return "libopenh264" if 5 in units else ""
+
+
 class Packet(NamedTuple):
     """One packet; times of decoding and of showing in ticks, or NO_TIME. After a `new_header` sizes may change."""
 
@@ -128,16 +145,23 @@ def ending(path: Path) -> tuple[float, float, float, str]:
     video and audio, from the container's start. Then what ffmpeg said of missing or broken data, or "".
     """
     listing = Listing("-i", source_argument(path), "-map", "0:v:0", "-map", "0:a?", "-c", "copy")
-    first, last, end = math.inf, -math.inf, 0.0
+    first, last, end, pictures = math.inf, -math.inf, 0.0, 0
     for packet in listing:
+        pictures += packet.stream == 0
         time, tick = listing.time(packet), listing.ticks[packet.stream]
         end = max(end, time + packet.duration * float(tick))
         if packet.stream == 0 and time > -0.0005:  # what an edit list hides comes before 0
             first, last = min(first, time), max(last, time)
     claimed = _DURATION.search(listing.messages)
-    hours, minutes, seconds = map(float, claimed.groups() if claimed else (0, 0, 0))
+    hours, minutes, seconds, start = map(float, claimed.groups("0") if claimed else (0, 0, 0, 0))
+    if container(path) == "matroska":  # whose duration is the time at which it ends, also where it begins late
+        end += max(start, 0.0)
     damage = next((_PREFIX.sub("", line) for line in listing.messages.splitlines() if _DAMAGE.search(line)), "")
     damage = re.sub(r" \(.*?\)", "", damage).strip(" .")
+    if not damage and (indexed := _avi_index(path)) > pictures:
+        damage = f"{indexed - pictures} frames of its index are missing"
+    if not damage and container(path) == "ts":
+        damage = _unmarked(path)
     return hours * 3600 + minutes * 60 + seconds, max(last - first, 0.0), end, damage
 
 
@@ -147,10 +171,35 @@ def first_time(path: Path) -> float:
     return max((listing.time(packet) for packet in listing), default=0.0)
 
 
-def container(path: Path) -> str:
-    """The family of a file's format by its first bytes: "mp4", "avi", "matroska", "mpeg" (program stream) or ""."""
+def _avi_index(path: Path) -> int:
+    """How many packets of video the index of an AVI file names, without empty ones, which repeat a frame; 0 if none."""
+    if container(path) != "avi":
+        return 0
     with path.open("rb") as file:
-        head = file.read(12)
+        file.seek(max(path.stat().st_size - _AVI_INDEX, 0))
+        _, found, index = file.read().rpartition(b"idx1")
+    entries = range(4, min(len(index), 4 + int.from_bytes(index[:4], "little")) - 15, 16)
+    names = [index[at : at + 4] for at in entries if any(index[at + 12 : at + 16])]
+    return max((names.count(name) for name in {*names} if name[2:] in (b"dc", b"db")), default=0) if found else 0
+
+
+def _unmarked(path: Path) -> str:
+    """What is wrong with the packets of a transport stream, which all begin with one mark; "" if nothing is."""
+    with path.open("rb") as file:
+        while block := file.read(TS_PACKET << 12):
+            if len(block) % TS_PACKET:
+                return "it ends within a packet"
+            if block[::TS_PACKET].count(b"G") < len(block) // TS_PACKET:
+                return "a packet lacks its mark"
+    return ""
+
+
+def container(path: Path) -> str:
+    """A file's format by its first bytes: "mp4", "avi", "matroska", "mpeg" (program stream), "ts" (transport) or ""."""
+    with path.open("rb") as file:
+        head = file.read(2 * TS_PACKET + 1)
+    if head[::TS_PACKET] == b"GGG":
+        return "ts"
     if head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide"):
         return "mp4"
     families = {b"RIFF": "avi", b"\x1a\x45\xdf\xa3": "matroska", b"\x00\x00\x01\xba": "mpeg"}

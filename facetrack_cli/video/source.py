@@ -4,10 +4,11 @@ Frames are counted from 0 of the file, also when reading starts later; `time_s` 
 the file's own clock, and grows from frame to frame. The number of frames that a container claims is only a hint.
 
 A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what is
-missing. A video with fewer frames than the container claims (or any MPEG program stream, which claims nothing) is read
-again without decoding, and is incomplete if the demuxer reports missing data, if packets follow where the decoder
-stopped, or if they end clearly before the claimed duration. In transport streams, Ogg and WMV, which do not say that
-more should follow, a cut between two packets is not noticed.
+missing. So it is if the decoder reports errors (`decoder_log.py`): it conceals them and goes on, so all frames are
+there, but some are not what the clip showed. A video with fewer frames than the container claims (or any MPEG program
+stream, which claims nothing) is read again without decoding, and is incomplete if the demuxer reports missing data, if
+packets follow where the decoder stopped, or if they end clearly before the claimed duration. In Ogg and WMV, which do
+not say that more should follow, a cut between two packets is not noticed.
 """
 
 import math
@@ -18,23 +19,33 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
-from typing import cast
+from typing import ClassVar, cast
+from weakref import WeakSet
 
 # OpenCV and its ffmpeg read these when they are loaded; their messages would mix with ours on stderr
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+# OpenCV gives up after so many packets that are not of the video, and where sound outlasts it loses the last frames
+os.environ.setdefault("OPENCV_FFMPEG_READ_ATTEMPTS", "1000000000")
 
 import cv2
 
 from facetrack_cli.core.errors import InputError, UsageError, reason
 from facetrack_cli.core.types import Frame, Image
-from facetrack_cli.video import ffmpeg, images
+from facetrack_cli.video import decoder_log, ffmpeg, images
+from facetrack_cli.video.checksums import broken_clusters
+from facetrack_cli.video.playlists import is_playlist
 
 if os.environ["OPENCV_LOG_LEVEL"] == "SILENT":  # where OpenCV was loaded before
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 FOLDER_FPS = Fraction(25)
 _AGAIN = "copy or download it again"
+_PLACES = 6  # of errors that are named
+_MOST_NAMED = 1000  # errors that are kept
+_THREADS = 8  # of the decoder at most: each holds frames
+_TEXT = "ansi"  # ffmpeg draws the text of .txt files
+_AGAIN_BY = {"VP80": "libvpx", "VP90": "libvpx-vp9"}  # decoders that notice what FFmpeg's own do not
 _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by less than this
 
 
@@ -48,7 +59,8 @@ class Source(AbstractContextManager["Source"], ABC):
         # filled while iterating
         self.variable: bool | None = None  # whether the times of frames differ from `fps`, once it is known
         self.warnings: list[str] = []  # one line each
-        self.complete = True  # False once it is known that frames are missing
+        self.complete = True  # False once it is known that frames are missing or wrong
+        self.strict = False  # whether a video that seems whole is decoded once more, by the strictest decoder
         self._start, self._stop = start, stop
         self._begun = self._closed = False
 
@@ -83,24 +95,44 @@ class Capture:
 
     `next` is the number of the frame that `grab` goes to. `position` is the time of the frame grabbed last as OpenCV
     gives it, `time` counts from the first frame; both in s. `claimed` is the number of frames that the container
-    claims. After a seek to a keyframe, the frames before the number `key` may be damaged.
+    claims. After a seek to a keyframe, the frames before the number `key` may be damaged. `damage` holds errors that
+    the decoder reported, each with the frame before which it did so; it decodes a few frames ahead. They may be those
+    of another capture unless this one was `alone`.
     """
 
+    alone: bool
+    _open: ClassVar[WeakSet["Capture"]] = WeakSet()
+    _opening: ClassVar[threading.Lock] = threading.Lock()
+
     def __init__(self, path: Path):
-        self._opencv = cv2.VideoCapture(ffmpeg.source_argument(path), cv2.CAP_FFMPEG)
+        with self._opening:
+            others = list(self._open)
+            for other in others:
+                other.alone = False
+            self._open.add(self)
+        threads = min(cv2.getNumberOfCPUs(), _THREADS)
+        self._opencv = cv2.VideoCapture(ffmpeg.source_argument(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
+        self.alone = decoder_log.start() and not others
+        self.damage: list[tuple[int, str]] = []
+        self._noted = decoder_log.noted()  # what is said of the streams while they are opened comes again
         self.next = self.key = 0
         self.time = self.position = self.origin = 0.0
         self.rate = self._opencv.get(cv2.CAP_PROP_FPS)
-        self.fps = Fraction(self.rate).limit_denominator(1001) if 0 < self.rate <= 1000 else FOLDER_FPS
+        self.fps = _fraction(self.rate)
         self.period = float(1 / self.fps)
         count = self._opencv.get(cv2.CAP_PROP_FRAME_COUNT)
         self.claimed = int(count) if math.isfinite(count) and 1 <= count < 1e9 else None
-        # ffmpeg draws the text of .txt files
-        self.is_text = int(self._opencv.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi")
+        self.codec = int(self._opencv.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("latin-1")
 
     def grab(self) -> bool:
         """Decode the next frame; False at the end."""
-        if not self._opencv.grab():
+        grabbed = self._opencv.grab()
+        noted = decoder_log.noted()
+        if noted != self._noted:
+            said = decoder_log.complaints(self._noted, self.next)
+            self.damage += [(self.next, text) for text in said[: max(_MOST_NAMED - len(self.damage), 0)]]
+            self._noted = noted
+        if not grabbed:
             return False
         self.position = self._opencv.get(cv2.CAP_PROP_POS_MSEC) / 1000
         if self.next == 0:
@@ -122,7 +154,16 @@ class Capture:
         return grabbed
 
     def release(self) -> None:
+        with self._opening:
+            self._open.discard(self)
         self._opencv.release()
+
+
+def _fraction(rate: float) -> Fraction:
+    """A frame rate as a fraction; below one in 1001 s, as those of time lapses are, by the time between two frames."""
+    if not 0 < rate <= 1000:
+        return FOLDER_FPS
+    return Fraction(rate).limit_denominator(1001) if rate > 1 / 1001 else 1 / Fraction(1 / rate).limit_denominator(1001)
 
 
 def following(time: float, elapsed: float, period: float) -> float:
@@ -138,7 +179,7 @@ class VideoSource(Source):
         capture = Capture(path)
         image = capture.image() if capture.grab() else None
         # the cover image of a music file is a video of 90,000 frames a second for OpenCV
-        if image is None or capture.is_text or (capture.rate > 1000 and not ffmpeg.contents(path)[0]):
+        if image is None or capture.codec == _TEXT or (capture.rate > 1000 and not ffmpeg.contents(path)[0]):
             capture.release()
             raise _why_not(path)
         super().__init__(path, (image.shape[1], image.shape[0]), capture.fps, start, stop)
@@ -146,6 +187,7 @@ class VideoSource(Source):
         if capture.claimed is not None:
             self.frames_hint = max(min(capture.claimed, stop or capture.claimed) - start, 0)
         self._capture = capture
+        self._length = _length(path)
         self._lock = threading.Lock()
 
     def close(self) -> None:
@@ -176,29 +218,73 @@ class VideoSource(Source):
                 yield Frame(index, time, image)
             index += 1
         else:  # `stop` was reached, the rest of the file does not matter
+            self._judge_frames(stop)
             return
         if index <= start:
             raise self._past_end(index)
         self.variable = bool(self.variable)
-        self._judge_end(index, time, capture.period)
+        self._judge(index, time)
 
-    def _judge_end(self, frames: int, last_s: float, period: float) -> None:
-        """Say so if the file went on, or should have gone on, after the last frame that was decoded."""
-        claimed = self._capture.claimed or 0
-        if frames >= claimed > 0 and ffmpeg.container(self.path) != "mpeg":
-            return
+    def _judge(self, frames: int, last_s: float) -> None:
+        """Say so if frames are missing after the last one that was decoded, or are not what the clip showed."""
+        # one that was removed is read to its end
+        if self.path.exists() and _length(self.path) != self._length:
+            self._cut(f"{self.path}: changed while it was read, after {frames} frames; run it again")
+        elif cut := self._missing(frames, last_s, self._capture.period):
+            self._cut(f"{self.path}: cut short or damaged{cut}{self._errors(None, '; ')}; {_AGAIN} for the rest")
+        else:
+            self._judge_frames(None)
+
+    def _judge_frames(self, until: int | None) -> None:
+        """Say so if frames are not what the clip showed; `until`: up to which it was read, if not to its end."""
+        if wrong := self._errors(until):
+            self._cut(f"{self.path}: damaged: {wrong}, frames may be wrong; {_AGAIN}")
+
+    def _errors(self, until: int | None, before: str = "") -> str:
+        """The errors that a decoder reports, after `before`; "" if there are none."""
+        capture = self._capture
+        at, said = sorted({frame for frame, _ in capture.damage}), [text for _, text in capture.damage]
+        if not capture.alone:  # whose errors these are is not known
+            at, said = [], decoder_log.decoded_again(self.path, frames=until)
+        if not said and until is None and not before:
+            if broken := self._broken_clusters():
+                return f"{broken} parts of the file differ from their checksums"
+            by = _AGAIN_BY.get(capture.codec) or (ffmpeg.strict_decoder(self.path) if self.strict else "")
+            said = decoder_log.decoded_again(self.path, by) if by else []
+        if not said:
+            return ""
+        places = ", ".join(map(str, at[:_PLACES])) + (f" and {len(at) - _PLACES} later ones" if at[_PLACES:] else "")
+        where = f" at about frame{'s' * (len(at) > 1)} {places}" if at else ""
+        return f"{before}the decoder reports errors{where} ({said[0].strip(' .')})"
+
+    def _broken_clusters(self) -> int:
         try:
+            return broken_clusters(self.path) if ffmpeg.container(self.path) == "matroska" else 0
+        except OSError:
+            return 0
+
+    def _missing(self, frames: int, last_s: float, period: float) -> str:
+        """What is missing if the file went on, or should have gone on, after the last frame; "" if nothing is."""
+        claimed = self._capture.claimed or 0
+        try:
+            if frames >= claimed > 0 and ffmpeg.container(self.path) not in ("mpeg", "ts"):
+                return ""
             claimed_s, video_s, end_s, damage = ffmpeg.ending(self.path)
         except (OSError, RuntimeError, ValueError):  # no ffmpeg program: only a count that differs clearly is noticed
-            if frames < 0.9 * claimed:
-                self._cut(f"{self.path}: only {frames} of about {claimed} frames could be read; is the file complete?")
-            return
+            return f": only {frames} of about {claimed} frames could be read" if frames < 0.9 * claimed else ""
         early = end_s < claimed_s - max(1.0, 0.03 * claimed_s)
-        if damage or early or video_s > last_s + max(0.5, 5 * period):
-            seconds = f"({last_s + period:.1f} of {max(claimed_s, claimed * period):.1f} s)"
-            read = f"{frames} frames{f' of about {claimed} {seconds}' if claimed > frames else ''} could be read"
-            why = f" ({damage})" if damage else ""
-            self._cut(f"{self.path}: cut short or damaged{why}: {read}; {_AGAIN} for the rest")
+        if not (damage or early or video_s > last_s + max(0.5, 5 * period)):
+            return ""
+        seconds = f"({last_s + period:.1f} of {max(claimed_s, claimed * period):.1f} s)"
+        read = f"{frames} frames{f' of about {claimed} {seconds}' if claimed > frames else ''} could be read"
+        return f"{f' ({damage})' if damage else ''}: {read}"
+
+
+def _length(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return -1
 
 
 class FolderSource(Source):
@@ -272,6 +358,8 @@ def _check_file(path: Path) -> None:
         with path.open("rb") as file:
             if not file.read(1):
                 raise InputError(f"{path}: the file is empty; {_AGAIN}")
+        if is_playlist(path):
+            raise InputError(f"{path}: a playlist, which names other files; give the videos that it names")
     except UnicodeEncodeError:  # OpenCV would end the process over it
         raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
     except OSError as error:

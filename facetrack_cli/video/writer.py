@@ -22,6 +22,9 @@ from facetrack_cli.video import ffmpeg
 _COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
 _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
 _TICK_S = 1e-6  # of the pipe to the encoder
+_LONGEST = 2**29  # ticks that a frame is shown at most: an MP4 holds 2**31, over several frames that are reordered
+_SLOW_S = 60  # frames that are shown for longer have a coarser clock
+_LARGE = 3_000_000  # pixels of a frame of which the encoder looks at few others, each of which takes it 60 MB
 
 
 class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
@@ -38,9 +41,10 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     ):
         self.path, self.size, self.warnings = path, size, list[str]()
         self._fps, self._audio_from, self._replace = fps, audio_from, replace
-        # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 1/90000 s
-        self._timescale = fps.numerator * -(-90000 // fps.numerator)
-        self._first_s = 0.0
+        # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 0.1 ms
+        finest = 10_000 if fps * _SLOW_S > 1 else 1000
+        self._timescale = fps.numerator * -(-finest // fps.numerator)
+        self._first_s = self._left_out_s = 0.0
         self._frames = self._first_tick = self._last_tick = 0
         self.published = self._closed = False
         try:
@@ -64,6 +68,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             raise ValueError("write to a closed VideoWriter")
         if image.shape != (height, width, 3) or image.dtype != np.uint8:
             raise ValueError(f"frame is {image.dtype} {image.shape}, the video takes uint8 {(height, width, 3)}")
+        time_s -= self._left_out_s
         nearest = round(time_s * self._fps) / self._fps
         on_grid = abs(float(nearest) - time_s) <= min(_SNAP_S, 0.25 / float(self._fps))
         tick = int(nearest * self._timescale) if on_grid else round(time_s * self._timescale)
@@ -73,6 +78,13 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
                 self._pipe.write(_matroska_head(width, height, self._fps))
             else:
                 tick = max(tick, self._last_tick + 1)
+                if (beyond := tick - self._last_tick - _LONGEST) > 0:
+                    tick -= beyond
+                    self._left_out_s += beyond / self._timescale
+                    if not self.warnings:
+                        gap = f"{(beyond + _LONGEST) / self._timescale / 3600:.1f} hours at {time_s:.0f} s"
+                        shown = f"{_LONGEST / self._timescale / 3600:.1f}, which is the longest in an MP4"
+                        self.warnings.append(f"{self.path}: a gap of {gap} is shown as {shown}")
             elapsed = (tick - self._first_tick) / self._timescale
             self._pipe.write(_matroska_block(round(elapsed / _TICK_S), image.nbytes))
             self._pipe.write(np.ascontiguousarray(image).reshape(-1).data)
@@ -135,9 +147,12 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             "format=yuv420p",
             f"setparams=colorspace={matrix}:color_primaries={matrix}:color_trc={matrix}:range=tv",
         ]
-        command = ["-nostats", "-v", "error", "-y", "-f", "matroska", "-i", "-"]
+        large = self.size[0] * self.size[1] > _LARGE
+        command = ["-nostats", "-v", "error", "-y", *("-thread_queue_size", "1") * large, "-f", "matroska", "-i", "-"]
         # superfast takes 0.8 of the time of this preset and makes files twice as large, faster takes twice its time
         command += ["-vf", ",".join(filters), "-c:v", "libx264", "-preset", "veryfast", "-crf", "20"]
+        if large:
+            command += ["-threads", "3", "-x264-params", "sync-lookahead=0:rc-lookahead=2:bframes=1:ref=1"]
         command += ["-fps_mode", "passthrough", "-enc_time_base", f"1/{self._timescale}"]
         return [*command, *self._as_mp4(self._target)]
 

@@ -165,6 +165,23 @@ def test_queues_are_short() -> None:
     assert max(ahead) <= 2 * pipeline.DEPTH + 4
 
 
+def test_large_frames_wait_in_shorter_queues(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "MOST_BYTES", 25)  # of frames of 12 bytes two fit
+    made: list[int] = []
+    ahead: list[int] = []
+
+    def paint(result: FrameResult) -> None:
+        time.sleep(0.005)
+        ahead.append(len(made) - result.frame.index)
+
+    pipeline.run(frames(60, made=made), track, lambda result: None, paint)
+    assert max(ahead) <= 2 * 2 + 4
+    monkeypatch.setattr(pipeline, "MOST_BYTES", 1)  # one is let in however large it is
+    recorded = Seen()
+    pipeline.run(frames(20), track, recorded, Seen())
+    assert recorded == list(range(20))
+
+
 def test_stages_overlap() -> None:
     """Three stages of 5 ms each take a good deal less than 15 ms a frame."""
 

@@ -843,10 +843,41 @@ def test_an_encoder_that_is_killed(run: Runner, clip: Path, monkeypatch: pytest.
     code, _, err = run(clip, *SMALL, "--threads", threads)
     summary, error = err.splitlines()
     assert code == ExitCode.USAGE
-    assert "(trajectory.csv, trajectory.json)" in summary and "incomplete" in summary
+    assert "(trajectory.csv, trajectory.json): 30 frames" in summary and "incomplete" not in summary
     assert "annotated.mp4: the video cannot be written (ffmpeg was killed by signal 9); run it again" in error
     assert names(Path("sway-face")) == ["run.json", "trajectory.csv", "trajectory.json"]
-    assert len(file_rows(Path("sway-face/trajectory.csv"))) >= 8 * 6
+    assert len(file_rows(Path("sway-face/trajectory.csv"))) == 30 * 6
+    data = json.loads(Path("sway-face/trajectory.json").read_text())
+    assert data["complete"] is True and "stopped" not in data
+    assert ["annotated.mp4: the video cannot be written" in line for line in data["warnings"]] == [True]
+
+
+def test_strict_makes_damage_an_error(run: Runner, clip: Path) -> None:
+    data = bytearray(clip.read_bytes())
+    for at in range(len(data) // 3, len(data) * 2 // 3, 97):
+        data[at] ^= 0x5A
+    Path("hurt.mp4").write_bytes(data)
+    Path("hurt.init.yaml").write_text(INIT)
+    code, _, err = run("hurt.mp4", *SMALL)
+    warning, summary = err.splitlines()
+    assert code == 0 and "hurt.mp4: damaged: the decoder reports errors at about frame" in warning
+    assert "incomplete" in summary
+    before = json.loads(Path("hurt-face/trajectory.json").read_text())
+    assert before["complete"] is False and before["frames_tracked"] == 30
+    code, _, err = run("hurt.mp4", *SMALL, "--strict", "--overwrite")
+    summary, error = err.splitlines()
+    assert code == ExitCode.INPUT and error.startswith("facetrack: error: ") and "damaged" in error
+    after = json.loads(Path("hurt-face/trajectory.json").read_text())
+    assert (after["complete"], after["frames"]) == (False, before["frames"])
+    assert run(clip, *SMALL, "--strict", "-o", "whole")[0] == 0
+
+
+def test_a_lag_of_more_frames_than_memory_holds(run: Runner, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("facetrack_cli.runs.clip.LAG_BYTES", 128 * 96 * 3 * 5)
+    code, _, err = run(clip, *SMALL, "--lag", 6)
+    assert code == ExitCode.USAGE and "at most --lag 5 at 128x96" in one_line(err)
+    assert not Path("sway-face").exists()
+    assert run(clip, *SMALL, "--lag", 5)[0] == 0
 
 
 @pytest.mark.skipif(os.name != "posix", reason="closes streams as a shell does")

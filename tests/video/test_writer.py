@@ -98,6 +98,28 @@ def test_times_never_fall(tmp_path: Path) -> None:
     np.testing.assert_allclose([t for t, _ in pictures], [0, 1.0, 1.0, 1.5], atol=0.001)
 
 
+@pytest.mark.parametrize(("gap", "shown"), [(11, 11.0), (100, 2**29 / 36e6)])
+def test_a_gap_of_many_hours(tmp_path: Path, gap: int, shown: float) -> None:
+    times = [0.0, 0.04, gap * 3600, gap * 3600 + 0.04, gap * 3600 + 3600]
+    with VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS) as writer:
+        for index, moment in enumerate(times):
+            writer.write(media.numbered(index), moment)
+    assert ["a gap of 100.0 hours at" in warning for warning in writer.warnings] == [True] * (gap > shown)
+    pictures = media.read_timed(tmp_path / "out.mp4")
+    assert [media.number(picture) for _, picture in pictures] == list(range(5))
+    steps = [0.04, shown * 3600, 0.04, 3600 - 0.04]
+    np.testing.assert_allclose(np.diff([t for t, _ in pictures]), steps, atol=0.05)
+
+
+@pytest.mark.parametrize("period", [60, 3600, 40_000])
+def test_time_lapses(tmp_path: Path, period: int) -> None:
+    with VideoWriter(tmp_path / "out.mp4", media.SIZE, Fraction(1, period)) as writer:
+        for index in range(5):
+            writer.write(media.numbered(index), float(index * period))
+    assert writer.warnings == []
+    assert [t for t, _ in media.read_timed(tmp_path / "out.mp4")] == [index * period for index in range(5)]
+
+
 def test_odd_sizes_are_padded_by_one_line(tmp_path: Path) -> None:
     path = tmp_path / "out.mp4"
     with VideoWriter(path, (63, 47), FPS) as writer:

@@ -57,8 +57,8 @@ class Run:
       find . -name '*.mp4' -print0 | xargs -0 facetrack run -j 4 --no-video
 
     \b
-    Exit codes: 0 done (also if a clip was cut short: a warning says so),
-    2 usage, recipe or output, 3 input, 4 lost (--fail-on-lost),
+    Exit codes: 0 done (also if a clip was cut short or is damaged: a warning
+    says so), 2 usage, recipe or output, 3 input (and --strict), 4 lost (--fail-on-lost),
     5 some of several inputs failed, 130 interrupted, 143 terminated.
     """
 
@@ -86,6 +86,7 @@ class Run:
     lag: int | None = option("--lag N", "Rows N frames later, given the frames up to then.", type=Whole(1, 1000))
     keep_posterior: bool = flag("--keep-posterior", "Write posterior.npz, for facetrack smooth.")
     overwrite: bool = options.OVERWRITE
+    strict: bool = flag("--strict", "Exit with 3 if a clip is cut short or damaged, and look harder for damage.")
     fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
     threads: int | None = option("--threads N", "Threads a clip [default: the cores, shared by -j].", type=Whole(min=1))
     jobs: int = options.jobs_option("Clips at a time.")
@@ -126,6 +127,7 @@ class Run:
                     overwrite=self.overwrite,
                     lag=self.lag or 0,
                     posterior=self.smooth or self.keep_posterior,
+                    strict=self.strict,
                     threads=self.threads or max(1, cores() // workers),
                     **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
                 )
