@@ -127,7 +127,14 @@ def warm_up(folder: Path) -> None:
     done(["report", str(folder / "run"), "-o", str(out / "x.html"), "-q"])
     done(["prior", "show", str(folder / "prior.npz"), "-o", str(out / "prior.png")])
     done(["smooth", str(folder / "run"), "-o", str(out / "smooth"), "-q"])
-    done(["recipes", "check", "sir"])
+    # of every family of recipes, or the first case of each would take as long as its kernels take to compile
+    once = ["run", str(folder / "frames"), "--no-video", "-q", "--threads", "1", "--stop", "3"]
+    for name in ("face", "independent", "sir", "auxiliary_prior"):
+        done([*once, "--config", name, "-o", str(out / name)])
+    of_boxes = ("contour_histogram_correlation_robust", "contour_correlation", "skin_ncc_robust", "correlation_filter")
+    for name in (*of_boxes, "adaptive_recognition"):
+        more = ["--gallery", str(folder / "gallery.npz")] if name == "adaptive_recognition" else []
+        done([*once, "--config", name, "--box", "115,58,113,113", "-o", str(out / name), *more])
 
 
 def done(argv: list[str]) -> None:

@@ -100,6 +100,8 @@ def _read(rng: Random, bench: Bench, case: Case, file: str) -> list[str]:
     how = rng.randrange(10)
     if 5 <= how < 8:
         case.named = (file, "truth.csv")
+    elif how < 5:
+        case.named = (file, "--target")
     if how < 5:
         return ["export", file, "--to", rng.choice(TO), "-o", rng.choice(("-", "out.txt"))]
     if how < 8:
