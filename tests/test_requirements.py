@@ -16,6 +16,8 @@ else:
 
 ROOT = Path(__file__).parents[1]
 
+pytestmark = pytest.mark.skipif(not (ROOT / ".ci").is_dir(), reason="a source distribution has no .ci")
+
 
 def _declared(*extras: str) -> list[Requirement]:
     """The packages of the program and of these extras, and those of extras that they name."""
