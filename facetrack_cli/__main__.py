@@ -22,6 +22,7 @@ from facetrack_cli.runs.signals import TerminatedError, raising  # noqa: E402
 with contextlib.suppress(ValueError):
     signal.signal(signal.SIGINT, _before)
 
+_LONGEST = 1000  # characters of an error
 _STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
 
@@ -104,6 +105,8 @@ def _is_of_stdout(error: Exception) -> bool:
 
 
 def _say(message: str, excerpt: str = "") -> None:
+    if len(message) > _LONGEST:  # it quotes what a file says; the place stands first, the remedy last
+        message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
     with contextlib.suppress(OSError):  # a full disk under the log must not change the exit code
         click.echo(f"facetrack: {' '.join(message.splitlines())}", err=True)
         if excerpt:

@@ -1,6 +1,7 @@
 """Image files: which files of a folder are frames, in what order, and how one becomes (H, W, 3) uint8 BGR."""
 
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,9 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Image
+
+# of damaged metadata Pillow says much, and without the file's name
+warnings.filterwarnings("ignore", module=r"PIL\.")
 
 _KINDS = ("bmp", "jp2", "jpe", "jpeg", "jpg", "pgm", "png", "pnm", "ppm", "tif", "tiff", "webp")
 SUFFIXES = frozenset(f".{kind}" for kind in _KINDS)

@@ -1,0 +1,300 @@
+"""Damage to bytes, texts, trees and arrays: functions of a random.Random, the same for the same seed."""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+import re
+import zipfile
+from collections.abc import Callable, Iterator
+from random import Random
+from typing import Any
+
+import numpy as np
+
+NUMBERS = (
+    *("nan", "inf", "-inf", "1e308", "-1e308", "1e400", "-0", "0", "0.0", "-1", "1e-320", "0.5", "1000000"),
+    *(str(2**31), str(2**63), str(10**40), "9" * 5000, "1_000", "0x10", "010", "１２", "٣", "1,5", "1e", "--1", "+5"),
+    *(
+        "",
+        "true",
+        "no",
+        "null",
+        "[]",
+        "{}",
+        "[[[1]]]",
+        "'1'",
+        "*a",
+        "&a 1",
+        "!!int x",
+        "!!python/name:os.system x",
+        "~",
+    ),
+)
+WORDS = (
+    *(
+        "",
+        " ",
+        "-",
+        "--help",
+        "\u202egnp.exe",
+        "\u200b",
+        "n\u0303ose",
+        "\x1b[31mred",
+        "\x07",
+        "\x00",
+        "\ufeff",
+        "\u2028",
+    ),
+    *(
+        "a" * 10_000,
+        "../../../etc/passwd",
+        "/",
+        "%s%n",
+        "{0}",
+        "$(id)",
+        "`",
+        "'",
+        '"',
+        "💥" * 50,
+        "nan",
+        "null",
+        "a/b",
+        "a:b",
+    ),
+    *(
+        "\\ud800",
+        "\\u0000",
+        "type",
+        "frame",
+        "box",
+        "nose",
+        "NOSE",
+        "=1+1",
+        "<script>alert(1)</script>",
+        "|",
+        ">",
+        "%",
+        "@",
+    ),
+)
+VALUES: tuple[Any, ...] = (
+    *(None, True, False, 0, -1, 1, 0.5, 1e308, -1e308, float("nan"), float("inf"), 2**31, 2**63, 10**40, 1e-320, ""),
+    *("x", "nan", "0.1", "\x1b[2J", "\ud800", "a" * 10_000, [], {}, [[]], [None], {"": {}}, [1, 2, 3], [0.1] * 1000),
+)
+
+
+def data(rng: Random, whole: bytes) -> bytes:
+    """Bytes damaged once to three times."""
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        whole = rng.choice(_BYTES)(rng, whole)
+    return whole
+
+
+def _span(rng: Random, whole: bytes) -> tuple[int, int]:
+    begin = rng.randrange(len(whole) + 1)
+    return begin, min(len(whole), begin + rng.choice((1, 2, 7, 64, 1000, len(whole) // 3 + 1)))
+
+
+def _flipped(rng: Random, whole: bytes) -> bytes:
+    found = bytearray(whole)
+    for _ in range(min(len(found), rng.choice((1, 1, 3, 30)))):
+        found[rng.randrange(len(found))] ^= 1 << rng.randrange(8)
+    return bytes(found)
+
+
+def _cut(rng: Random, whole: bytes) -> bytes:
+    return whole[: rng.randrange(len(whole) + 1)]
+
+
+def _deleted(rng: Random, whole: bytes) -> bytes:
+    a, b = _span(rng, whole)
+    return whole[:a] + whole[b:]
+
+
+def _repeated(rng: Random, whole: bytes) -> bytes:
+    a, b = _span(rng, whole)
+    return whole[:b] + whole[a:b] * rng.choice((1, 2, 50)) + whole[b:]
+
+
+def _zeroed(rng: Random, whole: bytes) -> bytes:
+    a, b = _span(rng, whole)
+    return whole[:a] + rng.choice((b"\0", b"\xff")) * (b - a) + whole[b:]
+
+
+def _inserted(rng: Random, whole: bytes) -> bytes:
+    at = rng.randrange(len(whole) + 1)
+    return (
+        whole[:at] + rng.choice((b"\0", b"\xff\xfe", b"\xed\xa0\x80", b"\r", b"\n\n", rng.randbytes(40))) + whole[at:]
+    )
+
+
+def _recoded(rng: Random, whole: bytes) -> bytes:
+    how = rng.choice(("bom", "utf-16", "utf-32", "latin", "crlf", "cr"))
+    if how == "bom":
+        return b"\xef\xbb\xbf" + whole
+    if how in ("crlf", "cr"):
+        return whole.replace(b"\n", b"\r\n" if how == "crlf" else b"\r")
+    text = whole.decode("utf-8", "replace")
+    return text.encode("latin-1", "replace") + b"\xe9" if how == "latin" else text.encode(how, "replace")
+
+
+def _replaced(rng: Random, _: bytes) -> bytes:
+    """Something else altogether."""
+    return rng.choice(
+        (b"", b"\n", b"\0" * 1000, b"{}", b"[]", b"null", b"---\n", b"PK\x03\x04", b"%PDF-1.7\n", b"\x89PNG\r\n")
+    )
+
+
+_BYTES: tuple[Callable[[Random, bytes], bytes], ...] = (
+    *(_flipped, _flipped, _cut, _cut, _deleted, _repeated, _zeroed, _inserted, _recoded, _replaced),
+)
+
+
+def text(rng: Random, whole: str) -> bytes:
+    """A text with hostile numbers, words or lines, or with damaged bytes."""
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        how = rng.choice(("number", "number", "number", "word", "line", "line", "bytes"))
+        if how == "bytes":
+            return data(rng, whole.encode("utf-8", "surrogatepass"))
+        whole = {"number": _number, "word": _word, "line": _line}[how](rng, whole)
+    return whole.encode("utf-8", "surrogatepass")
+
+
+def _at(rng: Random, pattern: str, whole: str, values: tuple[str, ...]) -> str:
+    found = list(re.finditer(pattern, whole))
+    if not found:
+        return whole
+    # what stands first counts most: headers, and the first frames
+    one = found[min(rng.randrange(len(found)), rng.randrange(len(found)))]
+    return whole[: one.start()] + rng.choice(values) + whole[one.end() :]
+
+
+def _number(rng: Random, whole: str) -> str:
+    return _at(rng, r"-?\d+(\.\d+)?", whole, NUMBERS)
+
+
+def _word(rng: Random, whole: str) -> str:
+    return _at(rng, r"[A-Za-z_]{2,}", whole, WORDS)
+
+
+def _line(rng: Random, whole: str) -> str:
+    lines = whole.splitlines(keepends=True) or [""]
+    a, b = rng.randrange(len(lines)), rng.randrange(len(lines))
+    how = rng.choice(("delete", "repeat", "many", "swap", "cell", "indent", "shuffle", "quote"))
+    if how == "delete":
+        del lines[a]
+    elif how in ("repeat", "many"):
+        lines[a:a] = [lines[a]] * (1 if how == "repeat" else 1000)
+    elif how == "swap":
+        lines[a], lines[b] = lines[b], lines[a]
+    elif how == "cell":
+        lines[a] = rng.choice((lines[a].replace(",", ""), lines[a].rstrip("\n") + ",1,2\n", lines[a].replace(",", ";")))
+    elif how == "indent":
+        lines[a] = (
+            rng.choice(("\t", " ", "- ", "? ", "  : ", "[", "{", "&a ", "<<: *a\n", "%YAML 9.9\n", "...\n")) + lines[a]
+        )
+    elif how == "quote":
+        lines[a] = rng.choice(('"', "'")) + lines[a]
+    else:
+        rng.shuffle(lines)
+    return "".join(lines)
+
+
+def tree(rng: Random, whole: Any) -> bytes:
+    """A tree of lists and mappings with hostile values, keys or depth, as JSON, which is YAML too."""
+    whole = {"": copy.deepcopy(whole)}
+    for _ in range(rng.choice((1, 1, 2, 3))):
+        places = list(_places(whole))
+        holder, key = places[min(rng.randrange(len(places)), rng.randrange(len(places)))]
+        how = rng.choice(("value", "value", "value", "delete", "unknown", "deep", "many", "rename"))
+        if how == "value":
+            holder[key] = copy.deepcopy(rng.choice(VALUES))
+        elif how == "delete" and holder is not whole:
+            del holder[key]
+        elif how == "unknown" and isinstance(holder, dict) and holder is not whole:
+            holder[rng.choice(WORDS)] = copy.deepcopy(rng.choice(VALUES))
+        elif how == "deep":
+            depth = rng.choice((3, 60, 900))
+            holder[key] = json.loads("[" * depth + "1" + "]" * depth)
+        elif how == "many":
+            holder[key] = [holder[key]] * rng.choice((2, 500))
+        elif how == "rename" and isinstance(holder, dict) and holder is not whole:
+            holder[rng.choice(WORDS)] = holder.pop(key)
+    return json.dumps(whole[""], ensure_ascii=rng.random() < 0.5).encode("utf-8", "surrogatepass")
+
+
+def _places(holder: Any) -> Iterator[tuple[Any, Any]]:
+    """Every place in a tree, in the order of breadth, so that those near the root come first."""
+    level = [holder]
+    while level:
+        below = []
+        for one in level:
+            for key, value in list(one.items() if isinstance(one, dict) else enumerate(one)):
+                yield one, key
+                if isinstance(value, (dict, list)) and value:
+                    below.append(value)
+        level = below
+
+
+class Opens:
+    """What a pickle in a file would run: it writes a file named `pwned`."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return open, ("pwned", "w")
+
+
+def arrays(rng: Random, whole: dict[str, np.ndarray]) -> bytes:
+    """An .npz with hostile arrays, or damaged bytes."""
+    found = dict(whole)
+    for _ in range(rng.choice((1, 1, 2))):
+        name = rng.choice(sorted(found)) if found else "x"
+        one = found.get(name, np.zeros(3))
+        how = rng.choice(("bytes", "values", "shape", "dtype", "delete", "add", "cut", "pickle"))
+        if how == "bytes":
+            return data(rng, npz(found))
+        if how == "values" and one.size and one.dtype.kind in "fiu":
+            changed = one.astype(float) if rng.random() < 0.3 else one.copy()
+            value = rng.choice(
+                (np.nan, np.inf, -1.0, 0.0, 1e30, -1e30) if changed.dtype.kind == "f" else (-1, 0, 1, 100)
+            )
+            flat = changed.reshape(-1)
+            flat[rng.randrange(flat.size) :: rng.choice((1, 2, flat.size))] = np.asarray(value).astype(flat.dtype)
+            found[name] = changed
+        elif how == "shape":
+            found[name] = rng.choice(
+                (one[..., None], one.reshape(-1), one[:0] if one.ndim else one[None], np.stack([one] * 2))
+            )
+        elif how == "cut" and one.ndim:
+            found[name] = one[: len(one) // 2]
+        elif how == "dtype":
+            found[name] = np.array(rng.choice(("x", True, 1j, b"x", 7, 0.5, "")))
+        elif how == "delete":
+            found.pop(name, None)
+        elif how == "add":
+            found[rng.choice(("x", "0/x/frame", "../x", "")) + str(rng.randrange(3))] = np.zeros(3)
+        elif how == "pickle":
+            found[name] = np.array([Opens(), None], object)
+    return npz(found)
+
+
+def npz(found: dict[str, np.ndarray], **lies: tuple[int, ...]) -> bytes:
+    """An .npz of arrays, object arrays too; of those in `lies` the header says another shape."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, one in found.items():
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), npy(np.asarray(one), lies.get(name)))
+    return file.getvalue()
+
+
+def npy(one: np.ndarray, shape: tuple[int, ...] | None = None) -> bytes:
+    """An .npy of an array, whose header says `shape`."""
+    file = io.BytesIO()
+    if shape is None:
+        np.lib.format.write_array(file, one, allow_pickle=True)
+    else:
+        header = {"descr": np.lib.format.dtype_to_descr(one.dtype), "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(file, header)
+        file.write(one.tobytes())
+    return file.getvalue()

@@ -1,0 +1,27 @@
+"""Every command answers hostile inputs in one clear line, or takes them; `python -m tests.fuzz CASE` shows one."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tests.support.samples import FOLDER
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="each case runs in a process that is forked")
+
+
+def _tried(count: int, first: int) -> str:
+    command = [sys.executable, "-m", "tests.fuzz", "--first", str(first), str(count)]
+    done = subprocess.run(command, cwd=FOLDER.parent, capture_output=True, text=True, check=False)
+    return "" if done.returncode == 0 else f"{done.stdout}{done.stderr}"
+
+
+def test_hostile_inputs_are_answered():
+    assert _tried(500, 0) == ""
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("first", range(30, 330, 30))
+def test_more_hostile_inputs_are_answered(first):
+    assert _tried(510, first) == ""
