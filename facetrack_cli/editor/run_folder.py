@@ -20,7 +20,7 @@ from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
 from facetrack_cli.report.make import trajectory_of
 from facetrack_cli.runs.again import swapped
-from facetrack_cli.runs.clip import VIDEO
+from facetrack_cli.runs.job import VIDEO
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import check_start
 from facetrack_cli.trajectory.header import Header, corrections_record, read_header

@@ -12,7 +12,7 @@ from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import open_run, read_files, run_files, write_rows
 from facetrack_cli.editor.save import Plain, repaint
 from facetrack_cli.report.make import trajectory_of
-from facetrack_cli.runs.clip import VIDEO
+from facetrack_cli.runs.job import VIDEO
 from facetrack_cli.runs.posterior import POSTERIOR, read_posterior
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.smoothed import MotionName, smoothed_rows

@@ -24,7 +24,7 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.images import listing
 
 if TYPE_CHECKING:
-    from facetrack_cli.runs.clip import Job
+    from facetrack_cli.runs.job import Job
 
 
 def previous(job: Job) -> Manifest | None:

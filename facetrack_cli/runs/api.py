@@ -15,7 +15,9 @@ from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.clip import Job, Memory, check, track_clip
+from facetrack_cli.runs.clip import track_clip
+from facetrack_cli.runs.job import Job, check
+from facetrack_cli.runs.outputs import Memory
 from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import completed, search

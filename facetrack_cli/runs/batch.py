@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from facetrack_cli.core.errors import FacetrackError
-from facetrack_cli.runs.clip import Job, Outcome, Report, check, run
+from facetrack_cli.runs.clip import run
+from facetrack_cli.runs.job import Job, Outcome, Report, check
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import side_by_side

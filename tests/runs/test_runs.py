@@ -13,7 +13,8 @@ from facetrack_cli.core.errors import ExitCode, InputError, RecipeError
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import seeds, workers
-from facetrack_cli.runs.clip import Job, run
+from facetrack_cli.runs.clip import run
+from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Begin, truth_start

@@ -15,7 +15,7 @@ from facetrack_cli.core.errors import ExitCode, FacetrackError, OutputError, Usa
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.runs.clip import Job, Outcome
+    from facetrack_cli.runs.job import Job, Outcome
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.writers import Format
@@ -95,7 +95,7 @@ class Run:
     def run(self) -> int:
         from facetrack_cli.recipe.files import default_recipe
         from facetrack_cli.runs.batch import absolute
-        from facetrack_cli.runs.clip import Job
+        from facetrack_cli.runs.job import Job
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.seeds import load_recipes
         from facetrack_cli.runs.signals import Stop

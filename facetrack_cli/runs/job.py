@@ -1,0 +1,137 @@
+"""What is asked of one clip, and what became of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from pathlib import Path
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.files import check_folder
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.again import previous
+from facetrack_cli.runs.posterior import check_smoothing
+from facetrack_cli.runs.start import Begin
+from facetrack_cli.trajectory.diagnostics import EVIDENCE
+from facetrack_cli.trajectory.header import is_there
+from facetrack_cli.trajectory.killed import settle
+from facetrack_cli.trajectory.manifest import OWNED, Manifest
+from facetrack_cli.trajectory.trajectory import FrameResult
+from facetrack_cli.trajectory.writers import Format
+from facetrack_cli.video.source import Source
+
+VIDEO: Final = "annotated.mp4"
+LAG_BYTES: Final = 1 << 30  # of the frames that wait for later ones
+Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
+
+
+@dataclass(frozen=True)
+class Job(Begin):
+    """What is asked of one clip. `out` None streams the one format to standard output.
+
+    `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
+    whether a clip that is damaged is an error, of which what was tracked is kept.
+    """
+
+    recipe: Recipe
+    out: Path | None
+    _: KW_ONLY
+    formats: tuple[Format, ...] = ("csv", "json")
+    video: bool = True
+    overwrite: bool = False
+    threads: int = 2
+    lag: int = 0
+    posterior: bool = False
+    strict: bool = False
+
+
+@dataclass
+class Outcome:
+    """What became of one clip. `lost` counts the lost frames of each part; `lost_at_end` are those lost in the last.
+
+    `evidence` sums up each target's.
+    `error` ended the run early; what was tracked until then is kept. `note` says where the search for a face began it.
+    """
+
+    clip: Path
+    files: Sequence[Path] = ()
+    frames: int = 0
+    frames_per_s: float = 0.0
+    lost: dict[str, int] = field(default_factory=dict)
+    lost_at_end: tuple[str, ...] = ()
+    evidence: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    complete: bool = True
+    stopped: str | None = None
+    error: Exception | None = None
+    streamed: bool = False
+    note: str = ""
+    again: Manifest | None = None  # the run was done before: nothing was tracked now
+
+    @classmethod
+    def of(cls, job: Job, known: Manifest) -> Outcome:
+        """That of a run that its folder holds already."""
+        assert job.out is not None
+        return cls(
+            job.clip,
+            files=[job.out / name for name in known.files],
+            frames=known.frames,
+            lost=known.lost_frames,
+            lost_at_end=known.lost_at_end,
+            complete=known.complete,
+            error=InputError(known.warnings[-1]) if job.strict and not known.complete else None,
+            again=known,
+        )
+
+    def count(self, result: FrameResult) -> None:
+        """Take in one more frame."""
+        rows = result.rows
+        self.frames += 1
+        self.lost_at_end = tuple("/".join(rows.names[i]) for i in rows.which[rows.status == "lost"].tolist())
+        for part in self.lost_at_end:
+            self.lost[part] = self.lost.get(part, 0) + 1
+        for target, found in rows.diagnostics.items():
+            if np.isfinite(nats := found.get(EVIDENCE.name)).all():
+                self.evidence[target] = self.evidence.get(target, 0.0) + float(nats.sum())
+
+    def summary(self) -> str:
+        """One line: what was written, how fast, what was lost."""
+        if self.frames == 0:
+            return f"{self.clip}: {self.stopped or 'ended'} before the first frame; nothing was written"
+        parts = [f"{self.frames} frames" if self.frames > 1 else "1 frame"]
+        if self.again is not None:
+            parts.insert(0, "done before")
+        elif self.frames > 1:
+            parts.append(f"{self.frames_per_s:.1f} frames/s")
+        if self.lost:
+            parts.append("lost: " + ", ".join(f"{part} in {n}" for part, n in self.lost.items()))
+        if self.stopped or not self.complete:
+            parts.append(self.stopped or "incomplete")
+        where = "standard output" if self.streamed else "nothing"
+        if self.files:
+            where = f"{self.files[0].parent}{os.sep} ({', '.join(file.name for file in self.files)})"
+        return f"{self.clip} -> {where}: {'; '.join(parts)}"
+
+
+def check(job: Job) -> None:
+    """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
+    if job.lag or job.posterior:
+        check_smoothing(job.recipe)
+    if job.out is not None:
+        if is_there(job.out):
+            settle(job.out)
+        overwrite = job.overwrite or previous(job) is not None  # what is cut short is replaced
+        init = job.init if isinstance(job.init, Path) else None
+        check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
+
+
+def check_lag(job: Job, source: Source) -> None:
+    """Refuse a lag whose frames, which are all kept, take too much memory."""
+    of_frame = 3 * source.size[0] * source.size[1]
+    if job.lag * of_frame > LAG_BYTES:
+        most = f"at most --lag {LAG_BYTES // of_frame} at {source.size[0]}x{source.size[1]}"
+        raise UsageError(f"{job.clip}: {job.lag} frames of this size take too much memory; {most}, or take --smooth")

@@ -1,0 +1,198 @@
+"""The outputs of one clip: files that are closed whatever happens and appear together, a stream, or memory."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import cv2
+import numba
+import numpy as np
+
+from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.files import FileSink, StreamSink, beside, cannot_write, make_folder, remove_folders
+from facetrack_cli.core.sets import Lock
+from facetrack_cli.core.types import Start
+from facetrack_cli.recipe.model import to_dict
+from facetrack_cli.runs.again import Fingerprint, asked
+from facetrack_cli.runs.job import VIDEO, Job, Outcome, check
+from facetrack_cli.runs.posterior import POSTERIOR, PosteriorWriter
+from facetrack_cli.trajectory.diagnostics import KNOWN
+from facetrack_cli.trajectory.header import to_record
+from facetrack_cli.trajectory.killed import recover
+from facetrack_cli.trajectory.manifest import Manifest, commit
+from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
+from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Header, Writer
+from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.source import Source
+from facetrack_cli.video.writer import VideoWriter
+
+_File: TypeAlias = FileSink | StreamSink | VideoWriter | PosteriorWriter
+
+
+class Outputs:
+    """The files of one job: they appear when the job closes them; one that fails before its first frame leaves none."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._sinks: list[FileSink | StreamSink] = []
+        self._made: list[Path] = []
+        self._video: VideoWriter | None = None
+        self._overlay: Overlay | None = None
+        self._writers: list[Writer] = []
+        self._posterior: PosteriorWriter | None = None
+        self._lock: Lock | None = None
+        self.written: list[Path] = []
+        self.missing: OutputError | None = None  # why there is no video; the tables are whole all the same
+
+    def __enter__(self) -> Outputs:
+        out = self._job.out
+        if out is None:
+            self._sinks = [StreamSink(sys.stdout.buffer)]  # a stream that is closed says so when it is written
+            return self
+        self._made = make_folder(out)
+        try:
+            self._lock = Lock(out).__enter__()
+            recover(out, self._lock)
+            check(self._job)  # again, as somebody may have written since
+            for form in self._job.formats:
+                self._sinks.append(FileSink(out / f"trajectory.{form}"))
+        except OutputError:
+            self.__exit__()
+            raise
+        return self
+
+    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
+        """Write the headers and start the encoder; `rows` are those of the first frame."""
+        header = _header(self._job, source, start, rows)
+        self._fingerprint = Fingerprint(self._job.clip)
+        if self._lock is not None:
+            self._run = Manifest(asked=asked(self._job), clip=self._fingerprint.clip)
+            self._lock.note({"run": self._run.model_dump()})
+        for form, sink in zip(self._job.formats, self._sinks, strict=True):
+            self._writers.append(WRITERS[form](sink, header))
+        if self._job.out is not None and self._job.posterior:
+            corrections = header["init"].get("corrections", [])
+            self._posterior = PosteriorWriter(self._job.out / POSTERIOR, rows.targets, corrections)
+        if self._job.out is not None and self._job.video:
+            self._overlay = Overlay(source.size, fps=float(source.fps), title=self._job.recipe.name)
+            sound = source.path if source.is_video else None
+            video = self._job.out / VIDEO
+            self._video = VideoWriter(video, source.size, source.fps, audio_from=sound, replace=False)
+
+    def write(self, rows: Trajectory) -> None:
+        """Write the rows of one frame."""
+        for writer in self._writers:
+            writer.write(rows)
+
+    def keep(self, result: FrameResult) -> None:
+        """Write what the filters know after one frame, if it is asked for."""
+        if self._posterior is not None:
+            self._posterior.add(result)
+
+    def paint(self, result: FrameResult) -> None:
+        """Draw one result and pass it to the encoder."""
+        assert self._overlay is not None and self._video is not None
+        if self.missing is None:
+            image = self._overlay.draw(result)
+            try:
+                self._video.write(image, result.frame.time_s)
+            except OutputError as e:
+                self.missing = e
+
+    def close(self, footer: Footer, done: Outcome) -> Footer:
+        """Finish every file, let all replace the old ones, and return the footer; what failed is raised after that.
+
+        The video comes first, so that the trajectory can tell what was wrong with it; `missing` says if there is none.
+        """
+        errors: list[Exception] = []
+        clip = self._fingerprint.end(whole=footer.stopped is None)
+        footer = footer._replace(source_sha256=clip.sha256 if clip else "")
+        if self._video is not None:
+            self._finish(self._video, self._video.close, errors)
+            lost = [e for e in errors if isinstance(e, OutputError)]
+            self.missing = self.missing or next(iter(lost), None)
+            errors = [e for e in errors if e not in lost]
+            said = (*self._video.warnings, *(() if self.missing is None else (str(self.missing),)))
+            footer = footer._replace(warnings=(*footer.warnings, *said))
+        for writer, sink in zip(self._writers, self._sinks, strict=True):
+            self._finish(sink, partial(writer.close, footer), errors)
+        if self._posterior is not None:
+            self._finish(self._posterior, self._posterior.close, errors)
+        if self._job.out is not None:
+            stopped = footer.stopped or next((str(e) for e in errors), None)
+            whole = footer.complete and stopped is None
+            ended: dict[str, Any] = {"complete": whole, "stopped": stopped, "warnings": footer.warnings, "clip": clip}
+            ended |= {"frames": done.frames, "lost_frames": done.lost, "lost_at_end": done.lost_at_end}
+            try:
+                commit(self._job.out, self.written, self._run.model_copy(update=ended), anyway=True)
+            except OSError as e:
+                self.written = []
+                errors.append(cannot_write(Path(e.filename or self._job.out), e))
+        if errors:
+            raise errors[0]
+        return footer
+
+    def _finish(self, file: _File, end: Callable[[], None], errors: list[Exception]) -> None:
+        try:
+            end()
+        except Exception as e:
+            errors.append(e)
+        # a text file that a full disk cut short is kept, a video is not
+        if file.path is not None and beside(file.path).is_file():
+            self.written.append(file.path)
+
+    def __exit__(self, *_: object) -> None:
+        """Drop what was not closed, and the folders made for it."""
+        for sink in self._sinks:
+            sink.discard()
+        for made in (self._video, self._posterior):
+            if made is not None:
+                made.discard()
+        if self._lock is not None:
+            self._lock.__exit__()
+        remove_folders(self._made)
+
+
+class Memory(Outputs):
+    """Results collected into a `trajectory`, whose header says what a JSON file says of its run."""
+
+    trajectory: Trajectory
+
+    def __enter__(self) -> Memory:
+        self._collected = Collector()
+        return self
+
+    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
+        self._header = {"schema": SCHEMA, "version": VERSION, **_header(self._job, source, start, rows)}
+
+    def write(self, rows: Trajectory) -> None:
+        self._collected.add(rows)
+
+    def close(self, footer: Footer, done: Outcome) -> Footer:
+        header = {**self._header, **footer._asdict()}
+        self.trajectory = self._collected.trajectory(header=header, path=self._job.clip)
+        return footer
+
+
+def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
+    # those that every facetrack knows are not declared
+    declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
+    return {
+        "versions": {  # of what the numbers may depend on beside facetrack itself
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "opencv": cv2.__version__,
+            "numba": numba.__version__,
+        },
+        "source": {"path": str(job.clip), "size": list(source.size), "fps": round(float(source.fps), 6)},
+        "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
+        "seed": job.recipe.seed,
+        "init": {"from": start.origin, **to_record(start)},
+        **({"smoothed": {"lag": job.lag}} if job.lag else {}),
+        **({"diagnostics": [one.record() for one in declared.values()]} if declared else {}),
+    }
