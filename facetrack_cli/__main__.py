@@ -16,7 +16,7 @@ from collections.abc import Sequence  # noqa: E402
 import click  # noqa: E402
 
 from facetrack_cli.cli.app import READER_GONE, cli  # noqa: E402
-from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError  # noqa: E402
+from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, from_system  # noqa: E402
 from facetrack_cli.runs.signals import TerminatedError, raising  # noqa: E402
 
 with contextlib.suppress(ValueError):
@@ -78,8 +78,8 @@ def _failed(error: Exception) -> int:
     if isinstance(error, FacetrackError):
         code, said = error.exit_code, str(error)
         excerpt = error.excerpt if isinstance(error, RecipeError) else ""
-    elif isinstance(error, MemoryError):
-        said = f"not enough memory ({error}); take fewer particles, smaller windows or smaller frames"
+    elif (of_system := from_system(error)) is not None:
+        code, said = of_system.exit_code, str(of_system)
     elif _is_of_stdout(error):
         _forget_output()
         code = ExitCode.USAGE

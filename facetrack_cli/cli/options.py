@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from functools import partial
@@ -38,6 +39,18 @@ class Whole(click.IntRange):
     """A whole number in a range; click itself would call it an integer range."""
 
     name = "whole number"
+
+
+class Number(click.FloatRange):
+    """A number in a range: nan and infinity are none."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        found = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"{value!r} is no finite number.", param, ctx)
+        return found
 
 
 FRAME = Whole(min=0)
@@ -135,7 +148,7 @@ def array_file(what: str) -> Any:
 
 
 def jobs_option(text: str) -> Any:
-    return option("-j --jobs N", text, type=Whole(min=1), default=1, show_default=False)
+    return option("-j --jobs N", text, type=Whole(1, 1000), default=1, show_default=False)
 
 
 CONFIG = option("--config RECIPE", "Recipe: a file, or a name [default: face; with --box correlation_filter].")

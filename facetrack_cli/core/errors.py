@@ -10,6 +10,7 @@ Every message is one line that names the file, the place and the remedy. `Recipe
 excerpt with a caret, in `excerpt`.
 """
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
@@ -47,6 +48,19 @@ class OutputError(UsageError):
 
 class InputError(FacetrackError):
     exit_code = ExitCode.INPUT
+
+
+_NAME = (errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.ENOTDIR)
+_NO_MEMORY = ("Insufficient memory", "can't start new thread", "Cannot allocate memory")
+
+
+def from_system(error: Exception) -> FacetrackError | None:
+    """What the system refused, as our error: memory, or a name that nothing can have; None for any other error."""
+    if isinstance(error, MemoryError) or any(words in str(error) for words in _NO_MEMORY):
+        return FacetrackError(f"not enough memory ({reason(error)}); take fewer particles or smaller frames")
+    if isinstance(error, OSError) and error.filename is not None and error.errno in _NAME:
+        return InputError(f"{error.filename}: {error.strerror}; name another file or folder")
+    return None
 
 
 def reason(error: Exception) -> str:

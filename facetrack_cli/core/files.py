@@ -11,14 +11,17 @@ import contextlib
 import errno
 import hashlib
 import os
+import stat
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
-from facetrack_cli.core.errors import OutputError, reason
+from facetrack_cli.core.errors import InputError, OutputError, reason
 
 _TAIL = 1 << 17  # bytes of whole records at the end of a file, in which there is space for its end
+MOST_ROWS = 1 << 30  # bytes of a table of rows that is read: ten hours of a face and its points
+MOST = 1 << 26  # of any other file that is read whole
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -226,6 +229,18 @@ def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], 
                 if stopped():
                     return ""
     return found.hexdigest()
+
+
+def check_readable(path: Path, most: int, what: str = "file") -> None:
+    """InputError for a file of more than `most` bytes, and for a device or a pipe, which may never end. OSError."""
+    found = path.stat()
+    if stat.S_ISFIFO(found.st_mode):
+        raise InputError(f"{path}: is a pipe, and can be read only once; save it in a file, and name that")
+    if stat.S_ISCHR(found.st_mode) or stat.S_ISBLK(found.st_mode) or stat.S_ISSOCK(found.st_mode):
+        raise InputError(f"{path}: is a device, not a {what}; name a file")
+    if found.st_size > most:
+        size = f"{found.st_size / 1e6:.0f} MB, and at most {most / 1e6:.0f} MB are read"
+        raise InputError(f"{path}: is too large for a {what}: {size}; name the right file, or split it")
 
 
 def same_file(path: Path, other: Path) -> bool:

@@ -8,14 +8,14 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import beside, cannot_write, discard, write_new
+from facetrack_cli.core.files import MOST, MOST_ROWS, beside, cannot_write, check_readable, discard, write_new
 
 T = TypeVar("T")
 
@@ -40,7 +40,9 @@ class Kind:
         """The object that `make` makes of the arrays. InputError for any damage, and where `make` raises ValueError."""
         remedy = f"make one with `{self.command}`"
         try:
+            check_readable(path, MOST_ROWS, self.what)
             with path.open("rb") as raw:
+                check_inflated(path, raw, self.what)
                 file = np.load(raw, allow_pickle=False)
                 if not isinstance(file, np.lib.npyio.NpzFile):
                     raise InputError(f"{path}: is a bare array, not a {self.what}; {remedy}")
@@ -63,6 +65,15 @@ class Kind:
             plain = isinstance(e, ValueError) and "pickle" not in str(e)
             why = " ".join(str(e).split()) if plain else "it is no .npz of plain arrays"
             raise InputError(f"{path}: is not a usable {self.what}: {why}; {remedy}") from e
+
+
+def check_inflated(path: Path, raw: BinaryIO, what: str) -> None:
+    """InputError for an archive of a few bytes that holds very many; arrays of numbers are not packed so tightly."""
+    with contextlib.suppress(BadZipFile), ZipFile(raw) as archive:
+        whole, packed = sum(one.file_size for one in archive.infolist()), path.stat().st_size
+        if whole > MOST and whole > 100 * packed:
+            raise InputError(f"{path}: is no {what}: its {packed} bytes hold {whole / 1e6:.0f} MB; name the right file")
+    raw.seek(0)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import re
 import unicodedata
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -316,7 +317,8 @@ class _TooDeep(Exception):  # noqa: N818  (never leaves this file)
     pass
 
 
-def _lines(text: str) -> list[str]:
+@lru_cache(4)  # every problem of a recipe asks for them
+def _lines(text: str) -> Sequence[str]:
     """The lines as YAML counts them, as its marks do; at least one."""
     return re.split(r"\r\n|[\n\r\x85\u2028\u2029]", text)
 

@@ -6,7 +6,7 @@ import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.errors import FacetrackError, from_system
 from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.job import Job, Outcome, Report, check
 from facetrack_cli.runs.progress import Progress
@@ -111,4 +111,6 @@ def _line(error: Exception) -> FacetrackError:
         traceback.print_exception(error)
     if isinstance(error, FacetrackError):
         return FacetrackError(str(error))
+    if (of_system := from_system(error)) is not None:
+        return of_system
     return FacetrackError(f"internal error, please report it: {type(error).__name__}: {error}")

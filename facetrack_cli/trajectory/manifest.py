@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import FULL, beside, digest, discard
+from facetrack_cli.core.files import FULL, MOST, beside, check_readable, digest, discard
 from facetrack_cli.core.sets import replace_all
 
 NAME: Final = "run.json"
@@ -65,6 +65,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     """What a folder says of its run; None if it says nothing. InputError for a file that is not as we write it."""
     path = folder / NAME
     try:
+        check_readable(path, MOST)
         return Manifest.model_validate_json(path.read_bytes())
     except (FileNotFoundError, NotADirectoryError):
         return None

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.files import MOST_ROWS, check_readable
 from facetrack_cli.core.sets import JOURNAL, LOCK
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.manifest import check_belongs
@@ -43,7 +44,8 @@ def read_trajectory(path: Path | str) -> Trajectory:
         if path.is_dir():
             inside = (path / f"trajectory.{form}" for form in ("json", "csv", "jsonl"))
             path = next((file for file in inside if file.is_file()), path)
-        refuse_pipe(path)
+        if not path.is_dir():
+            check_readable(path, MOST_ROWS, "table of rows")
         check_belongs(path)
         with path.open("rb") as file:
             first = file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
@@ -54,12 +56,6 @@ def read_trajectory(path: Path | str) -> Trajectory:
         raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is CSV or JSON in UTF-8") from e
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
-
-
-def refuse_pipe(path: Path) -> None:
-    """Raises InputError for a named pipe or `<(...)`: files are looked at before they are read."""
-    if path.is_fifo():
-        raise InputError(f"{path}: is a pipe, and can be read only once; save it in a file, and name that")
 
 
 def not_as_written(path: Path, error: Any, *above: str) -> InputError:
@@ -269,7 +265,7 @@ def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
         for number, line in ((number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()):
             try:
                 record = json.loads(line)
-            except (json.JSONDecodeError, RecursionError):
+            except (ValueError, RecursionError):
                 # the first line of a JSON object is no record: then the error of the whole says more
                 place = f"{whole_error.lineno}" if number == 1 else str(number)
                 why = f"{whole_error.msg}; " if number == 1 else "is no whole record; remove this line: "
@@ -281,6 +277,8 @@ def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:
                 header = record
             elif kind == "footer":
                 header = {**record, **header}
+    except ValueError as e:  # a number of thousands of digits
+        raise InputError(f"{path}: holds a number that is none: {e!s:.60}; correct it") from None
     check_schema(path, header)
     if not isinstance(frames, list):
         raise InputError(f'{path}: has no list "frames"; it is no trajectory of facetrack')

@@ -14,6 +14,7 @@ from facetrack_cli.core.types import Image
 # of damaged metadata Pillow says much, and without the file's name
 warnings.filterwarnings("ignore", module=r"PIL\.")
 
+_MOST_PIXELS = 100_000_000
 _KINDS = ("bmp", "jp2", "jpe", "jpeg", "jpg", "pgm", "png", "pnm", "ppm", "tif", "tiff", "webp")
 SUFFIXES = frozenset(f".{kind}" for kind in _KINDS)
 # modes whose numbers are neither grey levels nor RGB
@@ -62,6 +63,11 @@ def read(path: Path, size: tuple[int, int] | None = None) -> Image:
             if mode in ("I", "F") and path.suffix.lower() != ".png":
                 why = "is a 32-bit image, which has no agreed range"
                 raise UnreadableError(path, why, "convert it to 8 or 16 bits")
+            width, height = file.metadata(exclude_applied=False)["shape"]
+            if width * height > _MOST_PIXELS:
+                most = f"at most {_MOST_PIXELS // 10**6} megapixels are read"
+                why = f"is too large for a frame: {width}x{height}, and {most}"
+                raise UnreadableError(path, why, "make it smaller")
             options: dict[str, Any] = {"index": 0, "rotate": True, "mode": _READ_AS.get(mode)}
             pixels: Any = np.asarray(file.read(**options))
     except (OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError) as error:  # Pillow's

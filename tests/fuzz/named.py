@@ -371,12 +371,5 @@ def _frame_number_beyond_any_clip(bench: Bench, case: Case) -> list[str]:
 
 # still answered badly, and left out; one that is answered well leaves this list: python -m tests.fuzz named
 OPEN = frozenset(
-    {
-        "init-of-300-targets", "truth-that-never-ends", "trajectory-that-never-ends", "folder-shown-as-a-gallery",
-        "file-name-that-colours-the-terminal", "path-that-is-too-long", "resolution-that-is-no-number",
-        "width-that-is-no-number", "threads-without-number", "share-that-is-infinite", "image-of-150-million-pixels",
-        "trajectory-with-a-number-of-5000-digits",
-        "jsonl-with-a-number-of-5000-digits", "name-that-is-too-long-for-repeat", "command-that-colours-the-terminal",
-        "output-that-colours-the-terminal",
-    }
-)  # fmt: skip
+    {"file-name-that-colours-the-terminal", "command-that-colours-the-terminal", "output-that-colours-the-terminal"}
+)

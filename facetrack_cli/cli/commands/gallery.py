@@ -141,8 +141,9 @@ class Show:
         from facetrack_cli.report.figures.gallery import gallery_figure
         from facetrack_cli.tracking.identity.gallery import load_gallery
 
-        file, out = self.file, self.out or self.file.with_suffix(".png")
+        file = self.file
         gallery = load_gallery(file)
+        out = self.out or file.with_suffix(".png")
         write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=self.overwrite, inputs=[file])
         rows, cols = gallery.shape
         click.echo(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} images")

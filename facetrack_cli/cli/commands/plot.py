@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, TruthOptions, argument, group, option, say, verb, write_figure
+from facetrack_cli.cli.options import FILE, Number, TruthOptions, argument, group, option, say, verb, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,8 +40,8 @@ class Plot:
     out: Path | None = options.figure_file("plot.png beside TRAJECTORY")
     overwrite: bool = options.OVERWRITE
     title: str | None = options.TITLE
-    width: float = option("--width INCHES", "Width of the page.", type=click.FloatRange(4, 40), default=10)
-    dpi: float = option("--dpi N", "Pixels an inch of a PNG.", type=click.FloatRange(40, 600), default=120)
+    width: float = option("--width INCHES", "Width of the page.", type=Number(4, 40), default=10)
+    dpi: float = option("--dpi N", "Pixels an inch of a PNG.", type=Number(40, 600), default=120)
 
     def run(self) -> None:
         if self.truth is None:

@@ -2,10 +2,8 @@
 
 from pathlib import Path
 
-import click
-
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Extent, Results, Whole, argument, group, option, verb
+from facetrack_cli.cli.options import FILE, Extent, Number, Results, Whole, argument, group, option, verb
 from facetrack_cli.core.errors import ExitCode
 
 
@@ -42,7 +40,7 @@ class Repeat:
     apart: float = option(
         "--apart SHARE",
         "Share of the target's size beyond which a run is apart from the others.",
-        type=click.FloatRange(0, min_open=True),
+        type=Number(0, min_open=True),
         default=0.25,
     )
     truth: Path | None = option("--truth FILE", "Ground truth, to say which runs are right.", type=FILE)

@@ -88,7 +88,9 @@ class Run:
     overwrite: bool = options.OVERWRITE
     strict: bool = flag("--strict", "Exit with 3 if a clip is cut short or damaged, and look harder for damage.")
     fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
-    threads: int | None = option("--threads N", "Threads a clip [default: the cores, shared by -j].", type=Whole(min=1))
+    threads: int | None = option(
+        "--threads N", "Threads a clip [default: the cores, shared by -j].", type=Whole(1, 1000)
+    )
     jobs: int = options.jobs_option("Clips at a time.")
     quiet: bool = options.QUIET
 

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationEr
 
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import digest, write_new
+from facetrack_cli.core.files import MOST, check_readable, digest, write_new
 from facetrack_cli.core.types import Array, Start
 from facetrack_cli.evaluation.goldens import bands
 from facetrack_cli.evaluation.goldens.bands import QUANTITIES, Name, Statistic, names
@@ -309,6 +309,7 @@ def read_golden(path: Path) -> Golden:
     """Raises InputError, in one line, for a file that is no golden of this version."""
     anew = "record it again with facetrack regress --update"
     try:
+        check_readable(path, MOST, "golden")
         golden = Golden.model_validate_json(path.read_bytes())
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or {anew}") from e

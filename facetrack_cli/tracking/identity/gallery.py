@@ -171,6 +171,8 @@ def name_problem(name: str) -> str | None:
     """Why a person cannot be called this, or None."""
     if not name or any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
         return f"{name!r} is no name of a person: it is empty, or has letters that cannot be written"
+    if len(name) > 1000:
+        return f"{name[:20]!r}... has {len(name)} letters, and a name of a person at most 1000"
     if name.strip().casefold() == NONE:
         return f"{name!r} stands for nobody of the gallery, and is no name of a person"
     return None

@@ -41,6 +41,7 @@ SUFFIXES: Final = (".yaml", ".yml", ".json")
 TARGET: Final = "face"
 KEYS: Final = tuple(TargetRecord.model_fields)
 OF_CORRECTIONS: Final = tuple(key for key in CorrectedTarget.model_fields if key not in KEYS)
+MOST_TARGETS: Final = 100
 NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 MAX_BYTES: Final = 10**6  # some thousand corrections, which take seconds to read
 _FORMS: Final = {
@@ -212,6 +213,8 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
             form = f"keys are {', '.join(KEYS)}" if alone else "a target holds box: and points:, below its name"
             meant = f'did you mean "{near[0]}"?' if near else form
             _refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
+    if len(keys) > MOST_TARGETS:
+        _refuse(root, f"{len(keys)} targets, and at most {MOST_TARGETS} are followed at a time; split the file")
     targets = {}
     for name, node in ({TARGET: Node(root.span, keys)} if alone else keys).items():
         target = _read(TargetRecord, node, name)

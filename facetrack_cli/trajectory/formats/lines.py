@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.files import MOST_ROWS, check_readable
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, refuse_pipe
+from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import Trajectory, build
 
 FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # what boxes (..., 4) that are counted from 1 have too much
@@ -24,7 +25,8 @@ FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # what boxes (..., 4) that are counte
 def read_text(path: Path) -> str:
     """The text of a file, with `\\n` after each line. InputError if missing, a folder, a pipe, empty, or no text."""
     try:
-        refuse_pipe(path)
+        if not path.is_dir():
+            check_readable(path, MOST_ROWS, "table of rows")
         raw = path.read_bytes()
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder; name the ground truth file in it") from None
