@@ -58,8 +58,9 @@ class Run:
 
     \b
     Exit codes: 0 done (also if a clip was cut short or is damaged: a warning
-    says so), 2 usage, recipe or output, 3 input (and --strict), 4 lost (--fail-on-lost),
-    5 some of several inputs failed, 130 interrupted, 143 terminated.
+    says so), 2 usage, recipe or output, 3 input (and --strict),
+    4 lost (--fail-on-lost), 5 some of several inputs failed,
+    130 interrupted, 143 terminated.
     """
 
     inputs: tuple[Path, ...] = argument("INPUT...", nargs=-1, required=True)
