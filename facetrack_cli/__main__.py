@@ -1,26 +1,39 @@
 """Run the command line: every error ends in one line on stderr and its exit code (core/errors.py)."""
 
 import contextlib
+import os
 import signal
 
-_before = signal.getsignal(signal.SIGINT)
+_CODES = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 143}
+
+
+def _end(number: int, _: object) -> None:
+    """While we are loaded nothing is open: a signal ends us at once, with its line and its exit code."""
+    code = _CODES[signal.Signals(number).name]
+    with contextlib.suppress(OSError):
+        os.write(2, b"facetrack: interrupted\n" if code == 130 else b"facetrack: terminated\n")
+    os._exit(code)
+
+
+_before = {}
 with contextlib.suppress(ValueError):  # not in the main thread
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C while we are loaded ends us without a traceback
+    for _one in signal.Signals:
+        if _one.name in _CODES and signal.getsignal(_one) in (signal.SIG_DFL, signal.default_int_handler):
+            _before[_one] = signal.signal(_one, _end)
 
 import errno  # noqa: E402
 import io  # noqa: E402
-import os  # noqa: E402
 import sys  # noqa: E402
 from collections.abc import Sequence  # noqa: E402
 
 import click  # noqa: E402
 
 from facetrack_cli.cli.app import READER_GONE, cli  # noqa: E402
-from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, from_system  # noqa: E402
+from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, flat, from_system  # noqa: E402
 from facetrack_cli.runs.signals import TerminatedError, raising  # noqa: E402
 
-with contextlib.suppress(ValueError):
-    signal.signal(signal.SIGINT, _before)
+for _one, _handler in _before.items():
+    signal.signal(_one, _handler)
 
 _LONGEST = 1000  # characters of an error
 _STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
@@ -108,7 +121,7 @@ def _say(message: str, excerpt: str = "") -> None:
     if len(message) > _LONGEST:  # it quotes what a file says; the place stands first, the remedy last
         message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
     with contextlib.suppress(OSError):  # a full disk under the log must not change the exit code
-        click.echo(f"facetrack: {' '.join(message.splitlines())}", err=True)
+        click.echo(f"facetrack: {flat(message)}", err=True)
         if excerpt:
             click.echo(excerpt, err=True)
 

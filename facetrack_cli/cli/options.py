@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import click
 
-from facetrack_cli.core.errors import OutputError, UsageError
+from facetrack_cli.core.errors import OutputError, UsageError, flat
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
 if TYPE_CHECKING:
@@ -279,8 +279,6 @@ class Page:
 
 def say(line: str) -> None:
     """A line on standard error, also where a name holds line breaks."""
-    from facetrack_cli.runs.progress import flat
-
     click.echo(flat(line), err=True)
 
 

@@ -63,6 +63,18 @@ def from_system(error: Exception) -> FacetrackError | None:
     return None
 
 
+def visible(text: str) -> str:
+    """The text with its control characters escaped, as \\x1b: names must not steer a terminal. Lines stay lines."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+def flat(line: str) -> str:
+    """The text on one line, as `visible`: a name may hold a line break, a message must not."""
+    return visible(" ".join(line.splitlines()))
+
+
 def reason(error: Exception) -> str:
     """The message of an exception on one line, at most 120 characters, without the path that the caller names."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from facetrack_cli.core.errors import flat
 from facetrack_cli.core.numbers import document
 from facetrack_cli.evaluation.measure import HALVES, PERCENT
 from facetrack_cli.evaluation.points import HELD
@@ -110,7 +111,7 @@ def _blocks(found: Evaluation, about: About) -> Iterator[Text | Table]:
     several = len({one.target for one in found.parts}) > 1
 
     def name(target: str, part: str) -> str:
-        return f"{target}/{part}" if several and part else part or target
+        return flat(f"{target}/{part}" if several and part else part or target)
 
     yield from _head(found, about)
     every = [*found.parts, *([found.all] if len(found.parts) > 1 else [])]
@@ -131,7 +132,7 @@ def _blocks(found: Evaluation, about: About) -> Iterator[Text | Table]:
 
 
 def _line(text: str, style: str = "") -> Text:
-    return Text(" ".join(text.splitlines()), style)
+    return Text(flat(text), style)
 
 
 def _title(title: str, note: str = "") -> Text:

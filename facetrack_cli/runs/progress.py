@@ -6,6 +6,8 @@ import contextlib
 import sys
 import time
 
+from facetrack_cli.core.errors import flat
+
 EVERY_S = 10.0  # between plain lines
 
 
@@ -71,7 +73,7 @@ class Bar(Progress):
         super().begin(name, unit, total)
         for task in self._bar.task_ids:
             self._bar.remove_task(task)
-        self._bar.add_task(name, total=total, count="", rate="")
+        self._bar.add_task(flat(name), total=total, count="", rate="")
         self._bar.start()
 
     def update(self, done: int, total: int | None, rate: float | None = None) -> None:
@@ -88,8 +90,3 @@ class Bar(Progress):
 
     def close(self) -> None:
         self._bar.stop()
-
-
-def flat(line: str) -> str:
-    """A name may hold a line break, a message must not."""
-    return " ".join(line.splitlines())

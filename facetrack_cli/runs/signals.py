@@ -6,6 +6,7 @@ Nothing is torn out of a half-written file: the signal only leaves a note. A sec
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 import threading
@@ -69,17 +70,20 @@ class Stop:
 
 @contextlib.contextmanager
 def raising() -> Iterator[None]:
-    """Where no Stop listens, Ctrl-C raises KeyboardInterrupt and SIGTERM TerminatedError; what is ignored stays so.
+    """Where no Stop listens, Ctrl-C raises KeyboardInterrupt, other signals TerminatedError; what is ignored stays so.
 
-    Within an import, which may turn the exception into another one, the process ends at once, as by kill. Python drops
-    what is raised within a `__del__` or a callback: then the next Stop ends at once.
+    Within an import, which may turn the exception into another one, the process ends at once. Python drops what is
+    raised within a `__del__` or a callback: then the next Stop ends at once.
     """
 
     def end(number: int, frame: FrameType | None) -> NoReturn:
         while frame is not None:
             if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
-                signal.signal(number, signal.SIG_DFL)
-                signal.raise_signal(number)
+                code = _CODES[signal.Signals(number).name]
+                what = "interrupted" if code is ExitCode.INTERRUPTED else "terminated"
+                with contextlib.suppress(OSError):
+                    os.write(2, f"facetrack: {what}\n".encode())
+                os._exit(code)
             frame = frame.f_back
         Stop.before = _CODES[signal.Signals(number).name]
         raise KeyboardInterrupt if number == signal.SIGINT else TerminatedError
@@ -92,7 +96,8 @@ def raising() -> Iterator[None]:
     with contextlib.ExitStack() as restored:
         restored.callback(setattr, sys, "unraisablehook", reported)
         restored.callback(setattr, Stop, "before", None)
-        for number in (signal.SIGINT, signal.SIGTERM) if threading.current_thread() is threading.main_thread() else ():
+        main = threading.current_thread() is threading.main_thread()
+        for number in [one for one in signal.Signals if one.name in _CODES] if main else ():
             if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 restored.callback(signal.signal, number, signal.signal(number, end))
         yield

@@ -1,13 +1,17 @@
 """facetrack init --pick without a browser: what the page receives and sends, what is saved, how the command ends."""
 
 import json
+import os
 import re
 import signal
+import stat
 import subprocess
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import cv2
 import numpy as np
@@ -450,14 +454,21 @@ def test_a_port_that_is_taken_is_refused(clips, facetrack):
         assert "in use" in refusal(facetrack("init", "IN/face", "--pick", "--port", client.port), 2)
 
 
-def drive(monkeypatch, act):
+def drive(monkeypatch, home, act):
     """Have the page that the command serves visited by `act`, instead of a browser."""
     from threading import Thread
 
-    def visit(url):
+    def visit(address):
+        # everybody may read the command line of a browser: it has no token, but a file of the user's own
+        file = Path(url2pathname(urlsplit(address).path))
+        assert address.startswith("file://") and file.parent == home
+        assert os.name != "posix" or stat.S_IMODE(file.stat().st_mode) == 0o600
+        [url] = re.findall(r"url=(http://127\.0\.0\.1:[0-9]+/[^\"]+)", file.read_text())
+        assert urlsplit(url).path.strip("/") not in address
         Thread(target=act, args=(Client(url),)).start()
         return False
 
+    monkeypatch.setattr(Path, "home", lambda: home)
     monkeypatch.setattr(server_module.webbrowser, "open", visit)
 
 
@@ -473,10 +484,11 @@ def test_overwrite_begins_with_the_file(clips, tmp_path, monkeypatch, facetrack)
         client.until(lambda state: state["ended"])
         client.close()
 
-    drive(monkeypatch, act)
+    drive(monkeypatch, tmp_path, act)
     code, printed, err = facetrack("init", "IN/face", "--pick", "--open", "--overwrite", "-o", out)
     assert (code, printed) == (0, "")
     assert "no browser can be opened from here" in err
+    assert not list(tmp_path.glob("*.html")), "the file is removed"
     assert seen[0]["frame"] == 2 and seen[0]["targets"]["face"]["points"] == {"nose": [1, 2]}
     assert read_init(out).targets["face"].windows == {"nose": (9, 9)}
     out.write_text("frame: x\n")
@@ -496,7 +508,7 @@ def test_what_was_not_saved_is_continued(clips, tmp_path, monkeypatch, facetrack
         client.until(lambda state: state["ended"])
         client.close()
 
-    drive(monkeypatch, act)
+    drive(monkeypatch, tmp_path, act)
     code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
     assert code == 0, err
     assert read_init(tmp_path / "a.yaml").targets["face"].points["nose"] == (160, 138.37)
@@ -515,7 +527,7 @@ def test_an_internal_error_is_reported_at_the_end(clips, tmp_path, monkeypatch, 
         raise ZeroDivisionError("odd")
 
     monkeypatch.setattr("facetrack_cli.editor.web.frame.find_faces", broken)
-    drive(monkeypatch, act)
+    drive(monkeypatch, tmp_path, act)
     code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
     assert code == 0 and "while the page was open: internal error; please report it: ZeroDivisionError: odd" in err
     assert "Traceback" not in err

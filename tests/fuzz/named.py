@@ -370,6 +370,4 @@ def _frame_number_beyond_any_clip(bench: Bench, case: Case) -> list[str]:
 
 
 # still answered badly, and left out; one that is answered well leaves this list: python -m tests.fuzz named
-OPEN = frozenset(
-    {"file-name-that-colours-the-terminal", "command-that-colours-the-terminal", "output-that-colours-the-terminal"}
-)
+OPEN: frozenset[str] = frozenset()  # cases that are found and not mended yet; they are left out of test runs

@@ -15,7 +15,7 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Whole, argument, option, say, verb, write_figure
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import InputError, UsageError, flat
 
 if TYPE_CHECKING:
     from facetrack_cli.tracking.identity.gallery import Gallery
@@ -146,15 +146,15 @@ class Show:
         out = self.out or file.with_suffix(".png")
         write_figure(out, lambda: gallery_figure(gallery, title=file.name), overwrite=self.overwrite, inputs=[file])
         rows, cols = gallery.shape
-        click.echo(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} images")
-        click.echo(f"template: {cols} points across, {rows} down")
+        click.echo(flat(f"{file.name}: {len(gallery.names)} persons, {sum(gallery.counts)} images"))
+        click.echo(flat(f"template: {cols} points across, {rows} down"))
         if gallery.proportion is not None:
-            click.echo(f"boxes: {gallery.proportion:.2f} times as wide as high")
+            click.echo(flat(f"boxes: {gallery.proportion:.2f} times as wide as high"))
         for line in _summary(gallery):
-            click.echo(line)
+            click.echo(flat(line))
         for number, (name, images) in enumerate(zip(gallery.names, gallery.counts, strict=True), start=1):
-            click.echo(f"{number:>4} {name}: {images} image{'s' if images != 1 else ''}")
-        click.echo(f"figure: {out}")
+            click.echo(flat(f"{number:>4} {name}: {images} image{'s' if images != 1 else ''}"))
+        click.echo(flat(f"figure: {out}"))
 
 
 def _summary(gallery: Gallery) -> list[str]:

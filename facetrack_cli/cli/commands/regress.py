@@ -89,11 +89,11 @@ class Regress:
 
     def _check(self, runs: dict[str, Any]) -> tuple[ExitCode, str]:
         """Check the goldens, a line of each; the exit code, and what to say if it was interrupted."""
+        from facetrack_cli.core.errors import flat
         from facetrack_cli.core.files import write_new
         from facetrack_cli.evaluation.goldens.check import check, select
         from facetrack_cli.evaluation.goldens.output import as_json, as_junit, line, summary
         from facetrack_cli.recipe.load import load_recipe
-        from facetrack_cli.runs.progress import flat
 
         began = time.monotonic()
         given = [load_recipe(name, self.set) for name in self.config]
@@ -114,8 +114,8 @@ class Regress:
 
     def _update(self, runs: dict[str, Any]) -> tuple[ExitCode, str]:
         """Record goldens, a line of each; the exit code, and what to say if it was interrupted."""
+        from facetrack_cli.core.errors import flat
         from facetrack_cli.evaluation.goldens.check import update
-        from facetrack_cli.runs.progress import flat
 
         failed = False
         for one in update(self.folder, self.config, self.seeds or 40, self.stop, **runs):

@@ -11,6 +11,7 @@ import re
 import secrets
 import socketserver
 import sys
+import tempfile
 import threading
 import time
 import webbrowser
@@ -111,12 +112,30 @@ def run_page(
         at = server.server_port
         say(f"open this page: {server.url}")
         say(f"from another machine: ssh -L {at}:127.0.0.1:{at} HOST, then open the same address there; Ctrl-C ends it")
-        if browse:  # in a thread, since a browser of the terminal returns only when it is closed
-            threading.Thread(target=_browse, args=(server.url, say), daemon=True).start()
-        while not (session.over() or stop()):
-            time.sleep(POLL_S)
+        with _redirect(server.url) if browse else contextlib.nullcontext() as file:
+            if file is not None:  # in a thread, since a browser of the terminal returns only when it is closed
+                threading.Thread(target=_browse, args=(file.as_uri(), say), daemon=True).start()
+            while not (session.over() or stop()):
+                time.sleep(POLL_S)
     if session.first_error is not None:
         say(f"facetrack: warning: while the page was open: {internal_error(session.first_error)}")
+
+
+@contextlib.contextmanager
+def _redirect(url: str) -> Iterator[Path]:
+    """A file of this user's alone that leads to the page: everybody may read the command line of a browser.
+
+    It is in the home folder, since browsers in a sandbox see neither the temporary folder nor hidden ones.
+    """
+    home = Path.home()
+    folder = home if os.access(home, os.W_OK) else None
+    place, name = tempfile.mkstemp(prefix="facetrack-page-", suffix=".html", dir=folder)  # mode 0600
+    try:
+        with os.fdopen(place, "w", encoding="utf-8") as file:
+            file.write(f'<meta http-equiv="refresh" content="0;url={url}">\n')
+        yield Path(name)
+    finally:
+        Path(name).unlink(missing_ok=True)
 
 
 def _browse(url: str, say: Callable[[str], None]) -> None:

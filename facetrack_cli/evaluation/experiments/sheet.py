@@ -11,6 +11,7 @@ from typing import Final
 
 import click
 
+from facetrack_cli.core.errors import flat, visible
 from facetrack_cli.runs.seeds import OVERRIDES
 
 WIDE: Final = 100  # columns of a table that is not printed on a terminal
@@ -68,21 +69,21 @@ class Sheet:
                 min_width=min(longest, LEAST_NAME) if left else longest,
             )
         for row in rows:
-            table.add_row(*map(Text, row))
+            table.add_row(*(Text(visible(cell)) for cell in row))
 
         console = Console(width=None if sys.stdout.isatty() else WIDE, emoji=False, highlight=False, markup=False)
         room = console.width
         needed = console.measure(table, options=console.options.update(width=ENDLESS)).minimum
         # rich would leave with a code of its own where nobody reads any more, so it prints nothing itself
         with console.capture() as text:
-            console.print(Text(self.title, style="bold"), soft_wrap=True)
+            console.print(Text(flat(self.title), style="bold"), soft_wrap=True)
             console.print()
             console.width = max(room, needed)
             console.print(table)
             console.width = room
             console.print()
             for note in self.notes:
-                console.print(Text(note))
+                console.print(Text(visible(note)))
         lines = "\n".join(line.rstrip() for line in text.get().splitlines())
         encoding = sys.stdout.encoding or "utf-8"
         # a ? where there is no arrow keeps columns straight
