@@ -18,8 +18,8 @@ def _tried(count: int, first: int) -> str:
 
 
 def test_hostile_inputs_are_answered():
-    """Those with names, and six of every kind."""
-    assert _tried(102, 0) == ""
+    """Those with names, and twelve of every kind."""
+    assert _tried(204, 0) == ""
 
 
 @pytest.mark.nightly
