@@ -99,7 +99,7 @@ def pieces_of():
     pieces_of(),
     st.sampled_from([FORMATS, ("json",), ("jsonl",), ("csv", "jsonl")]),
 )
-@settings(max_examples=25)
+@settings(max_examples=settings().max_examples // 5)
 def test_what_is_spliced_is_what_a_run_would_have_written(seed, pieces, forms):
     """Every byte, with as many pieces as there may be; so what is beside them is as it was."""
     with (

@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -28,7 +27,15 @@ TABLES = ["--no-video", "--format", "csv,json,jsonl"]
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory):
-    return make_clip(tmp_path_factory.mktemp("killed") / "sway.mp4", 300)
+    return make_clip(tmp_path_factory.mktemp("killed") / "sway.mp4", 120)
+
+
+@pytest.fixture(scope="module")
+def whole(clip):
+    """The tables of a run that nothing ended."""
+    folder = clip.with_name("whole")
+    assert run(clip, "-o", folder, *SMALL, *TABLES, "-q") == 0
+    return folder
 
 
 def run(*arguments):
@@ -71,9 +78,8 @@ def killed(clip, out, *arguments, frames):
 
 @posix
 @pytest.mark.parametrize("reader", [read_trajectory, settle])
-def test_what_was_tracked_before_a_kill_is_kept_and_taken_up(clip, tmp_path, reader):
-    whole, out = tmp_path / "whole", tmp_path / "out"
-    assert run(clip, "-o", whole, *SMALL, *TABLES, "-q") == 0
+def test_what_was_tracked_before_a_kill_is_kept_and_taken_up(clip, whole, tmp_path, reader):
+    out = tmp_path / "out"
     last = killed(clip, out, *SMALL, *TABLES, frames=20)
     reader(out)
     assert names(out) == [NAME, "trajectory.csv", "trajectory.json", "trajectory.jsonl"], "no part is left"
@@ -301,7 +307,7 @@ def disk(tmp_path):
 
 def test_what_exits_with_0_survives_a_power_loss(clip, disk):
     folder, lose_power = disk
-    command = [sys.executable, "-m", "facetrack_cli", "run", clip, "--stop", "20", "-q", *SMALL, "-o", folder / "out"]
+    command = [*FACETRACK, "run", clip, "--config", "sir", "--stop", "20", "-q", *SMALL, "-o", folder / "out"]
     cache = folder / "kernels"
     done = subprocess.run(command, env={**os.environ, "NUMBA_CACHE_DIR": str(cache)}, check=False)
     left = lose_power()

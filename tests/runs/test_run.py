@@ -638,9 +638,9 @@ def check_interrupted(folder: Path, all_frames: int, reason: str) -> None:
 @pytest.mark.parametrize(
     ("signals", "group", "code", "reason"),
     [
-        ([signal.SIGINT], True, 130, "interrupted"),
+        pytest.param([signal.SIGINT], True, 130, "interrupted", marks=pytest.mark.nightly),
         ([signal.SIGINT, signal.SIGINT, signal.SIGINT], True, 130, "interrupted"),
-        ([signal.SIGTERM], False, 143, "terminated"),
+        pytest.param([signal.SIGTERM], False, 143, "terminated", marks=pytest.mark.nightly),
         ([signal.SIGTERM, signal.SIGINT], False, 143, "terminated"),
     ],
     ids=["ctrl-c", "three times ctrl-c", "sigterm", "sigterm, then ctrl-c"],
@@ -656,7 +656,9 @@ def test_a_signal_closes_the_files(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.nightly)]
+)
 def test_a_signal_ends_a_batch_cleanly(long_clip: Path, tmp_path: Path, number: int, code: int) -> None:
     for name in ("a.mp4", "b.mp4", "c.mp4"):
         (tmp_path / name).symlink_to(long_clip)
@@ -883,7 +885,11 @@ def test_a_lag_of_more_frames_than_memory_holds(run: Runner, clip: Path, monkeyp
 @pytest.mark.skipif(os.name != "posix", reason="closes streams as a shell does")
 @pytest.mark.parametrize(
     ("closed", "args", "code"),
-    [(">&-", "-o -", 2), (">&-", "", 0), ("2>&-", "", 0), (">&- 2>&- <&-", "", 0)],
+    [
+        (">&-", "-o -", 2),
+        *(pytest.param(closed, "", 0, marks=pytest.mark.nightly) for closed in (">&-", "2>&-")),
+        (">&- 2>&- <&-", "", 0),
+    ],
 )
 def test_streams_that_the_shell_closed(clip: Path, tmp_path: Path, closed: str, args: str, code: int) -> None:
     command = f'"{sys.executable}" -m facetrack_cli run "{clip}" --no-video {" ".join(SMALL)} {args} {closed}'

@@ -96,10 +96,17 @@ RESUMED = [
     ("histogram", "head"), ("contour_correlation", "head"), ("skin_ncc", "zoom"), ("mil", "head"),
     ("adaptive", "zoom"), ("adaptive_robust", "zoom"),
 ]  # fmt: skip
+BY_DAY = [("factorized", "face"), ("histogram", "head"), ("adaptive", "zoom")]  # tried with every `learn` by day
 
 
-@pytest.mark.parametrize("learn", [None, True, False])
-@pytest.mark.parametrize(("config", "which"), RESUMED)
+@pytest.mark.parametrize(
+    ("config", "which", "learn"),
+    [
+        pytest.param(*one, learn, marks=[] if learn is None or one in BY_DAY else pytest.mark.nightly)
+        for one in RESUMED
+        for learn in (None, True, False)
+    ],
+)
 def test_a_part_of_a_run_tracked_anew_is_what_the_whole_run_has(config, which, learn, face, head, zoom):
     name = "face"
     if which in ("face", "absent"):

@@ -114,7 +114,7 @@ def made(tmp_path_factory):
 
 
 @given(those=corrections(most=4), order=st.randoms(use_true_random=False))
-@settings(max_examples=20)
+@settings(max_examples=settings().max_examples // 5)
 def test_a_run_put_right_is_a_whole_run_from_the_init_file_that_is_written(made, those, order):
     """Also that file, read, begins as it says; and of complete corrections the order of making does not matter."""
     with tempfile.TemporaryDirectory() as name:

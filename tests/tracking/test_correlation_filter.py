@@ -14,6 +14,7 @@ from facetrack_cli.tracking.models.spaces import VISIBLE
 from tests.support.results import parts_of
 
 WIDTH, HEIGHT = 160, 120
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))]
 
 
 def texture(height, width, seed, blur=2.0, colour=True):
@@ -89,7 +90,7 @@ def assert_followed(results, places):
     assert set(statuses(results)) == {"init", "tracked"}
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("colour", [True, False])
 def test_a_moving_target_is_followed(colour, seed):
     places = path()
@@ -182,7 +183,7 @@ def test_frames_that_turn_black_and_come_back_are_survived(learn):
     assert statuses(results)[-5:] == ["tracked"] * 5
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("colour", [True, False])
 def test_covered_it_is_lost_and_tracked_again_after(colour, seed):
     places = [(60 + 0.5 * n, 55 + 0.2 * n) for n in range(40)]
@@ -195,10 +196,11 @@ def test_covered_it_is_lost_and_tracked_again_after(colour, seed):
     assert np.abs(off(results, places))[30:].max() < 0.25
 
 
-def test_it_is_found_where_it_returns():
-    """Beyond the window, which is 5 times as large as the box; of 8 targets at most one is missed, none is mistaken."""
+@pytest.mark.parametrize("targets", [3, pytest.param(8, marks=pytest.mark.nightly)])
+def test_it_is_found_where_it_returns(targets):
+    """Beyond the window, which is 5 times as large as the box; at most one target is missed, none is mistaken."""
     places, times = [(40.0, 40.0)] * 15 + [None] * 10 + [(250.0, 190.0)] * 45, []
-    for seed in range(8):
+    for seed in range(targets):
         frames = clip(places, (20, 20), frame_size=(320, 240), seed=3 * seed + 1)
         results = run(frames, start(places[0], (20, 20)), seed)
         assert_finite(results)
@@ -207,7 +209,7 @@ def test_it_is_found_where_it_returns():
         found = [n for n in range(25, 70) if status[n] == "tracked"]
         times.append(len(found))
         assert not found or np.abs(off([results[n] for n in found], [places[n] for n in found])).max() < 0.25
-    assert sum(n >= 10 for n in times) >= 7
+    assert sum(n >= 10 for n in times) >= targets - 1
 
 
 def test_log_l_is_highest_at_the_modes():
@@ -236,11 +238,11 @@ def test_the_mean_of_l_over_a_box_and_a_tenth_of_log_scale_is_its_evidence():
     likelihood = target.likelihood
     learned = likelihood.look(likelihood.init(frames[0], target.x0), frames[2], target.x0)
     guides = likelihood.guides(learned)
-    sides = [np.arange(0, WIDTH, 0.5), np.arange(0, HEIGHT, 0.5), np.arange(-0.3, 0.3, 0.01)]
+    sides = [np.arange(WIDTH), np.arange(HEIGHT), np.arange(-0.3, 0.3, 0.01)]
     x = np.zeros((np.prod([len(side) for side in sides]), 1, 6))
     x[:, 0, :3] = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
     x[:, 0, 2] = np.exp(x[:, 0, 2])
-    whole = np.exp(likelihood.score(learned, frames[2], x, x)).sum() * 0.5 * 0.5 * 0.01
+    whole = np.exp(likelihood.score(learned, frames[2], x, x)).sum() * 0.01
     areas = 24 * 28 * np.exp(2 * guides.mean[:, 2])
     assert whole == pytest.approx(np.sum(np.exp(guides.log_w) * areas * 0.1), rel=0.02)
 

@@ -27,8 +27,15 @@ def package(tmp_path_factory):
     return run, folder
 
 
-@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
-@pytest.mark.parametrize("damage", ["empty", "zeros", "half", "one byte"])
+@pytest.mark.parametrize(
+    ("suffix", "damage"),
+    [
+        (".nbi", "empty"), (".nbi", "zeros"), (".nbi", "one byte"), (".nbc", "half"), (".nbc", "one byte"),
+        pytest.param(".nbi", "half", marks=pytest.mark.nightly),
+        pytest.param(".nbc", "empty", marks=pytest.mark.nightly),
+        pytest.param(".nbc", "zeros", marks=pytest.mark.nightly),
+    ],
+)  # fmt: skip
 def test_a_damaged_kernel_is_compiled_anew_with_one_warning(package, suffix, damage):
     run, folder = package
     for file in (folder / "cache").rglob(f"*{suffix}"):
