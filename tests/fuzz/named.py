@@ -367,7 +367,3 @@ def _threads_without_number(bench: Bench, case: Case) -> list[str]:
 @_case
 def _frame_number_beyond_any_clip(bench: Bench, case: Case) -> list[str]:
     return ["run", _frames(bench), *BOX, "--config", "mil", "-o", "out", "--init-frame", "9" * 30]
-
-
-# still answered badly, and left out; one that is answered well leaves this list: python -m tests.fuzz named
-OPEN: frozenset[str] = frozenset()  # cases that are found and not mended yet; they are left out of test runs
