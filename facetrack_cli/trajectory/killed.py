@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from facetrack_cli.core.errors import OutputError
+from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import beside
 from facetrack_cli.core.sets import LOCK, Lock, finish, sweep
 from facetrack_cli.trajectory.manifest import Manifest, commit, read_manifest
-from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.reader import read_table
 from facetrack_cli.trajectory.writers import FORMATS, Footer, Format, footer_of, tail
 
 KILLED: Final = "killed"
@@ -43,7 +43,7 @@ def recover(folder: Path, lock: Lock) -> int:
     """As `settle`, of a folder that is locked."""
     finish(folder)
     process, frames = lock.left.get("process"), 0
-    with contextlib.suppress(ValueError):
+    with contextlib.suppress(ValueError, InputError):  # what is left need not be ours
         known = Manifest.model_validate(lock.left.get("run"))
         if isinstance(process, int):
             frames = _end(folder, process, known)
@@ -66,7 +66,7 @@ def _end(folder: Path, process: int, known: Manifest) -> int:
     for form, cut in cuts.items():
         assert cut is not None
         _close(form, parts[form], cut.end, Footer(), frames)
-        footer = footer_of(read_trajectory(parts[form]), complete=False, stopped=KILLED)
+        footer = footer_of(read_table(parts[form]), complete=False, stopped=KILLED)
         _close(form, parts[form], cut.end, footer, frames)
         files.append(folder / f"trajectory.{form}")
         parts[form].replace(beside(files[-1]))

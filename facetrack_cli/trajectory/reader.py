@@ -47,15 +47,20 @@ def read_trajectory(path: Path | str) -> Trajectory:
         if not path.is_dir():
             check_readable(path, MOST_ROWS, "table of rows")
         check_belongs(path)
-        with path.open("rb") as file:
-            first = file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
-        return _read_json(path) if first == b"{" else _read_csv(path)
+        return read_table(path)
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder without a trajectory.csv or .json; name the file") from None
     except UnicodeDecodeError as e:
         raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is CSV or JSON in UTF-8") from e
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
+
+
+def read_table(path: Path) -> Trajectory:
+    """The rows of a file, wherever it lies and whichever run it is of. InputError for its contents, OSError."""
+    with path.open("rb") as file:
+        first = file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
+    return _read_json(path) if first == b"{" else _read_csv(path)
 
 
 def not_as_written(path: Path, error: Any, *above: str) -> InputError:
