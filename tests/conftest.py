@@ -17,7 +17,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # property tests try the same 50 examples each time; HYPOTHESIS_PROFILE=nightly tries 200, new ones each time
-for profile, examples in {"default": 50, "nightly": 200}.items():
+for profile, examples in {"default": 30, "nightly": 200}.items():
     unhealthy = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
     settings.register_profile(
         profile, max_examples=examples, deadline=None, suppress_health_check=unhealthy, derandomize=profile == "default"

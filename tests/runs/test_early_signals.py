@@ -30,6 +30,8 @@ def start(tmp_path):
 
     def run(*arguments, **more):
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path.cwd())])}
+        # whoever runs the tests may ignore it, as nohup does
+        more = {"preexec_fn": lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL), **more}
         process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE, env=environment, **more)
         while not began.exists():
             assert process.poll() is None
