@@ -15,7 +15,7 @@ import stat
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from facetrack_cli.core.errors import InputError, OutputError, reason
 
@@ -84,6 +84,14 @@ def _bytes(text: str) -> bytes:
     return text.encode(errors="backslashreplace")
 
 
+class Place(NamedTuple):
+    """A place between two records of a file: the bytes and the records before it, and the SHA-256 of those bytes."""
+
+    bytes: int
+    records: int
+    sha256: str
+
+
 class FileSink:
     """Records into the file `beside` a path, each of them at once: a process that is killed loses none.
 
@@ -99,6 +107,7 @@ class FileSink:
         self._written = self._records = 0  # bytes in the file, and records
         self._ends: deque[int] = deque()  # where the last records end
         self._full = False
+        self._sum = hashlib.sha256()
 
     def _open(self) -> BinaryIO:
         return beside(self.path).open("wb", buffering=0)
@@ -110,6 +119,33 @@ class FileSink:
         self._write(data)
         while len(self._ends) > 1 and self._ends[0] < self._written - _TAIL:
             self._ends.popleft()
+
+    def place(self) -> Place:
+        """Where the next record begins."""
+        return Place(self._written, self._records, self._sum.hexdigest())
+
+    def go_on(self, file: Path, place: Place) -> bool:
+        """Begin with what a file holds up to a place; False, and nothing changes, if it holds something else.
+
+        Raises OutputError.
+        """
+        with contextlib.suppress(FileNotFoundError), file.open("rb") as before:
+            left, found = place.bytes, hashlib.sha256()
+            while left and (block := before.read(min(left, 1 << 20))):
+                found.update(block)
+                self._file.write(block)
+                left -= len(block)
+            if left == 0 and found.hexdigest() == place.sha256:
+                self._sum, self._written, self._records = found, place.bytes, place.records
+                self._ends.append(place.bytes)
+                return True
+        self._file.seek(0)
+        self._file.truncate()
+        return False
+
+    def sync(self) -> None:
+        """Bring what is written to the disk. Raises OSError."""
+        os.fsync(self._file.fileno())
 
     def finish(self, tail: Callable[[int], str]) -> None:
         """End the file with `tail(number of records)` and close it."""
@@ -138,6 +174,7 @@ class FileSink:
         try:
             while view:
                 n = self._file.write(view)
+                self._sum.update(view[:n])
                 self._written += n
                 view = view[n:]
         except OSError as e:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
+from functools import partial
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.runs import pipeline
 from facetrack_cli.runs.again import previous
+from facetrack_cli.runs.checkpoint import Run
 from facetrack_cli.runs.job import VIDEO, Job, Outcome, Report, check, check_lag
 from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.corrected import revived
+from facetrack_cli.tracking.loop import Standing, track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.trajectory.writers import Footer
@@ -37,18 +40,19 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
 def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
     """Track one clip; its results go to `outputs`. Raises and stops as `run`."""
     done = Outcome(job.clip, streamed=job.out is None)
-    began, last, notes = 0.0, 0, tuple[str, ...]()
+    began, last, before, notes = 0.0, 0, 0, tuple[str, ...]()
 
     def record(result: FrameResult) -> None:
         nonlocal began, last, notes
-        if done.frames == 0:
-            began, notes = time.perf_counter(), result.notes  # the rate leaves the start-up out
+        if not began:
+            began, notes = time.perf_counter(), notes or result.notes  # the rate leaves the start-up out
             outputs.begin(source, start, result.rows)
         outputs.write(result.rows)
         outputs.keep(result)
         done.count(result)
         last = result.frame.index
-        report(done.frames, source.frames_hint)
+        outputs.mark(partial(Run, last + 1, done.frames, done.lost, done.evidence, notes, at), done.frames)
+        report(done.frames, source.frames_hint and source.frames_hint + before)
 
     try:
         start = job.find(job.recipe, stopped=stop)
@@ -58,18 +62,24 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         done.stopped = stop.reason
         return done
     done.note = start.note
-    with job.open(start.frame) as source:
+    at, first, resumed = Standing(), start.frame, outputs.resume(start)
+    if resumed is not None:
+        first, notes, at = resumed.frame, resumed.notes, resumed.at
+        done.frames, done.lost, done.evidence = resumed.frames, dict(resumed.lost), dict(resumed.evidence)
+        done.resumed, before = first, resumed.frames
+    with job.open(first) as source:
         source.strict = job.strict
         check_lag(job, source)
         tracker = tracker_for(job.recipe, start, source.size)
+        at.states = revived(tracker, at.states, job.frame)
         try:
 
             def tracked(frames: Iterator[Frame]) -> Iterator[FrameResult]:
-                results = track(tracker, frames, job.recipe.seed, clip=str(job.clip))
+                results = track(tracker, frames, job.recipe.seed, clip=str(job.clip), at=at)
                 return lagged(results, job.lag) if job.lag else results
 
             pipeline.run(
-                frames_of(source, start.frame, job.origin(start)),
+                frames_of(source, first, job.origin(start)),
                 tracked,
                 record,
                 outputs.paint if job.video else None,
@@ -78,7 +88,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
             )
         except Exception as e:  # whatever it is, what was tracked is kept
             done.error = e
-        if done.frames == 0:
+        if done.frames == before:
             if done.error is not None:
                 raise done.error
             done.stopped = stop.reason
@@ -101,7 +111,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         done.error = done.error or InputError(source.warnings[-1])
     failed = done.error or outputs.missing  # said last, as the command's error
     done.files, done.warnings = outputs.written, tuple(line for line in footer.warnings if line != str(failed))
-    done.frames_per_s = (done.frames - 1) / max(time.perf_counter() - began, 1e-9)
+    done.frames_per_s = (done.frames - before - 1) / max(time.perf_counter() - began, 1e-9)
     done.complete = footer.complete and done.error is None
     done.stopped = stopped if done.error is None else None
     done.error = failed

@@ -34,7 +34,8 @@ class Job(Begin):
     """What is asked of one clip. `out` None streams the one format to standard output.
 
     `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
-    whether a clip that is damaged is an error, of which what was tracked is kept.
+    whether a clip that is damaged is an error, of which what was tracked is kept. `resume`: whether a run that was
+    ended goes on from its last checkpoint.
     """
 
     recipe: Recipe
@@ -47,6 +48,7 @@ class Job(Begin):
     lag: int = 0
     posterior: bool = False
     strict: bool = False
+    resume: bool = True
 
 
 @dataclass
@@ -71,6 +73,7 @@ class Outcome:
     streamed: bool = False
     note: str = ""
     again: Manifest | None = None  # the run was done before: nothing was tracked now
+    resumed: int | None = None  # the frame from which it went on
 
     @classmethod
     def of(cls, job: Job, known: Manifest) -> Outcome:
@@ -107,6 +110,8 @@ class Outcome:
             parts.insert(0, "done before")
         elif self.frames > 1:
             parts.append(f"{self.frames_per_s:.1f} frames/s")
+        if self.resumed is not None:
+            parts.append(f"went on from frame {self.resumed}")
         if self.lost:
             parts.append("lost: " + ", ".join(f"{part} in {n}" for part, n in self.lost.items()))
         if self.stopped or not self.complete:

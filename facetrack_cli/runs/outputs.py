@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -14,11 +16,13 @@ import numba
 import numpy as np
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import FileSink, StreamSink, beside, cannot_write, make_folder, remove_folders
+from facetrack_cli.core.files import FileSink, Place, StreamSink, beside, cannot_write, make_folder, remove_folders
+from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.sets import Lock
 from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.runs.again import Fingerprint, asked
+from facetrack_cli.runs.again import Fingerprint, asked, ends
+from facetrack_cli.runs.checkpoint import PIECE, Checkpoints, Found, Run
 from facetrack_cli.runs.job import VIDEO, Job, Outcome, check
 from facetrack_cli.runs.posterior import POSTERIOR, PosteriorWriter
 from facetrack_cli.trajectory.diagnostics import KNOWN
@@ -26,10 +30,10 @@ from facetrack_cli.trajectory.header import to_record
 from facetrack_cli.trajectory.killed import recover
 from facetrack_cli.trajectory.manifest import Manifest, commit
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
-from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Header, Writer
+from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Format, Header, Writer
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import Source
-from facetrack_cli.video.writer import VideoWriter
+from facetrack_cli.video.writer import Cut, VideoWriter
 
 _File: TypeAlias = FileSink | StreamSink | VideoWriter | PosteriorWriter
 
@@ -46,6 +50,9 @@ class Outputs:
         self._writers: list[Writer] = []
         self._posterior: PosteriorWriter | None = None
         self._lock: Lock | None = None
+        self._checkpoints: Checkpoints | None = None
+        self._after: Found | None = None
+        self._painted = 0
         self.written: list[Path] = []
         self.missing: OutputError | None = None  # why there is no video; the tables are whole all the same
 
@@ -66,15 +73,53 @@ class Outputs:
             raise
         return self
 
+    def resume(self, start: Start) -> Run | None:
+        """Where the last run of the same job stood, if that is known and wished: what it wrote is gone on with."""
+        job = self._job
+        if job.out is None or job.lag or not job.recipe.filters:
+            return None
+        told = [asked(job), _versions(), to_record(start)]
+        with contextlib.suppress(OSError):  # of a clip that cannot be read, which is said when it is opened
+            told.append(ends(job.clip))
+        key = hashlib.sha256(dumps(told).encode(errors="surrogateescape")).hexdigest()
+        self._checkpoints = Checkpoints(job.out, key, video=job.video)
+        found = self._checkpoints.find() if job.resume and not job.overwrite else None
+        if found is None or not self._go_on(found.run):
+            self._checkpoints.remove()
+            return None
+        self._after = found
+        return found.run
+
+    def _go_on(self, run: Run) -> bool:
+        assert self._job.out is not None
+        for form, sink in zip(self._job.formats, self._sinks, strict=True):
+            assert isinstance(sink, FileSink)
+            if not sink.go_on(self._job.out / f"trajectory.{form}", run.tables[form]):
+                return False
+        return True
+
+    def mark(self, run: Callable[[Mapping[Format, Place], Any], Run], frames: int) -> None:
+        """Keep a checkpoint after so many frames, if it is time to; `run` says where the run stands."""
+        if self._checkpoints is None or not self._checkpoints.due(frames):
+            return
+        sinks = [sink for sink in self._sinks if isinstance(sink, FileSink)]
+        tables = {form: sink.place() for form, sink in zip(self._job.formats, sinks, strict=True)}
+
+        def sync() -> None:
+            for sink in sinks:
+                sink.sync()
+
+        self._checkpoints.mark(run(tables, None), sync)
+
     def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
-        """Write the headers and start the encoder; `rows` are those of the first frame."""
+        """Write the headers and start the encoder; `rows` are those of the first frame that is tracked now."""
         header = _header(self._job, source, start, rows)
         self._fingerprint = Fingerprint(self._job.clip)
         if self._lock is not None:
             self._run = Manifest(asked=asked(self._job), clip=self._fingerprint.clip)
             self._lock.note({"run": self._run.model_dump()})
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
-            self._writers.append(WRITERS[form](sink, header))
+            self._writers.append(WRITERS[form](sink, header, begun=self._after is not None))
         if self._job.out is not None and self._job.posterior:
             corrections = header["init"].get("corrections", [])
             self._posterior = PosteriorWriter(self._job.out / POSTERIOR, rows.targets, corrections)
@@ -82,7 +127,13 @@ class Outputs:
             self._overlay = Overlay(source.size, fps=float(source.fps), title=self._job.recipe.name)
             sound = source.path if source.is_video else None
             video = self._job.out / VIDEO
-            self._video = VideoWriter(video, source.size, source.fps, audio_from=sound, replace=False)
+            pieces, cut = None if self._checkpoints is None else self._checkpoints.folder, Cut()
+            if self._after is not None and self._after.painted is not None:
+                cut, self._overlay.memory = self._after.painted
+                self._painted = cut.frames
+            self._video = VideoWriter(
+                video, source.size, source.fps, audio_from=sound, replace=False, pieces=pieces, after=cut
+            )
 
     def write(self, rows: Trajectory) -> None:
         """Write the rows of one frame."""
@@ -103,6 +154,10 @@ class Outputs:
                 self._video.write(image, result.frame.time_s)
             except OutputError as e:
                 self.missing = e
+                return
+            self._painted += 1
+            if self._checkpoints is not None and self._painted % PIECE == 0:
+                self._checkpoints.painted(self._video.cut, self._painted, self._overlay.memory)
 
     def close(self, footer: Footer, done: Outcome) -> Footer:
         """Finish every file, let all replace the old ones, and return the footer; what failed is raised after that.
@@ -112,6 +167,8 @@ class Outputs:
         errors: list[Exception] = []
         clip = self._fingerprint.end(whole=footer.stopped is None)
         footer = footer._replace(source_sha256=clip.sha256 if clip else "")
+        if self._checkpoints is not None:
+            self._checkpoints.end()
         if self._video is not None:
             self._finish(self._video, self._video.close, errors)
             lost = [e for e in errors if isinstance(e, OutputError)]
@@ -133,6 +190,8 @@ class Outputs:
             except OSError as e:
                 self.written = []
                 errors.append(cannot_write(Path(e.filename or self._job.out), e))
+        if self._checkpoints is not None and footer.stopped is None and not errors and self.missing is None:
+            self._checkpoints.remove()
         if errors:
             raise errors[0]
         return footer
@@ -148,6 +207,8 @@ class Outputs:
 
     def __exit__(self, *_: object) -> None:
         """Drop what was not closed, and the folders made for it."""
+        if self._checkpoints is not None:
+            self._checkpoints.end()
         for sink in self._sinks:
             sink.discard()
         for made in (self._video, self._posterior):
@@ -159,7 +220,7 @@ class Outputs:
 
 
 class Memory(Outputs):
-    """Results collected into a `trajectory`, whose header says what a JSON file says of its run."""
+    """Results collected into a `trajectory`, whose header says what a JSON file says of its run; none is resumed."""
 
     trajectory: Trajectory
 
@@ -179,16 +240,17 @@ class Memory(Outputs):
         return footer
 
 
+def _versions() -> Header:
+    """Of what the numbers may depend on beside facetrack itself."""
+    known = {"python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__}
+    return {**known, "numba": numba.__version__}
+
+
 def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> Header:
     # those that every facetrack knows are not declared
     declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
     return {
-        "versions": {  # of what the numbers may depend on beside facetrack itself
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "opencv": cv2.__version__,
-            "numba": numba.__version__,
-        },
+        "versions": _versions(),
         "source": {"path": str(job.clip), "size": list(source.size), "fps": round(float(source.fps), 6)},
         "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
         "seed": job.recipe.seed,

@@ -71,7 +71,7 @@ class Begin:
                 "change --start or --stop, or begin elsewhere with --init or --box"
             )
         if start is not None:
-            return completed(recipe, replace(start, frame=at), lambda: self._frame(at, origin), str(self.clip))
+            return completed(recipe, replace(start, frame=at), lambda: self.frame(at, origin), str(self.clip))
         with self.open(at) as source:
             try:
                 by = next((name for name in DETECTORS if name == self.init), None)
@@ -86,7 +86,8 @@ class Begin:
         given = "the search" if start is None else start.origin
         return given if self.init_frame is None else "--init-frame"
 
-    def _frame(self, index: int, origin: str) -> Frame:
+    def frame(self, index: int, origin: str = "a correction") -> Frame:
+        """One frame of the clip, which `origin` asks for."""
         with self.open(index) as source:
             return next(frames_of(source, index, origin))
 

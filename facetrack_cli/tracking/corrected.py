@@ -14,14 +14,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
+from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
-from facetrack_cli.tracking.loop import Cover, Target
+from facetrack_cli.tracking.loop import Cover, Target, Tracker
 from facetrack_cli.tracking.target import Restarts
 from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, build
 
@@ -44,14 +45,16 @@ class Anew(NamedTuple):
 class State:
     """`first`: the state after the first frame. `target` tracks now, with `inner`, None while nothing is to be seen.
 
+    `learned` is the frame of the correction that it was built for, with what that gave; None of the one at the start.
     `rng` are its random numbers since the last correction; before the first, None, they are the loop's.
     """
 
     first: Any
     streams: np.random.SeedSequence
-    target: Target
+    target: Target = field(metadata={STORED: False})
     inner: Any
     rng: Generator | None = None
+    learned: tuple[int, TargetStart] | None = None
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,13 @@ class CorrectedTarget:
             after = replace(state, inner=inner)
         return (after, result) if correction is None else self.correct(state, frame, completed(correction, result.rows))
 
+    def complete(self, state: State, frame: Callable[[int], Frame]) -> State:
+        """A state that was stored, with its target again; `frame` gives a frame of the clip."""
+        if state.learned is None:
+            return replace(state, target=self.target)
+        index, given = state.learned
+        return replace(state, target=self.anew.build(frame(index), given))
+
     def resumed(self, first: Frame) -> Resumed:
         """The same from a correction on, of a run whose first frame is `first`."""
         return Resumed(self.target, self.corrections, self.anew, first)
@@ -117,10 +127,10 @@ class CorrectedTarget:
         key = (*streams.spawn_key, STREAM, frame.index)
         rng = np.random.default_rng(np.random.SeedSequence(streams.entropy, spawn_key=key))
         if self.anew.learn if correction.learn is None else correction.learn:
-            target = self.anew.build(frame, given)
+            target, learned = self.anew.build(frame, given), (frame.index, given)
             inner, result = target.begin(rng, frame)
         else:
-            target = self.target
+            target, learned = self.target, None
             assert isinstance(target, Restarts)
             anew = by_hand if correction.learn is None and self.anew.points else ()
             inner, result = target.restart(rng, frame, state.first, given, absent, anew)
@@ -130,7 +140,7 @@ class CorrectedTarget:
         judged = np.where(sure & ~np.isnan(rows.confidence), 1.0, rows.confidence)
         marked = np.isin(self.parts, (*by_hand, *absent))
         rows = replace(rows, status=np.where(sure, "init", others), confidence=judged, by_hand=marked)
-        return replace(state, target=target, inner=inner, rng=rng), result._replace(rows=rows)
+        return replace(state, target=target, inner=inner, rng=rng, learned=learned), result._replace(rows=rows)
 
     def _absent(self, frame: Frame) -> TargetResult:
         """The result while nothing of the target is visible."""
@@ -138,6 +148,12 @@ class CorrectedTarget:
         frames, times = np.full(k, frame.index), np.full(k, frame.time_s)
         rows = build(names, np.arange(k), frames, time_s=times, status=["absent"] * k)
         return TargetResult(rows, np.zeros((0, k, 2)))
+
+
+def revived(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Frame]) -> list[Any]:
+    """The states of a tracker, which were stored, as it goes on from them; `frame` gives a frame of the clip."""
+    both = zip(tracker, states, strict=True) if states else ()
+    return [one.complete(state, frame) if isinstance(one, CorrectedTarget) else state for one, state in both]
 
 
 def is_complete(correction: Correction, parts: Sequence[str]) -> bool:

@@ -1,6 +1,7 @@
 """The loop over frames: bind, step, estimate, judge; a result a frame. `build.py` puts the targets together."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -49,26 +50,43 @@ def stream(seed: int, place: int) -> Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(place,) if place else ()))
 
 
-def track(tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "") -> Iterator[FrameResult]:
+@dataclass
+class Standing:
+    """Where a track stands after a frame: the state of each target, none before the first frame, and random numbers."""
+
+    states: list[Any] = field(default_factory=list)
+    rngs: list[Generator] = field(default_factory=list)
+
+
+def track(
+    tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "", at: Standing | None = None
+) -> Iterator[FrameResult]:
     """Track over `frames`, the first of which is the one that the tracker's start belongs to.
 
     Targets advance in their order: those before are known where they are in this frame, the others where they are
     expected. Equal input gives equal results, bit for bit, also of a target that no other one excludes, whatever comes
     after it. Raises InputError, which names the `clip`, if the first frame does not show what a target needs.
+
+    `at` is kept up to date; one that stands after a frame already is gone on from, with the next of the `frames`.
     """
-    rngs = [stream(seed, place) for place in range(len(tracker))]
-    after: list[tuple[Any, TargetResult]] = []
+    at = Standing() if at is None else at
+    at.rngs = at.rngs or [stream(seed, place) for place in range(len(tracker))]
     for frame in frames:
-        if after:
-            for i, (target, rng) in enumerate(zip(tracker, rngs, strict=True)):
-                covers = [other.cover(after[j][0], ahead=j > i) for j, other in enumerate(tracker) if j != i]
-                after[i] = target.advance(rng, after[i][0], frame, [one for one in covers if one is not None])
+        results: list[TargetResult] = []
+        if at.states:
+            for i, (target, rng) in enumerate(zip(tracker, at.rngs, strict=True)):
+                covers = [other.cover(at.states[j], ahead=j > i) for j, other in enumerate(tracker) if j != i]
+                at.states[i], result = target.advance(
+                    rng, at.states[i], frame, [one for one in covers if one is not None]
+                )
+                results.append(result)
         else:
             try:
-                after = [target.begin(rng, frame) for target, rng in zip(tracker, rngs, strict=True)]
+                begun = [target.begin(rng, frame) for target, rng in zip(tracker, at.rngs, strict=True)]
             except InputError as e:
                 raise InputError(f"{clip}: {e}" if clip else str(e)) from None
-        yield FrameResult(frame, tuple(result for _, result in after))
+            at.states, results = [state for state, _ in begun], [result for _, result in begun]
+        yield FrameResult(frame, tuple(results))
 
 
 def log_weights(settings: Exclusion, x: Array, covers: Sequence[Cover]) -> Array:

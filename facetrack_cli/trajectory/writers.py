@@ -65,8 +65,11 @@ class Writer:
     one to a line, so that neither writing nor `grep` holds them all. jsonl is for programs that read meanwhile.
     """
 
-    def __init__(self, form: Format, sink: Sink, header: Header) -> None:
-        self._form, self._sink, self._between = form, sink, ""
+    def __init__(self, form: Format, sink: Sink, header: Header, *, begun: bool = False) -> None:
+        """`begun`: the sink holds the header and some frames already."""
+        self._form, self._sink, self._between = form, sink, ",\n" * begun
+        if begun:
+            return
         head = {"schema": SCHEMA, "version": VERSION, "facetrack": __version__, **header}
         if form == "csv":
             sink.write(",".join(COLUMNS) + "\n")
@@ -103,7 +106,7 @@ def tail(form: Format, footer: Footer, frames: int) -> str:
     return "" if form == "csv" else dumps({"type": "footer", **foot}) + "\n"
 
 
-WRITERS: Mapping[Format, Callable[[Sink, Header], Writer]] = {form: partial(Writer, form) for form in FORMATS}
+WRITERS: Mapping[Format, Callable[..., Writer]] = {form: partial(Writer, form) for form in FORMATS}
 
 
 def _members(values: Mapping[str, Any]) -> list[str]:

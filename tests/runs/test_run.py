@@ -837,8 +837,8 @@ def test_an_encoder_that_is_killed(run: Runner, clip: Path, monkeypatch: pytest.
 
     def killed(video: VideoWriter, image: Image, time_s: float) -> None:
         if time_s > 0.3:
-            video._encoder.child.kill()
-            video._encoder.child.wait()
+            video._encoder.program.child.kill()
+            video._encoder.program.child.wait()
         write(video, image, time_s)
 
     monkeypatch.setattr(VideoWriter, "write", killed)

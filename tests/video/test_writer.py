@@ -251,7 +251,7 @@ def test_interrupted_within_a_frame(tmp_path: Path) -> None:
     writer = VideoWriter(path, media.SIZE, FPS)
     for index in range(12):
         writer.write(media.numbered(index), index / 25)
-    writer._pipe.write(b"\x1f\x43\xb6\x75\x01\x00\x00")
+    writer._encoder.pipe.write(b"\x1f\x43\xb6\x75\x01\x00\x00")
     writer.close()
     assert [media.number(picture) for _, picture in media.read_timed(path)] == list(range(12))
 
@@ -319,7 +319,7 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_encoder_that_dies(tmp_path: Path) -> None:
     writer = VideoWriter(tmp_path / "out.mp4", (640, 480), FPS)
     writer.write(media.numbered(0, (640, 480)), 0.0)
-    writer._encoder.child.kill()
+    writer._encoder.program.child.kill()
     with pytest.raises(OutputError, match=r"out\.mp4: the video cannot be written"):
         for index in range(1, 50):
             writer.write(media.numbered(index, (640, 480)), index / 25)

@@ -44,7 +44,7 @@ class Run:
     look for these features within --box.
 
     With several INPUTs, --out holds a folder for each; one that fails does not stop the others. The same command
-    again skips those that are done, and tracks again those that were interrupted.
+    again skips those that are done, and goes on with those that were interrupted.
 
     \b
     Examples:
@@ -87,6 +87,7 @@ class Run:
     lag: int | None = option("--lag N", "Rows N frames later, given the frames up to then.", type=Whole(1, 1000))
     keep_posterior: bool = flag("--keep-posterior", "Write posterior.npz, for facetrack smooth.")
     overwrite: bool = options.OVERWRITE
+    no_resume: bool = flag("--no-resume", "Track from the start what was interrupted, not from its last checkpoint.")
     strict: bool = flag("--strict", "Exit with 3 if a clip is cut short or damaged, and look harder for damage.")
     fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
     threads: int | None = option(
@@ -131,6 +132,7 @@ class Run:
                     lag=self.lag or 0,
                     posterior=self.smooth or self.keep_posterior,
                     strict=self.strict,
+                    resume=not self.no_resume,
                     threads=self.threads or max(1, cores() // workers),
                     **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
                 )

@@ -94,7 +94,7 @@ class FaceTarget:
         registration = Registration.begin(len(self.features.parts), self._std, searched=self.searched)
         if self.detector is not None and not self.searched and self.detector.measure(seen.bgr, still.BOX) is None:
             registration = registration.unseen()
-        state = FaceState(head, features, points, registration, np.zeros(4), np.zeros(4))
+        state = FaceState(head, features, points._replace(beliefs=None), registration, np.zeros(4), np.zeros(4))
         return state, self._result(state, box, frame)
 
     def restart(
@@ -122,7 +122,7 @@ class FaceTarget:
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
         registration = first.registration.again(known, self._std)
-        state = FaceState(head, features, rows, registration, pose, np.zeros(4))
+        state = FaceState(head, features, rows._replace(beliefs=None), registration, pose, np.zeros(4))
         return state, self._result(state, boxed, frame)
 
     def advance(
@@ -141,6 +141,7 @@ class FaceTarget:
         features, points = self.features.advance(rng, state.features, seen)
         anchored = getattr(features.learned, "anchored", np.zeros(len(self.features.parts)))
         registration = state.registration.predict(anchored, looks=self.detector is not None)
+        points = points._replace(beliefs=None)  # those are of the state
         state = FaceState(head, features, points, registration, state.pose, state.pose_var + _POSE**2, frames)
         if not due:
             return state, self._result(state, box, frame)

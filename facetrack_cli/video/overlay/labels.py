@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -41,6 +41,14 @@ class Insets:
         self._height = round(0.2 * min(size[1], 0.75 * size[0]))
         self._places: dict[str, tuple[int, int]] = {}  # the corner of a target, and since when
         self._count = 0
+
+    @property
+    def memory(self) -> Any:
+        return self._places, self._count
+
+    @memory.setter
+    def memory(self, memory: Any) -> None:
+        self._places, self._count = memory
 
     def draw(self, image: Image, shown: Iterable[Shown], windows: Sequence[Rect]) -> list[Rect]:
         """Draw on `image` (H, W, 3) in place, away from `windows`, what has room; returns the places taken."""
@@ -152,6 +160,14 @@ class Labels:
         self._size, self._top, self._line, self._font = size, top, line, font
         self._sides: dict[tuple[str, str], int] = {}
         self._low: set[str] = set()  # targets whose names stand below them
+
+    @property
+    def memory(self) -> Any:
+        return self._sides, self._low
+
+    @memory.setter
+    def memory(self, memory: Any) -> None:
+        self._sides, self._low = memory
 
     def draw(self, image: Image, shapes: Sequence[Shape], taken: Sequence[Rect]) -> None:
         """Names on `image` in place, each where it covers nothing of `taken`, or nowhere."""

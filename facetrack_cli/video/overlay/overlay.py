@@ -8,7 +8,7 @@ import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -60,6 +60,15 @@ class Overlay:
         self._weights: dict[tuple[str, str], int] = {}
         self._reach = 4.0 * max(size)
         self._count = 0
+
+    @property
+    def memory(self) -> Any:
+        """What it keeps of the frames so far, so that another one goes on in its place."""
+        return self._count, self._past, self._weights, self._insets.memory, self._labels.memory
+
+    @memory.setter
+    def memory(self, memory: Any) -> None:
+        self._count, self._past, self._weights, self._insets.memory, self._labels.memory = memory
 
     def draw(self, result: FrameResult) -> Image:
         """A new image of the frame's size, (H, W, 3) uint8, with `result` drawn on it; the frame is left as it was.
