@@ -130,12 +130,10 @@ class FileSink:
         Raises OutputError.
         """
         with contextlib.suppress(FileNotFoundError), file.open("rb") as before:
-            left, found = place.bytes, hashlib.sha256()
-            while left and (block := before.read(min(left, 1 << 20))):
-                found.update(block)
-                self._file.write(block)
-                left -= len(block)
-            if left == 0 and found.hexdigest() == place.sha256:
+            found = hashlib.sha256()
+            if copy_bytes(before, self._file, place.bytes, found.update) == place.bytes and (
+                found.hexdigest() == place.sha256
+            ):
                 self._sum, self._written, self._records = found, place.bytes, place.records
                 self._ends.append(place.bytes)
                 return True
@@ -266,6 +264,16 @@ def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], 
                 if stopped():
                     return ""
     return found.hexdigest()
+
+
+def copy_bytes(file: BinaryIO, to: BinaryIO, most: int, also: Callable[[bytes], None] = lambda block: None) -> int:
+    """Copy so many bytes, or what there is; how many these are. OSError."""
+    left = most
+    while left and (block := file.read(min(left, 1 << 20))):
+        also(block)
+        to.write(block)
+        left -= len(block)
+    return most - left
 
 
 def check_readable(path: Path, most: int, what: str = "file") -> None:

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, Final, NamedTuple, TypeVar
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MOST, MOST_ROWS, beside, cannot_write, check_readable, discard, write_new
+from facetrack_cli.core.files import (
+    MOST,
+    MOST_ROWS,
+    beside,
+    cannot_write,
+    check_readable,
+    copy_bytes,
+    discard,
+    write_new,
+)
 
 T = TypeVar("T")
 
@@ -109,19 +119,50 @@ class Stored:
         return found
 
 
+class Written(NamedTuple):
+    """Where a file of blocks stands: its bytes, its blocks, and what its directory will say of each array."""
+
+    bytes: int
+    blocks: int
+    members: tuple[tuple[str | int, ...], ...]
+
+
+_MEMBER: Final = (
+    *("filename", "compress_type", "create_system", "create_version", "extract_version", "flag_bits"),
+    *("internal_attr", "external_attr", "volume", "CRC", "header_offset", "compress_size", "file_size"),
+)
+
+
 class Blocks:
     """A file of a kind that is written `beside` its path, a block of arrays at a time.
 
     Raises OutputError when it cannot be written.
     """
 
-    def __init__(self, kind: Kind, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """With these `arrays` first."""
+    def __init__(
+        self, kind: Kind, path: Path, arrays: Mapping[str, NDArray[Any]], after: tuple[Path, Written] | None = None
+    ) -> None:
+        """With these `arrays` first; or `after` what another file holds up to a place."""
         self.path, self._blocks = path, 0
         try:
-            self._zip = ZipFile(beside(path), "w", ZIP_DEFLATED, compresslevel=1)
+            self._file = beside(path).open("w+b")
+            if after is not None:
+                with after[0].open("rb") as before:
+                    copied = copy_bytes(before, self._file, after[1].bytes)
+                if copied < after[1].bytes:
+                    raise OSError(errno.EIO, f"{after[0]} is too short")
+            self._zip = ZipFile(self._file, "w", ZIP_DEFLATED, compresslevel=1)
         except OSError as e:
             raise cannot_write(path, e) from e
+        if after is not None:
+            self._blocks = after[1].blocks
+            for values in after[1].members:
+                member = ZipInfo(str(values[0]))
+                for name, value in zip(_MEMBER, values, strict=True):
+                    setattr(member, name, value)
+                self._zip.filelist.append(member)
+                self._zip.NameToInfo[member.filename] = member
+            return
         self._add({"format": np.array(kind.format), "version": np.array(kind.version, "<i8"), **arrays})
 
     def add(self, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -139,9 +180,16 @@ class Blocks:
         except OSError as e:
             raise cannot_write(self.path, e) from e
 
+    def place(self) -> Written:
+        """Where the next block begins; up to there the file is with the system. OSError."""
+        self._file.flush()
+        members = tuple(tuple(getattr(one, name) for name in _MEMBER) for one in self._zip.filelist)
+        return Written(self._file.tell(), self._blocks, members)
+
     def close(self) -> None:
         try:
             self._zip.close()
+            self._file.close()
         except OSError as e:
             self.discard()
             raise cannot_write(self.path, e) from e
@@ -150,4 +198,6 @@ class Blocks:
         """Close and remove the temporary file, if it is still there."""
         with contextlib.suppress(OSError, ValueError):
             self._zip.close()
+        with contextlib.suppress(OSError):
+            self._file.close()
         discard(self.path)

@@ -23,7 +23,8 @@ from facetrack_cli.core.files import Place
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.sets import sweep
 from facetrack_cli.core.snapshot import Arrays, flatten, restore
-from facetrack_cli.tracking.loop import Standing
+from facetrack_cli.runs.posterior import Standing
+from facetrack_cli.tracking import loop
 from facetrack_cli.trajectory.writers import Format
 from facetrack_cli.video.writer import Cut
 
@@ -46,9 +47,9 @@ class Run(NamedTuple):
     lost: dict[str, int]
     evidence: dict[str, float]
     notes: tuple[str, ...]
-    at: Standing
+    at: loop.Standing
     tables: Mapping[Format, Place]
-    posterior: Any
+    posterior: Standing | None
 
 
 class Painted(NamedTuple):
@@ -98,8 +99,12 @@ class Checkpoints:
             if path.is_file() and (found := KIND.read(path, make)) is not None:
                 self._frames = found.run.frames
                 return found
-        self.remove()
         return None
+
+    def kept(self, name: str) -> Path:
+        """A file of that name beside the checkpoint, whose folder is made. OSError."""
+        self.folder.mkdir(exist_ok=True)
+        return self.folder / name
 
     def due(self, frames: int) -> bool:
         """Whether the run is to be marked after so many frames."""
@@ -141,9 +146,10 @@ class Checkpoints:
         """Wait until all is kept."""
         self._worker.shutdown()
 
-    def remove(self) -> None:
-        """Remove them, of a run that is done."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+
+def forget(out: Path) -> None:
+    """Remove the checkpoints of a run that is done, or is begun anew."""
+    shutil.rmtree(out / FOLDER, ignore_errors=True)
 
 
 def _read(stored: Stored, name: str) -> Any:

@@ -10,7 +10,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.runs import pipeline
 from facetrack_cli.runs.again import previous
-from facetrack_cli.runs.checkpoint import Run
+from facetrack_cli.runs.checkpoint import Run, forget
 from facetrack_cli.runs.job import VIDEO, Job, Outcome, Report, check, check_lag
 from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.signals import Stop
@@ -32,6 +32,8 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
     check(job)
     known = None if job.overwrite else previous(job)
     if known is not None and known.stopped is None and (VIDEO in known.files or not job.video):
+        assert job.out is not None
+        forget(job.out)  # by a kill they may outlive the run
         return Outcome.of(job, known)
     with Outputs(job) as outputs:
         return track_clip(job, outputs, stop, report)

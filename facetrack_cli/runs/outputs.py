@@ -22,7 +22,7 @@ from facetrack_cli.core.sets import Lock
 from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.runs.again import Fingerprint, asked, ends
-from facetrack_cli.runs.checkpoint import PIECE, Checkpoints, Found, Run
+from facetrack_cli.runs.checkpoint import PIECE, Checkpoints, Found, Run, forget
 from facetrack_cli.runs.job import VIDEO, Job, Outcome, check
 from facetrack_cli.runs.posterior import POSTERIOR, PosteriorWriter
 from facetrack_cli.trajectory.diagnostics import KNOWN
@@ -76,7 +76,10 @@ class Outputs:
     def resume(self, start: Start) -> Run | None:
         """Where the last run of the same job stood, if that is known and wished: what it wrote is gone on with."""
         job = self._job
-        if job.out is None or job.lag or not job.recipe.filters:
+        if job.out is None:
+            return None
+        if job.lag or not job.recipe.filters:
+            forget(job.out)
             return None
         told = [asked(job), _versions(), to_record(start)]
         with contextlib.suppress(OSError):  # of a clip that cannot be read, which is said when it is opened
@@ -85,13 +88,19 @@ class Outputs:
         self._checkpoints = Checkpoints(job.out, key, video=job.video)
         found = self._checkpoints.find() if job.resume and not job.overwrite else None
         if found is None or not self._go_on(found.run):
-            self._checkpoints.remove()
+            forget(job.out)
             return None
         self._after = found
         return found.run
 
     def _go_on(self, run: Run) -> bool:
-        assert self._job.out is not None
+        assert self._job.out is not None and self._checkpoints is not None
+        if run.posterior is not None:
+            try:
+                if self._checkpoints.kept(POSTERIOR).stat().st_size < run.posterior.written.bytes:
+                    return False
+            except OSError:
+                return False
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             assert isinstance(sink, FileSink)
             if not sink.go_on(self._job.out / f"trajectory.{form}", run.tables[form]):
@@ -109,7 +118,13 @@ class Outputs:
             for sink in sinks:
                 sink.sync()
 
-        self._checkpoints.mark(run(tables, None), sync)
+        posterior = None
+        if self._posterior is not None:
+            try:
+                posterior = self._posterior.place(self._checkpoints.kept(POSTERIOR))
+            except OSError:  # of a file system without links
+                return
+        self._checkpoints.mark(run(tables, posterior), sync)
 
     def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
         """Write the headers and start the encoder; `rows` are those of the first frame that is tracked now."""
@@ -122,7 +137,10 @@ class Outputs:
             self._writers.append(WRITERS[form](sink, header, begun=self._after is not None))
         if self._job.out is not None and self._job.posterior:
             corrections = header["init"].get("corrections", [])
-            self._posterior = PosteriorWriter(self._job.out / POSTERIOR, rows.targets, corrections)
+            after = None
+            if self._checkpoints is not None and self._after is not None and self._after.run.posterior is not None:
+                after = self._checkpoints.kept(POSTERIOR), self._after.run.posterior
+            self._posterior = PosteriorWriter(self._job.out / POSTERIOR, rows.targets, corrections, after)
         if self._job.out is not None and self._job.video:
             self._overlay = Overlay(source.size, fps=float(source.fps), title=self._job.recipe.name)
             sound = source.path if source.is_video else None
@@ -190,8 +208,8 @@ class Outputs:
             except OSError as e:
                 self.written = []
                 errors.append(cannot_write(Path(e.filename or self._job.out), e))
-        if self._checkpoints is not None and footer.stopped is None and not errors and self.missing is None:
-            self._checkpoints.remove()
+        if self._job.out is not None and footer.stopped is None and not errors and self.missing is None:
+            forget(self._job.out)
         if errors:
             raise errors[0]
         return footer

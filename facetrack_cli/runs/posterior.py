@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.npz import Blocks, Kind, Stored
+from facetrack_cli.core.files import beside, same_file
+from facetrack_cli.core.npz import Blocks, Kind, Stored, Written
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.recipe.skin import Cloud
@@ -33,15 +35,28 @@ def check_smoothing(recipe: Recipe) -> None:
         raise UsageError(f"{recipe.name}: the particles of a cloud are the target itself, no posterior to smooth")
 
 
+class Standing(NamedTuple):
+    """Where a posterior that is being written stands: frames that are still to be written, their number, the file."""
+
+    kept: list[list[tuple[int, tuple[Belief, ...]]]]
+    frames: int
+    written: Written
+
+
 class PosteriorWriter:
     """Writes the beliefs of every frame into `path`, in blocks; they take less than 1 kB a frame and part."""
 
-    def __init__(self, path: Path, targets: Sequence[str], corrections: Any) -> None:
-        """Of these `targets`; `corrections` as the trajectory's header has them."""
+    def __init__(
+        self, path: Path, targets: Sequence[str], corrections: Any, after: tuple[Path, Standing] | None = None
+    ) -> None:
+        """Of these `targets`; `corrections` as the trajectory's header has them. It goes on `after` a `place`."""
         given = {"targets": np.array(targets), "corrections": np.array(dumps(corrections))}
-        self._file = Blocks(KIND, path, given)
         self._kept: list[list[tuple[int, tuple[Belief, ...]]]] = [[] for _ in targets]
         self._frames = 0
+        written: tuple[Path, Written] | None = None
+        if after is not None:
+            self._kept, self._frames, written = after[1].kept, after[1].frames, (after[0], after[1].written)
+        self._file = Blocks(KIND, path, given, written)
 
     @property
     def path(self) -> Path:
@@ -66,6 +81,16 @@ class PosteriorWriter:
             kept.clear()
         self._file.add(arrays)
         self._frames = 0
+
+    def place(self, file: Path) -> Standing:
+        """Where it stands, so that another one goes on with `file`, which is linked to what is written. OSError."""
+        written, part = self._file.place(), beside(self.path)
+        if not same_file(file, part):
+            link = file.with_suffix(".link")
+            link.unlink(missing_ok=True)
+            os.link(part, link)
+            link.replace(file)
+        return Standing(self._kept, self._frames, written)
 
     def close(self) -> None:
         if self._frames:
