@@ -1,0 +1,267 @@
+"""A run that was ended goes on from its checkpoint, and gives byte for byte what one that was not ended gives."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import ExitCode, OutputError
+from facetrack_cli.core.npz import Kind
+from facetrack_cli.runs import checkpoint, clip, outputs
+from facetrack_cli.runs.checkpoint import FOLDER
+from facetrack_cli.runs.job import VIDEO, Job
+from facetrack_cli.runs.seeds import load_recipes
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.tracking.start import read_init
+from facetrack_cli.trajectory.manifest import NAME, read_manifest
+from tests.support import media
+from tests.support.samples import FOLDER as SAMPLES
+
+posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+CLIPS = {"head_hands": "signing", "adaptive_recognition": "map"}
+RECIPES = [
+    "factorized",
+    "independent",
+    "face",
+    "correlation_filter",
+    "adaptive_robust",
+    "head_hands",
+    "skin_ncc_robust",
+]
+RECIPES += ["contour_histogram_correlation", "auxiliary_prior", "adaptive_recognition"]
+EVERY = 8  # frames between checkpoints here
+
+
+@pytest.fixture(autouse=True)
+def _often(monkeypatch):
+    monkeypatch.setattr(checkpoint, "EVERY_FRAMES", EVERY)
+    monkeypatch.setattr(outputs, "PIECE", EVERY)
+    monkeypatch.setattr(checkpoint, "PIECE", EVERY)
+
+
+def job(recipe, out, *settings, source=None, stop=26, **more):
+    gallery = str(SAMPLES / "people.npz") if recipe == "adaptive_recognition" else None
+    [made] = load_recipes([(recipe, settings)], gallery)
+    at = SAMPLES / f"{CLIPS.get(recipe, 'expressions')}.mp4" if source is None else source
+    return Job(at, made, out, stop=stop, **{"video": False, **more})
+
+
+def run(asked, until=None):
+    """Track; interrupted once so many frames are tracked."""
+    stop = Stop()
+
+    def report(done, total):
+        if until is not None and done >= until:
+            stop.code = ExitCode.INTERRUPTED
+
+    done = clip.run(asked, stop, report)
+    assert done.error is None and (done.stopped is None) == (until is None)
+    return done
+
+
+def decoded(video):
+    """The frames of a video, their times, and its sound."""
+    words = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", video, "-f", "framemd5", "-"]
+    return subprocess.run(words, capture_output=True, check=True).stdout
+
+
+def same(folder, other):
+    left = sorted(path.name for path in folder.iterdir())
+    assert left == sorted(path.name for path in other.iterdir())
+    for name in left:
+        if name == VIDEO:
+            assert decoded(folder / name) == decoded(other / name)
+        elif name != NAME:
+            assert (folder / name).read_bytes() == (other / name).read_bytes(), name
+    return True
+
+
+def ended_twice(tmp_path, recipe, *settings, **more):
+    """The folders of a run, and of the same interrupted in two places."""
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    run(job(recipe, whole, *settings, **more))
+    run(job(recipe, out, *settings, **more), 11)
+    assert (out / FOLDER / "state.npz").is_file()
+    assert run(job(recipe, out, *settings, **more), 21).resumed == EVERY
+    done = run(job(recipe, out, *settings, **more))
+    assert done.resumed == 2 * EVERY and done.frames == 26 and "went on from frame 16" in done.summary()
+    return out, whole
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_rows_are_those_of_a_run_that_was_not_ended(tmp_path, recipe):
+    out, whole = ended_twice(tmp_path, recipe)
+    assert same(out, whole) and read_manifest(out).frames == read_manifest(whole).frames == 26
+
+
+@pytest.mark.parametrize(("recipe", "threads"), [("face", 2), ("adaptive_appearance", 1), ("head_hands", 2)])
+def test_so_are_the_frames_of_the_video(tmp_path, recipe, threads):
+    assert same(*ended_twice(tmp_path, recipe, video=True, threads=threads, formats=("csv", "json", "jsonl")))
+
+
+def test_so_is_the_posterior(tmp_path):
+    assert same(*ended_twice(tmp_path, "face", posterior=True))
+
+
+def test_so_are_corrected_tracks(tmp_path):
+    init = tmp_path / "corrected.init.yaml"
+    text = (SAMPLES / "expressions.init.yaml").read_text()
+    corrections = ["{frame: 5, face: {points: {nose: [158, 140]}}}"]
+    corrections += ["{frame: 9, face: {points: {mouth_left: [139, 155]}, learn: true}}"]
+    init.write_text(text + "corrections:\n" + "".join(f"  - {one}\n" for one in corrections))
+    assert len(read_init(init).corrections) == 2
+    for recipe in ("factorized", "face"):
+        folder = tmp_path / recipe
+        folder.mkdir()
+        assert same(*ended_twice(folder, recipe, init=init))
+
+
+def test_so_is_what_was_begun_by_a_search(tmp_path):
+    assert same(*ended_twice(tmp_path, "factorized", init="haar"))
+
+
+def test_images_and_times_that_vary(tmp_path):
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    still = np.random.default_rng(0).integers(0, 255, (96, 128, 3), dtype=np.uint8)
+    media.write_pictures(frames, [np.roll(still, i % 5, axis=1) for i in range(26)])
+    folder = tmp_path / "images"
+    folder.mkdir()
+    assert same(*ended_twice(folder, "ncc", source=frames, box=(40.0, 30.0, 30.0, 30.0), stop=None, video=True))
+
+
+def test_a_run_that_was_not_interrupted_keeps_no_checkpoint(tmp_path):
+    asked = job("factorized", tmp_path / "out", video=True)
+    run(asked)
+    assert not (asked.out / FOLDER).exists()
+    (asked.out / FOLDER).mkdir()  # as a kill after its last file would leave it
+    assert run(asked).again is not None and not (asked.out / FOLDER).exists()
+
+
+@pytest.mark.parametrize("how", ["resume", "overwrite"])
+def test_without_resuming_it_begins_anew(tmp_path, how):
+    asked = job("factorized", tmp_path / "out")
+    run(asked, 11)
+    assert run(job("factorized", tmp_path / "out", **{how: how == "overwrite"})).resumed is None
+
+
+def test_opencvs_trackers_and_a_lag_begin_anew(tmp_path):
+    for recipe, more in (("mil", {"box": (106.0, 74.0, 106.0, 106.0)}), ("factorized", {"lag": 3})):
+        asked = job(recipe, tmp_path / recipe, video=True, **more)
+        run(asked, 11)
+        assert not (asked.out / FOLDER).exists() and run(asked).resumed is None
+
+
+def another_numpy(out, monkeypatch):
+    monkeypatch.setattr(outputs, "_versions", lambda: {"numpy": "0"})
+
+
+def cut_short(out, monkeypatch):
+    state = out / FOLDER / "state.npz"
+    state.write_bytes(state.read_bytes()[:-500])
+
+
+def scrambled(out, monkeypatch):
+    state = out / FOLDER / "state.npz"
+    data = bytearray(state.read_bytes())
+    for at in range(2000, len(data), 501):
+        data[at] ^= 0x5A
+    state.write_bytes(data)
+
+
+def of_something_else(out, monkeypatch):
+    (out / FOLDER / "state.npz").write_bytes((SAMPLES / "people.npz").read_bytes())
+
+
+def rows_edited(out, monkeypatch):
+    rows = out / "trajectory.csv"
+    rows.write_text(rows.read_text().replace("init", "lost"))
+
+
+def rows_gone(out, monkeypatch):
+    (out / "trajectory.csv").unlink()
+
+
+@pytest.mark.parametrize("change", [another_numpy, cut_short, scrambled, of_something_else, rows_edited, rows_gone])
+def test_a_checkpoint_that_does_not_fit_is_left_out(tmp_path, monkeypatch, change):
+    whole, asked = tmp_path / "whole", job("factorized", tmp_path / "out")
+    run(job("factorized", whole))
+    run(asked, 11)
+    change(asked.out, monkeypatch)
+    if change in (rows_edited, rows_gone):
+        asked = job("factorized", tmp_path / "out", overwrite=change is rows_gone)
+    done = run(asked)
+    assert done.resumed is None
+    monkeypatch.undo()
+    assert (asked.out / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
+
+
+def test_another_clip_of_the_same_name_and_size_is_tracked_anew(tmp_path):
+    source = tmp_path / "clip.mp4"
+    shutil.copy(SAMPLES / "expressions.mp4", source)
+    asked = job("factorized", tmp_path / "out", source=source, init=SAMPLES / "expressions.init.yaml")
+    run(asked, 11)
+    stat = source.stat()
+    data = bytearray(source.read_bytes())
+    data[-3000:-2990] = b"0123456789"
+    source.write_bytes(data)
+    os.utime(source, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert run(asked).resumed is None
+
+
+def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch):
+    def full(kind, path, arrays):
+        raise OutputError("the disk is full")
+
+    run(job("factorized", tmp_path / "whole", video=True))
+    monkeypatch.setattr(Kind, "write", full)
+    done = run(job("factorized", tmp_path / "out", video=True))
+    assert not done.warnings and same(tmp_path / "out", tmp_path / "whole")
+
+
+@posix
+def test_kills_at_random_moments(tmp_path):
+    """`benchmarks/resume.py` does the same a hundred times, with ten recipes."""
+    rng = random.Random(0)
+    code = "from facetrack_cli.runs import checkpoint as c, outputs as o; c.EVERY_FRAMES = c.PIECE = o.PIECE = 25\n"
+    code += "import sys; from facetrack_cli.__main__ import main; sys.exit(main())"
+    words = [sys.executable, "-c", code, "run", SAMPLES / "expressions.mp4", "--config", "factorized", "--stop", "100"]
+    subprocess.run([*words, "-o", tmp_path / "whole", "-q"], check=True)
+    out = tmp_path / "out"
+    for frames in (rng.randrange(30, 60), rng.randrange(70, 90)):
+        process = subprocess.Popen([*words, "-o", out, "-q"])
+        part = out / f".trajectory-{process.pid}.part.csv"
+        deadline = time.monotonic() + 60
+        while not part.exists() or part.read_bytes().count(b"\n") < 5 * frames:
+            assert process.poll() is None and time.monotonic() < deadline
+            time.sleep(0.002)
+        process.kill()
+        process.wait()
+    done = subprocess.run([*words, "-o", out], check=True, capture_output=True, text=True)
+    assert "went on from frame" in done.stderr and same(out, tmp_path / "whole")
+
+
+def test_parts_of_a_damaged_state_are_refused(tmp_path):
+    """What would make objects of other kinds is none of ours."""
+    path = tmp_path / FOLDER / "state.npz"
+    path.parent.mkdir()
+    checkpoint.KIND.write(path, {"key": np.array("k"), "run": np.array('{"of": "os:system", "fields": {}}')})
+    assert checkpoint.Checkpoints(tmp_path, "k", video=False).find() is None
+
+
+def test_a_piece_that_is_missing_is_said(tmp_path):
+    asked = job("factorized", tmp_path / "out", video=True)
+    run(asked, 11)
+    (asked.out / FOLDER / "00000.mp4").unlink()
+    done = clip.run(asked, Stop())
+    assert done.error is None or "annotated.mp4" in str(done.error)
+    assert Path(asked.out / "trajectory.csv").is_file()
