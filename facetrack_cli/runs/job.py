@@ -117,6 +117,13 @@ class Outcome:
         return f"{self.clip} -> {where}: {'; '.join(parts)}"
 
 
+def finished(job: Job) -> Manifest | None:
+    """What the folder of a job holds of it, if nothing is missing; None if the clip is to be tracked."""
+    known = None if job.overwrite else previous(job)
+    whole = known is not None and known.stopped is None and (VIDEO in known.files or not job.video)
+    return known if whole else None
+
+
 def check(job: Job) -> None:
     """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
     if job.lag or job.posterior:

@@ -13,9 +13,9 @@ import cv2
 import numba
 import numpy as np
 
+from facetrack_cli.core.claims import Claim
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import FileSink, StreamSink, beside, cannot_write, make_folder, remove_folders
-from facetrack_cli.core.sets import Lock
 from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.runs.again import Fingerprint, asked
@@ -45,7 +45,7 @@ class Outputs:
         self._overlay: Overlay | None = None
         self._writers: list[Writer] = []
         self._posterior: PosteriorWriter | None = None
-        self._lock: Lock | None = None
+        self._lock: Claim | None = None
         self.written: list[Path] = []
         self.missing: OutputError | None = None  # why there is no video; the tables are whole all the same
 
@@ -56,7 +56,7 @@ class Outputs:
             return self
         self._made = make_folder(out)
         try:
-            self._lock = Lock(out).__enter__()
+            self._lock = Claim(out).__enter__()
             recover(out, self._lock)
             check(self._job)  # again, as somebody may have written since
             for form in self._job.formats:
@@ -72,7 +72,8 @@ class Outputs:
         self._fingerprint = Fingerprint(self._job.clip)
         if self._lock is not None:
             self._run = Manifest(asked=asked(self._job), clip=self._fingerprint.clip)
-            self._lock.note({"run": self._run.model_dump()})
+            self._lock.frames = source.frames_hint
+            self._lock.note({"clip": str(self._job.clip), "run": self._run.model_dump()})
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self._writers.append(WRITERS[form](sink, header))
         if self._job.out is not None and self._job.posterior:
@@ -86,6 +87,8 @@ class Outputs:
 
     def write(self, rows: Trajectory) -> None:
         """Write the rows of one frame."""
+        if self._lock is not None:
+            self._lock.frame += 1
         for writer in self._writers:
             writer.write(rows)
 
@@ -129,7 +132,10 @@ class Outputs:
             ended: dict[str, Any] = {"complete": whole, "stopped": stopped, "warnings": footer.warnings, "clip": clip}
             ended |= {"frames": done.frames, "lost_frames": done.lost, "lost_at_end": done.lost_at_end}
             try:
-                commit(self._job.out, self.written, self._run.model_copy(update=ended), anyway=True)
+                commit(self._job.out, self.written, self._run.model_copy(update=ended), claim=self._lock, anyway=True)
+            except OutputError as e:  # the claim is lost
+                self.written = []
+                errors.append(e)
             except OSError as e:
                 self.written = []
                 errors.append(cannot_write(Path(e.filename or self._job.out), e))

@@ -14,7 +14,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core import sets
-from facetrack_cli.core.sets import Lock
+from facetrack_cli.core.claims import LOCK, Claim
 from facetrack_cli.trajectory.killed import settle
 from facetrack_cli.trajectory.manifest import NAME, read_manifest
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -111,7 +111,7 @@ def test_a_second_kill_keeps_the_longer_track(clip, tmp_path):
     "left", [b"", b"x" * 50, b'{"process": 1}', b'{"process": 1, "run": {"format": "no"}}', b"[1]"]
 )
 def test_a_lock_that_says_nothing_is_no_harm(clip, tmp_path, left):
-    (tmp_path / sets.LOCK).write_bytes(left)
+    (tmp_path / LOCK).write_bytes(left)
     (tmp_path / ".trajectory-999999999.part.csv").write_text("frame,\n0,")
     assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, *TABLES, "-q") == 0
     assert names(tmp_path) == [NAME, "trajectory.csv", "trajectory.json", "trajectory.jsonl"]
@@ -128,7 +128,7 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
     for at in range(0, len(text), 97):
         out = tmp_path / f"{at}"
         out.mkdir()
-        (out / sets.LOCK).write_text(json.dumps(note))
+        (out / LOCK).write_text(json.dumps(note))
         (out / f".trajectory-999999999.part.{form}").write_bytes(text[:at])
         frames = settle(out)
         seen.add(frames)
@@ -164,11 +164,11 @@ def test_a_worker_that_is_killed_keeps_what_it_tracked(clip, tmp_path):
 
 @posix
 def test_a_folder_has_one_writer(clip, tmp_path, capsys):
-    with Lock(tmp_path):
+    with Claim(tmp_path):
         assert run(clip, "-o", tmp_path, *SMALL) == 2
         assert "another facetrack is writing its results here; wait until it ends" in capsys.readouterr().err
     assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, "-q") == 0
-    assert sets.LOCK not in names(tmp_path)
+    assert LOCK not in names(tmp_path)
 
 
 @posix
@@ -313,7 +313,7 @@ def test_what_exits_with_0_survives_a_power_loss(clip, disk):
     left = lose_power()
     assert done.returncode == 0
     # the removal of those two need not be on the disk
-    found = [name for name in names(left / "out") if name not in (sets.LOCK, sets.JOURNAL)]
+    found = [name for name in names(left / "out") if name not in (LOCK, sets.JOURNAL)]
     assert found == ["annotated.mp4", NAME, "trajectory.csv", "trajectory.json"]
     for name in found:
         assert (left / "out" / name).read_bytes() == (folder / "out" / name).read_bytes() != b""
