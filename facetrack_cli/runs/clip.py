@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.runs import pipeline
-from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, finished
+from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended
 from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
@@ -26,11 +26,11 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
     left as it is if it was not cut short by an error, a signal or a kill; else the clip is tracked again.
     """
     check(job)
-    if (known := finished(job)) is not None:
-        return Outcome.of(job, known)
+    if (known := ended(job)) is not None:
+        return known
     with Outputs(job) as outputs:
-        if (known := finished(job)) is not None:  # by another process, while this one waited for the folder
-            return Outcome.of(job, known)
+        if (known := ended(job)) is not None:  # meanwhile, by another process
+            return known
         return track_clip(job, outputs, stop, report)
 
 

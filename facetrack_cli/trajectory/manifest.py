@@ -45,7 +45,11 @@ class Clip(File):
 
 
 class Manifest(_Stored):
-    """The contents of run.json. `asked`: a digest of all that was asked for; `lost_at_end`: parts lost at the end."""
+    """The contents of run.json. `asked`: a digest of all that was asked for; `lost_at_end`: parts lost at the end.
+
+    `began` and `ended` are UTC; `seconds` is the time between them. In a batch a clip that failed has its `error`, and
+    `log`, the last lines of a process that died.
+    """
 
     format: Literal["facetrack-run"] = "facetrack-run"
     version: Literal[1] = 1
@@ -59,6 +63,13 @@ class Manifest(_Stored):
     lost_at_end: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     smoothed: bool = False
+    host: str = ""
+    began: str = ""
+    ended: str = ""
+    seconds: float | None = None
+    error: str | None = None
+    exit_code: int | None = None
+    log: tuple[str, ...] = ()
     files: dict[str, File] = {}
 
 

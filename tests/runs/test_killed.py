@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -141,7 +142,8 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
 
 
 @posix
-def test_a_worker_that_is_killed_keeps_what_it_tracked(clip, tmp_path):
+@pytest.mark.parametrize("kills", [1, 2])
+def test_a_worker_that_is_killed_is_replaced_once(clip, whole, tmp_path, kills):
     other = make_clip(tmp_path / "other.mp4", 5)
     process = subprocess.Popen(
         [*FACETRACK, "run", clip, other, "-j", "2", "-o", tmp_path / "out", *SMALL, "--no-video"],
@@ -149,14 +151,26 @@ def test_a_worker_that_is_killed_keeps_what_it_tracked(clip, tmp_path):
         text=True,
     )
     folder, deadline = tmp_path / "out" / "sway-face", time.monotonic() + 60
-    while not (parts := list(folder.glob(".trajectory-*.part.csv"))) or len(frames_of(parts[0])) < 20 * ROWS:
+    killed = set()
+    while len(killed) < kills:
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.002)
-    os.kill(int(parts[0].name.split("-")[1].split(".")[0]), signal.SIGKILL)
+        for part in folder.glob(".trajectory-*.part.csv"):
+            number = int(part.name.split("-")[1].split(".")[0])
+            with contextlib.suppress(FileNotFoundError):
+                if number not in killed and len(frames_of(part)) >= 20 * ROWS:
+                    os.kill(number, signal.SIGKILL)
+                    killed.add(number)
     said = process.communicate()[1]
+    if kills == 1:
+        assert process.returncode == 0, said
+        assert records(folder, "csv") == records(whole, "csv")
+        return
     assert process.returncode == 5
     assert "its process ended with code -9; the" in said and "frames that it had tracked are kept" in said
-    assert read_manifest(folder).stopped == "killed" and len(read_trajectory(folder).frames) >= 19
+    known = read_manifest(folder)
+    assert known.stopped == "killed" and len(read_trajectory(folder).frames) >= 19
+    assert "its process ended with code -9" in known.error and known.exit_code == 1
 
 
 # --- one writer, one set ---
