@@ -4,6 +4,7 @@ FacetrackError            1  an internal error
 ├── UsageError            2  the command line
 │   ├── RecipeError       2  a recipe, with file, line and column where known
 │   └── OutputError       2  the output cannot be written: permission, full disk, another file there
+│       └── BusyError     2  another process writes there
 └── InputError            3  a clip, an init file, a prior or a ground truth file
 
 Every message is one line that names the file, the place and the remedy. `RecipeError` may carry a second part, the
@@ -43,6 +44,10 @@ class RecipeError(UsageError):
 
 
 class OutputError(UsageError):
+    pass
+
+
+class BusyError(OutputError):
     pass
 
 

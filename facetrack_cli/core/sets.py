@@ -1,4 +1,4 @@
-"""Several files of a folder replaced together, all of them or none, whatever ends the program; and its one writer.
+"""Several files of a folder replaced together, all of them or none, whatever ends the program.
 
 Once all new files are written beside the old ones, and on the disk, a journal says so; whoever reads or writes the
 folder next renames what is left.
@@ -10,15 +10,15 @@ import contextlib
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from facetrack_cli.core.claims import LOCK, process_runs
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import FULL, beside, publish, replacing, sync
 
 JOURNAL: Final = ".saving.json"
-LOCK: Final = ".facetrack.lock"
 _PART: Final = re.compile(r"\..+-(\d+)\.part\b")
 
 
@@ -81,65 +81,15 @@ def finish(folder: Path) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what processes that have ended wrote beside the folder's files, and did not announce."""
+    """Remove what processes that have ended wrote beside the files of a claimed folder, and did not announce."""
     if os.name != "posix" or (folder / JOURNAL).exists():
         return
     for path in list(folder.iterdir()):
         found = _PART.match(path.name)
-        if found is not None and int(found[1]) != os.getpid() and not _runs(int(found[1])):
+        ended = found is not None and int(found[1]) != os.getpid() and not process_runs(int(found[1]))
+        if ended or path.name.startswith(f"{LOCK}."):
             with contextlib.suppress(OSError):
                 path.unlink()
-
-
-class Lock:
-    """The one writer of a folder, in a `with`; OutputError for a second one, also on another machine that sees it.
-
-    A process that is killed leaves the file: `left` is what it noted there, {} without a note.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._file: int | None = None
-        self.left: Mapping[str, Any] = {}
-
-    def __enter__(self) -> Lock:
-        try:
-            import fcntl
-        except ImportError:  # Windows: nothing keeps two apart
-            return self
-        path = self._folder / LOCK
-        while self._file is None:
-            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                os.close(file)
-                remedy = "wait until it ends, or name another folder with --out"
-                raise OutputError(f"{self._folder}: another facetrack is writing its results here; {remedy}") from None
-            except OSError:  # of a file system without locks
-                pass
-            with contextlib.suppress(FileNotFoundError):  # its last holder has removed the file that we opened
-                if os.path.samestat(os.fstat(file), path.stat()):
-                    self._file = file
-                    break
-            os.close(file)
-        with contextlib.suppress(ValueError):
-            left = json.loads(os.pread(self._file, 1 << 20, 0))
-            self.left = left if isinstance(left, dict) else {}
-        return self
-
-    def note(self, record: Mapping[str, Any]) -> None:
-        """Note what is being done, for whoever finds the folder after a kill."""
-        if self._file is not None:
-            os.ftruncate(self._file, 0)
-            os.pwrite(self._file, json.dumps({**record, "process": os.getpid()}).encode(), 0)
-
-    def __exit__(self, *_: object) -> None:
-        if self._file is not None:
-            with contextlib.suppress(OSError):
-                (self._folder / LOCK).unlink()
-            os.close(self._file)
-            self._file = None
 
 
 def _read(journal: Path) -> dict[str, Any] | None:
@@ -160,13 +110,3 @@ def _stamp(path: Path) -> list[int] | None:
         found = path.stat()
         return [found.st_size, found.st_mtime_ns]
     return None
-
-
-def _runs(number: int) -> bool:
-    try:
-        os.kill(number, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except OSError:  # it is somebody else's
-        pass
-    return True

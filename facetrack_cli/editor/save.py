@@ -5,9 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
+from facetrack_cli.core.claims import Claim
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, beside, discard
-from facetrack_cli.core.sets import Lock, sweep
+from facetrack_cli.core.sets import sweep
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import UNSAVED, Run, stamp, write_rows
@@ -48,11 +49,11 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     if not fixer.changed:
         forget(run)
         return [f"{run.folder}: nothing was corrected, all is as it was"]
-    with Lock(run.folder):
-        return _save(fixer, video, report, stop)
+    with Claim(run.folder) as claim:
+        return _save(fixer, claim, video, report, stop)
 
 
-def _save(fixer: Fixer, video: bool, report: Report, stop: Stop) -> list[str]:
+def _save(fixer: Fixer, claim: Claim, video: bool, report: Report, stop: Stop) -> list[str]:
     run, rows = fixer.run, fixer.rows
     _check(run)
     files: list[Path] = []
@@ -74,7 +75,7 @@ def _save(fixer: Fixer, video: bool, report: Report, stop: Stop) -> list[str]:
         _check(run)
         known = read_manifest(run.folder)
         ended = known and known.model_copy(update={"lost_frames": footer_of(rows).lost_frames})
-        commit(run.folder, files, ended, [run.folder / UNSAVED])
+        commit(run.folder, files, ended, [run.folder / UNSAVED], claim=claim)
     except BaseException as e:
         for path in files:
             discard(path)

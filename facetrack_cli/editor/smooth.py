@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from facetrack_cli.core.claims import Claim
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import beside, check_folder, discard, make_folder, remove_folders
-from facetrack_cli.core.sets import Lock, sweep
+from facetrack_cli.core.sets import sweep
 from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import open_run, read_files, run_files, write_rows
 from facetrack_cli.editor.save import Plain, repaint
@@ -63,7 +64,7 @@ def save_smoothed(
     made = make_folder(place)
     files: list[Path] = []
     try:
-        with Lock(place):
+        with Claim(place) as claim:
             sweep(place)
             if run is not None:
                 files.append(place / VIDEO)
@@ -79,7 +80,8 @@ def save_smoothed(
                 with beside(place / name).open("wb") as file:
                     write_rows(form, Plain(file), those)
             gone = [folder / POSTERIOR] * (place.resolve() == folder.resolve())
-            commit(place, files, known and known.model_copy(update={"smoothed": True, "files": stays}), gone)
+            ended = known and known.model_copy(update={"smoothed": True, "files": stays})
+            commit(place, files, ended, gone, claim=claim)
     except OSError as e:
         remedy = "free some space, or make it writable"
         raise OutputError(f"{e.filename or files[-1]}: cannot be written: {e.strerror or e}; {remedy}") from e

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import stat
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
-from facetrack_cli.recipe.model import to_dict
+from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.start import find_init
 from facetrack_cli.trajectory.header import is_there, to_record
@@ -34,9 +35,15 @@ def previous(job: Job) -> Manifest | None:
     found = read_manifest(job.out)
     if found is None or found.clip is None or found.asked != asked(job):
         return None
-    there = {name: (job.out / name).stat().st_size for name in found.files if (job.out / name).is_file()}
-    whole = all(there.get(name) == one.bytes for name, one in found.files.items())
+    whole = all(_size(job.out / name) == one.bytes for name, one in found.files.items())
     return found if whole and _same(found.clip, job.clip) else None
+
+
+def _size(path: Path) -> int | None:
+    with contextlib.suppress(OSError):
+        found = path.stat()
+        return found.st_size if stat.S_ISREG(found.st_mode) else None
+    return None
 
 
 def swapped(rows: Trajectory, clip: Path) -> str | None:
@@ -53,21 +60,40 @@ def swapped(rows: Trajectory, clip: Path) -> str | None:
 def asked(job: Job) -> str:
     """A digest of all that a job asks for, but not of its clip: of recipe, start, frames, options, and their files."""
     init = find_init(job.clip) if job.init is None and job.box is None else job.init
-    given = [init] if isinstance(init, Path) else []
-    with contextlib.suppress(YamlProblems):  # the run says so
-        given += files_of(job.recipe)
-    start = to_record(init) if isinstance(init, Start) else init if isinstance(init, str) else len(given)
-    settings = [to_dict(job.recipe), start, job.box, job.init_frame, job.faces, job.start, job.stop]
+    given = _digest(init) if isinstance(init, Path) else to_record(init) if isinstance(init, Start) else init
+    settings = [given, job.box, job.init_frame, job.faces, job.start, job.stop]
     options = [str(job.fps), job.lag, job.posterior, job.formats, job.video, job.strict]
-    files = [_digest(file) for file in given]
-    return hashlib.sha256(dumps([__version__, settings, options, files]).encode()).hexdigest()
+    return hashlib.sha256(dumps([__version__, _of_recipe(job.recipe), settings, options]).encode()).hexdigest()
+
+
+def _of_recipe(recipe: Recipe) -> str:
+    """A digest of a recipe and the files it names, computed once for all clips of a batch."""
+    global _last
+    files: list[Path] = []
+    with contextlib.suppress(YamlProblems):  # the run says so
+        files = files_of(recipe)
+    stamps = tuple(_stamp(file) for file in files)
+    if _last is None or _last[0] is not recipe or _last[1] != stamps:
+        text = dumps([to_dict(recipe), *map(_digest, files)])
+        _last = recipe, stamps, hashlib.sha256(text.encode()).hexdigest()
+    return _last[2]
+
+
+_last: tuple[Recipe, tuple[object, ...], str] | None = None
+
+
+def _stamp(path: Path) -> tuple[str, int, int] | None:
+    with contextlib.suppress(OSError):
+        found = path.stat()
+        return str(path), found.st_size, found.st_mtime_ns
+    return None
 
 
 class Fingerprint:
     """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked; `clip` is the clip without."""
 
     def __init__(self, clip: Path) -> None:
-        self.clip, self._found, self._stopped = _looked_at(clip), "", False
+        self.clip, self._found, self._stopped = looked_at(clip), "", False
 
         def compute() -> None:
             self._found = _digest(clip, lambda: self._stopped)
@@ -95,13 +121,13 @@ def ends(clip: Path) -> str:
 
 
 def _same(known: Clip, clip: Path) -> bool:
-    now = _looked_at(clip)
+    now = looked_at(clip)
     if now is None or now.bytes != known.bytes:
         return False
     return now.changed_ns == known.changed_ns or (known.sha256 != "" and _digest(clip) == known.sha256)
 
 
-def _looked_at(clip: Path) -> Clip | None:
+def looked_at(clip: Path) -> Clip | None:
     """A clip without its checksum; None if it is gone."""
     try:
         stats = [file.stat() for file in _files(clip)]

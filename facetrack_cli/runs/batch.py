@@ -1,18 +1,62 @@
-"""Several clips: where the results of each go, and N of them at a time."""
+"""Several clips: where the results of each go, and N of them at a time.
 
+What is done, and what failed, is what the folders say, before a clip is begun and again once its folder is claimed. So
+several batches on the same folders, also of several machines, share the clips.
+"""
+
+import contextlib
+import hashlib
 import os
 import time
-import traceback
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Final, Literal
 
-from facetrack_cli.core.errors import FacetrackError, from_system
+import cv2
+from pydantic import BaseModel, ConfigDict
+
+from facetrack_cli.core.claims import LOCK, Claim, holder
+from facetrack_cli.core.errors import BusyError, FacetrackError
+from facetrack_cli.core.files import cannot_write, make_folder, replacing
+from facetrack_cli.runs.again import previous
 from facetrack_cli.runs.clip import run
-from facetrack_cli.runs.job import Job, Outcome, Report, check
+from facetrack_cli.runs.failures import line, note_failure
+from facetrack_cli.runs.job import Job, Outcome, Report, check, ended
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.workers import side_by_side
+from facetrack_cli.runs.workers import DiedError, side_by_side
+from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.killed import settle
+
+TRIES: Final = 2  # of a clip whose process a signal ends
+LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free
+SETTLE_S: Final = 10.0  # between two looks whether its claim is stale
+
+
+class BatchFile(BaseModel):
+    """batch-<8 hex>.json: which clips a batch has, and the folder of each beside the file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    format: Literal["facetrack-batch"] = "facetrack-batch"
+    version: Literal[1] = 1
+    recipe: str
+    clips: tuple[tuple[str, str], ...]
+
+
+def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[str]) -> Path:
+    """Write the file of a batch into its folder; the same batch has the same file. Raises OutputError."""
+    texts = [str(clip).encode(errors="backslashreplace").decode() for clip in clips]
+    data = BatchFile(recipe=recipe, clips=tuple(zip(texts, names, strict=True))).model_dump_json(indent=1).encode()
+    path = out / f"batch-{hashlib.sha256(data).hexdigest()[:8]}.json"
+    make_folder(out)
+    try:
+        if not path.exists():
+            with replacing(path) as file:
+                file.write(data + b"\n")
+    except OSError as e:
+        raise cannot_write(path, e) from e
+    return path
 
 
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:
@@ -24,25 +68,26 @@ def folders(clips: Sequence[Path], recipe: str) -> list[str]:
     places = [absolute(clip) for clip in clips]
     names = [title(clip) for clip in clips]
     for depth in range(1, max((len(clip.parts) for clip in places), default=0) + 2):
-        clashing = [i for i, name in enumerate(names) if _count(names, name) > 1]
-        beside = [places[i].parent for i in clashing]
+        count = Counter(map(str.casefold, names))
+        clashing = [i for i, name in enumerate(names) if count[name.casefold()] > 1]
+        beside = Counter(places[i].parent for i in clashing)
         for i in clashing:
             clip = places[i]
-            last = clip.name.replace(".", "-") if beside.count(clip.parent) > 1 else title(clip)
+            last = clip.name.replace(".", "-") if beside[clip.parent] > 1 else title(clip)
             names[i] = "-".join([*clip.parent.parts[1:][-depth:], last])
+    taken: set[str] = set()
+    count = Counter(map(str.casefold, names))
     for i, name in enumerate(names):
-        if _count(names[:i], name):
-            names[i] = next(new for n in range(2, len(names) + 2) if not _count(names, new := f"{name}-{n}"))
+        if name.casefold() in taken:
+            names[i] = next(new for n in range(2, len(names) + 2) if not count[(new := f"{name}-{n}").casefold()])
+            count[names[i].casefold()] += 1
+        taken.add(names[i].casefold())
     return [f"{name}-{recipe}" for name in names]
 
 
 def absolute(clip: Path) -> Path:
     """The whole path under the name that was given: a link keeps its own."""
     return Path(os.path.abspath(clip))  # noqa: PTH100 -- Path.resolve follows links
-
-
-def _count(names: Sequence[str], name: str) -> int:
-    return sum(other.casefold() == name.casefold() for other in names)
 
 
 def title(clip: Path) -> str:
@@ -53,17 +98,53 @@ def title(clip: Path) -> str:
     return full.parent.name if "*" in full.name and not full.exists() else full.stem
 
 
+def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
+    """What became of the jobs that are done already, have failed before, or cannot work; and the others."""
+    decided: list[Outcome] = []
+    left: list[Job] = []
+    for job in jobs:
+        try:
+            known = None if job.out is not None and is_there(job.out / LOCK) else ended(job)
+            if known is None:
+                check(job)
+        except FacetrackError as e:
+            known = Outcome(job.clip, error=line(e))
+        if known is None:
+            left.append(job)
+        else:
+            decided.append(known)
+    return decided, left
+
+
 def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[Outcome]:
     """Run `jobs`, `workers` at a time; each is yielded as it ends. One that fails does not stop the others.
 
-    Once `stop` says so, those at work close their files and the rest are not begun.
+    Those that somebody else is tracking come last: they are waited for, and tracked if nobody does any more. Once
+    `stop` says so, those at work close their files and the rest are not begun.
     """
-    if workers == 1:
+    left, busy, told = list(jobs), list[Job](), False
+    while (left or busy) and not stop():
+        for job, outcome in _round(left, min(workers, len(left)), stop, progress):
+            if isinstance(outcome.error, BusyError):
+                busy.append(job)
+            else:
+                yield outcome
+        if busy and not told and not stop():
+            told = True
+            progress.say(_waiting(busy))
+        free, busy = _wait(busy, stop)
+        decided, left = check_all(free)
+        yield from decided
+
+
+def _round(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[tuple[Job, Outcome]]:
+    if workers <= 1:
         for i, job in enumerate(jobs, 1):
             if stop():
                 return
+            cv2.setNumThreads(job.threads)
             progress.begin(f"[{i}/{len(jobs)}] {job.clip.name}", "frames", None)
-            yield _attempt(job, stop, progress.update)
+            yield job, _attempt(job, stop, progress.update)
         return
     began, finished = time.monotonic(), 0
     progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
@@ -71,29 +152,49 @@ def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress)
     def report(frames: int) -> None:
         progress.update(finished, len(jobs), frames / (time.monotonic() - began))
 
-    for i, ended in side_by_side(jobs, _attempt, workers, stop, report, threads=jobs[0].threads if jobs else 1):
+    results = side_by_side(jobs, _attempt, workers, stop, report, threads=jobs[0].threads, tries=TRIES)
+    for i, result in results:
         finished += 1
-        yield _died(jobs[i], ended) if isinstance(ended, Exception) else ended
+        yield jobs[i], _died(jobs[i], result) if isinstance(result, Exception) else result
 
 
-def _died(job: Job, ended: Exception) -> Outcome:
+def _waiting(busy: Sequence[Job]) -> str:
+    notes = [holder(job.out) for job in busy if job.out is not None]
+    hosts = sorted({str(note["host"]) for note in notes if note is not None and "host" in note})
+    where = f" on {', '.join(hosts)}" if hosts else ""
+    if len(busy) == 1:
+        return f"1 clip is being tracked by another facetrack{where}; waiting for it"
+    return f"{len(busy)} clips are being tracked by another facetrack{where}; waiting for them"
+
+
+def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
+    """The clips of others, once one of them at least is not being tracked any more: those, and the rest."""
+    settled = time.monotonic()
+    while busy and not stop():
+        those = [(job, job.out is not None and (job.out / LOCK).exists()) for job in busy]
+        if not all(held for _, held in those):
+            return [job for job, held in those if not held], [job for job, held in those if held]
+        time.sleep(LOOK_S)
+        if time.monotonic() - settled > SETTLE_S:  # which removes a claim that is stale
+            settled = time.monotonic()
+            for job in busy:
+                if job.out is not None:
+                    settle(job.out)
+    return [], []
+
+
+def _died(job: Job, error: Exception) -> Outcome:
     """What becomes of a clip whose process ended by itself."""
     frames = 0 if job.out is None else settle(job.out)
+    with contextlib.suppress(FacetrackError):  # an earlier turn may have come farther
+        frames = max(frames, known.frames if (known := previous(job)) is not None else 0)
     kept = f"the {frames} frames that it had tracked are kept" if frames else "nothing was kept"
-    return Outcome(job.clip, error=FacetrackError(f"{job.clip}: {ended}; {kept}"))
-
-
-def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
-    """The jobs that cannot work, with what speaks against each, and the others."""
-    refused: list[Outcome] = []
-    accepted: list[Job] = []
-    for job in jobs:
-        try:
-            check(job)
-            accepted.append(job)
-        except FacetrackError as e:
-            refused.append(Outcome(job.clip, error=_line(e)))
-    return refused, accepted
+    said = FacetrackError(f"{job.clip}: {error}; {kept}")
+    log = error.log if isinstance(error, DiedError) else ()
+    if job.out is not None and job.batch:
+        with contextlib.suppress(FacetrackError), Claim(job.out):
+            note_failure(job, said, log)
+    return Outcome(job.clip, error=said)
 
 
 def _attempt(job: Job, stop: Stop, report: Report) -> Outcome:
@@ -101,16 +202,5 @@ def _attempt(job: Job, stop: Stop, report: Report) -> Outcome:
         outcome = run(job, stop, report)
     except Exception as e:
         outcome = Outcome(job.clip, error=e)
-    outcome.error = outcome.error and _line(outcome.error)
+    outcome.error = outcome.error and line(outcome.error)
     return outcome
-
-
-def _line(error: Exception) -> FacetrackError:
-    """The error as its line alone: an exception need not survive the way between processes."""
-    if os.environ.get("FACETRACK_DEBUG", "") not in ("", "0"):
-        traceback.print_exception(error)
-    if isinstance(error, FacetrackError):
-        return FacetrackError(str(error))
-    if (of_system := from_system(error)) is not None:
-        return of_system
-    return FacetrackError(f"internal error, please report it: {type(error).__name__}: {error}")

@@ -9,9 +9,8 @@ from functools import partial
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.runs import pipeline
-from facetrack_cli.runs.again import previous
-from facetrack_cli.runs.checkpoint import Run, forget
-from facetrack_cli.runs.job import VIDEO, Job, Outcome, Report, check, check_lag
+from facetrack_cli.runs.checkpoint import Run
+from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended
 from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
@@ -30,12 +29,11 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
     left as it is if it was not cut short by an error, a signal or a kill; else the clip is tracked again.
     """
     check(job)
-    known = None if job.overwrite else previous(job)
-    if known is not None and known.stopped is None and (VIDEO in known.files or not job.video):
-        assert job.out is not None
-        forget(job.out)  # by a kill they may outlive the run
-        return Outcome.of(job, known)
+    if (known := ended(job)) is not None:
+        return known
     with Outputs(job) as outputs:
+        if (known := ended(job)) is not None:  # meanwhile, by another process
+            return known
         return track_clip(job, outputs, stop, report)
 
 

@@ -14,12 +14,13 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.files import check_folder
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.again import previous
+from facetrack_cli.runs.failures import code_of, is_failure
 from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.killed import settle
-from facetrack_cli.trajectory.manifest import OWNED, Manifest
+from facetrack_cli.trajectory.manifest import OWNED, Manifest, read_manifest
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.trajectory.writers import Format
 from facetrack_cli.video.source import Source
@@ -35,7 +36,8 @@ class Job(Begin):
 
     `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
     whether a clip that is damaged is an error, of which what was tracked is kept. `resume`: whether a run that was
-    ended goes on from its last checkpoint.
+    ended goes on from its last checkpoint. `batch`: whether a clip that fails has a run.json that says so; it is not
+    tried again then, but with `retry_failed`.
     """
 
     recipe: Recipe
@@ -49,6 +51,8 @@ class Job(Begin):
     posterior: bool = False
     strict: bool = False
     resume: bool = True
+    batch: bool = False
+    retry_failed: bool = False
 
 
 @dataclass
@@ -79,6 +83,7 @@ class Outcome:
     def of(cls, job: Job, known: Manifest) -> Outcome:
         """That of a run that its folder holds already."""
         assert job.out is not None
+        error = code_of(known)(known.error) if known.error is not None else None
         return cls(
             job.clip,
             files=[job.out / name for name in known.files],
@@ -86,7 +91,7 @@ class Outcome:
             lost=known.lost_frames,
             lost_at_end=known.lost_at_end,
             complete=known.complete,
-            error=InputError(known.warnings[-1]) if job.strict and not known.complete else None,
+            error=error or (InputError(known.warnings[-1]) if job.strict and not known.complete else None),
             again=known,
         )
 
@@ -122,14 +127,35 @@ class Outcome:
         return f"{self.clip} -> {where}: {'; '.join(parts)}"
 
 
+def finished(job: Job) -> Manifest | None:
+    """What the folder of a job holds of it, if nothing is missing; None if the clip is to be tracked."""
+    known = None if job.overwrite else previous(job)
+    return known if known is not None and _is_whole(job, known) else None
+
+
+def _is_whole(job: Job, known: Manifest) -> bool:
+    return known.error is None and known.stopped is None and (VIDEO in known.files or not job.video)
+
+
+def ended(job: Job) -> Outcome | None:
+    """What became of a job that is done, or, in a batch, has failed; None if the clip is to be tracked."""
+    known = None if job.overwrite else previous(job)
+    if known is None:
+        return None
+    failed = known.error is not None and job.batch and not job.retry_failed
+    return Outcome.of(job, known) if failed or _is_whole(job, known) else None
+
+
 def check(job: Job) -> None:
     """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
     if job.lag or job.posterior:
         check_smoothing(job.recipe)
     if job.out is not None:
-        if is_there(job.out):
+        there = is_there(job.out)
+        if there:
             settle(job.out)
-        overwrite = job.overwrite or previous(job) is not None  # what is cut short is replaced
+        # what is cut short is replaced, and what failed
+        overwrite = job.overwrite or previous(job) is not None or (there and is_failure(read_manifest(job.out)))
         init = job.init if isinstance(job.init, Path) else None
         check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
 

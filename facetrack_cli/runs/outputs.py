@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import platform
 import sys
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -15,14 +16,15 @@ import cv2
 import numba
 import numpy as np
 
+from facetrack_cli.core.claims import Claim, here, utc_now
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import FileSink, Place, StreamSink, beside, cannot_write, make_folder, remove_folders
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.sets import Lock
 from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.runs.again import Fingerprint, asked, ends
 from facetrack_cli.runs.checkpoint import PIECE, Checkpoints, Found, Run, forget
+from facetrack_cli.runs.failures import failure, note_failure
 from facetrack_cli.runs.job import VIDEO, Job, Outcome, check
 from facetrack_cli.runs.posterior import POSTERIOR, PosteriorWriter
 from facetrack_cli.trajectory.diagnostics import KNOWN
@@ -49,7 +51,7 @@ class Outputs:
         self._overlay: Overlay | None = None
         self._writers: list[Writer] = []
         self._posterior: PosteriorWriter | None = None
-        self._lock: Lock | None = None
+        self._lock: Claim | None = None
         self._checkpoints: Checkpoints | None = None
         self._after: Found | None = None
         self._painted = 0
@@ -63,8 +65,10 @@ class Outputs:
             return self
         self._made = make_folder(out)
         try:
-            self._lock = Lock(out).__enter__()
+            self._lock = Claim(out).__enter__()
             recover(out, self._lock)
+            self._began = time.monotonic()
+            self._run = Manifest(asked=asked(self._job), host=here()[0], began=utc_now())
             check(self._job)  # again, as somebody may have written since
             for form in self._job.formats:
                 self._sinks.append(FileSink(out / f"trajectory.{form}"))
@@ -131,8 +135,9 @@ class Outputs:
         header = _header(self._job, source, start, rows)
         self._fingerprint = Fingerprint(self._job.clip)
         if self._lock is not None:
-            self._run = Manifest(asked=asked(self._job), clip=self._fingerprint.clip)
-            self._lock.note({"run": self._run.model_dump()})
+            self._run = self._run.model_copy(update={"clip": self._fingerprint.clip})
+            self._lock.frames = source.frames_hint
+            self._lock.note({"clip": str(self._job.clip), "run": self._run.model_dump()})
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self._writers.append(WRITERS[form](sink, header, begun=self._after is not None))
         if self._job.out is not None and self._job.posterior:
@@ -155,6 +160,8 @@ class Outputs:
 
     def write(self, rows: Trajectory) -> None:
         """Write the rows of one frame."""
+        if self._lock is not None:
+            self._lock.frame += 1
         for writer in self._writers:
             writer.write(rows)
 
@@ -203,8 +210,14 @@ class Outputs:
             whole = footer.complete and stopped is None
             ended: dict[str, Any] = {"complete": whole, "stopped": stopped, "warnings": footer.warnings, "clip": clip}
             ended |= {"frames": done.frames, "lost_frames": done.lost, "lost_at_end": done.lost_at_end}
+            ended |= {"ended": utc_now(), "seconds": round(time.monotonic() - self._began, 3)}
+            if self._job.batch and done.error is not None and not isinstance(done.error, OutputError):
+                ended |= failure(done.error)
             try:
-                commit(self._job.out, self.written, self._run.model_copy(update=ended), anyway=True)
+                commit(self._job.out, self.written, self._run.model_copy(update=ended), claim=self._lock, anyway=True)
+            except OutputError as e:  # the claim is lost
+                self.written = []
+                errors.append(e)
             except OSError as e:
                 self.written = []
                 errors.append(cannot_write(Path(e.filename or self._job.out), e))
@@ -223,8 +236,8 @@ class Outputs:
         if file.path is not None and beside(file.path).is_file():
             self.written.append(file.path)
 
-    def __exit__(self, *_: object) -> None:
-        """Drop what was not closed, and the folders made for it."""
+    def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
+        """Drop what was not closed, and the folders made for it; in a batch say of an error that the clip failed."""
         if self._checkpoints is not None:
             self._checkpoints.end()
         for sink in self._sinks:
@@ -233,6 +246,8 @@ class Outputs:
             if made is not None:
                 made.discard()
         if self._lock is not None:
+            if self._job.batch and isinstance(error, Exception):
+                note_failure(self._job, error, begun=self._run)
             self._lock.__exit__()
         remove_folders(self._made)
 

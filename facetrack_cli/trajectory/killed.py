@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from facetrack_cli.core.claims import LOCK, Claim
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import beside
-from facetrack_cli.core.sets import LOCK, Lock, finish, sweep
+from facetrack_cli.core.sets import finish, sweep
 from facetrack_cli.trajectory.manifest import Manifest, commit, read_manifest
 from facetrack_cli.trajectory.reader import read_table
 from facetrack_cli.trajectory.writers import FORMATS, Footer, Format, footer_of, tail
@@ -34,12 +35,12 @@ def settle(folder: Path) -> int:
     finish(folder)
     if not (folder / LOCK).exists():
         return 0
-    with contextlib.suppress(OutputError, OSError), Lock(folder) as lock:
+    with contextlib.suppress(OutputError, OSError), Claim(folder) as lock:
         return recover(folder, lock)
     return 0
 
 
-def recover(folder: Path, lock: Lock) -> int:
+def recover(folder: Path, lock: Claim) -> int:
     """As `settle`, of a folder that is locked."""
     finish(folder)
     process, frames = lock.left.get("process"), 0

@@ -12,6 +12,7 @@ from typing import Final, Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli import __version__
+from facetrack_cli.core.claims import Claim
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import FULL, MOST, beside, check_readable, digest, discard
 from facetrack_cli.core.sets import replace_all
@@ -44,7 +45,11 @@ class Clip(File):
 
 
 class Manifest(_Stored):
-    """The contents of run.json. `asked`: a digest of all that was asked for; `lost_at_end`: parts lost at the end."""
+    """The contents of run.json. `asked`: a digest of all that was asked for; `lost_at_end`: parts lost at the end.
+
+    `began` and `ended` are UTC; `seconds` is the time between them. In a batch a clip that failed has its `error`, and
+    `log`, the last lines of a process that died.
+    """
 
     format: Literal["facetrack-run"] = "facetrack-run"
     version: Literal[1] = 1
@@ -58,6 +63,13 @@ class Manifest(_Stored):
     lost_at_end: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     smoothed: bool = False
+    host: str = ""
+    began: str = ""
+    ended: str = ""
+    seconds: float | None = None
+    error: str | None = None
+    exit_code: int | None = None
+    log: tuple[str, ...] = ()
     files: dict[str, File] = {}
 
 
@@ -90,12 +102,19 @@ def check_belongs(path: Path) -> None:
 
 
 def commit(
-    folder: Path, files: Sequence[Path], known: Manifest | None, gone: Sequence[Path] = (), *, anyway: bool = False
+    folder: Path,
+    files: Sequence[Path],
+    known: Manifest | None,
+    gone: Sequence[Path] = (),
+    *,
+    claim: Claim | None = None,
+    anyway: bool = False,
 ) -> None:
     """Let what is `beside` these files replace them, and run.json with them: `known`, and their checksums.
 
     Of what a run writes, files that `known` does not keep are removed. Without `known` (the run of an older version)
-    there is no run.json, and only what is `gone` is removed. Raises OSError; `anyway`: a full disk keeps what it can.
+    there is no run.json, and only what is `gone` is removed. Raises OSError; OutputError if the `claim` was taken over,
+    and nothing is replaced then. `anyway`: a full disk keeps what it can.
     """
     files, gone = list(files), list(gone)
     if known is not None:
@@ -111,6 +130,8 @@ def commit(
             if e.errno not in FULL or not anyway:
                 raise
         gone += [folder / name for name in OWNED if name not in stored and folder / name not in files]
+    if claim is not None:
+        claim.check()
     replace_all(folder, files, gone, anyway=anyway)
 
 

@@ -11,9 +11,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from facetrack_cli.core.claims import LOCK
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import MOST_ROWS, check_readable
-from facetrack_cli.core.sets import JOURNAL, LOCK
+from facetrack_cli.core.sets import JOURNAL
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.manifest import check_belongs
 from facetrack_cli.trajectory.trajectory import COLUMNS, FLOATS, SPREAD, TEXTS, Trajectory, build

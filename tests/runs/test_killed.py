@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -14,7 +15,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core import sets
-from facetrack_cli.core.sets import Lock
+from facetrack_cli.core.claims import LOCK, Claim
 from facetrack_cli.trajectory.killed import settle
 from facetrack_cli.trajectory.manifest import NAME, read_manifest
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -111,7 +112,7 @@ def test_a_second_kill_keeps_the_longer_track(clip, tmp_path):
     "left", [b"", b"x" * 50, b'{"process": 1}', b'{"process": 1, "run": {"format": "no"}}', b"[1]"]
 )
 def test_a_lock_that_says_nothing_is_no_harm(clip, tmp_path, left):
-    (tmp_path / sets.LOCK).write_bytes(left)
+    (tmp_path / LOCK).write_bytes(left)
     (tmp_path / ".trajectory-999999999.part.csv").write_text("frame,\n0,")
     assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, *TABLES, "-q") == 0
     assert names(tmp_path) == [NAME, "trajectory.csv", "trajectory.json", "trajectory.jsonl"]
@@ -128,7 +129,7 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
     for at in range(0, len(text), 97):
         out = tmp_path / f"{at}"
         out.mkdir()
-        (out / sets.LOCK).write_text(json.dumps(note))
+        (out / LOCK).write_text(json.dumps(note))
         (out / f".trajectory-999999999.part.{form}").write_bytes(text[:at])
         frames = settle(out)
         seen.add(frames)
@@ -141,7 +142,8 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
 
 
 @posix
-def test_a_worker_that_is_killed_keeps_what_it_tracked(clip, tmp_path):
+@pytest.mark.parametrize("kills", [1, 2])
+def test_a_worker_that_is_killed_is_replaced_once(clip, whole, tmp_path, kills):
     other = make_clip(tmp_path / "other.mp4", 5)
     process = subprocess.Popen(
         [*FACETRACK, "run", clip, other, "-j", "2", "-o", tmp_path / "out", *SMALL, "--no-video"],
@@ -149,14 +151,26 @@ def test_a_worker_that_is_killed_keeps_what_it_tracked(clip, tmp_path):
         text=True,
     )
     folder, deadline = tmp_path / "out" / "sway-face", time.monotonic() + 60
-    while not (parts := list(folder.glob(".trajectory-*.part.csv"))) or len(frames_of(parts[0])) < 20 * ROWS:
+    killed = set()
+    while len(killed) < kills:
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.002)
-    os.kill(int(parts[0].name.split("-")[1].split(".")[0]), signal.SIGKILL)
+        for part in folder.glob(".trajectory-*.part.csv"):
+            number = int(part.name.split("-")[1].split(".")[0])
+            with contextlib.suppress(FileNotFoundError):
+                if number not in killed and len(frames_of(part)) >= 20 * ROWS:
+                    os.kill(number, signal.SIGKILL)
+                    killed.add(number)
     said = process.communicate()[1]
+    if kills == 1:
+        assert process.returncode == 0, said
+        assert records(folder, "csv") == records(whole, "csv")
+        return
     assert process.returncode == 5
     assert "its process ended with code -9; the" in said and "frames that it had tracked are kept" in said
-    assert read_manifest(folder).stopped == "killed" and len(read_trajectory(folder).frames) >= 19
+    known = read_manifest(folder)
+    assert known.stopped == "killed" and len(read_trajectory(folder).frames) >= 19
+    assert "its process ended with code -9" in known.error and known.exit_code == 1
 
 
 # --- one writer, one set ---
@@ -164,11 +178,11 @@ def test_a_worker_that_is_killed_keeps_what_it_tracked(clip, tmp_path):
 
 @posix
 def test_a_folder_has_one_writer(clip, tmp_path, capsys):
-    with Lock(tmp_path):
+    with Claim(tmp_path):
         assert run(clip, "-o", tmp_path, *SMALL) == 2
         assert "another facetrack is writing its results here; wait until it ends" in capsys.readouterr().err
     assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, "-q") == 0
-    assert sets.LOCK not in names(tmp_path)
+    assert LOCK not in names(tmp_path)
 
 
 @posix
@@ -313,7 +327,7 @@ def test_what_exits_with_0_survives_a_power_loss(clip, disk):
     left = lose_power()
     assert done.returncode == 0
     # the removal of those two need not be on the disk
-    found = [name for name in names(left / "out") if name not in (sets.LOCK, sets.JOURNAL)]
+    found = [name for name in names(left / "out") if name not in (LOCK, sets.JOURNAL)]
     assert found == ["annotated.mp4", NAME, "trajectory.csv", "trajectory.json"]
     for name in found:
         assert (left / "out" / name).read_bytes() == (folder / "out" / name).read_bytes() != b""

@@ -23,6 +23,21 @@ if TYPE_CHECKING:
     After: TypeAlias = Callable[[Outcome, Stop, Progress], None]
 
 
+MOST_DONE = 20  # clips that were done before, of which each has its line
+
+
+def _shard(value: str) -> tuple[int, int]:
+    """The number of one of N jobs, and N."""
+    which, slash, of = value.partition("/")
+    if not (slash and which.isascii() and which.isdigit() and of.isascii() and of.isdigit() and len(value) < 20):
+        raise click.BadParameter(f"{value!r}: give I/N, as 3/20, the third of twenty jobs")
+    if int(which) == 0:
+        raise click.BadParameter(f"{value!r}: counts from 1: the first of {of} jobs is 1/{of}")
+    if int(which) > int(of):
+        raise click.BadParameter(f"{value!r}: of {of} jobs the last is {of}/{of}")
+    return int(which), int(of)
+
+
 def _formats(value: str) -> tuple[Format, ...]:
     from facetrack_cli.trajectory.writers import FORMATS
 
@@ -36,15 +51,17 @@ def _formats(value: str) -> tuple[Format, ...]:
 class Run:
     """Track faces, heads and hands in videos and image folders.
 
-    Each INPUT gets a folder with annotated.mp4, trajectory.csv and trajectory.json. The track starts from --init or
-    --box, else from <clip>.init.yaml beside the clip, else from the first face that a
+    Each clip gets a folder with annotated.mp4, trajectory.csv and trajectory.json. An INPUT is a video, a folder of
+    images, a folder of such clips, a quoted glob, or @list.txt with a path a line (@- reads it from standard input).
+    The track starts from --init or --box, else from <clip>.init.yaml beside the clip, else from the first face that a
     detector finds in several frames.
 
     Without --config, whatever is in --box is followed as a box; else the features of a face are. Recipes of points
     look for these features within --box.
 
-    With several INPUTs, --out holds a folder for each; one that fails does not stop the others. The same command
-    again skips those that are done, and goes on with those that were interrupted.
+    With several clips, --out holds a folder for each; one that fails does not stop the others. The same command
+    again skips those that are done, goes on with those that were interrupted, and reports those that failed. Run
+    twice at once, also on two machines, it shares the clips. facetrack status tells how far they are.
 
     \b
     Examples:
@@ -54,7 +71,8 @@ class Run:
       facetrack run clip.mp4 --config adaptive_recognition --gallery people.npz
       facetrack run clip.mp4 --smooth
       facetrack run frames/ --fps 25 -o - | head
-      find . -name '*.mp4' -print0 | xargs -0 facetrack run -j 4 --no-video
+      facetrack run clips/ -j 4 --no-video -o results
+      facetrack run @list.txt --shard 3/20 -o results
 
     \b
     Exit codes: 0 done (also if a clip was cut short or is damaged: a warning
@@ -94,18 +112,25 @@ class Run:
         "--threads N", "Threads a clip [default: the cores, shared by -j].", type=Whole(1, 1000)
     )
     jobs: int = options.jobs_option("Clips at a time.")
+    shard: tuple[int, int] | None = option(
+        "--shard I/N", "Track every N-th clip alone, from the I-th on: one of N jobs.", type=_shard
+    )
+    retry_failed: bool = flag("--retry-failed", "Try clips again that have failed before.")
     quiet: bool = options.QUIET
 
     def run(self) -> int:
         from facetrack_cli.recipe.files import default_recipe
-        from facetrack_cli.runs.batch import absolute
+        from facetrack_cli.runs.batch import write_batch
+        from facetrack_cli.runs.inputs import expand
         from facetrack_cli.runs.job import Job
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.seeds import load_recipes
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.runs.workers import cores
 
-        self.extent.check(*self.inputs)
+        with progress(self.quiet) as shown:
+            given, several = expand(self.inputs, shown.say)
+        self.extent.check(*given)
         seed = () if self.seed is None else (f"seed={self.seed}",)
         config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
         [recipe] = load_recipes([(config, (*self.set, *seed))], self.gallery)
@@ -114,10 +139,14 @@ class Run:
                 f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
                 "give likelihood.contour or likelihood.histogram too, or leave the option out"
             )
-        clips = list({absolute(clip): clip for clip in reversed(self.inputs)}.values())[::-1]
-        places, formats = self._places(clips, recipe.name)
+        several = several or self.shard is not None
+        places, formats = self._places(given, several, recipe.name)
         self._check_smoothing(recipe, formats)
-        workers = min(self.jobs, len(clips))
+        if several and self.out:
+            write_batch(Path(self.out), recipe.name, given, [folder.name for folder in places if folder])
+        first, step = self.shard or (1, 1)
+        clips, places = given[first - 1 :: step], places[first - 1 :: step]
+        workers = max(1, min(self.jobs, len(clips)))
         with Stop().listening() as ending, progress(self.quiet) as shown:
             jobs = [
                 Job(
@@ -133,16 +162,15 @@ class Run:
                     posterior=self.smooth or self.keep_posterior,
                     strict=self.strict,
                     resume=not self.no_resume,
+                    batch=several,
+                    retry_failed=self.retry_failed,
                     threads=self.threads or max(1, cores() // workers),
                     **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
                 )
                 for clip, folder in zip(clips, places, strict=True)
             ]
             after = self._smooth if self.smooth else None
-            if len(jobs) == 1:
-                code = _one(jobs[0], ending, shown, after)
-            else:
-                code = _several(jobs, workers, ending, shown, after)
+            code = _several(jobs, workers, ending, shown, after) if several else _one(jobs[0], ending, shown, after)
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
 
     def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
@@ -183,19 +211,19 @@ class Run:
             shown.say(f"facetrack: warning: {note}")
         shown.say(f"{outcome.clip}: smoothed: {', '.join(path.name for path in files)}")
 
-    def _places(self, clips: list[Path], recipe: str) -> tuple[list[Path | None], tuple[Format, ...]]:
+    def _places(self, clips: list[Path], several: bool, recipe: str) -> tuple[list[Path | None], tuple[Format, ...]]:
         """The folder of each clip's results, None for standard output, and the formats to write."""
         from facetrack_cli.runs.batch import folders
 
         if self.out == "-":
-            if len(clips) > 1:
+            if several:
                 raise UsageError("-o - streams one clip; give one INPUT, or a folder with --out")
             if self.format is not None and len(self.format) > 1:
                 raise UsageError("-o - streams one format; give one with --format")
             return [None], self.format or ("csv",)
         if self.out == "":
             raise OutputError("--out is empty; name a folder, or - for standard output")
-        names = [""] if self.out and len(clips) == 1 else folders(clips, recipe)
+        names = [""] if self.out and not several else folders(clips, recipe)
         return [Path(self.out or ".") / name for name in names], self.format or ("csv", "json")
 
 
@@ -222,17 +250,17 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
 
 def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
-    import cv2
-
     from facetrack_cli.runs.batch import check_all, run_batch
 
-    if workers == 1:
-        cv2.setNumThreads(jobs[0].threads)
-    refused, accepted = check_all(jobs)
-    failed = lost = 0
-    for outcome in itertools.chain(refused, run_batch(accepted, workers, stop, shown)):
+    decided, left = check_all(jobs)
+    done = sum(one.again is not None and one.error is None for one in decided)
+    if done > MOST_DONE:
+        shown.say(f"{done} clips: done before")
+    failed = before = lost = 0
+    for outcome in itertools.chain(decided, run_batch(left, workers, stop, shown)):
         if outcome.frames or outcome.error is None:
-            _report(outcome, shown, named=True)
+            if outcome.again is None or done <= MOST_DONE:
+                _report(outcome, shown, named=True)
             lost += bool(outcome.lost_at_end)
             if after is not None and not stop():
                 try:
@@ -241,13 +269,15 @@ def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress, after: 
                     outcome.error = e
         if outcome.error is not None:
             failed += 1
+            before += outcome.again is not None
             named = "" if str(outcome.clip) in str(outcome.error) else f"{outcome.clip}: "
             shown.error(f"facetrack: error: {named}{outcome.error}")
     shown.close()
     if stop.code is not None:
         return stop.code
     if failed:
-        shown.say(f"{failed} of {len(jobs)} inputs failed")
+        again = f", {before} of them before; --retry-failed tries those again" if before else ""
+        shown.say(f"{failed} of {len(jobs)} inputs failed{again}")
     return ExitCode.BATCH if failed else ExitCode.LOST if lost else ExitCode.DONE
 
 

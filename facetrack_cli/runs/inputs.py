@@ -1,0 +1,130 @@
+"""The clips that a command line names: files, folders, globs, and lists of them.
+
+A folder of images is one clip. In a folder that holds videos each of them is a clip; in one that holds neither, those
+of its sub-folders are.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from facetrack_cli.core.errors import InputError, UsageError, reason
+from facetrack_cli.core.files import MOST, check_readable
+from facetrack_cli.trajectory.header import is_there
+from facetrack_cli.trajectory.manifest import NAME
+from facetrack_cli.video import images
+
+_KINDS: Final = (
+    "3g2 3gp asf avi divx dv f4v flv m2ts m2v m4v mj2 mjpeg mjpg mkv mov mp4 mpe mpeg mpg mts mxf ogm ogv qt rm rmvb "
+    "ts vob webm wmv y4m"
+)
+VIDEOS: Final = frozenset(f".{kind}" for kind in _KINDS.split())
+
+
+class Found(NamedTuple):
+    """The clips, each once, and whether they are `several`: more than one, or whatever a folder, glob or list holds."""
+
+    clips: list[Path]
+    several: bool
+
+
+def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: None) -> Found:
+    """The clips of the inputs of a command line, in their order; `note` hears what is left out.
+
+    Raises InputError for a list that cannot be read, and for a folder, glob or list without clips; UsageError for
+    several single images.
+    """
+    listed = [clip for given in inputs for clip in _listed(given)]
+    groups = [_clips(given, note) for given in listed]
+    found = {Path(os.path.abspath(clip)): clip for group in groups for clip in group}  # noqa: PTH100 -- keeps links
+    clips = list(found.values())
+    alone = [clip for clip in clips if clip.suffix.lower() in images.SUFFIXES and images.listing(clip) is None]
+    if len(alone) > 1:
+        folder = alone[0].parent
+        raise UsageError(f"{alone[0]} and {len(alone) - 1} more are single images; give their folder, {folder}{os.sep}")
+    plain = len(inputs) == len(listed) and groups == [[given] for given in inputs]
+    return Found(clips, len(clips) > 1 or not plain)
+
+
+def _listed(given: Path) -> list[Path]:
+    """What a list names, `@list.txt` or `@-`; anything else is itself."""
+    if not str(given).startswith("@"):
+        return [given]
+    name = str(given)[1:]
+    path = Path(name)
+    try:
+        if name == "-":
+            data = sys.stdin.buffer.read(MOST)
+        else:
+            check_readable(path, MOST, "list")
+            data = path.read_bytes()
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read as a list of clips: {reason(e)}; check the name") from e
+    lines = [line.rstrip("\r") for line in os.fsdecode(data.removeprefix(b"\xef\xbb\xbf")).split("\n")]
+    if b"\0" in data:
+        raise InputError(f"{'standard input' if name == '-' else path}: is not a list of clips; it has a path a line")
+    found = [Path(line) for line in lines if line.strip() and not line.startswith("#")]
+    if not found:
+        raise InputError(f"{'standard input' if name == '-' else path}: names no clip; it has a path a line")
+    return found
+
+
+def _clips(given: Path, note: Callable[[str], None]) -> list[Path]:
+    """The clips that one input is."""
+    try:
+        if given.is_dir():
+            return _of_folder(given, note) or _below(given, note) or [given]
+        if re.search(r"[*?\[]", str(given)) and not is_there(given):
+            return _of_glob(given, note)
+    except OSError as e:
+        raise InputError(f"{e.filename or given}: {reason(e)}; check the name and the permissions") from e
+    return [given]
+
+
+def _of_glob(given: Path, note: Callable[[str], None]) -> list[Path]:
+    matches = _sorted(Path(name) for name in glob.glob(str(given), recursive=True))  # noqa: PTH207 -- any of its parts
+    if not matches:
+        raise InputError(f"{given}: matches no file; check the name")
+    folders = [one for one in matches if one.is_dir()]
+    files = [one for one in matches if not one.is_dir()]
+    pictures = [one for one in files if one.suffix.lower() in images.SUFFIXES]
+    videos = [one for one in files if one.suffix.lower() not in images.SUFFIXES]
+    if pictures and not videos and not folders:
+        return [given]
+    _left_out(given, len(pictures), note)
+    return videos + [clip for folder in folders for clip in _of_folder(folder, note)]
+
+
+def _of_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
+    """The clips right in a folder: it itself, its videos, or none. A run's folder has none."""
+    if (folder / NAME).exists():
+        return []
+    names = [name for name in os.listdir(folder) if not name.startswith(".")]  # noqa: PTH208 -- of many, fast
+    suffixes = {name: os.path.splitext(name)[1].lower() for name in names}  # noqa: PTH122
+    videos = _sorted(folder / name for name in names if suffixes[name] in VIDEOS and (folder / name).is_file())
+    pictures = [name for name in names if suffixes[name] in images.SUFFIXES]
+    if not videos:
+        return [folder] if any((folder / name).is_file() for name in pictures) else []
+    _left_out(folder, len(pictures), note)
+    return videos
+
+
+def _below(folder: Path, note: Callable[[str], None]) -> list[Path]:
+    inside = _sorted(one for one in folder.iterdir() if not one.name.startswith(".") and one.is_dir())
+    return [clip for one in inside for clip in _of_folder(one, note)]
+
+
+def _left_out(given: Path, pictures: int, note: Callable[[str], None]) -> None:
+    if pictures:
+        what = "1 image beside the videos is" if pictures == 1 else f"{pictures} images beside the videos are"
+        note(f"facetrack: warning: {given}: {what} left out; give images a folder of their own")
+
+
+def _sorted(paths: Iterable[Path]) -> list[Path]:
+    return sorted(paths, key=lambda path: [images.natural_key(part) for part in path.parts])
