@@ -9,7 +9,7 @@ from functools import partial
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.runs import pipeline
-from facetrack_cli.runs.checkpoint import Run
+from facetrack_cli.runs.checkpoint import Run, forget
 from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended
 from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.signals import Stop
@@ -30,6 +30,8 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
     """
     check(job)
     if (known := ended(job)) is not None:
+        if job.out is not None:
+            forget(job.out)  # by a kill checkpoints may outlive the run
         return known
     with Outputs(job) as outputs:
         if (known := ended(job)) is not None:  # meanwhile, by another process

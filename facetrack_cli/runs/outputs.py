@@ -136,7 +136,8 @@ class Outputs:
         self._fingerprint = Fingerprint(self._job.clip)
         if self._lock is not None:
             self._run = self._run.model_copy(update={"clip": self._fingerprint.clip})
-            self._lock.frames = source.frames_hint
+            before = 0 if self._after is None else self._after.run.frames
+            self._lock.frame, self._lock.frames = before, source.frames_hint and source.frames_hint + before
             self._lock.note({"clip": str(self._job.clip), "run": self._run.model_dump()})
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self._writers.append(WRITERS[form](sink, header, begun=self._after is not None))
