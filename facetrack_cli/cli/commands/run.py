@@ -168,10 +168,7 @@ class Run:
                 for clip, folder in zip(clips, places, strict=True)
             ]
             after = self._smooth if self.smooth else None
-            if several:
-                code = _several(jobs, workers, ending, shown, after)
-            else:  # whose error is the command's
-                code = _one(jobs[0], ending, shown, after)
+            code = _several(jobs, workers, ending, shown, after) if several else _one(jobs[0], ending, shown, after)
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
 
     def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
