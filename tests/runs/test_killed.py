@@ -16,6 +16,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core import sets
 from facetrack_cli.core.claims import LOCK, Claim
+from facetrack_cli.trajectory import killed as module
 from facetrack_cli.trajectory.killed import settle
 from facetrack_cli.trajectory.manifest import NAME, read_manifest
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -108,6 +109,30 @@ def test_a_second_kill_keeps_the_longer_track(clip, tmp_path):
 
 
 @posix
+@pytest.mark.parametrize("moment", range(4))
+def test_a_recovery_that_is_killed_is_made_again(clip, tmp_path, monkeypatch, moment):
+    killed(clip, tmp_path, *SMALL, *TABLES, frames=20)
+    done, close = [], module._close
+
+    def torn(*arguments):
+        if len(done) == 2 * moment:
+            raise SystemExit
+        done.append(close(*arguments))
+
+    def commit(*_):
+        raise SystemExit
+
+    monkeypatch.setattr(module, "_close", torn)
+    monkeypatch.setattr(module, "commit", commit)
+    monkeypatch.setattr(module.Claim, "__exit__", lambda self, *_: os.close(self._file))
+    with pytest.raises(SystemExit):
+        settle(tmp_path)
+    monkeypatch.undo()
+    assert settle(tmp_path) >= 19
+    assert len(read_trajectory(tmp_path).frames) == read_manifest(tmp_path).frames >= 19
+
+
+@posix
 @pytest.mark.parametrize(
     "left", [b"", b"x" * 50, b'{"process": 1}', b'{"process": 1, "run": {"format": "no"}}', b"[1]"]
 )
@@ -158,7 +183,7 @@ def test_a_worker_that_is_killed_is_replaced_once(clip, whole, tmp_path, kills):
         for part in folder.glob(".trajectory-*.part.csv"):
             number = int(part.name.split("-")[1].split(".")[0])
             with contextlib.suppress(FileNotFoundError):
-                if number not in killed and len(frames_of(part)) >= 20 * ROWS:
+                if number not in killed and len(frames_of(part)) >= (20 + 50 * len(killed)) * ROWS:
                     os.kill(number, signal.SIGKILL)
                     killed.add(number)
     said = process.communicate()[1]
