@@ -77,6 +77,7 @@ class Checkpoints:
         self.folder, self._key, self._video = out / FOLDER, key, video
         self._worker = ThreadPoolExecutor(1, "checkpoint")
         self._marked: dict[int, tuple[_Part, Callable[[], None]]] = {}
+        self._ready: list[tuple[Mapping[str, _Part], Callable[[], None]]] = []
         self._last, self._frames = time.monotonic(), 0
 
     def find(self) -> Found | None:
@@ -119,23 +120,26 @@ class Checkpoints:
         if self._video:
             self._marked[run.frames] = part, sync
         else:
-            self._worker.submit(self._keep, {"run": part}, sync)
+            self._ready.append(({"run": part}, sync))
 
     def painted(self, video: Callable[[], tuple[Cut, Callable[[], None]]], frames: int, overlay: Any) -> None:
         """After so many frames of video: cut it, and keep where it stands if the run is marked there."""
         cut, finish = video()
-        run, sync = self._marked.pop(frames, (None, finish))
-        if run is None:
-            self._worker.submit(self._keep, {}, finish)
-        else:
-            self._worker.submit(self._keep, {"run": run, "painted": flatten(Painted(cut, overlay))}, finish, sync)
+        self._worker.submit(self._keep, {}, finish)
+        if frames in self._marked:
+            run, sync = self._marked.pop(frames)
+            self._ready.append(({"run": run, "painted": flatten(Painted(cut, overlay))}, sync))
 
-    def _keep(self, parts: Mapping[str, _Part], *finish: Callable[[], None]) -> None:
+    def release(self, *, video: bool = False) -> None:
+        """Keep what is marked, now that there is one more frame (`video`: painted): after the last one nothing is."""
+        if self._ready and video == self._video:
+            self._worker.submit(self._keep, *self._ready.pop())
+
+    def _keep(self, parts: Mapping[str, _Part], finish: Callable[[], None]) -> None:
         # whoever writes what could not be finished says so; without a checkpoint the run goes on all the same
         with contextlib.suppress(OutputError, OSError):
             self.folder.mkdir(exist_ok=True)
-            for one in finish:
-                one()
+            finish()
             if parts:
                 arrays: Arrays = {"key": np.array(self._key)}
                 for name, (text, those) in parts.items():

@@ -113,7 +113,10 @@ class Outputs:
 
     def mark(self, run: Callable[[Mapping[Format, Place], Any], Run], frames: int) -> None:
         """Keep a checkpoint after so many frames, if it is time to; `run` says where the run stands."""
-        if self._checkpoints is None or not self._checkpoints.due(frames):
+        if self._checkpoints is None:
+            return
+        self._checkpoints.release()
+        if not self._checkpoints.due(frames):
             return
         sinks = [sink for sink in self._sinks if isinstance(sink, FileSink)]
         tables = {form: sink.place() for form, sink in zip(self._job.formats, sinks, strict=True)}
@@ -182,8 +185,10 @@ class Outputs:
                 self.missing = e
                 return
             self._painted += 1
-            if self._checkpoints is not None and self._painted % PIECE == 0:
-                self._checkpoints.painted(self._video.cut, self._painted, self._overlay.memory)
+            if self._checkpoints is not None:
+                self._checkpoints.release(video=True)
+                if self._painted % PIECE == 0:
+                    self._checkpoints.painted(self._video.cut, self._painted, self._overlay.memory)
 
     def close(self, footer: Footer, done: Outcome) -> Footer:
         """Finish every file, let all replace the old ones, and return the footer; what failed is raised after that.

@@ -92,8 +92,9 @@ class Encoder:
         command = ["-nostats", "-v", "error", "-y", *("-thread_queue_size", "1") * large, "-f", "matroska", "-i", "-"]
         # superfast takes 0.8 of the time of this preset and makes files twice as large, faster takes twice its time
         command += ["-vf", ",".join(filters), "-c:v", "libx264", "-preset", "veryfast", "-crf", "20"]
-        if large:
-            command += ["-threads", "3", "-x264-params", "sync-lookahead=0:rc-lookahead=2:bframes=1:ref=1"]
+        # a lookahead in a thread of its own makes other bytes now and then of the same frames
+        more = ":rc-lookahead=2:bframes=1:ref=1" if large else ""
+        command += [*("-threads", "3") * large, "-x264-params", f"sync-lookahead=0{more}"]
         command += ["-fps_mode", "passthrough", "-enc_time_base", f"1/{self._timescale}"]
         return [*command, *as_mp4(self.target, self._timescale)]
 

@@ -147,6 +147,14 @@ def test_a_run_that_was_not_interrupted_keeps_no_checkpoint(tmp_path):
     assert run(asked).again is not None and not (asked.out / FOLDER).exists()
 
 
+@pytest.mark.parametrize("video", [False, True])
+def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video):
+    asked = job("factorized", tmp_path / "out", stop=3 * EVERY, video=video)
+    run(job("factorized", tmp_path / "whole", stop=3 * EVERY, video=video))
+    run(asked, 3 * EVERY)
+    assert run(asked).resumed == 2 * EVERY and same(asked.out, tmp_path / "whole")
+
+
 @pytest.mark.parametrize("how", ["resume", "overwrite"])
 def test_without_resuming_it_begins_anew(tmp_path, how):
     asked = job("factorized", tmp_path / "out")
