@@ -15,6 +15,7 @@ from facetrack_cli import __version__
 
 COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",
+    "status": "Tell how far a batch is: done, running, failed, time left.",
     "init": "Write where the track of a clip begins, as a file to edit.",
     "fix": "Correct a finished run, on a page.",
     "smooth": "Smooth a finished run: every row given the whole clip.",

@@ -5,20 +5,17 @@ several batches on the same folders, also of several machines, share the clips.
 """
 
 import contextlib
-import hashlib
 import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import cv2
-from pydantic import BaseModel, ConfigDict
 
 from facetrack_cli.core.claims import LOCK, Claim, holder
 from facetrack_cli.core.errors import BusyError, FacetrackError
-from facetrack_cli.core.files import cannot_write, make_folder, replacing
 from facetrack_cli.runs.again import previous
 from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.failures import line, note_failure
@@ -32,31 +29,6 @@ from facetrack_cli.trajectory.killed import settle
 TRIES: Final = 2  # of a clip whose process a signal ends
 LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free
 SETTLE_S: Final = 10.0  # between two looks whether its claim is stale
-
-
-class BatchFile(BaseModel):
-    """batch-<8 hex>.json: which clips a batch has, and the folder of each beside the file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    format: Literal["facetrack-batch"] = "facetrack-batch"
-    version: Literal[1] = 1
-    recipe: str
-    clips: tuple[tuple[str, str], ...]
-
-
-def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[str]) -> Path:
-    """Write the file of a batch into its folder; the same batch has the same file. Raises OutputError."""
-    texts = [str(clip).encode(errors="backslashreplace").decode() for clip in clips]
-    data = BatchFile(recipe=recipe, clips=tuple(zip(texts, names, strict=True))).model_dump_json(indent=1).encode()
-    path = out / f"batch-{hashlib.sha256(data).hexdigest()[:8]}.json"
-    make_folder(out)
-    try:
-        if not path.exists():
-            with replacing(path) as file:
-                file.write(data + b"\n")
-    except OSError as e:
-        raise cannot_write(path, e) from e
-    return path
 
 
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:

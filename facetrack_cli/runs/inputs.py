@@ -53,8 +53,8 @@ def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: No
 
 
 def _listed(given: Path) -> list[Path]:
-    """What a list names, `@list.txt` or `@-`; anything else is itself."""
-    if not str(given).startswith("@"):
+    """What a list names, `@list.txt` or `@-`; anything else is itself, also a file whose name begins so."""
+    if not str(given).startswith("@") or is_there(given):
         return [given]
     name = str(given)[1:]
     path = Path(name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+import shutil
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -43,22 +44,21 @@ def settle(folder: Path) -> int:
 def recover(folder: Path, lock: Claim) -> int:
     """As `settle`, of a folder that is locked."""
     finish(folder)
-    frames = 0
-    wrote = [one for one in (lock.left.get("process"), lock.left.get("left")) if isinstance(one, int)]
+    process, frames = lock.left.get("left") or lock.left.get("process"), 0
     with contextlib.suppress(ValueError, InputError):  # what is left need not be ours
         known = Manifest.model_validate(lock.left.get("run"))
-        if wrote:
-            lock.note({"run": lock.left["run"], "left": wrote[-1]})  # if this process is killed, too
-            frames = _end(folder, wrote, known)
+        if isinstance(process, int):
+            lock.note({"run": lock.left["run"], "left": process})  # in case that this one is killed, too
+            frames = _end(folder, process, known)
+            lock.note({"left": None})
     sweep(folder)
     return frames
 
 
-def _end(folder: Path, wrote: Sequence[int], known: Manifest) -> int:
-    """End the tables of these processes in the folder; the number of frames they hold."""
-    there = [(form, beside(folder / f"trajectory.{form}", process)) for form in FORMATS for process in wrote]
-    parts = {form: part for form, part in reversed(there) if part.is_file()}
-    ends = {form: _ends(form, part) for form, part in parts.items()}
+def _end(folder: Path, process: int, known: Manifest) -> int:
+    """End the tables of a process in the folder; the number of frames they hold."""
+    parts = {form: beside(folder / f"trajectory.{form}", process) for form in FORMATS}
+    ends = {form: _ends(form, part) for form, part in parts.items() if part.is_file()}
     last = min((those[-1].frame if those else -1 for those in ends.values()), default=-1)
     cuts = {form: next((one for one in reversed(those) if one.frame == last), None) for form, those in ends.items()}
     if last < 0 or None in cuts.values():
@@ -66,14 +66,16 @@ def _end(folder: Path, wrote: Sequence[int], known: Manifest) -> int:
     frames, before = max(cut.frames for cut in cuts.values() if cut), read_manifest(folder)
     if before is not None and before.asked == known.asked and before.frames >= frames:
         return 0
+    files = []
     for form, cut in cuts.items():
         assert cut is not None
-        _close(form, parts[form], cut.end, Footer(), frames)
-        footer = footer_of(read_table(parts[form]), complete=False, stopped=KILLED)
-        _close(form, parts[form], cut.end, footer, frames)
-    files = [folder / f"trajectory.{form}" for form in cuts]
-    for form, path in zip(cuts, files, strict=True):
-        parts[form].replace(beside(path))
+        files.append(folder / f"trajectory.{form}")
+        ours = beside(files[-1])
+        if ours != parts[form]:  # a copy: the process may be suspended alone, and write on
+            shutil.copyfile(parts[form], ours)
+        _close(form, ours, cut.end, Footer(), frames)
+        footer = footer_of(read_table(ours), complete=False, stopped=KILLED)
+        _close(form, ours, cut.end, footer, frames)
     ended = {"complete": False, "stopped": KILLED, "frames": frames, "lost_frames": footer.lost_frames, "files": {}}
     commit(folder, files, known.model_copy(update=ended))
     return frames

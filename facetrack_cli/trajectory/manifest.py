@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli import __version__
 from facetrack_cli.core.claims import Claim
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, MOST, beside, check_readable, digest, discard
 from facetrack_cli.core.sets import replace_all
 
@@ -131,7 +131,11 @@ def commit(
                 raise
         gone += [folder / name for name in OWNED if name not in stored and folder / name not in files]
     if claim is not None:
-        claim.check()
+        try:
+            claim.check()
+        except OutputError:
+            discard(folder / NAME)
+            raise
     replace_all(folder, files, gone, anyway=anyway)
 
 

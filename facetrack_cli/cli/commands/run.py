@@ -120,13 +120,13 @@ class Run:
 
     def run(self) -> int:
         from facetrack_cli.recipe.files import default_recipe
-        from facetrack_cli.runs.batch import write_batch
         from facetrack_cli.runs.inputs import expand
         from facetrack_cli.runs.job import Job
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.seeds import load_recipes
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.runs.workers import cores
+        from facetrack_cli.trajectory.batch_file import write_batch
 
         with progress(self.quiet) as shown:
             given, several = expand(self.inputs, shown.say)

@@ -1,0 +1,42 @@
+"""facetrack status: how far a batch is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from facetrack_cli.cli.options import argument, flag, verb
+from facetrack_cli.core.errors import ExitCode, flat
+
+
+class Status:
+    """Tell how far a batch is: done, running, failed, and the time that is left.
+
+    RESULTS is the folder that --out of facetrack run named, or that of a single run. What runs is told with its
+    machine, since when, and how far it is; what failed with the reason. The time that is left is reckoned from the
+    clips that are done, and from how many are being tracked now. Nothing is written.
+
+    \b
+    Examples:
+      facetrack status results
+      watch -n 60 facetrack status results
+      facetrack status results --json | jq -r '.clips[] | select(.state == "failed") | .clip'
+    """
+
+    results: Path = argument("RESULTS")
+    as_json: bool = flag("--json", "Print JSON.")
+
+    def run(self) -> int:
+        from facetrack_cli.runs.status import survey
+
+        found = survey(self.results)
+        if self.as_json:
+            click.echo(found.json(), nl=False)
+        else:
+            for line in found.lines():
+                click.echo(flat(line))
+        return ExitCode.DONE
+
+
+command = verb(Status)

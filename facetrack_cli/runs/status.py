@@ -1,0 +1,210 @@
+"""How far the runs in a folder are, by what lies there. Nothing is written, and nobody is disturbed."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, TypeAlias
+
+from facetrack_cli.core.claims import LOCK, holder
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.numbers import document
+from facetrack_cli.trajectory.batch_file import as_text, batches
+from facetrack_cli.trajectory.manifest import NAME, Manifest, read_manifest
+
+State: TypeAlias = Literal["done", "running", "interrupted", "failed", "not begun"]
+STATES: Final[tuple[State, ...]] = ("done", "running", "interrupted", "failed", "not begun")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One clip: its `folder` below that of the batch, and how far it is.
+
+    `frames` are those that are tracked, `of` those in all, where known; `since` and `ended` are UTC; `error` and the
+    last lines of its `log` say why it failed.
+    """
+
+    clip: str
+    folder: str
+    state: State
+    frames: int = 0
+    of: int | None = None
+    host: str = ""
+    since: str = ""
+    ended: str = ""
+    seconds: float | None = None
+    frames_per_s: float | None = None
+    complete: bool | None = None
+    error: str | None = None
+    exit_code: int | None = None
+    log: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Status:
+    """Those of a folder, in the order of its batch."""
+
+    folder: Path
+    clips: tuple[Clip, ...]
+
+    @property
+    def counts(self) -> dict[State, int]:
+        found = Counter(one.state for one in self.clips)
+        return {state: found[state] for state in STATES}
+
+    @property
+    def work_s(self) -> float | None:
+        """Seconds that one process would take for what is left; None if nothing is done yet that would tell."""
+        took = [one.seconds for one in self.clips if one.state == "done" and one.seconds is not None]
+        if not took:
+            return None
+        left = sum(_left(one) for one in self.clips)
+        return left * statistics.fmean(took)
+
+    @property
+    def remaining_s(self) -> float | None:
+        """Seconds until all is done, with as many processes as there are now; None if there are none, or not known."""
+        running = self.counts["running"]
+        if self.work_s is None or self.work_s == 0:
+            return self.work_s
+        return self.work_s / running if running else None
+
+    def json(self) -> str:
+        fields = {
+            "folder": as_text(str(self.folder)),
+            "counts": self.counts,
+            "remaining_s": _rounded(self.remaining_s),
+            "work_s": _rounded(self.work_s),
+            "clips": [asdict(one) for one in self.clips],
+        }
+        return document("facetrack-status", fields, indent=1)
+
+    def lines(self) -> Iterator[str]:
+        """The same in words."""
+        yield f"{self.folder}: {len(self.clips)} {'clip' if len(self.clips) == 1 else 'clips'}"
+        width = max(map(len, STATES))
+        yield from (f"  {state:<{width}}  {n}" for state, n in self.counts.items() if n)
+        for one in self.clips:
+            if one.state == "running":
+                of = "" if one.of is None else f" of about {one.of}"
+                rate = "" if one.frames_per_s is None else f", {one.frames_per_s:.1f} frames/s"
+                since = f"on {one.host or 'a machine'} since {one.since}"
+                yield f"running: {one.clip}: {since}, {one.frames}{of} frames{rate}"
+        for one in self.clips:
+            if one.state == "interrupted":
+                kept = f"{one.frames} frames are" if one.frames else "what it had tracked is"
+                yield f"interrupted: {one.clip}: {kept} kept"
+        for one in self.clips:
+            if one.state == "failed":
+                yield f"failed: {'' if one.clip in (one.error or '') else f'{one.clip}: '}{one.error}"
+                yield from (f"    {line}" for line in one.log[-5:])
+        yield self._remaining()
+
+    def _remaining(self) -> str:
+        left = sum(self.counts[state] for state in ("running", "interrupted", "not begun"))
+        if not left:
+            failed = self.counts["failed"]
+            return f"nothing is left{', but --retry-failed tries what failed again' if failed else ''}"
+        clips = "1 clip" if left == 1 else f"{left} clips"
+        running = self.counts["running"]
+        if self.work_s is None:
+            return f"{clips} left; none is done yet that would tell how long one takes"
+        if not running:
+            return f"{clips} left, about {duration(self.work_s)} of work; nothing is running: give the command again"
+        assert self.remaining_s is not None
+        return f"{clips} left: about {duration(self.remaining_s)}, {running} at a time"
+
+
+def survey(folder: Path) -> Status:
+    """How far the runs in the folder of a batch, or of one run, are. Raises InputError for any other path."""
+    try:
+        if not folder.is_dir():
+            what = "is a file" if folder.exists() else "no such folder"
+            raise InputError(f"{folder}: {what}; name the folder that --out named")
+        if _is_run(folder):
+            return Status(folder, (_look(folder, ".", ""),))
+        named: dict[str, str] = {}
+        for batch in batches(folder):
+            named |= {name: clip for clip, name in batch.clips if name not in named}
+        there = sorted(one.name for one in folder.iterdir() if one.name not in named and one.is_dir() and _is_run(one))
+    except OSError as e:
+        raise InputError(f"{e.filename or folder}: cannot be read: {e.strerror or e}; make it readable") from e
+    if not named and not there:
+        raise InputError(f"{folder}: holds no results of facetrack run; name the folder that --out named")
+    named |= dict.fromkeys(map(as_text, there), "")
+    return Status(folder, tuple(_look(folder / name, name, clip) for name, clip in named.items()))
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words, to two figures or so: 40 s, 12 min, 3.5 h, 12 days."""
+    for unit, length, most in (("s", 1.0, 100.0), ("min", 60.0, 100.0), ("h", 3600.0, 48.0)):
+        if seconds < most * length:
+            value = seconds / length
+            return f"{value:.1f} {unit}" if value < 10 and unit == "h" else f"{value:.0f} {unit}"
+    return f"{seconds / 86400:.1f} days"
+
+
+def _left(one: Clip) -> float:
+    """How much of a clip is to be done: 0 to 1."""
+    if one.state == "running" and one.of:
+        return max(0.0, 1 - one.frames / one.of)
+    return float(one.state in ("running", "interrupted", "not begun"))
+
+
+def _is_run(folder: Path) -> bool:
+    return (folder / NAME).is_file() or (folder / LOCK).is_file()
+
+
+def _look(folder: Path, name: str, clip: str) -> Clip:
+    known: Manifest | None = None
+    try:
+        known = read_manifest(folder)
+    except InputError as e:
+        return Clip(clip or name, name, "failed", error=str(e), exit_code=int(e.exit_code))
+    note = holder(folder)
+    if note is not None:
+        seconds = _number(note, "seconds")
+        frames, of = int(_number(note, "frame") or 0), _number(note, "frames")
+        return Clip(
+            clip=clip or as_text(str(note.get("clip", name))),
+            folder=name,
+            state="running",
+            frames=frames,
+            of=None if of is None else int(of),
+            host=str(note.get("host", "")),
+            since=str(note.get("began", "")),
+            seconds=seconds,
+            frames_per_s=round(frames / seconds, 2) if frames and seconds else None,
+        )
+    if known is None:
+        begun = (folder / LOCK).is_file()  # a process that is gone has left it
+        return Clip(clip or name, name, "interrupted" if begun else "not begun")
+    state: State = "failed" if known.error is not None else "done" if known.stopped is None else "interrupted"
+    took = known.seconds if known.frames else None
+    return Clip(
+        clip=clip or (known.clip.path if known.clip is not None else name),
+        folder=name,
+        state=state,
+        frames=known.frames,
+        host=known.host,
+        since=known.began,
+        ended=known.ended,
+        seconds=known.seconds,
+        frames_per_s=round(known.frames / took, 2) if took else None,
+        complete=known.complete,
+        error=known.error,
+        exit_code=known.exit_code,
+        log=known.log,
+    )
+
+
+def _number(note: Any, key: str) -> float | None:
+    value = note.get(key)
+    return float(value) if isinstance(value, int | float) and 0 <= value < 1e12 else None
+
+
+def _rounded(seconds: float | None) -> float | None:
+    return None if seconds is None else round(seconds, 1)

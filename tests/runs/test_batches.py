@@ -1,0 +1,274 @@
+"""Batches: what is done is not done again, what failed is told, and several at once share the clips."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core import claims
+from facetrack_cli.core.claims import LOCK, Claim
+from facetrack_cli.runs.job import Outcome
+from facetrack_cli.runs.status import duration
+from facetrack_cli.trajectory.manifest import read_manifest
+from tests.runs.test_run import FACETRACK, SMALL, make_clip
+
+posix = pytest.mark.skipif(os.name != "posix", reason="claims need the locks of POSIX")
+OPTIONS = [*SMALL, "--no-video", "--format", "csv"]
+
+
+@pytest.fixture
+def clips(tmp_path, monkeypatch):
+    """A folder of twelve clips; results go beside it."""
+    monkeypatch.chdir(tmp_path)
+    Path("clips").mkdir()
+    one = make_clip(Path("clips/c0.mp4"), 6)
+    for i in range(1, 12):
+        shutil.copy(one, f"clips/c{i}.mp4")
+        shutil.copy("clips/c0.init.yaml", f"clips/c{i}.init.yaml")
+    return Path("clips")
+
+
+def run(*arguments):
+    return main(["run", *map(str, arguments), *OPTIONS])
+
+
+def status(folder, capsys):
+    assert main(["status", str(folder), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def tracked(folder):
+    """When each folder of results was changed."""
+    return {path.parent.name: path.stat().st_mtime_ns for path in folder.glob("*/trajectory.csv")}
+
+
+# --- several at once ---
+
+
+@posix
+@pytest.mark.parametrize("workers", [1, 2])
+def test_two_at_once_share_the_clips_and_do_none_twice(clips, workers):
+    command = [*FACETRACK, "run", "clips", "-o", "out", "-j", str(workers), *OPTIONS]
+    both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate(timeout=120)[1] for process in both]
+    assert [process.returncode for process in both] == [0, 0], said
+    lines = [line for text in said for line in text.splitlines() if " -> " in line]
+    assert sum("done before" not in line for line in lines) == 12, said
+    assert all(sum(f"c{i}.mp4 -> " in line for line in text.splitlines()) == 1 for text in said for i in range(12))
+    assert len(tracked(Path("out"))) == 12 and len(list(Path("out").glob("batch-*.json"))) == 1
+
+
+@posix
+def test_clips_of_another_machine_are_waited_for(clips, capfd, monkeypatch):
+    monkeypatch.setattr("facetrack_cli.runs.batch.SETTLE_S", 0.2)
+    folder = Path("out/c0-face")
+    folder.mkdir(parents=True)
+    (folder / LOCK).write_text(json.dumps({"host": "node7", "boot": "b", "process": 1, "token": "ab"}))
+    os.utime(folder / LOCK, (time.time() - 57,) * 2)
+    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0
+    lines = capfd.readouterr().err.splitlines()
+    assert [line.partition(" -> ")[0] for line in lines] == [
+        "clips/c1.mp4",
+        "1 clip is being tracked by another facetrack on node7; waiting for it",
+        "clips/c0.mp4",
+    ]
+
+
+@posix
+def test_ctrl_c_ends_the_waiting(clips):
+    with Claim(Path("out/c0-face")):
+        command = [*FACETRACK, "run", "clips/c0.mp4", "clips/c1.mp4", "-o", "out", *OPTIONS]
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        assert process.stderr is not None
+        while "waiting for it" not in process.stderr.readline():
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+        process.stderr.close()
+
+
+@posix
+def test_one_that_was_suspended_and_taken_over_replaces_nothing(tmp_path, monkeypatch):
+    clip, out = make_clip(tmp_path / "sway.mp4", 300), tmp_path / "out"
+    command = [*FACETRACK, "run", clip, "-o", out, *OPTIONS]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not (parts := list(out.glob(".trajectory-*.part.csv"))) or parts[0].stat().st_size < 10_000:
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.002)
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(0.1)
+    os.utime(out / LOCK, (0, 0))
+    monkeypatch.setattr(claims, "_flock", lambda file: None)  # of another machine
+    monkeypatch.setattr(claims, "here", lambda: ("node7", "b"))
+    assert run(clip, "-o", out, "-q") == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir() if not path.name.startswith(".")}
+    process.send_signal(signal.SIGCONT)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 2 and "another facetrack has taken this folder over" in said
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert read_manifest(out).host == "node7"
+
+
+# --- what failed ---
+
+
+def test_what_failed_is_told_and_tried_again_only_if_asked(clips, capfd):
+    Path("clips/c0.mp4").write_text("no video")
+    inputs = ["clips/c0.mp4", "clips/c1.mp4", "-o", "out"]
+    assert run(*inputs) == 5
+    known = read_manifest(Path("out/c0-face"))
+    assert known.error == "clips/c0.mp4: not a video; give a video file or a folder of images"
+    assert (known.exit_code, known.files, known.frames) == (3, {}, 0)
+    before = Path("out/c0-face/run.json").stat().st_mtime_ns
+    capfd.readouterr()
+    assert run(*inputs) == 5
+    lines = capfd.readouterr().err.splitlines()
+    assert f"facetrack: error: {known.error}" in lines
+    assert lines[-1] == "1 of 2 inputs failed, 1 of them before; --retry-failed tries those again"
+    assert Path("out/c0-face/run.json").stat().st_mtime_ns == before
+    assert run(*inputs, "--retry-failed") == 5
+    assert Path("out/c0-face/run.json").stat().st_mtime_ns > before
+    shutil.copy("clips/c1.mp4", "clips/c0.mp4")
+    assert run(*inputs) == 0, "the clip has changed"
+    assert read_manifest(Path("out/c0-face")).error is None
+
+
+def test_what_failed_does_not_keep_another_recipe_out(clips):
+    Path("clips/c0.init.yaml").write_text("frame: 900\npoints: {nose: [1, 1]}")
+    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 5
+    shutil.copy("clips/c1.init.yaml", "clips/c0.init.yaml")
+    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0, "what is asked has changed"
+
+
+def test_a_failure_leaves_other_results_alone(clips):
+    assert run("clips/c0.mp4", "-o", "out/c0-face", "--seed", 5) == 0
+    before = tracked(Path("out"))
+    Path("clips/c0.mp4").write_text("no video")
+    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 5
+    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out", "--overwrite") == 5
+    assert read_manifest(Path("out/c0-face")).error is None
+    assert tracked(Path("out"))["c0-face"] == before["c0-face"]
+
+
+def test_an_error_in_the_middle_is_a_failure_with_frames(clips, monkeypatch):
+    def count(outcome, result):
+        original(outcome, result)
+        if outcome.frames == 3:
+            raise RuntimeError("three")
+
+    original = Outcome.count
+    monkeypatch.setattr(Outcome, "count", count)
+    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 5
+    known = read_manifest(Path("out/c0-face"))
+    assert "RuntimeError: three" in known.error and known.frames == 3 and known.exit_code == 1 and known.files
+
+
+# --- shards ---
+
+
+def test_shards_are_disjoint_and_complete(clips, capfd):
+    seen = set()
+    for i in range(1, 6):
+        assert run("@list", "--shard", f"{i}/5", "-o", "out") == 3, "the list is not there"
+    Path("list").write_text("clips\n" + "clips/../clips/c3.mp4\n")
+    for i in range(1, 6):
+        assert run("@list", "--shard", f"{i}/5", "-o", "out") == 0
+        found = set(tracked(Path("out"))) - seen
+        assert len(found) == (3 if i <= 2 else 2)
+        seen |= found
+    assert seen == {f"c{i}-face" for i in range(12)} and len(list(Path("out").glob("batch-*"))) == 1
+    assert run("clips/c0.mp4", "--shard", "2/2", "-o", "out") == 0, "there may be none"
+
+
+@pytest.mark.parametrize(
+    ("shard", "words"),
+    [
+        ("0/5", "counts from 1: the first of 5 jobs is 1/5"),
+        ("6/5", "the last is 5/5"),
+        ("3", "give I/N"),
+        ("a/b", "I/N"),
+    ],
+)
+def test_a_shard_that_is_none(clips, capfd, shard, words):
+    assert run("clips", "--shard", shard) == 2
+    assert words in capfd.readouterr().err
+
+
+def test_a_folder_of_one_clip_is_a_batch(clips):
+    for path in sorted(clips.glob("c[1-9]*")):
+        path.unlink()
+    assert run("clips", "-o", "out") == 0
+    assert list(tracked(Path("out"))) == ["c0-face"]
+
+
+# --- how far it is ---
+
+
+def test_status_in_each_state(clips, capsys):
+    Path("clips/c1.mp4").write_text("no video")
+    three = ["clips/c0.mp4", "clips/c1.mp4", "clips/c2.mp4", "clips/c3.mp4", "clips/c4.mp4", "-o", "out"]
+    shutil.copytree("clips", "moved")
+    for i in (2, 3, 4):
+        Path(f"clips/c{i}.mp4").unlink()
+    assert run(*three) == 5
+    for i in (2, 3, 4):
+        shutil.rmtree(f"out/c{i}-face")
+    capsys.readouterr()
+    Path("out/c2-face").mkdir()
+    (Path("out/c2-face") / LOCK).write_text(json.dumps({"host": "node7", "boot": "b", "process": 1, "token": "ab"}))
+    os.utime(Path("out/c2-face") / LOCK, (0, 0))
+    before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*")}
+    with Claim(Path("out/c3-face")) as claim:
+        claim.frame, claim.frames = 3, 6
+        claim.note({"clip": "clips/c3.mp4"})
+        found = status("out", capsys)
+        assert main(["status", "out"]) == 0
+    text = capsys.readouterr().out
+    assert found["schema"] == "facetrack-status" and found["version"] == 1
+    assert found["counts"] == {"done": 1, "running": 1, "interrupted": 1, "failed": 1, "not begun": 1}
+    by_clip = {one["clip"]: one for one in found["clips"]}
+    assert [one["state"] for one in found["clips"]] == ["done", "failed", "interrupted", "running", "not begun"]
+    running = by_clip["clips/c3.mp4"]
+    assert (running["frames"], running["of"], running["host"]) == (3, 6, claims.here()[0])
+    done = by_clip["clips/c0.mp4"]
+    assert done["frames"] == 6 and done["seconds"] > 0 and done["ended"] >= done["since"] > "2"
+    assert found["work_s"] == pytest.approx(2.5 * done["seconds"], abs=0.1)
+    assert found["remaining_s"] == found["work_s"]
+    assert "out: 5 clips" in text and "failed: clips/c1.mp4: not a video" in text
+    assert f"running: clips/c3.mp4: on {claims.here()[0]} since 2" in text and "3 of about 6 frames" in text
+    assert "interrupted: clips/c2.mp4: what it had tracked is kept" in text
+    assert "3 clips left: about" in text and ", 1 at a time" in text
+    after = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*") if "c3" not in str(path)}
+    assert after.items() <= before.items() | {(Path("out"), Path("out").stat().st_mtime_ns)}, "nothing is written"
+    assert main(["status", "out"]) == 0
+    assert "of work; nothing is running: give the command again" in capsys.readouterr().out
+
+
+def test_status_of_one_run_and_of_none(clips, capsys):
+    assert run("clips/c0.mp4", "-o", "one", "-q") == 0
+    found = status("one", capsys)
+    assert [one["state"] for one in found["clips"]] == ["done"] and found["clips"][0]["folder"] == "."
+    assert run("clips/c0.mp4", "clips/c1.mp4", "-q") == 0, "in the working directory there is no file of the batch"
+    assert [one["folder"] for one in status(".", capsys)["clips"]] == ["c0-face", "c1-face", "one"]
+    for what in ("clips", "gone", "clips/c0.mp4"):
+        assert main(["status", what]) == 3
+        assert len(capsys.readouterr().err.splitlines()) == 1
+    Path("one/run.json").write_text("[]")
+    assert [one["state"] for one in status("one", capsys)["clips"]] == ["failed"]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.2, "0 s"), (99, "99 s"), (150, "2 min"), (7000, "1.9 h"), (80_000, "22 h"), (400_000, "4.6 days")],
+)
+def test_durations(seconds, words):
+    assert duration(seconds) == words

@@ -1,0 +1,95 @@
+"""What a command line names: files, folders, globs and lists."""
+
+import io
+import sys
+from pathlib import Path
+
+import pytest
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.runs.inputs import expand
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("day1/b10.mp4", "day1/b2.MP4", "day1/notes.txt", "day1/.hidden.mp4", "day1/cover.jpg", "day2/c.mkv"):
+        touch(name)
+    for name in ("faces/0.png", "faces/1.png", "tree/x/1.jpg", "tree/y/a.mp4", "tree/y/deep/z.mp4", "tree/r/run.json"):
+        touch(name)
+    for name in ("tree/r/annotated.mp4", "tree/empty/no.txt", "sub/day3/d [1].mp4", "empty/no.txt"):
+        touch(name)
+
+
+def touch(name):
+    Path(name).parent.mkdir(parents=True, exist_ok=True)
+    Path(name).touch()
+
+
+def expanded(*inputs):
+    said = []
+    clips, several = expand([Path(one) for one in inputs], said.append)
+    return [clip.as_posix() for clip in clips], several, said
+
+
+@pytest.mark.parametrize(
+    ("inputs", "clips", "several"),
+    [
+        (["day2/c.mkv"], ["day2/c.mkv"], False),
+        (["gone.mp4"], ["gone.mp4"], False),
+        (["faces"], ["faces"], False),
+        (["faces/*.png"], ["faces/*.png"], False),
+        (["empty"], ["empty"], False),
+        (["tree/r"], ["tree/r"], False),
+        (["day2/c.mkv", "./day2/c.mkv"], ["day2/c.mkv"], False),
+        (["day2"], ["day2/c.mkv"], True),
+        (["day2/c.mkv", "faces"], ["day2/c.mkv", "faces"], True),
+        (["tree"], ["tree/x", "tree/y/a.mp4"], True),
+        (["sub"], ["sub/day3/d [1].mp4"], True),
+        (["sub/day3/d [1].mp4"], ["sub/day3/d [1].mp4"], False),
+        (["day1/*.mp4"], ["day1/b10.mp4"], True),
+        (["day?/*.m*"], ["day1/b10.mp4", "day2/c.mkv"], True),
+        (["tree/*"], ["tree/x", "tree/y/a.mp4"], True),
+        (["**/c.mkv"], ["day2/c.mkv"], True),
+    ],
+)
+def test_inputs(inputs, clips, several):
+    assert expanded(*inputs) == (clips, several, [])
+
+
+def test_images_beside_videos_are_left_out_with_a_line():
+    clips, several, said = expanded("day1")
+    assert (clips, several) == (["day1/b2.MP4", "day1/b10.mp4"], True), "by their numbers"
+    assert said == [
+        "facetrack: warning: day1: 1 image beside the videos is left out; give images a folder of their own"
+    ]
+    touch("day1/other.png")
+    assert "day1: 2 images beside the videos are left out" in expanded("day1")[2][0]
+
+
+def test_lists(monkeypatch):
+    Path("list.txt").write_bytes(b"\xef\xbb\xbfday2/c.mkv\r\n\n  \n# day1/b10.mp4\nfaces\nday1/*.mp4\nday2/c.mkv\n")
+    clips = ["day2/c.mkv", "faces", "day1/b10.mp4"]
+    assert expanded("@list.txt") == (clips, True, [])
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"day2/c.mkv")))
+    assert expanded("@-") == (["day2/c.mkv"], True, [])
+    touch("@odd.mp4")
+    assert expanded("./@odd.mp4") == (["@odd.mp4"], False, [])
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        (["@gone.txt"], InputError, "gone.txt: cannot be read as a list of clips: No such file or directory"),
+        (["@day1"], InputError, "day1: cannot be read as a list of clips: Is a directory"),
+        (["@empty/no.txt"], InputError, "empty/no.txt: names no clip; it has a path a line"),
+        (["@zeros"], InputError, "zeros: is not a list of clips"),
+        (["gone/*.mp4"], InputError, "gone/*.mp4: matches no file"),
+        (["faces/0.png", "faces/1.png", "day2/c.mkv"], UsageError, "faces/0.png and 1 more are single images; give "),
+    ],
+)
+def test_what_cannot_be_meant(given, error, words):
+    Path("zeros").write_bytes(b"a\0b")
+    with pytest.raises(error) as raised:
+        expanded(*given)
+    assert str(raised.value).startswith(words) and "\n" not in str(raised.value)
