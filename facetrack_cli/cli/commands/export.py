@@ -19,7 +19,18 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.trajectory import Trajectory
 
 
-FORMATS = ("mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
+ENDINGS = {
+    "csv-wide": "wide.csv",
+    "parquet": "parquet",
+    "mot": "mot.txt",
+    "otb": "otb.txt",
+    "got10k": "got10k.txt",
+    "vot": "vot.txt",
+    "coco": "coco.json",
+    "dlc": "dlc.csv",
+    "eaf": "eaf",
+}
+"""How the file of each format is called, after the name of the trajectory."""
 ONE_TARGET = ("otb", "got10k", "vot")
 OF_BOXES = ("mot", *ONE_TARGET, "coco")
 OF_MEDIA = ("coco", "eaf")
@@ -33,20 +44,22 @@ class Export:
 
     \b
     Formats:
-      mot     MOTChallenge results: frame, id, box, confidence; all from 1
-      otb     OTB boxes, one a line, pixels from 1; one target
-      got10k  GOT-10k boxes, one a line, pixels from 1; one target
-      vot     VOT result, one region a line, pixels from 0; one target
-      coco    COCO keypoints JSON: boxes and points of every frame
-      dlc     DeepLabCut CSV: x, y, likelihood of every point
-      eaf     ELAN annotations: what was lost, how the head moved
+      csv-wide  CSV with one row a frame, for spreadsheets
+      parquet   the rows of trajectory.csv, with types; needs pyarrow
+      mot       MOTChallenge results: frame, id, box, confidence; all from 1
+      otb       OTB boxes, one a line, pixels from 1; one target
+      got10k    GOT-10k boxes, one a line, pixels from 1; one target
+      vot       VOT result, one region a line, pixels from 0; one target
+      coco      COCO keypoints JSON: boxes and points of every frame
+      dlc       DeepLabCut CSV: x, y, likelihood of every point
+      eaf       ELAN annotations: what was lost, how the head moved
 
     In mot, otb, got10k, vot and coco, a target of several points has the box around the windows that the tracker
     compares; with --box points, around the points alone.
 
     Lost rows hold the tracker's estimate. mot, coco and dlc give its confidence, coco also the visibility 1 (2 is
     tracked). With --drop-lost they are as if nothing was found: no row in mot, no keypoint in coco, an empty cell in
-    dlc, nan in otb and got10k, a failure in vot.
+    dlc, csv-wide and parquet, nan in otb and got10k, a failure in vot.
 
     eaf has tiers for lost parts, motion to the left, right, up and down, tilt, size, nods and shakes: as seen in the
     image plane. It needs the video, coco the size of the frames: both stand in a trajectory.json, else give --media.
@@ -63,7 +76,7 @@ class Export:
     """
 
     trajectory: Path = argument("TRAJECTORY")
-    to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(FORMATS))
+    to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(list(ENDINGS)))
     out: str | None = option("-o --out FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
     target: str | None = options.TARGET
     media: Path | None = option("--media FILE", "Clip it was tracked in (coco, eaf).", type=FILE)
@@ -89,35 +102,39 @@ class Export:
             raise UsageError("--drop-lost is not for eaf, which has a tier for what was lost; leave it out")
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
+        if self.out == "-" and self.to == "parquet":
+            raise OutputError("parquet is not text, and does not go to standard output; name a file with -o")
         table = choose(read_trajectory(self.trajectory), self.target)
-        kind = {"coco": ".json", "dlc": ".csv", "eaf": ""}.get(self.to, ".txt")
-        beside = table.path.with_name(f"{table.path.stem}.{self.to}{kind}")
+        beside = table.path.with_name(f"{table.path.stem}.{ENDINGS[self.to]}")
         path = None if self.out == "-" else Path(self.out) if self.out else beside
         if path is not None:
             check_new(path, overwrite=self.overwrite, inputs=(table.path, self.media, clip_of(table)))
         try:
-            text = self._text(blank_lost(table) if self.drop_lost else table, path)
+            content = self._content(blank_lost(table) if self.drop_lost else table, path)
         except InputError as e:
             # what is wrong within the table has no file's name yet
             known = str(e).startswith((str(table.path), str(self.media)))
             raise e if known else InputError(f"{table.path}: {e}") from None
         if path is None:
-            StreamSink(sys.stdout.buffer).finish(lambda _: text)
+            StreamSink(sys.stdout.buffer).finish(lambda _: str(content))
             return
-        write_new(path, text.encode(errors="backslashreplace"), overwrite=self.overwrite)
+        data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
+        write_new(path, data, overwrite=self.overwrite)
         frames = table.frames
         begins = f"; line 1 is frame {frames[0]}" if self.to in ("otb", "got10k") and frames[0] else ""
         say(f"{path}: {len(frames)} frames of {', '.join(table.targets) or 'one target'}{begins}")
 
-    def _text(self, table: Trajectory, path: Path | None) -> str:
+    def _content(self, table: Trajectory, path: Path | None) -> str | bytes:
         import numpy as np
 
-        from facetrack_cli.trajectory.formats import boxes, eaf, keypoints
+        from facetrack_cli.trajectory.formats import boxes, eaf, keypoints, tables
         from facetrack_cli.trajectory.header import said
         from facetrack_cli.trajectory.select import enclose
 
         if not np.isfinite(table.x).any():
             raise InputError("no row has a place, x and y; there is nothing to export")
+        if self.to in ("csv-wide", "parquet"):
+            return tables.write_wide(table) if self.to == "csv-wide" else tables.write_parquet(table)
         if self.to == "dlc":
             recipe = said(table, "recipe", "name")
             return keypoints.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack")
