@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 ENDINGS = {
     "csv-wide": "wide.csv",
     "parquet": "parquet",
+    "pose": "pose.csv",
+    "openface": "openface.csv",
     "mot": "mot.txt",
     "otb": "otb.txt",
     "got10k": "got10k.txt",
@@ -33,7 +35,7 @@ ENDINGS = {
 """How the file of each format is called, after the name of the trajectory."""
 ONE_TARGET = ("otb", "got10k", "vot")
 OF_BOXES = ("mot", *ONE_TARGET, "coco")
-OF_MEDIA = ("coco", "eaf")
+OF_MEDIA = ("openface", "coco", "eaf")
 
 
 class Export:
@@ -46,6 +48,8 @@ class Export:
     Formats:
       csv-wide  CSV with one row a frame, for spreadsheets
       parquet   the rows of trajectory.csv, with types; needs pyarrow
+      pose      CSV of the head's pitch, yaw and roll, with their spread
+      openface  OpenFace's CSV: confidence, success, pose, landmarks
       mot       MOTChallenge results: frame, id, box, confidence; all from 1
       otb       OTB boxes, one a line, pixels from 1; one target
       got10k    GOT-10k boxes, one a line, pixels from 1; one target
@@ -62,7 +66,8 @@ class Export:
     dlc, csv-wide and parquet, nan in otb and got10k, a failure in vot.
 
     eaf has tiers for lost parts, motion to the left, right, up and down, tilt, size, nods and shakes: as seen in the
-    image plane. It needs the video, coco the size of the frames: both stand in a trajectory.json, else give --media.
+    image plane. It needs the video; coco and openface's pose_T the size of the frames: both stand in a trajectory.json,
+    else give --media.
 
     \b
     Examples:
@@ -79,7 +84,7 @@ class Export:
     to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(list(ENDINGS)))
     out: str | None = option("-o --out FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
     target: str | None = options.TARGET
-    media: Path | None = option("--media FILE", "Clip it was tracked in (coco, eaf).", type=FILE)
+    media: Path | None = option("--media FILE", "Clip it was tracked in (openface, coco, eaf).", type=FILE)
     box: Around | None = option(
         "--box KIND",
         "What a box around points encloses: windows [default], or points, their centres alone.",
@@ -95,7 +100,7 @@ class Export:
         from facetrack_cli.trajectory.select import blank_lost, choose
 
         if self.media is not None and self.to not in OF_MEDIA:
-            raise UsageError(f"--media is for {' and '.join(OF_MEDIA)}; {self.to} does not name the clip")
+            raise UsageError(f"--media is for {', '.join(OF_MEDIA)}; {self.to} does not name the clip")
         if self.box is not None and self.to not in OF_BOXES:
             raise UsageError(f"--box is for {', '.join(OF_BOXES)}; {self.to} has no boxes")
         if self.drop_lost and self.to == "eaf":
@@ -127,7 +132,7 @@ class Export:
     def _content(self, table: Trajectory, path: Path | None) -> str | bytes:
         import numpy as np
 
-        from facetrack_cli.trajectory.formats import boxes, eaf, keypoints, tables
+        from facetrack_cli.trajectory.formats import boxes, eaf, keypoints, openface, tables
         from facetrack_cli.trajectory.header import said
         from facetrack_cli.trajectory.select import enclose
 
@@ -135,6 +140,10 @@ class Export:
             raise InputError("no row has a place, x and y; there is nothing to export")
         if self.to in ("csv-wide", "parquet"):
             return tables.write_wide(table) if self.to == "csv-wide" else tables.write_parquet(table)
+        if self.to == "pose":
+            return tables.write_pose(table)
+        if self.to == "openface":
+            return openface.write_openface(table, self._size(table))
         if self.to == "dlc":
             recipe = said(table, "recipe", "name")
             return keypoints.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack")
@@ -166,21 +175,28 @@ class Export:
             say(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
         return clip
 
-    def _frames(self, table: Trajectory) -> tuple[tuple[int, int], Callable[[int], str]]:
-        """The size of the frames, and the names of their images."""
-        from facetrack_cli.trajectory.header import clip_of, frame_size_of, is_there
-        from facetrack_cli.video import images
+    def _size(self, table: Trajectory) -> tuple[int, int] | None:
+        """Width and height of the frames, if anything says."""
+        from facetrack_cli.trajectory.header import frame_size_of
         from facetrack_cli.video.source import open_source
 
-        clip = self.media or clip_of(table)
         size = frame_size_of(table)
-        if self.media is not None:
-            with open_source(self.media) as opened:
-                found = opened.size
-            if size and size != found:
-                its, ours = (f"{width}x{height}" for width, height in (found, size))
-                raise InputError(f"{self.media}: is {its}, but the track is of a clip of {ours}; correct --media")
-            size = found
+        if self.media is None:
+            return size
+        with open_source(self.media) as opened:
+            found = opened.size
+        if size and size != found:
+            its, ours = (f"{width}x{height}" for width, height in (found, size))
+            raise InputError(f"{self.media}: is {its}, but the track is of a clip of {ours}; correct --media")
+        return found
+
+    def _frames(self, table: Trajectory) -> tuple[tuple[int, int], Callable[[int], str]]:
+        """The size of the frames, and the names of their images."""
+        from facetrack_cli.trajectory.header import clip_of, is_there
+        from facetrack_cli.video import images
+
+        clip = self.media or clip_of(table)
+        size = self._size(table)
         if not size or clip is None:
             raise InputError(
                 "does not say how large its frames are, only a trajectory.json does; name the clip: --media"
