@@ -21,7 +21,7 @@ from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
 from facetrack_cli.trajectory.writers import SCHEMA
 
-FORMS = ("csv-wide", "openface", "mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
+FORMS = ("csv-wide", "openface", "mot", "otb", "got10k", "vot", "coco", "dlc", "eaf", "cvat", "labelstudio")
 Row = namedtuple("Row", COLUMNS, defaults=[None] * (len(COLUMNS) - 6))
 
 
@@ -245,7 +245,7 @@ def test_otb_says_which_frame_is_line_1(track):
     ("args", "code", "said"),
     [
         (["--to", "otb", "--target", "hand"], 2, "has no 'hand'; choose among face, face/nose, face/lip_upper"),
-        (["--to", "mot", "--media", "x.mp4"], 2, "--media is for openface, coco, eaf"),
+        (["--to", "mot", "--media", "x.mp4"], 2, "--media is for openface, coco, eaf, cvat, labelstudio"),
         (["--to", "dlc", "--box", "points"], 2, "dlc has no boxes"),
         (["--to", "eaf", "--drop-lost"], 2, "--drop-lost is not for eaf"),
         (["--to", "eaf"], 3, "trajectory.csv: does not name its video"),

@@ -31,11 +31,13 @@ ENDINGS = {
     "coco": "coco.json",
     "dlc": "dlc.csv",
     "eaf": "eaf",
+    "cvat": "cvat.xml",
+    "labelstudio": "labelstudio.json",
 }
 """How the file of each format is called, after the name of the trajectory."""
 ONE_TARGET = ("otb", "got10k", "vot")
 OF_BOXES = ("mot", *ONE_TARGET, "coco")
-OF_MEDIA = ("openface", "coco", "eaf")
+OF_MEDIA = ("openface", "coco", "eaf", "cvat", "labelstudio")
 
 
 class Export:
@@ -57,6 +59,8 @@ class Export:
       coco      COCO keypoints JSON: boxes and points of every frame
       dlc       DeepLabCut CSV: x, y, likelihood of every point
       eaf       ELAN annotations: what was lost, how the head moved
+      cvat      CVAT for video 1.1: a track for each part, to correct there
+      labelstudio  Label Studio's video rectangles, to correct there
 
     In mot, otb, got10k, vot and coco, a target of several points has the box around the windows that the tracker
     compares; with --box points, around the points alone.
@@ -64,6 +68,9 @@ class Export:
     Lost rows hold the tracker's estimate. mot, coco and dlc give its confidence, coco also the visibility 1 (2 is
     tracked). With --drop-lost they are as if nothing was found: no row in mot, no keypoint in coco, an empty cell in
     dlc, csv-wide and parquet, nan in otb and got10k, a failure in vot.
+
+    cvat and labelstudio go to the annotation tool, and what is corrected there comes back by facetrack fix --import.
+    A lost row is occluded in cvat, and not enabled in labelstudio; with --drop-lost it is outside in cvat, too.
 
     eaf has tiers for lost parts, motion to the left, right, up and down, tilt, size, nods and shakes: as seen in the
     image plane. It needs the video; coco and openface's pose_T the size of the frames: both stand in a trajectory.json,
@@ -84,7 +91,7 @@ class Export:
     to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(list(ENDINGS)))
     out: str | None = option("-o --out FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
     target: str | None = options.TARGET
-    media: Path | None = option("--media FILE", "Clip it was tracked in (openface, coco, eaf).", type=FILE)
+    media: Path | None = option("--media FILE", f"Clip it was tracked in ({', '.join(OF_MEDIA)}).", type=FILE)
     box: Around | None = option(
         "--box KIND",
         "What a box around points encloses: windows [default], or points, their centres alone.",
@@ -132,8 +139,8 @@ class Export:
     def _content(self, table: Trajectory, path: Path | None) -> str | bytes:
         import numpy as np
 
-        from facetrack_cli.trajectory.formats import boxes, eaf, keypoints, openface, tables
-        from facetrack_cli.trajectory.header import said
+        from facetrack_cli.trajectory.formats import boxes, cvat, eaf, keypoints, labelstudio, openface, tables
+        from facetrack_cli.trajectory.header import clip_of, said
         from facetrack_cli.trajectory.select import enclose
 
         if not np.isfinite(table.x).any():
@@ -144,6 +151,11 @@ class Export:
             return tables.write_pose(table)
         if self.to == "openface":
             return openface.write_openface(table, self._size(table))
+        if self.to == "cvat":
+            clip = self.media or clip_of(table)
+            return cvat.write_cvat(table, self._size(table), "" if clip is None else clip.name)
+        if self.to == "labelstudio":
+            return labelstudio.write_labelstudio(table, *self._video(table))
         if self.to == "dlc":
             recipe = said(table, "recipe", "name")
             return keypoints.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack")
@@ -189,6 +201,20 @@ class Export:
             its, ours = (f"{width}x{height}" for width, height in (found, size))
             raise InputError(f"{self.media}: is {its}, but the track is of a clip of {ours}; correct --media")
         return found
+
+    def _video(self, table: Trajectory) -> tuple[tuple[int, int], float, str]:
+        """The size of the frames, frames per second, and the name of the clip."""
+        from facetrack_cli.trajectory.header import clip_of, said
+        from facetrack_cli.video.source import open_source
+
+        clip, size, fps = self.media or clip_of(table), self._size(table), said(table, "source", "fps")
+        if self.media is not None:
+            with open_source(self.media) as opened:
+                fps = float(opened.fps)
+        if clip is None or not size or not isinstance(fps, int | float) or not fps > 0:
+            why = "does not say how large and how fast its frames are, only a trajectory.json does"
+            raise InputError(f"{why}; name the clip: --media")
+        return size, float(fps), clip.name
 
     def _frames(self, table: Trajectory) -> tuple[tuple[int, int], Callable[[int], str]]:
         """The size of the frames, and the names of their images."""
