@@ -8,7 +8,7 @@ import stat
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from facetrack_cli import __version__
 from facetrack_cli.core.files import digest
@@ -69,24 +69,25 @@ def asked(job: Job) -> str:
 def _of_recipe(recipe: Recipe) -> str:
     """A digest of a recipe and the files it names, computed once for all clips of a batch."""
     global _last
-    files: list[Path] = []
-    with contextlib.suppress(YamlProblems):  # the run says so
-        files = files_of(recipe)
-    stamps = tuple(_stamp(file) for file in files)
-    if _last is None or _last[0] is not recipe or _last[1] != stamps:
+    if _last is None or _last[0] is not recipe or _last[1] != [_stamp(file) for file, _ in _last[1]]:
+        files: list[Path] = []
+        with contextlib.suppress(YamlProblems):  # the run says so
+            files = files_of(recipe)
+        stamps = [_stamp(file) for file in files]
         text = dumps([to_dict(recipe), *map(_digest, files)])
         _last = recipe, stamps, hashlib.sha256(text.encode()).hexdigest()
     return _last[2]
 
 
-_last: tuple[Recipe, tuple[object, ...], str] | None = None
+_Stamp: TypeAlias = tuple[Path, "tuple[int, int] | None"]
+_last: tuple[Recipe, list[_Stamp], str] | None = None
 
 
-def _stamp(path: Path) -> tuple[str, int, int] | None:
+def _stamp(path: Path) -> _Stamp:
     with contextlib.suppress(OSError):
         found = path.stat()
-        return str(path), found.st_size, found.st_mtime_ns
-    return None
+        return path, (found.st_size, found.st_mtime_ns)
+    return path, None
 
 
 class Fingerprint:

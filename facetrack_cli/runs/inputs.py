@@ -107,7 +107,8 @@ def _of_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
         return []
     names = [name for name in os.listdir(folder) if not name.startswith(".")]  # noqa: PTH208 -- of many, fast
     suffixes = {name: os.path.splitext(name)[1].lower() for name in names}  # noqa: PTH122
-    videos = _sorted(folder / name for name in names if suffixes[name] in VIDEOS and (folder / name).is_file())
+    wanted = sorted((name for name in names if suffixes[name] in VIDEOS), key=images.natural_key)
+    videos = [path for path in map(folder.joinpath, wanted) if path.is_file()]
     pictures = [name for name in names if suffixes[name] in images.SUFFIXES]
     if not videos:
         return [folder] if any((folder / name).is_file() for name in pictures) else []
@@ -127,4 +128,4 @@ def _left_out(given: Path, pictures: int, note: Callable[[str], None]) -> None:
 
 
 def _sorted(paths: Iterable[Path]) -> list[Path]:
-    return sorted(paths, key=lambda path: [images.natural_key(part) for part in path.parts])
+    return sorted(paths, key=lambda path: images.natural_key(str(path)))

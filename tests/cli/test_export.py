@@ -14,13 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.cli.app import cli
+from facetrack_cli.cli.commands.export import ENDINGS
 from facetrack_cli.trajectory.formats.boxes import read_got10k, read_mot, read_otb, read_vot
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
 from facetrack_cli.trajectory.writers import SCHEMA
 
-FORMS = ("mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
+FORMS = ("csv-wide", "openface", "mot", "otb", "got10k", "vot", "coco", "dlc", "eaf", "cvat", "labelstudio")
 Row = namedtuple("Row", COLUMNS, defaults=[None] * (len(COLUMNS) - 6))
 
 
@@ -224,10 +225,9 @@ def test_every_format_goes_to_standard_output_and_beside_the_trajectory(track, t
     assert form in export("--help").stdout
     text = export(path, "--to", form, "-o", "-").stdout
     assert text.endswith("\n") and list(tmp_path.iterdir()) == [path]
-    made = tmp_path / f"trajectory{'.eaf' if form == 'eaf' else f'.{form}'}"
     export(path, "--to", form)
     (written,) = set(tmp_path.iterdir()) - {path}
-    assert written.name.startswith(made.name)
+    assert written.name == f"trajectory.{ENDINGS[form]}"
     if form != "eaf":  # which holds the time of writing
         assert written.read_text() == text
     before = written.read_bytes()
@@ -245,13 +245,14 @@ def test_otb_says_which_frame_is_line_1(track):
     ("args", "code", "said"),
     [
         (["--to", "otb", "--target", "hand"], 2, "has no 'hand'; choose among face, face/nose, face/lip_upper"),
-        (["--to", "mot", "--media", "x.mp4"], 2, "--media is for coco and eaf"),
+        (["--to", "mot", "--media", "x.mp4"], 2, "--media is for openface, coco, eaf, cvat, labelstudio"),
         (["--to", "dlc", "--box", "points"], 2, "dlc has no boxes"),
         (["--to", "eaf", "--drop-lost"], 2, "--drop-lost is not for eaf"),
         (["--to", "eaf"], 3, "trajectory.csv: does not name its video"),
         (["--to", "coco"], 3, "trajectory.csv: does not say how large its frames are"),
         (["--to", "eaf", "--media", "nowhere.mp4"], 3, "nowhere.mp4: no such file; correct --media"),
         (["--to", "mot", "-o", ""], 2, "--out is empty"),
+        (["--to", "parquet", "-o", "-"], 2, "parquet is not text"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(track, args, code, said):

@@ -1,7 +1,8 @@
 """What other tools read in exported files, as JSON: `PYTHON read_exports.py FOLDER`
 
 Run by the Python that has them (requirements.txt); imports nothing of ours. The folder holds track.mot.txt,
-track.otb.txt, track.got10k.txt, track.vot.txt, track.coco.json, track.dlc.csv, two.dlc.csv and track.eaf.
+track.otb.txt, track.got10k.txt, track.vot.txt, track.coco.json, track.dlc.csv, two.dlc.csv, track.openface.csv and
+track.eaf.
 """
 
 import contextlib
@@ -23,6 +24,7 @@ import attributee  # noqa: E402, F401
 if _transform is not None:
     typing.dataclass_transform = _transform
 
+import exploface  # noqa: E402
 import motmetrics  # noqa: E402
 import numpy as np  # noqa: E402
 import pandas as pd  # noqa: E402
@@ -73,6 +75,11 @@ def dlc(path, header):
     }
 
 
+def openface(path):
+    found = exploface.get_feature_time_series(str(path))
+    return {"info": exploface.get_info(str(path)), "rows": found.dropna(axis=1, how="all").to_dict(orient="list")}
+
+
 def eaf(path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # an unknown version of the format
@@ -115,6 +122,7 @@ def main():
         "coco": coco(folder / "track.coco.json"),
         "dlc": dlc(folder / "track.dlc.csv", [0, 1, 2]),
         "dlc_of_two": dlc(folder / "two.dlc.csv", [0, 1, 2, 3]),
+        "openface": openface(folder / "track.openface.csv"),
         "eaf": eaf(folder / "track.eaf"),
     }
     sys.stdout.write(json.dumps(plain(found)))

@@ -100,6 +100,7 @@ def test_shift_is_added_to_every_frame(tmp_path: Path, form: str) -> None:
         "boxes": "frame,x,y,w,h\n3,1,2,3,4\n",
         "mot": "4,1,1,2,3,4,1,1,1\n",
         "pts": PTS,
+        "cvat": "<annotations><track label='a'><points frame='3' points='1,2'/></track></annotations>",
     }
     name = "000004.pts" if form == "pts" else "gt.txt"
     path = write(tmp_path, texts.get(form, "1,2,3,4\n" * 4), name)

@@ -1,4 +1,4 @@
-"""Exports as other tools read them: motmetrics, got10k, vot-toolkit, pycocotools, pandas (DeepLabCut's), pympi."""
+"""Exports as other tools read them: motmetrics, got10k, vot-toolkit, pycocotools, pandas, exploface, pympi."""
 
 import json
 import os
@@ -48,7 +48,7 @@ def read(tmp_path_factory):
         result = CliRunner().invoke(cli, ["export", str(folder / name), "--to", form, *more])
         assert result.exit_code == 0, result.output
 
-    for form in ("otb", "got10k", "vot", "dlc"):
+    for form in ("otb", "got10k", "vot", "dlc", "openface"):
         export("track.csv", form)
     export("two.csv", "dlc")
     export("two.csv", "mot", "-o", str(folder / "track.mot.txt"))
@@ -137,6 +137,17 @@ def test_pandas_reads_individuals(read):
         ["hand", "box"],
     ]
     assert found["values"][15][9:] == [None] * 3  # the hand has no rows any more
+
+
+def test_exploface_reads_openface_s_columns(read):
+    found = read[1]["openface"]
+    assert found["info"]["number_of_columns"] == 147 and found["info"]["duration"] == pytest.approx(19 / 25)
+    rows = found["rows"]
+    assert rows["frame"] == list(range(1, 21)) and set(rows["face_id"]) == {0}
+    assert rows["success"] == [0 if 3 <= frame <= 5 else 1 for frame in range(20)]
+    # nose and mouth_left; the third part is none of the landmarks
+    assert {name for name in rows if name[:2] in ("x_", "y_")} == {"x_30", "y_30", "x_48", "y_48"}
+    assert rows["x_30"][:2] == [60.125, 60.125] and rows["y_48"][0] == 67.25
 
 
 def test_pympi_reads_tiers_and_media(read):

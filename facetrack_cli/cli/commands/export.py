@@ -19,10 +19,25 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.trajectory import Trajectory
 
 
-FORMATS = ("mot", "otb", "got10k", "vot", "coco", "dlc", "eaf")
+ENDINGS = {
+    "csv-wide": "wide.csv",
+    "parquet": "parquet",
+    "pose": "pose.csv",
+    "openface": "openface.csv",
+    "mot": "mot.txt",
+    "otb": "otb.txt",
+    "got10k": "got10k.txt",
+    "vot": "vot.txt",
+    "coco": "coco.json",
+    "dlc": "dlc.csv",
+    "eaf": "eaf",
+    "cvat": "cvat.xml",
+    "labelstudio": "labelstudio.json",
+}
+"""How the file of each format is called, after the name of the trajectory."""
 ONE_TARGET = ("otb", "got10k", "vot")
 OF_BOXES = ("mot", *ONE_TARGET, "coco")
-OF_MEDIA = ("coco", "eaf")
+OF_MEDIA = ("openface", "coco", "eaf", "cvat", "labelstudio")
 
 
 class Export:
@@ -33,23 +48,33 @@ class Export:
 
     \b
     Formats:
-      mot     MOTChallenge results: frame, id, box, confidence; all from 1
-      otb     OTB boxes, one a line, pixels from 1; one target
-      got10k  GOT-10k boxes, one a line, pixels from 1; one target
-      vot     VOT result, one region a line, pixels from 0; one target
-      coco    COCO keypoints JSON: boxes and points of every frame
-      dlc     DeepLabCut CSV: x, y, likelihood of every point
-      eaf     ELAN annotations: what was lost, how the head moved
+      csv-wide  CSV with one row a frame, for spreadsheets
+      parquet   the rows of trajectory.csv, with types; needs pyarrow
+      pose      CSV of the head's pitch, yaw and roll, with their spread
+      openface  OpenFace's CSV: confidence, success, pose, landmarks
+      mot       MOTChallenge results: frame, id, box, confidence; all from 1
+      otb       OTB boxes, one a line, pixels from 1; one target
+      got10k    GOT-10k boxes, one a line, pixels from 1; one target
+      vot       VOT result, one region a line, pixels from 0; one target
+      coco      COCO keypoints JSON: boxes and points of every frame
+      dlc       DeepLabCut CSV: x, y, likelihood of every point
+      eaf       ELAN annotations: what was lost, how the head moved
+      cvat      CVAT for video 1.1: a track for each part, to correct there
+      labelstudio  Label Studio's video rectangles, to correct there
 
     In mot, otb, got10k, vot and coco, a target of several points has the box around the windows that the tracker
     compares; with --box points, around the points alone.
 
     Lost rows hold the tracker's estimate. mot, coco and dlc give its confidence, coco also the visibility 1 (2 is
     tracked). With --drop-lost they are as if nothing was found: no row in mot, no keypoint in coco, an empty cell in
-    dlc, nan in otb and got10k, a failure in vot.
+    dlc, csv-wide and parquet, nan in otb and got10k, a failure in vot.
+
+    cvat and labelstudio go to the annotation tool, and what is corrected there comes back by facetrack fix --import.
+    A lost row is occluded in cvat, and not enabled in labelstudio; with --drop-lost it is outside in cvat, too.
 
     eaf has tiers for lost parts, motion to the left, right, up and down, tilt, size, nods and shakes: as seen in the
-    image plane. It needs the video, coco the size of the frames: both stand in a trajectory.json, else give --media.
+    image plane. It needs the video; coco and openface's pose_T the size of the frames: both stand in a trajectory.json,
+    else give --media.
 
     \b
     Examples:
@@ -63,10 +88,10 @@ class Export:
     """
 
     trajectory: Path = argument("TRAJECTORY")
-    to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(FORMATS))
+    to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(list(ENDINGS)))
     out: str | None = option("-o --out FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
     target: str | None = options.TARGET
-    media: Path | None = option("--media FILE", "Clip it was tracked in (coco, eaf).", type=FILE)
+    media: Path | None = option("--media FILE", f"Clip it was tracked in ({', '.join(OF_MEDIA)}).", type=FILE)
     box: Around | None = option(
         "--box KIND",
         "What a box around points encloses: windows [default], or points, their centres alone.",
@@ -82,42 +107,55 @@ class Export:
         from facetrack_cli.trajectory.select import blank_lost, choose
 
         if self.media is not None and self.to not in OF_MEDIA:
-            raise UsageError(f"--media is for {' and '.join(OF_MEDIA)}; {self.to} does not name the clip")
+            raise UsageError(f"--media is for {', '.join(OF_MEDIA)}; {self.to} does not name the clip")
         if self.box is not None and self.to not in OF_BOXES:
             raise UsageError(f"--box is for {', '.join(OF_BOXES)}; {self.to} has no boxes")
         if self.drop_lost and self.to == "eaf":
             raise UsageError("--drop-lost is not for eaf, which has a tier for what was lost; leave it out")
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
+        if self.out == "-" and self.to == "parquet":
+            raise OutputError("parquet is not text, and does not go to standard output; name a file with -o")
         table = choose(read_trajectory(self.trajectory), self.target)
-        kind = {"coco": ".json", "dlc": ".csv", "eaf": ""}.get(self.to, ".txt")
-        beside = table.path.with_name(f"{table.path.stem}.{self.to}{kind}")
+        beside = table.path.with_name(f"{table.path.stem}.{ENDINGS[self.to]}")
         path = None if self.out == "-" else Path(self.out) if self.out else beside
         if path is not None:
             check_new(path, overwrite=self.overwrite, inputs=(table.path, self.media, clip_of(table)))
         try:
-            text = self._text(blank_lost(table) if self.drop_lost else table, path)
+            content = self._content(blank_lost(table) if self.drop_lost else table, path)
         except InputError as e:
             # what is wrong within the table has no file's name yet
             known = str(e).startswith((str(table.path), str(self.media)))
             raise e if known else InputError(f"{table.path}: {e}") from None
         if path is None:
-            StreamSink(sys.stdout.buffer).finish(lambda _: text)
+            StreamSink(sys.stdout.buffer).finish(lambda _: str(content))
             return
-        write_new(path, text.encode(errors="backslashreplace"), overwrite=self.overwrite)
+        data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
+        write_new(path, data, overwrite=self.overwrite)
         frames = table.frames
         begins = f"; line 1 is frame {frames[0]}" if self.to in ("otb", "got10k") and frames[0] else ""
         say(f"{path}: {len(frames)} frames of {', '.join(table.targets) or 'one target'}{begins}")
 
-    def _text(self, table: Trajectory, path: Path | None) -> str:
+    def _content(self, table: Trajectory, path: Path | None) -> str | bytes:
         import numpy as np
 
-        from facetrack_cli.trajectory.formats import boxes, eaf, keypoints
-        from facetrack_cli.trajectory.header import said
+        from facetrack_cli.trajectory.formats import boxes, cvat, eaf, keypoints, labelstudio, openface, tables
+        from facetrack_cli.trajectory.header import clip_of, said
         from facetrack_cli.trajectory.select import enclose
 
         if not np.isfinite(table.x).any():
             raise InputError("no row has a place, x and y; there is nothing to export")
+        if self.to in ("csv-wide", "parquet"):
+            return tables.write_wide(table) if self.to == "csv-wide" else tables.write_parquet(table)
+        if self.to == "pose":
+            return tables.write_pose(table)
+        if self.to == "openface":
+            return openface.write_openface(table, self._size(table))
+        if self.to == "cvat":
+            clip = self.media or clip_of(table)
+            return cvat.write_cvat(table, self._size(table), "" if clip is None else clip.name)
+        if self.to == "labelstudio":
+            return labelstudio.write_labelstudio(table, *self._video(table))
         if self.to == "dlc":
             recipe = said(table, "recipe", "name")
             return keypoints.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack")
@@ -149,21 +187,42 @@ class Export:
             say(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
         return clip
 
-    def _frames(self, table: Trajectory) -> tuple[tuple[int, int], Callable[[int], str]]:
-        """The size of the frames, and the names of their images."""
-        from facetrack_cli.trajectory.header import clip_of, frame_size_of, is_there
-        from facetrack_cli.video import images
+    def _size(self, table: Trajectory) -> tuple[int, int] | None:
+        """Width and height of the frames, if anything says."""
+        from facetrack_cli.trajectory.header import frame_size_of
         from facetrack_cli.video.source import open_source
 
-        clip = self.media or clip_of(table)
         size = frame_size_of(table)
+        if self.media is None:
+            return size
+        with open_source(self.media) as opened:
+            found = opened.size
+        if size and size != found:
+            its, ours = (f"{width}x{height}" for width, height in (found, size))
+            raise InputError(f"{self.media}: is {its}, but the track is of a clip of {ours}; correct --media")
+        return found
+
+    def _video(self, table: Trajectory) -> tuple[tuple[int, int], float, str]:
+        """The size of the frames, frames per second, and the name of the clip."""
+        from facetrack_cli.trajectory.header import clip_of, said
+        from facetrack_cli.video.source import open_source
+
+        clip, size, fps = self.media or clip_of(table), self._size(table), said(table, "source", "fps")
         if self.media is not None:
             with open_source(self.media) as opened:
-                found = opened.size
-            if size and size != found:
-                its, ours = (f"{width}x{height}" for width, height in (found, size))
-                raise InputError(f"{self.media}: is {its}, but the track is of a clip of {ours}; correct --media")
-            size = found
+                fps = float(opened.fps)
+        if clip is None or not size or not isinstance(fps, int | float) or not fps > 0:
+            why = "does not say how large and how fast its frames are, only a trajectory.json does"
+            raise InputError(f"{why}; name the clip: --media")
+        return size, float(fps), clip.name
+
+    def _frames(self, table: Trajectory) -> tuple[tuple[int, int], Callable[[int], str]]:
+        """The size of the frames, and the names of their images."""
+        from facetrack_cli.trajectory.header import clip_of, is_there
+        from facetrack_cli.video import images
+
+        clip = self.media or clip_of(table)
+        size = self._size(table)
         if not size or clip is None:
             raise InputError(
                 "does not say how large its frames are, only a trajectory.json does; name the clip: --media"

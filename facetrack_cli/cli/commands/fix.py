@@ -29,6 +29,9 @@ class Fix:
     Where a recipe has mutual exclusion, the corrected target avoids the others at their recorded places, and their rows
     stay; a whole run from the file moves them, too.
 
+    With --import, the corrections are what differs from the run in a file of an annotation tool, to which facetrack
+    export --to cvat or labelstudio has brought it: parts that were moved, and parts that were marked as not visible.
+
     The video is drawn from the rows, which do not hold the particles: they are no longer in it.
 
     \b
@@ -36,6 +39,7 @@ class Fix:
       facetrack fix out
       facetrack fix out --clip /archive/clip.mp4 --open
       facetrack fix out --init corrected.init.yaml --no-video
+      facetrack fix out --import annotations.xml
 
     \b
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
@@ -47,6 +51,9 @@ class Fix:
     init: Path | None = option(
         "--init FILE", "No page: take the corrections of this init file, and no others.", type=FILE
     )
+    imported: Path | None = option(
+        "--import FILE", "No page: add what was corrected in CVAT (XML) or Label Studio (JSON).", type=FILE
+    )
     no_video: bool = flag("--no-video", "Leave annotated.mp4 as it is.")
     page: Page = group(Page)
     quiet: bool = flag("--quiet -q", "With --init: say nothing but errors.")
@@ -57,21 +64,24 @@ class Fix:
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.video.seek import Frames
 
-        if self.init is not None:
-            self.page.refuse("leave it or --init out")
+        if self.init is not None and self.imported is not None:
+            raise UsageError("--import adds to the run's corrections, --init replaces them; leave one of them out")
+        if (file := self.init or self.imported) is not None:
+            self.page.refuse(f"leave it or {'--init' if self.init else '--import'} out")
         elif self.quiet:
-            raise UsageError("--quiet goes with --init; the page's address must be said")
+            raise UsageError("--quiet goes with --init and --import; the page's address must be said")
         opened = open_run(self.folder, self.clip)
         with Frames(opened.clip, fps=opened.fps) as frames:
             check_size(opened, frames.size)
             check_writable(opened)
             with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
-                code = self._serve(fixer, frames, stop) if self.init is None else self._apply(fixer, self.init, stop)
+                code = self._serve(fixer, frames, stop) if file is None else self._apply(fixer, file, stop)
         return code
 
-    def _apply(self, fixer: Fixer, init: Path, stop: Stop) -> int:
-        """Take the corrections of a file, and save; the exit code."""
-        from facetrack_cli.editor.history import corrections_of
+    def _apply(self, fixer: Fixer, file: Path, stop: Stop) -> int:
+        """Take the corrections of --init or --import, and save; the exit code."""
+        from facetrack_cli.editor.annotated import annotated_corrections
+        from facetrack_cli.editor.history import corrections_of, merged
         from facetrack_cli.editor.run_folder import UNSAVED
         from facetrack_cli.editor.save import save
         from facetrack_cli.runs.progress import progress
@@ -79,16 +89,29 @@ class Fix:
 
         folder = fixer.run.folder
         unsaved = folder / UNSAVED
-        if unsaved.is_file() and not (init.is_file() and init.samefile(unsaved)):
+        if unsaved.is_file() and not (file.is_file() and file.samefile(unsaved)):
             raise UsageError(
                 f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
                 f"--init {unsaved} takes them; or remove it"
             )
-        corrections = corrections_of(init, fixer.run)
+        if self.imported is None:
+            corrections = corrections_of(file, fixer.run)
+        elif not (corrections := annotated_corrections(file, fixer.run, fixer.rows)):
+            say(f"facetrack: {file} is as the run has it; nothing was written")
+            return ExitCode.DONE
+        else:
+            parts = fixer.run.parts
+            corrections = tuple(
+                merged(one, fixer.find(one.frame, one.target), parts[one.target]) for one in corrections
+            )
         with progress(self.quiet) as shown:
             try:
                 shown.begin(folder.name or str(folder))
-                fixer.apply(corrections, report=shown.update, stop=stop)
+                (fixer.apply if self.imported is None else fixer.put)(corrections, report=shown.update, stop=stop)
+                if self.imported is not None:
+                    frames = ", ".join(str(frame) for frame in sorted({one.frame for one in corrections})[:10])
+                    count = f"{len(corrections)} correction{'s' if len(corrections) > 1 else ''}, in frames {frames}"
+                    shown.say(f"{file}: {count}; export the run again before more is corrected there")
                 shown.begin("saving")
                 for line in save(fixer, video=not self.no_video, report=shown.update, stop=stop):
                     shown.say(line)

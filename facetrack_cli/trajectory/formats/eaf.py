@@ -67,15 +67,15 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
         ET.SubElement(order, "TIME_SLOT", TIME_SLOT_ID=f"ts{place}", TIME_VALUE=str(time))
     count = 0
     for kind, target, spans in tiers:
-        about = {"LINGUISTIC_TYPE_REF": kind, "TIER_ID": _clean(f"{kind}@{target}"), "ANNOTATOR": "facetrack"}
-        tier = ET.SubElement(root, "TIER", {**about, "PARTICIPANT": _clean(target)})
+        about = {"LINGUISTIC_TYPE_REF": kind, "TIER_ID": clean(f"{kind}@{target}"), "ANNOTATOR": "facetrack"}
+        tier = ET.SubElement(root, "TIER", {**about, "PARTICIPANT": clean(target)})
         for _, _, text in spans:
             count += 1
             entry = {"CVE_REF": _entry(kind, text)} if kind in VOCABULARIES else {}
             ends = {"TIME_SLOT_REF1": slots[2 * count - 2], "TIME_SLOT_REF2": slots[2 * count - 1]}
             own = {"ANNOTATION_ID": f"a{count}", **entry, **ends}
             one = ET.SubElement(ET.SubElement(tier, "ANNOTATION"), "ALIGNABLE_ANNOTATION", own)
-            ET.SubElement(one, "ANNOTATION_VALUE").text = _clean(text)
+            ET.SubElement(one, "ANNOTATION_VALUE").text = clean(text)
     _types(root, list(dict.fromkeys(kind for kind, _, _ in tiers)))
     ET.indent(root, "    ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
@@ -126,10 +126,10 @@ def _header(root: ET.Element, media: Path, folder: Path, annotations: int) -> No
     header = ET.SubElement(root, "HEADER", MEDIA_FILE="", TIME_UNITS="milliseconds")
     whole = Path(os.path.normpath(media.absolute())).as_posix()  # a link keeps the name that the user knows it by
     mime = MIME.get(media.suffix.lower(), "*")
-    about = {"MEDIA_URL": "file:///" + _clean(whole.lstrip("/")), "MIME_TYPE": f"video/{mime}"}
+    about = {"MEDIA_URL": "file:///" + clean(whole.lstrip("/")), "MIME_TYPE": f"video/{mime}"}
     with contextlib.suppress(ValueError):  # another drive of Windows: no way leads there
         relative = Path(os.path.relpath(whole, folder)).as_posix()
-        about["RELATIVE_MEDIA_URL"] = _clean(relative if relative.startswith("../") else f"./{relative}")
+        about["RELATIVE_MEDIA_URL"] = clean(relative if relative.startswith("../") else f"./{relative}")
     ET.SubElement(header, "MEDIA_DESCRIPTOR", about)
     urn = uuid.uuid5(uuid.NAMESPACE_URL, f"{about['MEDIA_URL']} {annotations} {root.get('DATE')}")
     ET.SubElement(header, "PROPERTY", NAME="URN").text = f"urn:nl-mpi-tools-elan-eaf:{urn}"
@@ -159,6 +159,6 @@ def _entry(kind: str, label: str) -> str:
     return f"cveid_{kind}_{label}"
 
 
-def _clean(text: str) -> str:
+def clean(text: str) -> str:
     """Text without the characters that XML 1.0 has no way to write."""
     return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "\ufffd", text)

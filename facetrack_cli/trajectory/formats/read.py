@@ -15,6 +15,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.trajectory.formats import boxes
 from facetrack_cli.trajectory.formats.boxes import BOX_COLUMNS, LTWH, MOT_COLUMNS
+from facetrack_cli.trajectory.formats.cvat import read_cvat
 from facetrack_cli.trajectory.formats.lines import Lines, delimiter
 from facetrack_cli.trajectory.formats.pts import read_pts
 from facetrack_cli.trajectory.reader import MAX_FRAME, REQUIRED, read_trajectory
@@ -35,6 +36,7 @@ _READERS: Final[dict[str, Callable[..., Trajectory]]] = {
     "mot": boxes.read_mot,
     "vot": boxes.read_vot,
     "pts": read_pts,
+    "cvat": read_cvat,
 }
 
 
@@ -116,6 +118,8 @@ def _shape(lines: Lines) -> str:
     place = f"{lines.path}:{lines.places[0]}"
     if first.startswith("{"):
         return "facetrack"
+    if first.startswith("<"):
+        return "cvat"
     if first.lower().startswith("version:"):
         return "pts"
     cells = [cell.strip() for cell in first.split(delimiter(first))]

@@ -1,0 +1,147 @@
+"""A run that is corrected in CVAT or Label Studio, and comes back by facetrack fix --import."""
+
+import json
+import re
+import shutil
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.types import Correction, TargetStart
+from facetrack_cli.editor.annotated import annotated_corrections
+from facetrack_cli.editor.run_folder import open_run
+from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.trajectory.reader import read_trajectory
+from tests.support.samples import FOLDER
+
+FRAMES = 10
+
+
+def facetrack(*words):
+    return main([str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The folders of a run of points and of one of a box, each exported to both tools."""
+    folder = tmp_path_factory.mktemp("made")
+    few = ["--set", "filter.particles=20", "--stop", FRAMES, "--no-video", "-q", "--format", "csv,json"]
+    clip = FOLDER / "expressions.mp4"
+    assert facetrack("run", clip, "-o", folder / "points", "--config", "factorized", *few) == 0
+    box = ["--config", "histogram", "--box", "115,80,90,110"]
+    assert facetrack("run", clip, "-o", folder / "box", *box, *few) == 0
+    for name in ("points", "box"):
+        for form in ("cvat", "labelstudio"):
+            assert facetrack("export", folder / name, "--to", form) == 0
+    return folder
+
+
+@pytest.fixture
+def runs(made, tmp_path):
+    shutil.copytree(made, tmp_path / "runs")
+    return tmp_path / "runs"
+
+
+def found(run, file):
+    opened = open_run(run)
+    return annotated_corrections(file, opened, opened.rows)
+
+
+def in_cvat(run, change):
+    path = run / "trajectory.cvat.xml"
+    tree = ET.parse(path)
+    change({(track.get("label"), int(one.get("frame"))): one for track in tree.iter("track") for one in track})
+    tree.write(path)
+    return path
+
+
+def in_label_studio(run, change):
+    path = run / "trajectory.labelstudio.json"
+    tasks = json.loads(path.read_text())
+    regions = [one["value"] for one in tasks[0]["annotations"][0]["result"]]
+    change({(one["labels"][0], place["frame"] - 1): place for one in regions for place in one["sequence"]})
+    path.write_text(json.dumps(tasks))
+    return path
+
+
+@pytest.mark.parametrize("name", ["points", "box"])
+def test_what_was_not_touched_is_no_correction(runs, capsys, name):
+    before = (runs / name / "trajectory.csv").read_bytes()
+    for file in ("trajectory.cvat.xml", "trajectory.labelstudio.json"):
+        assert found(runs / name, runs / name / file) == ()
+        assert facetrack("fix", runs / name, "--import", runs / name / file) == 0
+        assert "is as the run has it; nothing was written" in capsys.readouterr().err
+    assert (runs / name / "trajectory.csv").read_bytes() == before
+
+
+def test_points_that_were_moved_or_hidden_in_cvat(runs):
+    def change(shapes):
+        shapes["face/nose", 3].set("points", "160.50,141.00")
+        shapes["face/lip_upper", 3].set("points", "150.50,151.00")
+        for frame in (5, 6, 7):
+            shapes["face/mouth_left", frame].set("outside", "1")
+        shapes["face/nose", 8].set("keyframe", "0")  # interpolated: nobody has put it there
+        shapes["face/nose", 8].set("points", "1,1")
+
+    one, two, three = found(runs / "points", in_cvat(runs / "points", change))
+    assert one == Correction(3, "face", TargetStart(points={"nose": (160.0, 140.5), "lip_upper": (150.0, 150.5)}))
+    assert two == Correction(5, "face", absent=("mouth_left",))
+    row = read_trajectory(runs / "points").find("face", "mouth_left")
+    assert (three.frame, three.absent) == (8, ()) and list(three.given.points) == ["mouth_left"]
+    assert three.given.points["mouth_left"] == pytest.approx((row.x[8], row.y[8]), abs=0.006)
+
+
+def test_boxes_that_were_moved_or_switched_off_in_label_studio(runs):
+    def change(places):
+        places["face", 4] |= {"x": 25.0, "y": 25.0, "width": 25.0, "height": 50.0}
+        for frame in (6, 7, 8, 9):
+            places["face", frame]["enabled"] = False
+
+    one, two = found(runs / "box", in_label_studio(runs / "box", change))
+    width, height = open_run(runs / "box").header.source.size
+    assert one.given.box == pytest.approx((width / 4, height / 4, width / 4, height / 2))
+    assert (one.frame, two) == (4, Correction(6, "face", absent=True))
+
+
+def test_fix_tracks_again_from_what_was_corrected(runs, capsys):
+    run = runs / "points"
+
+    def change(shapes):
+        shapes["face/nose", 4].set("points", "158.50,140.50")
+
+    file = in_cvat(run, change)
+    before = read_trajectory(run)
+    assert facetrack("fix", run, "--import", file, "--no-video", "-q") == 0
+    after = read_trajectory(run)
+    nose = after.find("face", "nose")
+    assert nose.by_hand.tolist() == [n == 4 for n in range(FRAMES)] and (nose.x[4], nose.y[4]) == (158, 140)
+    assert before.find("face", "nose").x[:4].tolist() == nose.x[:4].tolist()
+    said = (run / CORRECTED).read_text()
+    assert re.search(r"frame: 4\s+face:\s+points: {nose: \[158, 140\]}", said), said
+    # what is corrected next is added
+    assert facetrack("export", run, "--to", "labelstudio", "--overwrite") == 0
+
+    def more(places):
+        places["face/nose", 7]["x"] += 2.0
+
+    assert facetrack("fix", run, "--import", in_label_studio(run, more), "--no-video") == 0
+    assert "1 correction, in frames 7; export the run again before" in capsys.readouterr().err
+    assert [one.frame for one in open_run(run).start.corrections] == [4, 7]
+
+
+def test_what_the_run_does_not_have_is_refused(runs, capsys):
+    run = runs / "points"
+    file = run / "trajectory.cvat.xml"
+    file.write_text(file.read_text().replace('label="face/nose"', 'label="face/chin"'))
+    assert facetrack("fix", run, "--import", file) == 3
+    assert "face/chin is not in the run, which has face/nose, face/mouth_left" in capsys.readouterr().err
+
+    def first(shapes):
+        shapes["face/mouth_left", 0].set("points", "1,1")
+
+    assert facetrack("export", run, "--to", "cvat", "--overwrite") == 0
+    assert facetrack("fix", run, "--import", in_cvat(run, first)) == 3
+    assert "frame 0 cannot be corrected, in which it begins" in capsys.readouterr().err
+    assert facetrack("fix", run, "--import", file, "--init", file) == 2
+    assert "--import adds to the run's corrections, --init replaces them" in capsys.readouterr().err

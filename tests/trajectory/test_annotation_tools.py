@@ -1,0 +1,189 @@
+"""CVAT's XML and Label Studio's JSON: written, read back, and what is refused."""
+
+import json
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.trajectory.formats.cvat import read_cvat, write_cvat
+from facetrack_cli.trajectory.formats.labelstudio import read_labelstudio, write_labelstudio
+from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.trajectory import joined, one_part
+
+SIZE = (640, 480)
+STATUS = ("init", "tracked", "lost", "absent")
+
+
+def part(target, name, first, status, seed=0):
+    rng, t = np.random.default_rng(seed), len(status)
+    gone = np.array(status) == "absent"
+    x, y, w, h = (np.where(gone, np.nan, values) for values in rng.uniform(30, 400, (4, t)))
+    return one_part(target, name, np.arange(first, first + t), x=x, y=y, w=w, h=h, status=list(status))
+
+
+def table(seed=0):
+    lost = ("init", "tracked", "lost", "absent", "absent", "tracked")
+    return joined([part("face", "nose", 2, lost, seed), part("face", "lip", 2, ("tracked",) * 6, seed + 1),
+                   part("hand", "box", 4, ("tracked", "lost"), seed + 2)])  # fmt: skip
+
+
+def test_cvat_has_a_track_a_part_and_every_frame():
+    root = ET.fromstring(write_cvat(table(), SIZE, "Zoë & co.mp4").encode())
+    assert root.findtext("version") == "1.1" and root.findtext("meta/task/mode") == "interpolation"
+    assert root.findtext("meta/task/source") == "Zoë & co.mp4" and root.findtext("meta/task/size") == "8"
+    assert [root.findtext(f"meta/task/original_size/{side}") for side in ("width", "height")] == ["640", "480"]
+    kinds = [(one.findtext("name"), one.findtext("type")) for one in root.iter("label")]
+    assert kinds == [("face/nose", "points"), ("face/lip", "points"), ("hand", "rectangle")]
+    nose, _, hand = root.iter("track")
+    assert [one.get("frame") for one in nose] == [str(n) for n in range(2, 8)]
+    assert [one.get("outside") for one in nose] == list("000110")
+    assert [one.get("occluded") for one in nose] == list("001000")
+    assert {one.get("keyframe") for one in nose} == {"1"} and {one.get("z_order") for one in nose} == {"0"}
+    assert nose[3].get("points") == nose[2].get("points")  # of what is gone the last place
+    # a part whose rows end before the table's is gone from there on
+    assert [(one.get("frame"), one.get("outside")) for one in hand] == [("4", "0"), ("5", "0"), ("6", "1"), ("7", "1")]
+    one = table().find("hand", "box")
+    edges = [float(hand[0].get(name)) for name in ("xtl", "ytl", "xbr", "ybr")]
+    left, top, w, h = one.boxes[0]
+    assert edges == pytest.approx([left, top, left + w, top + h], abs=0.006)
+    face = table().find("face", "nose")
+    assert [float(v) - 0.5 for v in nose[0].get("points").split(",")] == pytest.approx(
+        [face.x[0], face.y[0]], abs=0.006
+    )
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.sampled_from(STATUS), min_size=1, max_size=9), st.integers(0, 5), st.integers(0, 2**31))
+def test_tracks_come_back(tmp_path, status, first, seed):
+    made = joined(
+        [part("face", "nose", first, status, seed), part("head", "box", first, ["tracked", *status], seed + 1)]
+    )
+    (tmp_path / "a.xml").write_text(write_cvat(made, SIZE, "c.mp4"), encoding="utf-8")
+    (tmp_path / "a.json").write_text(write_labelstudio(made, SIZE, 25.0, "c.mp4"), encoding="utf-8")
+    for found in (read_cvat(tmp_path / "a.xml"), read_labelstudio(tmp_path / "a.json", SIZE)):
+        for one in made.parts:
+            back, known = found.find(one.target, one.part), np.isfinite(one.x)
+            if back is None:
+                assert not known.any()
+                continue
+            rows = [back.row(frame) for frame in one.frame.tolist()]
+            # before its first place a part has no track, in the last frames of the table it is not visible
+            says = [str(back.status[row]) if row is not None else "absent" for row in rows]
+            there = {"lost": "hidden" if found.header["read_as"].startswith("CVAT") else "absent", "absent": "absent"}
+            assert says == [there.get(s, "visible") for s in one.status.tolist()]
+            seen = [n for n, said in enumerate(says) if said != "absent"]
+            for name in ("x", "y", "w", "h") if one.part == "box" else ("x", "y"):
+                ours, theirs = getattr(one, name)[seen], getattr(back, name)[[rows[n] for n in seen]]
+                np.testing.assert_allclose(theirs, ours, atol=0.011)
+
+
+def test_label_studio_s_numbers():
+    (task,) = json.loads(write_labelstudio(table(), SIZE, 25.0, "clip.mp4"))
+    assert task["data"] == {"video": "clip.mp4"}
+    (annotation,) = task["annotations"]
+    nose, _, hand = annotation["result"]
+    assert (nose["type"], nose["from_name"], nose["to_name"]) == ("videorectangle", "box", "video")
+    value = nose["value"]
+    assert (value["framesCount"], value["duration"], value["labels"]) == (8, 0.32, ["face/nose"])
+    assert [one["frame"] for one in value["sequence"]] == list(range(3, 9))
+    assert [one["enabled"] for one in value["sequence"]] == [True, True, False, False, False, True]
+    assert value["sequence"][0]["time"] == 0.12
+    one, first = table().find("hand", "box"), hand["value"]["sequence"][0]
+    shares = [first[name] / 100 for name in ("x", "y", "width", "height")]
+    assert shares == pytest.approx((one.boxes[0] / [640, 480, 640, 480]).tolist(), abs=1e-6)
+    with pytest.raises(InputError, match=r"face/nose: frame 0 has no w and h, and .* rectangles alone"):
+        write_labelstudio(one_part("face", "nose", [0], x=[1.0], y=[2.0]), SIZE, 25.0, "c.mp4")
+
+
+def test_a_turned_rectangle_is_read_by_its_centre(tmp_path):
+    place = {"frame": 1, "x": 50, "y": 50, "width": 10, "height": 20, "rotation": 90, "enabled": True}
+    region = {"type": "videorectangle", "id": "a", "value": {"sequence": [place], "labels": ["head"]}}
+    path = tmp_path / "ls.json"
+    path.write_text(json.dumps({"annotations": [{"result": [region]}]}))
+    (one,) = read_labelstudio(path, SIZE).parts
+    # its left top corner is at 320, 240; it lies to the left of it, 96 wide and 64 high
+    assert (one.x[0], one.y[0]) == pytest.approx((320 - 48 - 0.5, 240 + 32 - 0.5))
+
+
+def test_skeletons_and_several_points_and_splits(tmp_path):
+    path = tmp_path / "annotations.xml"
+    path.write_text(
+        "<annotations><track id='0' label='face'><skeleton frame='3' keyframe='1'>"
+        "<points label='nose' outside='0' occluded='1' keyframe='1' points='10.5,20.5'/></skeleton></track>"
+        "<track id='1' label='mouth'><points frame='3' keyframe='0' outside='0' points='1.5,2.5;3.5,4.5'/></track>"
+        "<track id='2' label='head'><box frame='3' outside='1' xtl='0' ytl='0' xbr='9' ybr='9'/></track>"
+        "<track id='3' label='head'><box frame='3' outside='0' xtl='0' ytl='0' xbr='10' ybr='5'/></track></annotations>"
+    )
+    found = read_truth(path)
+    assert found.names == (("face", "nose"), ("mouth", "point_1"), ("mouth", "point_2"), ("head", "box"))
+    assert found.x.tolist() == [10, 1, 3, 4.5] and found.status.tolist() == ["hidden", "visible", "visible", "visible"]
+    assert found.by_hand.tolist() == [True, False, False, True]
+    assert read_truth(path, "cvat", shift=2).frame.tolist() == [5] * 4
+
+
+TRACK = "<annotations><track id='0' label='head'>{}</track></annotations>"
+BOX = "<box frame='3' xtl='0' ytl='0' xbr='{}' ybr='9'/>"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (TRACK.format("<polygon frame='3' points='0,0;1,1;2,2'/>"), "frame 3: a polygon; boxes and points are read"),
+        (TRACK.format(BOX.format("nan")), r"track 0 \(head\), frame 3: 0, 0, nan, 9 are no pixels"),
+        (TRACK.format(BOX.format("x")), "are no pixels"),
+        (TRACK.format(BOX.format("0")), "the box has no area"),
+        (TRACK.format(BOX.format("9") * 2), "another track of the same label"),
+        (TRACK.format(BOX.format("9").replace("3", "-3")), "that is no frame number"),
+        (TRACK.format("<points frame='3' points='1'/>"), "a point is written x,y"),
+        (TRACK.format("<points frame='3' points='1,2;3'/>"), "points are written x,y;x,y"),
+        (TRACK.format(""), "has no track of a box or a point"),
+        ("<annotations><image id='0'/></annotations>", 'export it as "CVAT for video 1.1"'),
+        ("<html></html>", "is XML, but not CVAT's"),
+        ("<annotations>", "annotations.xml:1: is no XML"),
+        ("<!DOCTYPE a [<!ENTITY b 'c'>]><annotations/>", "declares a document type"),
+    ],
+)
+def test_xml_that_cannot_be_read(tmp_path, text, said):
+    path = tmp_path / "annotations.xml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=said) as error:
+        read_cvat(path)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_an_archive_of_cvat_is_named(tmp_path):
+    (tmp_path / "task.zip").write_bytes(b"PK\x03\x04....")
+    with pytest.raises(InputError, match=r"is a ZIP archive; unpack it, and name the annotations\.xml"):
+        read_cvat(tmp_path / "task.zip")
+
+
+def region(label="head", **change):
+    place = {"frame": 1, "x": 1, "y": 1, "width": 5, "height": 5, **change}
+    return {"id": "r", "type": "videorectangle", "value": {"sequence": [place], "labels": [label] if label else []}}
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("[", "is not Label Studio's JSON of a video"),
+        ([], "has 0 tasks with 0 annotations"),
+        ([{"annotations": []}], "has 1 tasks with 0 annotations; export the one task"),
+        ([{"annotations": [{"result": []}] * 2}], "keep one annotation"),
+        ([{"annotations": [{"result": [region(frame=0)]}]}], "value.sequence.0.frame: input should be greater"),
+        ([{"annotations": [{"result": [region(), region()]}]}], "is there twice"),
+        ([{"annotations": [{"result": [region(None)]}]}], "region r has 0 labels"),
+        ([{"annotations": [{"result": [region(width=0)]}]}], "the box has no area"),
+        ([{"annotations": [{"result": [{"type": "textarea"}]}]}], "has no track of a box or a point"),
+        ([{"data": {}}], "annotations: field required"),
+    ],
+)
+def test_json_that_cannot_be_read(tmp_path, given, said):
+    path = tmp_path / "ls.json"
+    path.write_text(given if isinstance(given, str) else json.dumps(given))
+    with pytest.raises(InputError, match=said) as error:
+        read_labelstudio(path, SIZE)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)

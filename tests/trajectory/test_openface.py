@@ -1,0 +1,86 @@
+"""OpenFace's CSV: its columns and conventions, and the pose as a table of its own."""
+
+import csv
+import io
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.trajectory.formats.openface import COLUMNS, write_openface
+from facetrack_cli.trajectory.formats.tables import write_pose
+from facetrack_cli.trajectory.head_pose import SHAPE, rotation_of
+from facetrack_cli.trajectory.trajectory import joined, one_part
+
+NAMES = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+
+
+def face(target="face", frames=(4, 5, 7), lost=(), angles=(10.0, -20.0, 5.0), scale=1.5, place=(300.0, 200.0)):
+    xy = scale * np.array([SHAPE[n] for n in NAMES]) @ rotation_of(np.radians(np.array(angles)))[:2].T + place
+    for k, name in enumerate(NAMES):
+        t = len(frames)
+        status = ["lost" if (name, frame) in lost else "tracked" for frame in frames]
+        known = {"x": np.full(t, xy[k, 0]), "y": np.full(t, xy[k, 1]), "confidence": np.full(t, 0.75)}
+        known |= {"std_x": np.ones(t), "std_y": np.ones(t)}
+        yield one_part(target, name, frames, time_s=np.array(frames) / 25, status=status, **known)
+
+
+def read(text):
+    return pd.read_csv(io.StringIO(text))
+
+
+def test_columns_frames_and_landmarks_are_openface_s():
+    table = joined([*face(lost={("lip_lower", 5)}), one_part("face", "chin", [4], x=[1.0], y=[2.0])])
+    found = read(write_openface(table, (640, 480)))
+    assert list(found.columns) == list(COLUMNS) and len(COLUMNS) == 5 + 6 + 136
+    assert found["frame"].tolist() == [5, 6, 8] and found["face_id"].tolist() == [0, 0, 0]
+    assert found["timestamp"].tolist() == [0.16, 0.2, 0.28] and found["confidence"].tolist() == [0.75] * 3
+    assert found["success"].tolist() == [1, 0, 1]
+    for name, number in zip(NAMES, (30, 48, 54, 51, 57), strict=True):
+        one = table.find("face", name)
+        np.testing.assert_allclose(found[f"x_{number}"], one.x, atol=5e-4)
+        np.testing.assert_allclose(found[f"y_{number}"], one.y, atol=5e-4)
+    assert found.drop(columns=[f"{c}_{n}" for c in "xy" for n in (30, 48, 54, 51, 57)]).filter(
+        regex="^[xy]_"
+    ).isna().all(axis=None)  # fmt: skip
+
+
+def test_the_pose_is_seen_by_openface_s_camera():
+    width, height, focal = 1280, 720, (500 * 1280 / 640 + 500 * 720 / 480) / 2
+    off = np.array([400.0, -150.0])
+    found = read(write_openface(joined(face(place=off + np.array([639.5, 359.5]))), (width, height))).iloc[0]
+    place = found[["pose_Tx", "pose_Ty", "pose_Tz"]].to_numpy(dtype=float)
+    assert place[2] == pytest.approx(focal / 1.5, rel=1e-3)
+    np.testing.assert_allclose(focal * place[:2] / place[2], off, rtol=1e-3)
+    # what the line of sight sees, seen along the camera's axis
+    turned = rotation_of(found[["pose_Rx", "pose_Ry", "pose_Rz"]].to_numpy(dtype=float))
+    ahead = turned @ rotation_of(np.radians([10.0, -20.0, 5.0])).T @ [0, 0, 1]
+    np.testing.assert_allclose(ahead, place / np.linalg.norm(place), atol=2e-3)
+    without = read(write_openface(joined(face()), None)).iloc[0]
+    assert np.isnan(without["pose_Tz"])
+    np.testing.assert_allclose(
+        without[["pose_Rx", "pose_Ry", "pose_Rz"]].to_numpy(float), np.radians([10, -20, 5]), atol=2e-3
+    )
+
+
+def test_faces_have_ids_and_stand_by_frame():
+    table = joined([*face("anna", (0, 1)), one_part("hand", "box", [0]), *face("ben", (1, 2))])
+    found = read(write_openface(table, None))
+    assert found[["frame", "face_id"]].to_numpy().tolist() == [[1, 0], [2, 0], [2, 1], [3, 1]]
+    points = [one_part("face", f"point_{i + 1}", [0], x=[float(i)], y=[2.0 * i]) for i in range(68)]
+    found = read(write_openface(joined(points), None)).iloc[0]
+    assert found[[f"x_{i}" for i in range(68)]].tolist() == list(range(68)) and np.isnan(found["pose_Rx"])
+    with pytest.raises(InputError, match="no part is one of OpenFace's landmarks, which are nose, mouth_left"):
+        write_openface(one_part("hand", "box", [0], x=[1.0], y=[1.0]), None)
+
+
+def test_a_table_of_poses():
+    table = joined([*face(lost={("nose", 5), ("lip_upper", 5)}), one_part("hand", "box", [4, 6])])
+    rows = list(csv.DictReader(io.StringIO(write_pose(table))))
+    assert [row["frame"] for row in rows] == ["4", "5", "7"] and {row["target"] for row in rows} == {"face"}
+    assert [float(rows[0][name]) for name in ("pitch", "yaw", "roll")] == pytest.approx([10, -20, 5], abs=0.1)
+    assert 2 < float(rows[0]["std_yaw"]) < 8 and rows[0]["ambiguous"] == "0"
+    assert [rows[1][name] for name in ("pitch", "std_roll", "ambiguous")] == ["", "", ""]
+    with pytest.raises(InputError, match="a pose needs four parts that are not in a plane, among eye_left"):
+        write_pose(one_part("hand", "box", [0], x=[1.0], y=[1.0]))
