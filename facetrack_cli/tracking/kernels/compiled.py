@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numba.core import caching
 
+from facetrack_cli.tracking.kernels.cache import compiling
+
 
 class Checked(caching.IndexDataCacheFile):
     """The files of one kernel. Damaged ones are passed over, so that it is compiled anew, with one warning for all."""
@@ -21,8 +23,9 @@ class Checked(caching.IndexDataCacheFile):
     warned = False
 
     def load(self, key: Any) -> Any:
+        found = None
         try:
-            return super().load(key)
+            found = super().load(key)
         except Exception as error:  # whatever the bytes that are left make of it
             if not Checked.warned:
                 Checked.warned = True
@@ -31,7 +34,9 @@ class Checked(caching.IndexDataCacheFile):
                     sys.stderr.write(f"facetrack: warning: {what}\n")
             with contextlib.suppress(OSError):
                 self.flush()
-        return None
+        if found is None:
+            compiling()
+        return found
 
     def _load_data(self, name: str) -> Any:
         with open(self._data_path(name), "rb") as file:  # noqa: PTH123
