@@ -205,7 +205,7 @@ def test_a_name_that_is_no_text(clip: Path, tmp_path: Path) -> None:
     init = clip.with_suffix(".init.yaml")
     done = subprocess.run([*FACETRACK, "run", folder, *SMALL, "--init", init], cwd=tmp_path, capture_output=True)
     assert done.returncode == 0, done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    assert len([line for line in done.stderr.splitlines() if not line.startswith(b"compiling kernels")]) == 1
     data = json.loads((tmp_path / f"{folder}-face" / "trajectory.json").read_bytes())
     assert data["source"]["path"] == folder
     (tmp_path / "a.mp4").symlink_to(tmp_path / f"{folder}-face" / "annotated.mp4")

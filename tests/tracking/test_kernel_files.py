@@ -27,6 +27,22 @@ def package(tmp_path_factory):
     return run, folder
 
 
+def test_the_user_is_told_once_that_kernels_are_compiled(tmp_path):
+    (tmp_path / "two.py").write_text(
+        "from facetrack_cli.tracking.kernels.compiled import exact\n"
+        "@exact\ndef add(a, b):\n    return a + b\n@exact\ndef less(a, b):\n    return a - b\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path.cwd())])}
+    environment["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
+    said = "from facetrack_cli.tracking.kernels import cache; cache.tell(print); import two; two.add(1, two.less(2, 1))"
+    first, again = (
+        subprocess.run([sys.executable, "-c", said], env=environment, capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    )
+    assert first.startswith("compiling kernels, once: ") and first.count("\n") == 1
+    assert again == ""
+
+
 @pytest.mark.parametrize(
     ("suffix", "damage"),
     [

@@ -126,6 +126,7 @@ class Run:
         from facetrack_cli.runs.seeds import load_recipes
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.runs.workers import cores
+        from facetrack_cli.tracking.kernels import cache
         from facetrack_cli.trajectory.batch_file import write_batch
 
         with progress(self.quiet) as shown:
@@ -148,6 +149,7 @@ class Run:
         clips, places = given[first - 1 :: step], places[first - 1 :: step]
         workers = max(1, min(self.jobs, len(clips)))
         with Stop().listening() as ending, progress(self.quiet) as shown:
+            cache.tell(shown.say)
             jobs = [
                 Job(
                     clip=clip,

@@ -115,10 +115,10 @@ def read_patches(grey, left, top, factor, width, height, extent, x, w, h, rows, 
         half_v = abs(place[4]) * most_x + abs(place[5]) * most_y
         if u - half_u >= 0.0 and v - half_v >= 0.0 and u + half_u <= n_x - 1.0 and v + half_v <= n_y - 1.0:
             _read_inside(joined, n_x, place, grid, at, part, four, row)
-            _normalise(row, every, d, out[n])
+            seen, count = every, d
         else:
-            count = _read_anywhere(joined, n_x, n_y, place, whole, grid, some, row)
-            _normalise(row, some, count, out[n])
+            seen, count = some, _read_anywhere(joined, n_x, n_y, place, whole, grid, some, row)
+        _normalise(row, seen, count, out[n])
     return out
 
 

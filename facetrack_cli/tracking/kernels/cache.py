@@ -1,10 +1,24 @@
 """Where numba keeps compiled kernels if neither the package's folder nor the user's cache is writable: it fails then.
 
-numba reads NUMBA_CACHE_DIR when it is imported, so the package sets it first.
+And who is told while there are none yet. numba reads NUMBA_CACHE_DIR when it is imported, so the package sets it first.
 """
 
 import os
+from collections.abc import Callable
 from os import path
+
+_listeners: list[Callable[[str], None]] = []
+
+
+def tell(say: Callable[[str], None]) -> None:
+    """`say` hears it, once, if a kernel is compiled that no earlier run has left, which takes seconds."""
+    _listeners[:] = [say]
+
+
+def compiling() -> None:
+    """A kernel is about to be compiled."""
+    if _listeners:
+        _listeners.pop()("compiling kernels, once: this takes some 10 s, and later runs find them")
 
 
 def provide_cache() -> None:

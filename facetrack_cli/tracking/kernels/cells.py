@@ -1,29 +1,41 @@
 """Cells of gradients, and the linear algebra of a correlation filter over them."""
 
+from typing import Any, TypeAlias
+
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.tracking.kernels.compiled import exact, fast
 
+Single: TypeAlias = NDArray[np.float32]
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
 _CLIP, _TEXTURE, _FLAT = np.float32(0.2), np.float32(0.2357), np.float32(1e-4)
 _ZERO, _HALF, _ONE, _UNIT = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(1 / 255)
 
 
-@exact
-def gradients(grey, cell, out):
+def gradients(grey: Single, cell: int, out: Single) -> None:
     """Histograms of oriented gradients (Felzenszwalb et al. 2010, section 6.1) of grey (H, W) float32, 0..1.
 
     A cell has `cell` x `cell` pixels, and H and W are multiples of it; `out` (31, H / cell, W / cell) float32.
     """
+    _gradients(grey, cell, *_room(grey.shape[0], grey.shape[1], cell), out)
+
+
+def _room(height: int, width: int, cell: int) -> tuple[Single, Single, Single, NDArray[np.int32]]:
+    """What `_gradients` works in: bins, their energy, and what it knows of a row of pixels."""
+    rows, columns = height // cell + 2, width // cell + 2
+    bins, energy = np.empty((rows, columns, 18), np.float32), np.empty((rows, columns), np.float32)
+    return bins, energy, np.empty((3, width), np.float32), np.empty(width, np.int32)
+
+
+@exact
+def _gradients(grey, cell, bins, energy, row_of, which, out):
     height, width = grey.shape
     rows, columns = height // cell, width // cell
-    bins = np.zeros((rows + 2, columns + 2, 18), np.float32)
-    cos, sin = np.empty(9, np.float32), np.empty(9, np.float32)
-    for k in range(9):
-        cos[k], sin[k] = np.cos(k * np.pi / 9), np.sin(k * np.pi / 9)
+    bins[:] = _ZERO
+    energy[:] = _ZERO
     inverse = np.float32(1.0 / cell)
-    dx, dy, most = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
-    which = np.zeros(width, np.int32)
+    dx, dy, most = row_of[0], row_of[1], row_of[2]
     for y in range(height):
         row, above, below = grey[y], grey[max(y - 1, 0)], grey[min(y + 1, height - 1)]
         for x in range(1, width - 1):
@@ -34,7 +46,7 @@ def gradients(grey, cell, out):
             most[x] = _ZERO
             which[x] = 0
         for k in range(9):  # a loop over pixels inside vectorises
-            u, v = cos[k], sin[k]
+            u, v = np.float32(np.cos(k * np.pi / 9)), np.float32(np.sin(k * np.pi / 9))
             for x in range(width):
                 along = u * dx[x] + v * dy[x]
                 if abs(along) > most[x]:
@@ -54,7 +66,6 @@ def gradients(grey, cell, out):
             bins[i, j + 1, k] += fx * upper
             bins[i + 1, j, k] += (_ONE - fx) * lower
             bins[i + 1, j + 1, k] += fx * lower
-    energy = np.zeros((rows + 2, columns + 2), np.float32)
     for i in range(rows + 2):
         for j in range(columns + 2):
             for k in range(9):
@@ -90,16 +101,21 @@ def _normalise(bins, energy, out):
     out[27], out[28], out[29], out[30] = _TEXTURE * ta, _TEXTURE * tb, _TEXTURE * tc, _TEXTURE * td
 
 
-@exact
-def gradients_of_scales(image, x, y, sides, cell, out):
+def gradients_of_scales(image: NDArray[np.uint8], x: float, y: float, sides: Any, cell: int, out: Single) -> None:
     """The gradients of S windows around (x, y) of grey `image` (H, W) uint8, `sides` (S, 2) pixels wide and high.
 
     `out` (S, 31, h, w) float32, h x w cells each; windows are read bilinearly, beyond the image its nearest pixel.
     """
     height, width = out.shape[2] * cell, out.shape[3] * cell
-    window = np.empty((height, width), np.float32)
+    window, part = np.empty((height, width), np.float32), np.empty(width, np.float32)
+    columns = np.empty((2, width), np.int64)
+    _of_scales(image, x, y, sides, cell, window, columns, part, *_room(height, width, cell), out)
+
+
+@exact
+def _of_scales(image, x, y, sides, cell, window, columns, part, bins, energy, row_of, which, out):
+    (height, width), left, right = window.shape, columns[0], columns[1]
     last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
-    left, right, part = np.empty(width, np.int64), np.empty(width, np.int64), np.empty(width, np.float32)
     for s in range(len(sides)):
         across, down = sides[s, 0] / width, sides[s, 1] / height
         for j in range(width):
@@ -117,7 +133,7 @@ def gradients_of_scales(image, x, y, sides, cell, out):
                 first = np.float32(upper[a]) + fx * (np.float32(upper[b]) - np.float32(upper[a]))
                 second = np.float32(lower[a]) + fx * (np.float32(lower[b]) - np.float32(lower[a]))
                 row[j] = (first + fy * (second - first)) * _UNIT
-        gradients(window, cell, out[s])
+        _gradients(window, cell, bins, energy, row_of, which, out[s])
 
 
 @fast

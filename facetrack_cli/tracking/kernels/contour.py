@@ -101,17 +101,18 @@ def nearest_edges(image, x, origin_x, origin_y, factor, points, normals, reach, 
         g, c, nearest = values[:, :lanes], contrasts[:, :lanes], found[:lanes]
         nearest[:] = _INF
         # rows of g: 0 to 3 the last values outwards, 4 to 7 inwards; of c: 0 to 2 the last contrasts, 3 to 5 inwards
-        for t in range(3):
-            _read(joined, width, height, place, np.float32(t), at, part, four, g[t])
-            _read(joined, width, height, place, np.float32(-t), at, part, four, g[4 + t])
+        for k in range(6):
+            t = np.float32(k if k < 3 else 3 - k)
+            _read(joined, width, height, place, t, at, part, four, g[k if k < 3 else k + 1])
         for k in range(lanes):
             c[1, k] = c[3, k] = _contrast(g[5, k], g[0, k], g[1, k], g[2, k])  # half a step outwards
             c[0, k] = c[4, k] = _contrast(g[6, k], g[5, k], g[0, k], g[1, k])  # half a step inwards
         for step in range(n):  # outwards and inwards at once, until all have an edge
             a, b, e, f = step % 4, (step + 1) % 4, (step + 2) % 4, (step + 3) % 4
             u, v, w = step % 3, (step + 1) % 3, (step + 2) % 3
-            _read(joined, width, height, place, np.float32(step + 3), at, part, four, g[f])
-            _read(joined, width, height, place, np.float32(-step - 3), at, part, four, g[4 + f])
+            for side in range(2):
+                t = np.float32(-step - 3 if side else step + 3)
+                _read(joined, width, height, place, t, at, part, four, g[4 * side + f])
             o, i = (g[a], g[b], g[e], g[f]), (g[4 + a], g[4 + b], g[4 + e], g[4 + f])
             outer, inner = (c[u], c[v], c[w]), (c[3 + u], c[3 + v], c[3 + w])
             if _edges(np.float32(step) + _HALF, least, nearest, o, i, outer, inner) == 0:

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.tracking.kernels.compiled import exact, inline
+from facetrack_cli.tracking.kernels.compiled import exact, part
 
 LANES = 16  # the number of bins is padded to a multiple of this, so that loops over bins vectorise
 
@@ -80,13 +80,13 @@ def code(hsv, coloured, colourless, least_saturation, least_value):
     return out
 
 
-@inline
+@part
 def _add_match(counts, root, sums):
     for b in range(len(sums)):
         sums[b] += math.sqrt(np.float32(counts[b])) * root[b]
 
 
-@inline
+@part
 def _coefficient(sums, area):
     total = 0.0
     for b in range(len(sums)):

@@ -5,24 +5,34 @@ digits depend on how many there are.
 """
 
 import math
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.tracking.kernels.compiled import fast
 
+Array: TypeAlias = NDArray[np.float64]
+Rows: TypeAlias = NDArray[np.float32]
 _ZERO = np.float32(0.0)
 _EPSILON = 2.3e-16
 _WIDE = 8  # columns that are turned together: the six of a motion, filled up
 _SWEEPS = 60  # for one value at most; it takes two
 
 
-@fast
-def differences(y, chosen, patch):
+def differences(y: Rows, chosen: NDArray[np.int64], patch: Rows) -> tuple[Rows, Array]:
     """y[chosen] - patch (J, d), and the products of its rows (J, J) float64; y (N, d), chosen (J,), patch (d,)."""
-    count, d = len(chosen), len(patch)
+    count = len(chosen)
     even = count + count % 2  # by pairs, of which the last may be filled with nothing
-    rows, products = np.zeros((even, d), np.float32), np.empty((even, even))
-    for n in range(count):
+    rows, products = np.zeros((even, len(patch)), np.float32), np.empty((even, even))
+    _differences(y, chosen, patch, rows, products)
+    return rows[:count], np.ascontiguousarray(products[:count, :count])
+
+
+@fast
+def _differences(y, chosen, patch, rows, products):
+    d, even = len(patch), len(products)
+    for n in range(len(chosen)):
         row, seen = rows[n], y[chosen[n]]
         for k in range(d):
             row[k] = seen[k] - patch[k]
@@ -39,26 +49,29 @@ def differences(y, chosen, patch):
                 be += b[k] * e[k]
             products[i, j], products[i, j + 1], products[i + 1, j], products[i + 1, j + 1] = ac, ae, bc, be
             products[j, i], products[j + 1, i], products[j, i + 1], products[j + 1, i + 1] = ac, ae, bc, be
-    return rows[:count], products[:count, :count].copy()
+
+
+def mapped(gain: Array, rows: Rows, patch: Rows, wanted: Rows) -> Array:
+    """gain (6, J) times rows (J, d) times (patch - wanted) (d,) -> (6,)."""
+    out = np.zeros(len(gain))
+    _mapped(gain, rows, patch - wanted, out)
+    return out
 
 
 @fast
-def mapped(gain, rows, patch, wanted):
-    """gain (6, J) times rows (J, d) times (patch - wanted) (d,) -> (6,)."""
-    off, out = patch - wanted, np.zeros(len(gain))
+def _mapped(gain, rows, off, out):
     for n in range(len(rows)):
         row, total = rows[n], _ZERO
         for k in range(len(off)):
             total += row[k] * off[k]
         for i in range(len(gain)):
             out[i] += gain[i, n] * total
-    return out
 
 
 @fast
-def _reflect(w, v, beta):
-    """w (n, 8) less beta v v^T w; v (k,) goes with its first k rows."""
-    along = np.zeros(_WIDE)
+def _reflect(w, v, beta, along):
+    """w (n, 8) less beta v v^T w; v (k,) goes with its first k rows; `along` (8,) is scratch."""
+    along[:] = 0.0
     for i in range(len(v)):
         for j in range(_WIDE):
             along[j] += v[i] * w[i, j]
@@ -69,9 +82,12 @@ def _reflect(w, v, beta):
 
 
 @fast
-def _tridiagonal(a, diagonal, beside, betas):
-    """Householder's reduction of the symmetric a (n, n) in place, by its lower triangle: row k keeps its reflector."""
-    n, p = len(a), np.empty(len(a))
+def _tridiagonal(a, diagonal, beside, betas, p):
+    """Householder's reduction of the symmetric a (n, n) in place, by its lower triangle: row k keeps its reflector.
+
+    p (n,) is scratch.
+    """
+    n = len(a)
     for k in range(n - 1, 0, -1):
         v, squares = a[k, :k], 0.0
         for i in range(k - 1):
@@ -146,32 +162,46 @@ def _diagonal(d, e, w, turns, at):
     return count
 
 
-@fast
-def gain(x, products, components, rank):
+def gain(x: Array, products: Array, components: int, rank: float) -> Array:
     """X V_q S_q^-2 V_q^T (6, J), of motions x (J, 6) and Y^T Y = V S^2 V^T, `products` (J, J).
 
     q is `components`, less those whose singular value is below `rank` times the largest. V is never formed: what turns
     Y^T Y into S^2 is done to X, and undone. All 0 for values that are no numbers.
     """
-    n, out = len(products), np.zeros((6, len(products)))
+    n = len(products)
     if n == 0:
-        return out
-    a, w, d, e, betas = products.copy(), np.zeros((n, _WIDE)), np.zeros(n), np.zeros(n), np.zeros(n)
+        return np.zeros((6, 0))
+    a, w, room = products.copy(), np.zeros((n, _WIDE)), 4 * n * n + 64
     w[:, :6] = x
-    _tridiagonal(a, d, e, betas)
-    for k in range(n - 1, 0, -1):
-        _reflect(w, a[k, :k], betas[k])
     # about 1.7 sweeps a value, of half the length in the mean
-    turns, at = np.empty((4 * n * n + 64, 2)), np.empty(4 * n * n + 64, np.int32)
+    turns, at = np.empty((room, 2)), np.empty(room, np.int32)
+    d, e, betas, p = np.zeros((4, n))
+    _solve(a, w, d, e, betas, p, np.empty(_WIDE), turns, at, components, rank)
+    return np.ascontiguousarray(w[:, :6].T)
+
+
+@fast
+def _solve(a, w, d, e, betas, p, along, turns, at, components, rank):
+    """`gain` in place: a (n, n) are the products, w (n, 8) the motions and then the answer, the others scratch."""
+    n = len(a)
+    _tridiagonal(a, d, e, betas, p)
+    for k in range(n - 1, 0, -1):
+        _reflect(w, a[k, :k], betas[k], along)
     count = _diagonal(d, e, w, turns, at)
-    order = np.argsort(d)
-    least = max(rank * rank * d[order[n - 1]], 1e-12)
-    # not a number fails this too
-    if count < 0 or not d[order[n - 1]] < np.inf:
-        return out
+    top, known = d[0], count >= 0
     for k in range(n):
-        i = order[k]
-        by = 1.0 / d[i] if k >= n - components and d[i] > least else 0.0
+        top = d[k] if d[k] > top else top
+        # not a number fails this too
+        known = known and d[k] < np.inf
+    if not known:
+        w[:] = 0.0
+        return
+    least = max(rank * rank * top, 1e-12)
+    for i in range(n):
+        larger = 0
+        for k in range(n):
+            larger += 1 if d[k] > d[i] or (d[k] == d[i] and k > i) else 0
+        by = 1.0 / d[i] if larger < components and d[i] > least else 0.0
         for j in range(_WIDE):
             w[i, j] *= by
     for t in range(count - 1, -1, -1):
@@ -180,6 +210,4 @@ def gain(x, products, components, rank):
             lower, upper = w[i, j], w[i + 1, j]
             w[i, j], w[i + 1, j] = c * lower + s * upper, c * upper - s * lower
     for k in range(1, n):
-        _reflect(w, a[k, :k], betas[k])
-    out[:] = w[:, :6].T
-    return out
+        _reflect(w, a[k, :k], betas[k], along)

@@ -5,14 +5,14 @@ Odobez, Ba & Gatica-Perez 2003, eq. 6 (the patch) and eq. 12 and 13 (its distanc
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import fast, inline
+from facetrack_cli.tracking.kernels.compiled import fast, fast_part
 
 L2, SATURATED_L1, HAUSDORFF = 0, 1, 2
 DISTANCES = {"l2": L2, "saturated_l1": SATURATED_L1, "hausdorff": HAUSDORFF}
 NOTHING = np.float32(1e9)  # grey level of what is not there: so far from all others that it is nobody's nearest
 
 
-@inline
+@fast_part
 def _axis(centre, step, low, whole, count, factor, at, part):
     """Where the points of one axis, `step` apart around `centre`, are read; the range [first, last) of those within.
 
@@ -34,7 +34,7 @@ def _axis(centre, step, low, whole, count, factor, at, part):
     return min(first, last), last
 
 
-@inline
+@fast_part
 def _read(image, view, factor, box, size, columns, across, lines, down, line, patch):
     """The `patch` of the `box` (cx, cy, s), read bilinearly; `view` as in `patch_distances`, the others are scratch.
 
@@ -64,7 +64,7 @@ def _read(image, view, factor, box, size, columns, across, lines, down, line, pa
     return r0, r1, c0, c1
 
 
-@inline
+@fast_part
 def _nearest(a, b, stride, n):
     """Sum over the points of patch `a` of the least difference from the 3x3 points of patch `b` around each."""
     first = stride + 1
@@ -82,12 +82,13 @@ def _nearest(a, b, stride, n):
     return total
 
 
-@inline
+@fast_part
 def _cut(patch, r0, r1, c0, c1, stride, out):
     """`patch` with NOTHING outside rows r0..r1 and columns c0..c1, into `out`."""
     out[:] = NOTHING
     for first in range((r0 + 1) * stride + 1, (r1 + 1) * stride + 1, stride):
-        out[first + c0 : first + c1] = patch[first + c0 : first + c1]
+        for k in range(first + c0, first + c1):
+            out[k] = patch[k]
 
 
 @fast

@@ -14,18 +14,23 @@ def follow(gain, bend):
     """
     rows, columns = gain.shape
     # a row above the first and below the last, which no path comes from
-    sums = np.full((columns, rows + 2), -np.inf)
-    sums[0, 1:-1] = gain[:, 0]
+    sums, path = np.empty((columns, rows + 2)), np.empty(columns, np.int64)
+    for c in range(columns):
+        sums[c, 0] = sums[c, rows + 1] = -np.inf
+    for r in range(rows):
+        sums[0, r + 1] = gain[r, 0]
     for c in range(1, columns):
         above, level, below = sums[c - 1, :-2], sums[c - 1, 1:-1], sums[c - 1, 2:]
         here, more = sums[c, 1:-1], gain[:, c]
         for r in range(rows):
             here[r] = max(level[r], max(above[r], below[r]) - bend) + more[r]
-    path = np.empty(columns, np.int64)
-    path[-1] = np.argmax(sums[-1, 1:-1])
+    ends, best = sums[columns - 1, 1:-1], 0
+    for r in range(rows):
+        best = r if ends[r] > ends[best] else best
+    path[columns - 1] = best
     for c in range(columns - 1, 0, -1):
         last = sums[c - 1, path[c] : path[c] + 3]
         above, level, below = last[0] - bend, last[1], last[2] - bend
         step = -1 if above >= max(level, below) else 0 if level >= below else 1
         path[c - 1] = path[c] + step
-    return sums[-1, 1:-1], path
+    return ends, path

@@ -12,17 +12,21 @@ No fastmath: the inner loops run over j without a reduction, so they vectorise a
 """
 
 import math
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.tracking.kernels.compiled import exact
 
+Array: TypeAlias = NDArray[np.float64]
 LANES = 16  # shapes are padded to a multiple of this, so that sums and maxima run in independent lanes
 PADDING = np.float32(-1e38)  # the bias of a shape that is none
 _FARTHEST = 1e30  # float32 holds 3e38
 _LEAST = np.float32(-80.0)  # exp of it is nothing beside the largest weight, 1
 _LOG2E, _LN2_HI, _LN2_LO = np.float32(1.4426950408889634), np.float32(0.693359375), np.float32(-2.12194440e-4)
 _ROUND = np.float32(12582912.0)  # 1.5 * 2**23: adding it leaves the nearest whole number in the low bits
+_NOTHING: Array = np.empty(0)
 _ONE, _HALF = np.float32(1.0), np.float32(0.5)
 _C3, _C4, _C5 = np.float32(1.6666665459e-1), np.float32(4.1665795894e-2), np.float32(8.3334519073e-3)
 _C6, _C7 = np.float32(1.3981999507e-3), np.float32(1.9875691500e-4)
@@ -91,38 +95,43 @@ def _weigh(x, parts, first, stable, width, h, bias, w, bits, scale):
 
 
 @exact
-def log_parzen(x, parts, first, stable, width, h, bias):
-    """log sum_j exp(-|q_n - h_j|^2 / 2), (N,).
-
-    x (N, K, 2) and first (K, 2) in pixels; parts (P,) int64; stable: a part, or -1 for the mean of `parts`; width: the
-    kernel's standard deviation in pixels; h (2P, M) float32 in kernel widths; bias (M,) float32 = -|h_j|^2 / 2, and
-    PADDING behind the last; M a multiple of LANES.
-    """
-    n, m = x.shape[0], bias.shape[0]
-    out, w, bits = np.empty(n), np.empty(m, np.float32), np.empty(m, np.int32)
-    scale = bits.view(np.float32)
-    for s in range(n):
+def _parzen(x, parts, first, stable, width, h, bias, u, w, bits, scale, sums, chosen):
+    """Both answers below: `sums` (N,), and where there is `u` the indices `chosen` (N,). w, bits, scale: scratch."""
+    m = bias.shape[0]
+    for s in range(x.shape[0]):
         top, total = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
-        out[s] = top + math.log(total)
-    return out
-
-
-@exact
-def pick_shape(x, parts, first, stable, width, h, bias, u):
-    """The index j of a shape for each hypothesis, (N,) int64, drawn by the uniform u[n] in [0, 1).
-
-    Its probability is proportional to exp(-|q_n - h_j|^2 / 2). The other arguments are those of `log_parzen`.
-    """
-    n, m = x.shape[0], bias.shape[0]
-    out, w, bits = np.empty(n, np.int64), np.empty(m, np.float32), np.empty(m, np.int32)
-    scale = bits.view(np.float32)
-    for s in range(n):
-        _, total = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
+        sums[s] = top + math.log(total)
+        if u.shape[0] == 0:
+            continue
         goal, j, reached = u[s] * total, 0, float(w[0])
         while j < m - 1 and reached <= goal:
             j += 1
             reached += w[j]
         while bias[j] <= PADDING:  # a goal rounded up to the total would end in the padding
             j -= 1
-        out[s] = j
-    return out
+        chosen[s] = j
+
+
+def _ask(x: Array, table: tuple[Any, ...], u: Array) -> tuple[Array, NDArray[np.int64]]:
+    m = len(table[-1])
+    w, bits, sums, chosen = np.empty(m, np.float32), np.empty(m, np.int32), np.empty(len(x)), np.empty(len(u), np.int64)
+    _parzen(x, *table, u, w, bits, bits.view(np.float32), sums, chosen)
+    return sums, chosen
+
+
+def log_parzen(x: Array, *table: Any) -> Array:
+    """log sum_j exp(-|q_n - h_j|^2 / 2), (N,).
+
+    x (N, K, 2) in pixels. `table`: first (K, 2) in pixels after parts (P,) int64; stable: a part, or -1 for the mean of
+    `parts`; width: the kernel's standard deviation in pixels; h (2P, M) float32 in kernel widths; bias (M,) float32 =
+    -|h_j|^2 / 2, and PADDING behind the last; M a multiple of LANES.
+    """
+    return _ask(x, table, _NOTHING)[0]
+
+
+def pick_shape(x: Array, *table: Any) -> NDArray[np.int64]:
+    """The index j of a shape for each hypothesis, (N,) int64, drawn by the uniform u[n] in [0, 1), the last argument.
+
+    Its probability is proportional to exp(-|q_n - h_j|^2 / 2). The other arguments are those of `log_parzen`.
+    """
+    return _ask(x, table[:-1], table[-1])[1]

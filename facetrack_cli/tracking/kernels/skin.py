@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.tracking.kernels.compiled import box_sum, exact, inline
+from facetrack_cli.tracking.kernels.compiled import box_sum, exact, part
 
 # OpenCV's fixed-point BT.601 of 8 bits, full range: 14 bits after the point, and a half to round by
 SHIFT, HALF, MIDDLE = np.int32(14), np.int32(1 << 13), np.int32((128 << 14) + (1 << 13))
@@ -15,7 +15,7 @@ EIGHT, MOST = np.int32(8), np.int32(255)
 LARGEST = 1e6  # half a side of a box, pixels
 
 
-@inline
+@part
 def _code(b, g, r):
     """256 Cb + Cr of one pixel. No colour has either below 0; pure blue and pure red would have 256."""
     b, g, r = np.int32(b), np.int32(g), np.int32(r)
@@ -45,14 +45,14 @@ def skin_map(bgr: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np.uin
     return np.asarray(_map(rows, np.ascontiguousarray(table).reshape(-1)), np.uint8)
 
 
-@inline
+@part
 def _within(edge, count):
     """An edge in pixels as a coordinate of the integral image, 0..count; nan is 0."""
     u = edge + 0.5
     return min(u, float(count)) if u > 0.0 else 0.0
 
 
-@inline
+@part
 def _box_sum(integral, box):
     height, width = integral.shape[0] - 1, integral.shape[1] - 1
     x0, y0 = _within(box[0], width), _within(box[1], height)

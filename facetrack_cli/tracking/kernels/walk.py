@@ -1,14 +1,20 @@
 """How likely places are, given all particles of the frame before (a marginal particle filter; Klaas et al. 2005)."""
 
 import math
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.tracking.kernels.compiled import exact
 
+Array: TypeAlias = NDArray[np.float64]
 
-@exact
-def arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which):
+
+def arrive(
+    z: Array, mean: Array, step: Array, scale: float, log_shown: Array, log_hidden: Array, u: Array,
+    shown: Array, hidden: Array, which: Any,
+) -> None:  # fmt: skip
     """log sum_m w_m p(z_n | m) of places and log scales z (N, 3), where the target is visible, and where it is hidden.
 
     A particle m of the last frame is expected at `mean` (M, 3), with standard deviations `step` (M, 2), visible and
@@ -16,8 +22,13 @@ def arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which)
     times the probability of either. Sums go to `shown`, `hidden` (N,). `which` (N,) is the m from which z_n came, or
     M + m where it was hidden, drawn by u (N,), uniform in 0..1.
     """
+    logs, factor, parts = np.empty((3, 2, len(mean)))
+    _arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which, logs, factor, parts.reshape(-1))
+
+
+@exact
+def _arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which, logs, factor, parts):
     many = len(mean)
-    logs, factor, parts = np.empty((2, many)), np.empty((2, many)), np.empty(2 * many)
     for m in range(many):
         for k in range(2):
             factor[k, m] = -0.5 / step[m, k] ** 2
@@ -33,15 +44,17 @@ def arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which)
                 value = logs[k, m] + factor[k, m] * away - 0.5 * ds * ds
                 parts[k * many + m] = value
                 top = max(top, value)
-        sums = np.zeros(2)
-        for k in range(2):
-            for m in range(many):
-                value = math.exp(parts[k * many + m] - top)
-                parts[k * many + m] = value
-                sums[k] += value
-        shown[n] = math.log(sums[0]) + top if sums[0] > 0.0 else -math.inf
-        hidden[n] = math.log(sums[1]) + top if sums[1] > 0.0 else -math.inf
-        left, chosen = u[n] * (sums[0] + sums[1]), 2 * many - 1
+        seen = unseen = 0.0
+        for i in range(2 * many):
+            value = math.exp(parts[i] - top)
+            parts[i] = value
+            if i < many:
+                seen += value
+            else:
+                unseen += value
+        shown[n] = math.log(seen) + top if seen > 0.0 else -math.inf
+        hidden[n] = math.log(unseen) + top if unseen > 0.0 else -math.inf
+        left, chosen = u[n] * (seen + unseen), 2 * many - 1
         for i in range(2 * many):
             left -= parts[i]
             if left <= 0.0 and parts[i] > 0.0:

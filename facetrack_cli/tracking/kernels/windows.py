@@ -49,12 +49,16 @@ def _read_window(image, x, y, w, h, pixels, out):
     return total
 
 
-@exact
-def read_window(image, x, y, w, h):
+def read_window(image: NDArray[Any], x: float, y: float, w: int, h: int) -> NDArray[np.float32]:
     """The window of w x h pixels of image (H, W * 3) at (x, y): (h, w + 1, 3) float32, its last column zero."""
-    out = np.empty(h * (w + 1) * 3, np.float32)
-    _read_window(image, x, y, w, h, np.zeros((h + 1) * (w + 1) * 3 + 3, np.float32), out)
-    return out.reshape(h, w + 1, 3)
+    out = np.empty((h, w + 1, 3), np.float32)
+    _window(image, x, y, w, h, np.zeros((h + 1) * (w + 1) * 3 + 3, np.float32), out.reshape(-1))
+    return out
+
+
+@exact
+def _window(image, x, y, w, h, pixels, out):
+    _read_window(image, x, y, w, h, pixels, out)
 
 
 @inline
