@@ -121,7 +121,9 @@ def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
     assert data["init"]["targets"]["face"]["points"]["nose"] == [60, 40]
     assert data["frames"][0]["targets"][0]["particles"] == 120
     # on a busy machine compiling takes so long that progress is told
-    line = one_line("".join(one for one in err.splitlines(keepends=True) if " of about " not in one))
+    line, verdict, next_ = [one for one in err.splitlines() if " of about " not in one]
+    assert "begins in frame 0 (0:00.00), by" in verdict
+    assert next_ == "look: facetrack report sway-face; correct: facetrack fix sway-face"
     assert "annotated.mp4, trajectory.csv, trajectory.json" in line
     assert "30 frames; " in line
     assert " frames/s" in line
@@ -205,7 +207,7 @@ def test_a_name_that_is_no_text(clip: Path, tmp_path: Path) -> None:
     init = clip.with_suffix(".init.yaml")
     done = subprocess.run([*FACETRACK, "run", folder, *SMALL, "--init", init], cwd=tmp_path, capture_output=True)
     assert done.returncode == 0, done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    assert len(done.stderr.splitlines()) == 3  # summary, verdict, next step
     data = json.loads((tmp_path / f"{folder}-face" / "trajectory.json").read_bytes())
     assert data["source"]["path"] == folder
     (tmp_path / "a.mp4").symlink_to(tmp_path / f"{folder}-face" / "annotated.mp4")
@@ -432,7 +434,7 @@ def test_a_cut_clip_gives_its_rows_a_warning_and_0(run: Runner, clip: Path) -> N
     Path("pictures/20.png").write_bytes(whole[: len(whole) // 2])
     code, _, err = run("pictures", *SMALL)
     assert code == 0
-    warning, summary = err.splitlines()
+    warning, summary, _, _ = err.splitlines()
     assert warning.startswith("facetrack: warning: ")
     assert "20.png" in warning
     assert "20 frames" in summary
@@ -483,7 +485,7 @@ def test_a_part_that_is_lost_at_the_end(run: Runner, tmp_path: Path) -> None:
     assert run(path, "--no-video")[0] == 0
     code, _, err = run(path, "--no-video", "--fail-on-lost", "--overwrite")
     assert code == 4
-    assert "lost: " in one_line(err)
+    assert "lost: " in err.splitlines()[0] and "; look at frames " in err.splitlines()[1]
     assert json.loads(Path("covered-face/trajectory.json").read_text())["lost_frames"]
     assert run(path, "--no-video", "--fail-on-lost", "-o", "early", "--stop", 8)[0] == 0
 
@@ -740,7 +742,7 @@ def test_plain_lines_now_and_then(
 ) -> None:
     monkeypatch.setattr("facetrack_cli.runs.progress.EVERY_S", 0.0)
     lines = run(clip, *SMALL, "--no-video")[2].splitlines()
-    assert len(lines) == 31
+    assert len(lines) == 33
     assert lines[9].startswith("sway.mp4: 10 of about 30 frames, ")
     assert lines[9].endswith(" frames/s")
 
@@ -759,7 +761,7 @@ def test_a_bar_on_a_terminal(clip: Path, tmp_path: Path) -> None:
     assert process.wait(30) == 0
     assert "frames/s" in text
     assert "━" in text
-    assert "30 frames; " in text.splitlines()[-1]
+    assert "30 frames; " in text.splitlines()[-3]
 
 
 def test_the_header_is_the_schema(run: Runner, clip: Path) -> None:
@@ -864,7 +866,7 @@ def test_strict_makes_damage_an_error(run: Runner, clip: Path) -> None:
     Path("hurt.mp4").write_bytes(data)
     Path("hurt.init.yaml").write_text(INIT)
     code, _, err = run("hurt.mp4", *SMALL)
-    warning, summary = err.splitlines()
+    warning, summary, _, _ = err.splitlines()
     assert code == 0 and "hurt.mp4: damaged: the decoder reports errors at about frame" in warning
     assert "incomplete" in summary
     before = json.loads(Path("hurt-face/trajectory.json").read_text())

@@ -282,13 +282,22 @@ def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress, after: 
 
 
 def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
-    """What the search took, warnings, which say of which clip they are if `named`, and the summary."""
+    """What the search took, warnings, the summary, the verdict, and of one clip the next step.
+
+    If `named`, warnings say of which clip they are.
+    """
     if outcome.note:
         shown.say(f"{outcome.clip}: {outcome.note}")
     for warning in outcome.warnings:
         of = f"{outcome.clip}: " if named and str(outcome.clip) not in warning else ""
         shown.say(f"facetrack: warning: {of}{warning}")
     shown.say(outcome.summary())
+    if outcome.stopped or outcome.error is not None:
+        return
+    if outcome.verdict and not (named and not outcome.doubtful):
+        shown.say(f"{outcome.clip}: {outcome.verdict}")
+    if not named and (what := outcome.next_step()):
+        shown.say(what)
 
 
 command = verb(Run)
