@@ -59,6 +59,17 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
     return path
 
 
+_LONGEST: Final = 60  # characters of settings in the name of a folder
+
+
+def variant_name(recipe: str, settings: Sequence[str]) -> str:
+    """A recipe's name with the settings that are changed, as in `face-filter.particles=500`; a digest of long ones."""
+    said = ",".join("".join(c if c.isalnum() or c in ".=_+" else "-" for c in one.strip()) for one in settings)
+    if len(said) > _LONGEST:
+        said = "set-" + hashlib.sha256(",".join(settings).encode("utf-8", "surrogateescape")).hexdigest()[:8]
+    return f"{recipe}-{said}" if said else recipe
+
+
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:
     """A folder name for the results of each clip, `<clip>-<recipe>`; no two are the same.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.files import FileSink, cannot_write
 from facetrack_cli.core.types import Image
 from facetrack_cli.recipe.files import shipped_folder
-from facetrack_cli.runs.batch import folders
+from facetrack_cli.runs.batch import folders, variant_name
 from facetrack_cli.runs.signals import Stop, TerminatedError, raising
 from facetrack_cli.trajectory.writers import COLUMNS
 from facetrack_cli.video.source import open_source
@@ -36,7 +37,7 @@ INIT = """\
 frame: 0
 points: {nose: [60, 40], mouth_left: [48, 62], mouth_right: [72, 62], lip_upper: [60, 58], lip_lower: [60, 68]}
 """
-SMALL = ["--set", "filter.particles=20"]
+SMALL = ["--config", str(Path(__file__).parents[1] / "support" / "face.yaml")]  # the default with few particles
 
 Runner = Callable[..., tuple[int, str, str]]
 
@@ -131,7 +132,7 @@ def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
 
 def test_the_tracker_follows_the_sway(run: Runner, clip: Path) -> None:
     """Not the tracker's own test: that frames, start and seed arrive where they belong."""
-    assert run(clip, "--no-video", "--set", "filter.particles=100")[0] == 0
+    assert run(clip, "--no-video", "--set", "filter.particles=100", "-o", "sway-face")[0] == 0
     errors = [
         abs(row.x - (60 + round(3 * np.sin(row.frame / 8))))
         for row in file_rows(Path("sway-face/trajectory.csv"))
@@ -251,7 +252,7 @@ def test_a_box_is_enough(run: Runner) -> None:
     code, out, _ = run(SAMPLE, *SMALL, "--config", "factorized", *within)
     assert code == 0
     assert [line.split(",")[0] for line in out.splitlines()[1::5]] == ["3", "4", "5"]
-    code, out, _ = run(SAMPLE, *SMALL, *within)
+    code, out, _ = run(SAMPLE, *within)
     rows = [line.split(",") for line in out.splitlines()[1:]]
     assert code == 0 and [(row[0], row[3]) for row in rows] == [("3", "box"), ("4", "box"), ("5", "box")]
 
@@ -507,6 +508,18 @@ def test_folder_names_are_told_apart_by_where_the_clips_lie(tmp_path: Path) -> N
     assert both == named("a-clip.mp4", "a/clip.mp4", "b/clip.mp4")
 
 
+def test_runs_of_other_settings_have_folders_of_their_own(run: Runner, clip: Path) -> None:
+    assert variant_name("face", ()) == "face"
+    assert variant_name("face", ("filter.particles=500", "head=null")) == "face-filter.particles=500,head=null"
+    assert variant_name("a", ("likelihood.windows={a: ../b}",)) == "a-likelihood.windows=-a--..-b-"
+    long = [variant_name("a", (f"likelihood.something={'x' * 60}{k}",)) for k in range(2)]
+    assert long[0] != long[1] and all(re.fullmatch(r"a-set-[0-9a-f]{8}", name) for name in long)
+    for n in (20, 21):
+        assert run(clip, "--set", f"filter.particles={n}", "--no-video", "--stop", "3")[0] == 0
+        data = json.loads(Path(f"sway-face-filter.particles={n}/trajectory.json").read_text())
+        assert data["recipe"]["filter"]["particles"] == n
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_batch_goes_on_past_a_bad_clip(run: Runner, clip: Path, tmp_path: Path, workers: int) -> None:
     other = make_clip(tmp_path / "other.mp4", 10)
@@ -552,7 +565,12 @@ def test_what_was_done_otherwise_is_refused(run: Runner, tmp_path: Path) -> None
     assert run(clip, *SMALL)[0] == 0
     clip.touch()
     assert "done before" in run(clip, *SMALL)[2], "the same bytes, although its time is another"
-    for change in (["--seed", "9"], ["--stop", "5"], ["--no-video"], ["--set", "confidence.patience=3"]):
+    for change in (
+        ["--seed", "9"],
+        ["--stop", "5"],
+        ["--no-video"],
+        ["--set", "confidence.patience=3", "-o", "sway-face"],
+    ):
         assert "exists already" in one_line(run(clip, *SMALL, *change)[2])
     clip.write_bytes(make_clip(tmp_path / "another.mp4", 11).read_bytes())
     assert "exists already" in one_line(run(clip, *SMALL)[2])

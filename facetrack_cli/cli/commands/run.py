@@ -95,7 +95,9 @@ class Run:
     init_frame: int | None = option(
         "--init-frame N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
     )
-    out: str | None = option("-o --out DIR", "Folder for results [default: ./<clip>-<recipe>]; - streams to stdout.")
+    out: str | None = option(
+        "-o --out DIR", "Folder for results [default: ./<clip>-<recipe>, with --set]; - streams to stdout."
+    )
     no_video: bool = flag("--no-video", "Do not write annotated.mp4.")
     format: tuple[Format, ...] | None = option(
         "--format LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats
@@ -120,7 +122,7 @@ class Run:
 
     def run(self) -> int:
         from facetrack_cli.recipe.files import default_recipe
-        from facetrack_cli.runs.batch import write_batch
+        from facetrack_cli.runs.batch import variant_name, write_batch
         from facetrack_cli.runs.inputs import expand
         from facetrack_cli.runs.job import Job
         from facetrack_cli.runs.progress import progress
@@ -140,7 +142,7 @@ class Run:
                 "give likelihood.contour or likelihood.histogram too, or leave the option out"
             )
         several = several or self.shard is not None
-        places, formats = self._places(given, several, recipe.name)
+        places, formats = self._places(given, several, variant_name(recipe.name, self.set))
         self._check_smoothing(recipe, formats)
         if several and self.out:
             write_batch(Path(self.out), recipe.name, given, [folder.name for folder in places if folder])
