@@ -5,6 +5,7 @@ several batches on the same folders, also of several machines, share the clips.
 """
 
 import contextlib
+import hashlib
 import os
 import time
 from collections import Counter
@@ -29,6 +30,15 @@ from facetrack_cli.trajectory.killed import settle
 TRIES: Final = 2  # of a clip whose process a signal ends
 LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free
 SETTLE_S: Final = 10.0  # between two looks whether its claim is stale
+_LONGEST: Final = 60  # characters of settings in the name of a folder
+
+
+def variant_name(recipe: str, settings: Sequence[str]) -> str:
+    """A recipe's name with the settings that are changed, as in `face-filter.particles=500`; a digest of long ones."""
+    said = ",".join("".join(c if c.isalnum() or c in ".=_+" else "-" for c in one.strip()) for one in settings)
+    if len(said) > _LONGEST:
+        said = "set-" + hashlib.sha256(",".join(settings).encode("utf-8", "surrogateescape")).hexdigest()[:8]
+    return f"{recipe}-{said}" if said else recipe
 
 
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:

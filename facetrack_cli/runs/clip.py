@@ -14,6 +14,7 @@ from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended
 from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
+from facetrack_cli.runs.verdict import Watch
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.corrected import revived
 from facetrack_cli.tracking.loop import Standing, track
@@ -52,6 +53,8 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         outputs.write(result.rows)
         outputs.keep(result)
         done.count(result)
+        if watch is not None:
+            watch.count(result)
         last = result.frame.index
         outputs.mark(partial(Run, last + 1, done.frames, done.lost, done.evidence, notes, at), done.frames)
         report(done.frames, source.frames_hint and source.frames_hint + before)
@@ -69,6 +72,8 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         first, notes, at = resumed.frame, resumed.notes, resumed.at
         done.frames, done.lost, done.evidence = resumed.frames, dict(resumed.lost), dict(resumed.evidence)
         done.resumed, before = first, resumed.frames
+    # of a run that goes on, the frames before are not known any more
+    watch = None if job.out is None or resumed is not None else Watch.of(job.recipe, start)
     with job.open(first) as source:
         source.strict = job.strict
         check_lag(job, source)
@@ -109,6 +114,8 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
             footer = outputs.close(footer, done)
         except Exception as e:
             done.error = done.error or e
+    if watch is not None:
+        done.verdict, done.doubtful = watch.line(), bool(watch.doubts())
     if job.strict and not source.complete and stopped is None:
         done.error = done.error or InputError(source.warnings[-1])
     failed = done.error or outputs.missing  # said last, as the command's error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
@@ -76,6 +77,8 @@ class Outcome:
     error: Exception | None = None
     streamed: bool = False
     note: str = ""
+    verdict: str = ""  # what it comes to
+    doubtful: bool = False  # whether something measured speaks against the track
     again: Manifest | None = None  # the run was done before: nothing was tracked now
     resumed: int | None = None  # the frame from which it went on
 
@@ -105,6 +108,13 @@ class Outcome:
         for target, found in rows.diagnostics.items():
             if np.isfinite(nats := found.get(EVIDENCE.name)).all():
                 self.evidence[target] = self.evidence.get(target, 0.0) + float(nats.sum())
+
+    def next_step(self) -> str:
+        """The commands that show and correct what was written; "" where they could not."""
+        if not self.files or not any(file.suffix in (".json", ".jsonl") for file in self.files):
+            return ""
+        folder = shlex.quote(str(self.files[0].parent))
+        return f"look: facetrack report {folder}; correct: facetrack fix {folder}"
 
     def summary(self) -> str:
         """One line: what was written, how fast, what was lost."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.files import FileSink, cannot_write
 from facetrack_cli.core.types import Image
 from facetrack_cli.recipe.files import shipped_folder
-from facetrack_cli.runs.batch import folders
+from facetrack_cli.runs.batch import folders, variant_name
 from facetrack_cli.runs.signals import Stop, TerminatedError, raising
 from facetrack_cli.trajectory.writers import COLUMNS
 from facetrack_cli.video.source import open_source
@@ -36,7 +37,7 @@ INIT = """\
 frame: 0
 points: {nose: [60, 40], mouth_left: [48, 62], mouth_right: [72, 62], lip_upper: [60, 58], lip_lower: [60, 68]}
 """
-SMALL = ["--set", "filter.particles=20"]
+SMALL = ["--config", str(Path(__file__).parents[1] / "support" / "face.yaml")]  # the default with few particles
 
 Runner = Callable[..., tuple[int, str, str]]
 
@@ -121,7 +122,9 @@ def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
     assert data["init"]["targets"]["face"]["points"]["nose"] == [60, 40]
     assert data["frames"][0]["targets"][0]["particles"] == 120
     # on a busy machine compiling takes so long that progress is told
-    line = one_line("".join(one for one in err.splitlines(keepends=True) if " of about " not in one))
+    line, verdict, next_ = [one for one in err.splitlines() if " of about " not in one]
+    assert "begins in frame 0 (0:00.00), by" in verdict
+    assert next_ == "look: facetrack report sway-face; correct: facetrack fix sway-face"
     assert "annotated.mp4, trajectory.csv, trajectory.json" in line
     assert "30 frames; " in line
     assert " frames/s" in line
@@ -129,7 +132,7 @@ def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
 
 def test_the_tracker_follows_the_sway(run: Runner, clip: Path) -> None:
     """Not the tracker's own test: that frames, start and seed arrive where they belong."""
-    assert run(clip, "--no-video", "--set", "filter.particles=100")[0] == 0
+    assert run(clip, "--no-video", "--set", "filter.particles=100", "-o", "sway-face")[0] == 0
     errors = [
         abs(row.x - (60 + round(3 * np.sin(row.frame / 8))))
         for row in file_rows(Path("sway-face/trajectory.csv"))
@@ -205,7 +208,8 @@ def test_a_name_that_is_no_text(clip: Path, tmp_path: Path) -> None:
     init = clip.with_suffix(".init.yaml")
     done = subprocess.run([*FACETRACK, "run", folder, *SMALL, "--init", init], cwd=tmp_path, capture_output=True)
     assert done.returncode == 0, done.stderr
-    assert len([line for line in done.stderr.splitlines() if not line.startswith(b"compiling kernels")]) == 1
+    said = [line for line in done.stderr.splitlines() if not line.startswith(b"compiling kernels")]
+    assert len(said) == 3  # summary, verdict, next step
     data = json.loads((tmp_path / f"{folder}-face" / "trajectory.json").read_bytes())
     assert data["source"]["path"] == folder
     (tmp_path / "a.mp4").symlink_to(tmp_path / f"{folder}-face" / "annotated.mp4")
@@ -249,7 +253,7 @@ def test_a_box_is_enough(run: Runner) -> None:
     code, out, _ = run(SAMPLE, *SMALL, "--config", "factorized", *within)
     assert code == 0
     assert [line.split(",")[0] for line in out.splitlines()[1::5]] == ["3", "4", "5"]
-    code, out, _ = run(SAMPLE, *SMALL, *within)
+    code, out, _ = run(SAMPLE, *within)
     rows = [line.split(",") for line in out.splitlines()[1:]]
     assert code == 0 and [(row[0], row[3]) for row in rows] == [("3", "box"), ("4", "box"), ("5", "box")]
 
@@ -432,7 +436,7 @@ def test_a_cut_clip_gives_its_rows_a_warning_and_0(run: Runner, clip: Path) -> N
     Path("pictures/20.png").write_bytes(whole[: len(whole) // 2])
     code, _, err = run("pictures", *SMALL)
     assert code == 0
-    warning, summary = err.splitlines()
+    warning, summary, _, _ = err.splitlines()
     assert warning.startswith("facetrack: warning: ")
     assert "20.png" in warning
     assert "20 frames" in summary
@@ -483,7 +487,7 @@ def test_a_part_that_is_lost_at_the_end(run: Runner, tmp_path: Path) -> None:
     assert run(path, "--no-video")[0] == 0
     code, _, err = run(path, "--no-video", "--fail-on-lost", "--overwrite")
     assert code == 4
-    assert "lost: " in one_line(err)
+    assert "lost: " in err.splitlines()[0] and "; look at frames " in err.splitlines()[1]
     assert json.loads(Path("covered-face/trajectory.json").read_text())["lost_frames"]
     assert run(path, "--no-video", "--fail-on-lost", "-o", "early", "--stop", 8)[0] == 0
 
@@ -503,6 +507,18 @@ def test_folder_names_are_told_apart_by_where_the_clips_lie(tmp_path: Path) -> N
     both = named("a-clip.mp4", "a/clip.mp4", "b/clip.mp4")
     assert len(set(both)) == 3
     assert both == named("a-clip.mp4", "a/clip.mp4", "b/clip.mp4")
+
+
+def test_runs_of_other_settings_have_folders_of_their_own(run: Runner, clip: Path) -> None:
+    assert variant_name("face", ()) == "face"
+    assert variant_name("face", ("filter.particles=500", "head=null")) == "face-filter.particles=500,head=null"
+    assert variant_name("a", ("likelihood.windows={a: ../b}",)) == "a-likelihood.windows=-a--..-b-"
+    long = [variant_name("a", (f"likelihood.something={'x' * 60}{k}",)) for k in range(2)]
+    assert long[0] != long[1] and all(re.fullmatch(r"a-set-[0-9a-f]{8}", name) for name in long)
+    for n in (20, 21):
+        assert run(clip, "--set", f"filter.particles={n}", "--no-video", "--stop", "3")[0] == 0
+        data = json.loads(Path(f"sway-face-filter.particles={n}/trajectory.json").read_text())
+        assert data["recipe"]["filter"]["particles"] == n
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -550,7 +566,12 @@ def test_what_was_done_otherwise_is_refused(run: Runner, tmp_path: Path) -> None
     assert run(clip, *SMALL)[0] == 0
     clip.touch()
     assert "done before" in run(clip, *SMALL)[2], "the same bytes, although its time is another"
-    for change in (["--seed", "9"], ["--stop", "5"], ["--no-video"], ["--set", "confidence.patience=3"]):
+    for change in (
+        ["--seed", "9"],
+        ["--stop", "5"],
+        ["--no-video"],
+        ["--set", "confidence.patience=3", "-o", "sway-face"],
+    ):
         assert "exists already" in one_line(run(clip, *SMALL, *change)[2])
     clip.write_bytes(make_clip(tmp_path / "another.mp4", 11).read_bytes())
     assert "exists already" in one_line(run(clip, *SMALL)[2])
@@ -740,7 +761,7 @@ def test_plain_lines_now_and_then(
 ) -> None:
     monkeypatch.setattr("facetrack_cli.runs.progress.EVERY_S", 0.0)
     lines = run(clip, *SMALL, "--no-video")[2].splitlines()
-    assert len(lines) == 31
+    assert len(lines) == 33
     assert lines[9].startswith("sway.mp4: 10 of about 30 frames, ")
     assert lines[9].endswith(" frames/s")
 
@@ -759,7 +780,7 @@ def test_a_bar_on_a_terminal(clip: Path, tmp_path: Path) -> None:
     assert process.wait(30) == 0
     assert "frames/s" in text
     assert "━" in text
-    assert "30 frames; " in text.splitlines()[-1]
+    assert "30 frames; " in text.splitlines()[-3]
 
 
 def test_the_header_is_the_schema(run: Runner, clip: Path) -> None:
@@ -864,7 +885,7 @@ def test_strict_makes_damage_an_error(run: Runner, clip: Path) -> None:
     Path("hurt.mp4").write_bytes(data)
     Path("hurt.init.yaml").write_text(INIT)
     code, _, err = run("hurt.mp4", *SMALL)
-    warning, summary = err.splitlines()
+    warning, summary, _, _ = err.splitlines()
     assert code == 0 and "hurt.mp4: damaged: the decoder reports errors at about frame" in warning
     assert "incomplete" in summary
     before = json.loads(Path("hurt-face/trajectory.json").read_text())

@@ -9,7 +9,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.start import search_start
 from facetrack_cli.tracking.start.detectors import Found
-from facetrack_cli.tracking.start.search import OFTEN, WAIT
+from facetrack_cli.tracking.start.search import BOUND, OFTEN, STEP, WAIT
 from tests.support import moving_face as moving
 from tests.support.moving_face import PARTS, Pose
 
@@ -110,6 +110,30 @@ def test_a_clip_of_a_few_frames_is_enough():
         search(lambda t: [(60, 40, 40)] * (t < OFTEN - 1), 20)
 
 
+def test_a_face_that_comes_late_is_found_and_few_frames_are_looked_at():
+    seen = []
+
+    def found(t):
+        seen.append(t)
+        return [(60, 30, 40)] * (1500 <= t < 1900)
+
+    frames = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(40) * 60))
+    start = search_start(frames, detector=Fake(found), clip="a.mp4")
+    assert 1500 <= start.frame < 1500 + STEP and start.targets["face"].box == (60, 30, 40, 40)
+    assert len(seen) < BOUND + 120 and seen[:BOUND] == list(range(BOUND))
+    again = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(40) * 60))
+    assert search_start(again, detector=Fake(found)).frame == start.frame
+
+
+def test_what_is_seen_once_late_is_no_face():
+    frames = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(20) * 30))
+    with pytest.raises(InputError, match="no face found in frames 0 to 599; give its box"):
+        search_start(frames, detector=Fake(lambda t: [(60, 30, 40)] * (t % 40 == 0 and t > BOUND)), clip="a.mp4")
+    short = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(20) * 13))
+    with pytest.raises(InputError, match="no face found"):  # the last frame alone shows something
+        search_start(short, detector=Fake(lambda t: [(60, 30, 40)] * (t == 259)))
+
+
 def test_two_real_faces_by_the_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     frames = []
@@ -123,7 +147,7 @@ def test_two_real_faces_by_the_command_line(tmp_path, capsys, monkeypatch):
         cv2.imwrite(str(folder / f"{one.index:03d}.png"), one.bgr)
     assert main(["run", "clip", "--init", "haar", "--no-video", "-o", "one"]) == 0
     said = capsys.readouterr().err
-    assert "begins in frame 0 with a face" in said and "passed over" in said
+    assert "begins in frame 0 with a face" in said and "1 more face was found, --faces all follows each" in said
     assert {line.split(",")[2] for line in (tmp_path / "one/trajectory.csv").read_text().splitlines()[1:]} == {"face"}
     assert main(["run", "clip", "--init", "haar", "--faces", "all", "--no-video", "-o", "all"]) == 0
     rows = [line.split(",") for line in (tmp_path / "all/trajectory.csv").read_text().splitlines()[1:]]

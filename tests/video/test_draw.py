@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult
-from facetrack_cli.video.overlay.marks import Font, Sprite, plain, stamp
+from facetrack_cli.video.overlay.marks import PALETTE, Font, Sprite, plain, readable, stamp
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.overlay.status_bar import StatusBar, summary
 from tests.support import results
@@ -327,7 +327,7 @@ def test_names_of_targets_do_not_lie_on_each_other() -> None:
             for name, x in (("left_hand", 160 - apart / 2), ("right_hand", 160 + apart / 2))
         )
         seen: list[tuple[float, float, float, float]] = []
-        shapes = [overlay._shape(each, (255, 255, 255)) for each in (one, two)]
+        shapes = [overlay._shape(each, i, alone=False) for i, each in enumerate((one, two))]
         image = np.zeros((240, 320, 3), np.uint8)
         for shape in shapes:
             seen += overlay._labels._tag(image, shape, True, seen)
@@ -351,7 +351,7 @@ def test_the_status_bar_can_be_read(size: tuple[int, int], least: int, ground: i
     strip = luminance(image[: overlay._bar.height])
     ink = strip > 0.7
     font = overlay._bar._font
-    start = round(0.8 * font.cap) + font.width("#")
+    start = round(0.8 * font.cap) + (font.width("frame ") if size[0] >= 28 * font.cap else 0)
     rows = np.flatnonzero(ink[:, start : start + font.width("8888")].any(axis=1))  # the digits of the frame number
     assert least <= rows[-1] - rows[0] + 1 <= 1.25 * least
     dark = float(np.median(strip[: rows[-1]]))
@@ -391,11 +391,11 @@ def test_what_the_bar_says() -> None:
     good, gone = part("nose"), part("lip_upper", status="lost")
     assert in_the_bar(face=[good]) == ("tracked", ["tracked"])
     assert in_the_bar(face=[part(status="init")]) == ("init", ["init"])
-    assert in_the_bar(face=[good, gone]) == ("lost", ["lost: lip_upper", "lost 1/2", "lost"])
-    assert in_the_bar(face=[good, gone], other=[good])[1][0] == "lost: face/lip_upper"
+    assert in_the_bar(face=[good, gone]) == ("lost", ["lost: lip upper", "lost 1/2", "lost"])
+    assert in_the_bar(face=[good, gone], other=[good])[1][0] == "lost: face/lip upper"
     whole = [gone, part("thumb", status="lost")]
     assert in_the_bar(face=[good], hand=whole)[1][0] == "lost: hand"
-    assert in_the_bar(face=[good, gone], hand=whole)[1][:2] == ["lost: face/lip_upper, hand", "lost: face/lip_upper +1"]
+    assert in_the_bar(face=[good, gone], hand=whole)[1][:2] == ["lost: face/lip upper, hand", "lost: face/lip upper +1"]
     assert in_the_bar() == ("lost", ["no target", "none"])
 
 
@@ -543,3 +543,29 @@ def test_the_sign_of_what_is_absent_is_not_that_of_what_is_lost() -> None:
 
     vermilion = (bar("lost")[..., 2].astype(int) - bar("lost")[..., 0] > 60).any()
     assert vermilion and not (bar("absent")[..., 2].astype(int) - bar("absent")[..., 0] > 60).any()
+
+
+def test_parts_have_colours_of_their_own_and_names_without_underscores() -> None:
+    """Those of the plots, in their order; of several targets each has one."""
+    overlay = Overlay((320, 240))
+    face = [part("nose"), part("mouth_left"), part("box", w=80.0, h=80.0)]
+    [shape] = [overlay._shape(target("face", face), 0, alone=True)]
+    assert shape.colours == PALETTE[:3] and shape.colour == PALETTE[2]
+    assert overlay._shape(target("hand", face), 1, alone=False).colours == (PALETTE[1],) * 3
+    assert readable("mouth_left") == "mouth left"
+
+
+def test_dots_of_a_small_face_leave_the_mouth_to_be_seen() -> None:
+    def covered(side: float, frame: int) -> float:
+        picture = Frame(0, 0.0, np.full((frame * 3 // 4, frame, 3), 128, np.uint8))
+        x, y, apart = 0.5 * frame, 0.4 * frame, 0.15 * side
+        points = [part(name, x + dx * apart, y + dy * apart, w=5.0, h=5.0) for name, (dx, dy) in AROUND.items()]
+        box = part("box", x, y, w=side, h=side)
+        drawn = Overlay((frame, frame * 3 // 4)).draw(results.result(picture, [target("face", [*points, box])]))
+        mouth = drawn[round(y - apart) : round(y + apart) + 1, round(x - apart) : round(x + apart) + 1]
+        return float((mouth != 128).any(axis=2).mean())
+
+    assert covered(40.0, 320) < 0.6 and covered(64.0, 320) < 0.4 and covered(200.0, 1280) < 0.4
+
+
+AROUND = {"mouth_left": (-1, 0), "mouth_right": (1, 0), "lip_upper": (0, -0.4), "lip_lower": (0, 0.4)}

@@ -194,8 +194,8 @@ def test_the_bar_tells_of_one_target_that_adapts() -> None:
             results.result(3, [target(f"t{i}", parts, 77, reported=one) for i, one in enumerate(reported)]).rows
         )
 
-    assert said({"scale": 1.234, "noise": 1.5}) == {"scale": "scale 1.23", "particles": "77 particles"}
-    assert said({"scale": 1.234}) == {"scale": "scale 1.23"}, "their number stays"
+    assert said({"scale": 1.234, "noise": 1.5}) == {"scale": "size 123%"}
+    assert said({"scale": 1.234}) == {"scale": "size 123%"}
     assert said({"scale": 1.234, "noise": 1.5}, {"scale": 1.234, "noise": 1.5}) == {}
     assert said() == said(None) == said({}) == said({"noise": 1.0}) == said({"scale": float("nan")}) == {}
 
@@ -205,7 +205,7 @@ def test_the_bar_of_what_was_recorded_has_the_scale_of_its_frame() -> None:
     rows = successive([each.rows for each in frames])
     for i, each in enumerate(frames):
         again = FrameResult(each.frame, recorded(i, rows.at(i)))
-        assert adaptation(again.rows) == adaptation(each.rows) == {"scale": f"scale {1 + i}.00"}
+        assert adaptation(again.rows) == adaptation(each.rows) == {"scale": f"size {1 + i}00%"}
     other = joined([rows, one_part("face", "box", [9], x=[1.0])], diagnostics=rows.diagnostics)
     assert adaptation(FrameResult(frames[0].frame, recorded(9, other.at(9))).rows) == {}, "nothing is reported there"
 
@@ -219,4 +219,4 @@ def test_it_stands_in_the_bar_where_there_is_room(width: int) -> None:
         return Overlay((width, 60), title="adaptive").draw(shown)
 
     other = (draw({}) != draw({"scale": 1.0, "noise": 1.0})).any(axis=(0, 2))
-    assert other.any() == (width > 240)
+    assert other.any() == (width > 320)

@@ -95,7 +95,9 @@ class Run:
     init_frame: int | None = option(
         "--init-frame N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
     )
-    out: str | None = option("-o --out DIR", "Folder for results [default: ./<clip>-<recipe>]; - streams to stdout.")
+    out: str | None = option(
+        "-o --out DIR", "Folder for results [default: ./<clip>-<recipe>, with --set]; - streams to stdout."
+    )
     no_video: bool = flag("--no-video", "Do not write annotated.mp4.")
     format: tuple[Format, ...] | None = option(
         "--format LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats
@@ -120,6 +122,7 @@ class Run:
 
     def run(self) -> int:
         from facetrack_cli.recipe.files import default_recipe
+        from facetrack_cli.runs.batch import variant_name
         from facetrack_cli.runs.inputs import expand
         from facetrack_cli.runs.job import Job
         from facetrack_cli.runs.progress import progress
@@ -141,7 +144,7 @@ class Run:
                 "give likelihood.contour or likelihood.histogram too, or leave the option out"
             )
         several = several or self.shard is not None
-        places, formats = self._places(given, several, recipe.name)
+        places, formats = self._places(given, several, variant_name(recipe.name, self.set))
         self._check_smoothing(recipe, formats)
         if several and self.out:
             write_batch(Path(self.out), recipe.name, given, [folder.name for folder in places if folder])
@@ -284,13 +287,22 @@ def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress, after: 
 
 
 def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
-    """What the search took, warnings, which say of which clip they are if `named`, and the summary."""
+    """What the search took, warnings, the summary, the verdict, and of one clip the next step.
+
+    If `named`, warnings say of which clip they are.
+    """
     if outcome.note:
         shown.say(f"{outcome.clip}: {outcome.note}")
     for warning in outcome.warnings:
         of = f"{outcome.clip}: " if named and str(outcome.clip) not in warning else ""
         shown.say(f"facetrack: warning: {of}{warning}")
     shown.say(outcome.summary())
+    if outcome.stopped or outcome.error is not None:
+        return
+    if outcome.verdict and not (named and not outcome.doubtful):
+        shown.say(f"{outcome.clip}: {outcome.verdict}")
+    if not named and (what := outcome.next_step()):
+        shown.say(what)
 
 
 command = verb(Run)

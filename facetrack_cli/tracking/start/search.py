@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import chain, islice
 from typing import Final, Literal, TypeAlias
 
 import cv2
@@ -24,7 +24,8 @@ from facetrack_cli.tracking.start.detectors import Detector, Found, Haar
 from facetrack_cli.tracking.start.haar import CONTRAST, PARTS, NotHereError, check_parts
 from facetrack_cli.tracking.start.points import shows_features
 
-BOUND: Final = 250  # frames that are searched, at most: ten seconds of most clips
+BOUND: Final = 250  # frames that are all searched: ten seconds of most clips
+STEP: Final = 50  # frames from one look to the next later on, at most; before, 2 % of those gone by
 OFTEN: Final = 5  # frames in which a face is found, at least
 WAIT: Final = 10  # frames for rivals from the first that a candidate is found in
 PAUSE: Final = 4  # frames in which a candidate may be missed
@@ -92,21 +93,31 @@ def search_start(
 ) -> Start:
     """The start at the first face that stays: its box, and the parts placed in it (pixels, to 0.01).
 
-    At most `bound` frames are searched. With `faces` "all", those that are there at the same time are targets `face`,
-    `face_2`, and so on, by their size. `complete` adds what else the frame must show, or raises NotHereError.
+    Every one of the first `bound` frames is searched. If nobody is there, the rest of the clip is looked at in steps
+    that grow to `STEP` frames, and where a detector finds something every frame is searched again for a while. With
+    `faces` "all", those that are there at the same time are targets `face`, `face_2`, and so on, by their size.
+    `complete` adds what else the frame must show, or raises NotHereError.
     InputError, naming the `clip`, if no frame shows all that.
     """
     check_parts(parts)
-    search = _Search(parts, detector or Haar(), complete)
-    found: list[_Candidate] = []
-    for frame in islice(frames, bound):
-        search.look(frame)
-        if found := search.faces():
+    finder, coming = detector or Haar(), iter(frames)
+    search = first = _Search(parts, finder, complete)
+    found = search.through(islice(coming, bound), bound=1)
+    last = looked = first.frames[-1] if first.frames else 0
+    for frame in coming if not found else ():
+        last = frame.index
+        if last - looked < min(max(last // STEP, 1), STEP):
+            continue
+        looked = last
+        if finder.find(frame):
+            search = _Search(parts, finder, complete)
+            found = search.through(chain([frame], islice(coming, WAIT + PAUSE)), bound=WAIT)
+            first.lacking, last = first.lacking or search.lacking, search.frames[-1]
+            looked = last
+        if found:
             break
-    else:
-        found = search.faces(ended=True)
     if not found:
-        raise search.nobody(clip)
+        raise first.nobody(clip, last)
     return search.start(found if faces == "all" else found[:1], found)
 
 
@@ -116,6 +127,14 @@ class _Search:
         self.candidates: list[_Candidate] = []
         self.frames: list[int] = []
         self.lacking: NotHereError | None = None
+
+    def through(self, frames: Iterable[Frame], *, bound: int) -> list[_Candidate]:
+        """The faces in `frames`, as soon as it can be said; none if fewer than `bound` frames come."""
+        for frame in frames:
+            self.look(frame)
+            if found := self.faces():
+                return found
+        return self.faces(ended=True) if len(self.frames) >= bound else []
 
     def look(self, frame: Frame) -> None:
         self.frames.append(frame.index)
@@ -172,10 +191,12 @@ class _Search:
         for i, one in enumerate(others):
             targets[f"face_{i + 2}"] = self._settled(one, at)
         note = f"begins in frame {at} with a face {best.said()} by {self.detector.name}"
-        passed = [one for one in rivals if one is not best and one not in others]
-        passed += [one for one in self.candidates if one not in rivals]
+        passed = [one for one in self.candidates if one not in rivals]
+        left = [one for one in rivals if one not in chosen]
         if others:
             note += f", and {len(others)} more"
+        if left:
+            note += f"; {len(left)} more face{'s were' * (len(left) > 1) or ' was'} found, --faces all follows each"
         if passed:
             shown = "; ".join(one.said() for one in sorted(passed, key=lambda one: -one.worth)[:3])
             note += f"; passed over: {shown}"
@@ -193,10 +214,10 @@ class _Search:
             points[part] = round(float(x), 2), round(float(y), 2)
         return TargetStart(box, points)
 
-    def nobody(self, clip: str) -> InputError:
+    def nobody(self, clip: str, last: int) -> InputError:
         if not self.frames:
             return InputError(f"{clip}: no frame to look for a face in; ask for frames that the clip has")
-        first, last = self.frames[0], self.frames[-1]
+        first = self.frames[0]
         if self.lacking is not None:
             return InputError(f"{self.lacking}{'' if last == first else f'; no frame to {last} shows more'}")
         searched = f"frame {first}" if first == last else f"frames {first} to {last}"

@@ -9,7 +9,7 @@ import numpy as np
 
 from facetrack_cli.core.types import BOX, Array, Image, Mask
 from facetrack_cli.trajectory.trajectory import Trajectory
-from facetrack_cli.video.overlay.marks import LOST, WHITE, Colour, Font, stamp
+from facetrack_cli.video.overlay.marks import LOST, WHITE, Colour, Font, readable, stamp
 
 Rect = tuple[float, float, float, float]  # x0, y0, x1, y1
 _STAYS = 12  # frames at one place, at least
@@ -139,7 +139,12 @@ class Shape(NamedTuple):
     corners: Array
     bounds: Array
     lost: Mask
-    colour: Colour
+    colours: tuple[Colour, ...]
+
+    @property
+    def colour(self) -> Colour:
+        """That of the whole target: of its box, which comes last."""
+        return self.colours[-1]
 
     @property
     def side(self) -> Array:
@@ -186,13 +191,12 @@ class Labels:
     def _parts(self, image: Image, shape: Shape, taken: list[Rect], sides: dict[tuple[str, str], int]) -> None:
         """The names of parts whose windows are large enough, first at the sides that face away from the middle."""
         middle = shape.centres.mean(axis=0)
-        columns = (shape.parts, shape.bounds.tolist(), shape.centres, shape.lost.tolist())
-        for part, bound, centre, lost in zip(*columns, strict=True):
+        columns = (shape.parts, shape.bounds.tolist(), shape.centres, shape.lost.tolist(), shape.colours)
+        for part, bound, centre, lost, colour in zip(*columns, strict=True):
             small = min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * self._font.cap
             if small or part in (shape.target, BOX):  # the latter say nothing more
                 continue
-            short = " ".join({"left": "L", "right": "R"}.get(word, word) for word in part.split("_"))
-            sprite = self._font.sprite(short, LOST if lost else shape.colour, self._line)
+            sprite = self._font.sprite(readable(part), LOST if lost else colour, self._line)
             places = _beside(bound, sprite.size, 2 * self._line)
             key = (shape.target, part)
             x, y = (centre - middle).tolist()
@@ -244,7 +248,7 @@ def _name(shape: Shape, named: bool) -> tuple[str, Colour]:
     """Who a target is, with the probability, pale and with a question mark where that is low; else its name."""
     who, sure = str(shape.rows.identity[0]), float(shape.rows.identity_prob[0])
     if not who:
-        return (shape.target if named else ""), shape.colour
+        return (readable(shape.target) if named else ""), shape.colour
     if not math.isfinite(sure):
         return who, shape.colour
     percent = " >99%" if sure >= 0.995 else f" {sure:.0%}"  # no posterior is certain

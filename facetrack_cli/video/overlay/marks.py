@@ -21,14 +21,15 @@ from facetrack_cli.trajectory.trajectory import Status
 Colour = tuple[int, int, int]  # blue, green, red
 Ink = tuple[float, ...]
 Points = NDArray[np.int32]
-# one a target: after Okabe and Ito, told apart by most colour-blind people, lightened to stand out from video
+# one a target, or of a single target one a part: after Okabe and Ito, told apart by most colour-blind people,
+# lightened to stand out from video
 PALETTE: tuple[Colour, ...] = (
     (255, 205, 80),  # sky blue
     (70, 232, 250),  # yellow
     (160, 225, 40),  # bluish green
     (222, 150, 240),  # reddish purple
-    (240, 240, 240),  # white
     (255, 140, 100),  # blue
+    (240, 240, 240),  # white
 )
 LOST: Colour = (25, 110, 255)  # vermilion
 WHITE: Colour = (255, 255, 255)
@@ -112,6 +113,11 @@ def plain(text: str) -> str:
         return text
     bare = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
     return "".join(c if c.isascii() and c.isprintable() else "?" for c in bare)
+
+
+def readable(name: str) -> str:
+    """The name of a part or a target as people read it."""
+    return name.replace("_", " ")
 
 
 class Font:

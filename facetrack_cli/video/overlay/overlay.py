@@ -1,13 +1,14 @@
 """A tracker's result drawn over its frame: windows, trails, spread of the particles, status.
 
-A target has a colour of its own; what is lost is vermilion, its window dashed. Absent parts are not drawn. Of a face,
-points in a box, there are a frame and small dots alone, so that the mouth stays visible; what is lost of it is grey.
+A target has a colour of its own, of a single one each part (as in the plots); what is lost is vermilion, its window
+dashed. Absent parts are not drawn. Of a face, points in a box, there are a frame and small dots alone, so that the
+mouth stays visible; what is lost of it is grey.
 """
 
 import math
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import cv2
@@ -24,6 +25,7 @@ _FADES = 4  # steps of opacity along a trail
 _SAMPLES = 32  # of the past, at most, for a trail
 _DOTS = 150  # particles shown a part, at most
 _ROOM, _SMALL = 9, 18  # least side of windows with dots, and with large marks, in line widths
+_FACE_DOT = 0.012  # radius of a point's dot, in sizes of its face
 _RIM = 0.7  # opacity of the dark rim around all lines
 _CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 33)[:-1]) for f in (np.cos, np.sin)], axis=1)  # (32, 2)
 
@@ -79,7 +81,7 @@ class Overlay:
         if frame.size != tuple(self.size):
             raise ValueError(f"frame {frame.index} is {frame.size}, the overlay {self.size}")
         image: Image = frame.bgr.copy()
-        shapes = [self._shape(t, PALETTE[i % len(PALETTE)]) for i, t in enumerate(result.targets)]
+        shapes = [self._shape(t, i, alone=len(result.targets) == 1) for i, t in enumerate(result.targets)]
         shown = [Shown(s.target, s.insets, s.colour if len(shapes) > 1 else WHITE) for s in shapes if s.insets]
         windows = [(b[0], b[1], b[2], b[3]) for s in shapes for b in s.bounds.tolist()]
         taken = self._insets.draw(image, shown, windows) if shown else []  # below the lines, where they have to cross
@@ -98,7 +100,7 @@ class Overlay:
         self._count += 1
         return image
 
-    def _shape(self, target: TargetResult, colour: Colour) -> Shape:
+    def _shape(self, target: TargetResult, place: int, *, alone: bool) -> Shape:
         every = target.rows
         fine = np.isfinite(every.x + every.y + every.w + every.h)
         rows = every.take(fine)
@@ -121,7 +123,8 @@ class Overlay:
         sizes = np.stack([rows.w, rows.h], axis=1)
         lost: Mask = rows.status == "lost"
         centres = table[:, :2]
-        return Shape(every.target, rows, parts, cloud, target.insets, centres, sizes, corners, bounds, lost, colour)
+        colours = tuple(PALETTE[(k if alone else place) % len(PALETTE)] for k in shown.tolist()) or (PALETTE[0],)
+        return Shape(every.target, rows, parts, cloud, target.insets, centres, sizes, corners, bounds, lost, colours)
 
     def _remember(self, shape: Shape, now: float) -> list[_Past]:
         """The target's past and its present, oldest first."""
@@ -158,7 +161,8 @@ class Overlay:
         x, y = np.broadcast_arrays(x, y)  # (n, K, line, line)
         inside = (x.astype(np.uint64) < width) & (y.astype(np.uint64) < height)  # negative ones wrap to huge
         lost = shape.lost[: len(shown)][shown]
-        tints = (100 * np.where(lost[:, None], LOST, shape.colour)).astype(np.uint16)
+        own = np.array(shape.colours)[: len(shown)][shown]
+        tints = (100 * np.where(lost[:, None], LOST, own)).astype(np.uint16)
         part = np.broadcast_to(np.arange(len(lost))[:, None, None], inside.shape)
         spots, flat = (y * width + x)[inside], image.reshape(-1, 3)
         flat[spots] = (flat[spots] * np.uint16(156) + tints[part[inside]]) >> np.uint16(8)
@@ -178,10 +182,10 @@ class Overlay:
             return
         layer = np.zeros((y1 - y0, x1 - x0, 4), np.uint8)  # colours times opacity, and opacity
         origin = np.array((x0, y0), np.float64)
-        for strokes, colour, opacity in self._strokes(trail, marks.fixed(np.stack(places) - origin), shape.colour):
+        for strokes, colour, opacity in self._strokes(trail, marks.fixed(np.stack(places) - origin), shape.colours):
             marks.polylines(layer, strokes, marks.ink(colour, opacity), fine)
         gone = GREY if shape.is_face else LOST
-        tints = [gone if lost else shape.colour for lost in shape.lost.tolist()]
+        tints = [gone if lost else own for lost, own in zip(shape.lost.tolist(), shape.colours, strict=False)]
         for ring, k in zip(marks.fixed(rings - origin), ring_parts, strict=True):
             marks.polylines(layer, [ring], marks.ink(tints[k], 0.6), fine, closed=True)
         local = shape.corners - origin
@@ -202,7 +206,7 @@ class Overlay:
         for k in order:
             status, size, at = statuses[k], signs[k], middles[k]
             if size:
-                if status == "tracked":  # a ring of shade, or the dot would merge with the trail that ends in it
+                if status == "tracked" and size >= line:  # a ring of shade, or it would merge with its trail
                     marks.mark(layer, at, status, marks.ink((0, 0, 0), 0.8), size + line, line, False)
                 marks.mark(layer, at, status, marks.ink(tints[k], 1), size, line, by_hand[k])
         cover = cv2.extractChannel(layer, 3)
@@ -212,7 +216,9 @@ class Overlay:
         cv2.multiply(under, cv2.cvtColor(keep, cv2.COLOR_GRAY2BGR), under, 1 / 255)
         cv2.add(under, cv2.cvtColor(layer, cv2.COLOR_BGRA2BGR), under)
 
-    def _strokes(self, trail: list[_Past], at: Points, colour: Colour) -> Iterator[tuple[list[Points], Colour, float]]:
+    def _strokes(
+        self, trail: list[_Past], at: Points, colours: Sequence[Colour]
+    ) -> Iterator[tuple[list[Points], Colour, float]]:
         """The trail's lines of equal opacity, faint to strong; where a part was lost, dashes in vermilion."""
         paths = np.ascontiguousarray(at.reshape(len(trail), -1, 2).transpose(1, 0, 2))  # (K, T, 2)
         lost = np.stack([p.lost for p in trail], axis=1)  # (K, T)
@@ -223,25 +229,25 @@ class Overlay:
             if end <= start:
                 continue
             opacity = 0.3 + 0.65 * b / (_FADES - 1)
-            whole, broken = list[Points](), list[Points]()
-            for path, gone in zip(paths, lost[:, start + 1 : end + 1], strict=True):
-                if not gone.any():
-                    whole.append(path[start : end + 1])
-                    continue
-                for i, is_lost in enumerate(gone.tolist(), start + 1):
+            broken = list[Points]()
+            for path, gone, colour in zip(paths, lost[:, start + 1 : end + 1], colours, strict=False):
+                whole = [] if gone.any() else [path[start : end + 1]]
+                for i, is_lost in enumerate(gone.tolist(), start + 1) if gone.any() else ():
                     if not is_lost:
                         whole.append(path[i - 1 : i + 1])
                     elif trail[i].number % 2:
                         broken.append(path[i - 1 : i + 1])
-            yield whole, colour, opacity
+                yield whole, colour, opacity
             yield broken, LOST, opacity
             start = end
 
     def _signs(self, shape: Shape) -> list[float]:
         """The size of each part's mark in pixels; 0 is none, in windows of a few pixels."""
         side = shape.side
-        if shape.is_face:
-            return [0.0 if part == BOX else 1.5 * self._line for part in shape.parts]
+        if shape.is_face:  # so small that the mouth between them is seen
+            face = float(shape.side[shape.parts.index(BOX)])
+            dot = min(1.5 * self._line, max(_FACE_DOT * face, 0.6))
+            return [0.0 if part == BOX else dot for part in shape.parts]
         share = np.where(shape.lost & (side >= _SMALL * self._line), 0.3, 0.2)
         large = np.maximum(2 * self._line, share * np.minimum(side, 40 * self._line))
         dots = np.where(side >= _ROOM * self._line, 1.25 * self._line, 0.0)

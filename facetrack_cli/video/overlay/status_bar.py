@@ -9,13 +9,14 @@ import numpy as np
 from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.types import Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, Status, Trajectory
-from facetrack_cli.video.overlay.marks import PALETTE, WHITE, Colour, Font, mark, stamp
+from facetrack_cli.video.overlay.marks import PALETTE, WHITE, Colour, Font, mark, readable, stamp
 
 _QUIET: Colour = (190, 190, 190)
 _TROUGH: Colour = (130, 130, 130)
 LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the strip
+_WORDY = 28  # heights of capitals: where a bar is as wide, the number of the frame is said to be one
 # what stands in the bar beside the status; the last goes first where it is narrow
-_ITEMS = ("frame", "gauge", "clock", "title", "percent", "scale", "particles")
+_ITEMS = ("frame", "gauge", "clock", "title", "percent", "scale")
 
 
 class StatusBar:
@@ -35,7 +36,8 @@ class StatusBar:
         sure = rows.confidence[np.isfinite(rows.confidence)].tolist()
         mean = min(max(sum(sure) / len(sure), 0.0), 1.0) if sure else 0.0
         adapted, title = adaptation(rows), self._title
-        texts = {"frame": f"#{result.frame.index}", "clock": clock(result.frame.time_s), "title": title}
+        word = "frame " if self._width >= _WORDY * cap else ""
+        texts = {"frame": f"{word}{result.frame.index}", "clock": clock(result.frame.time_s), "title": title}
         texts |= {"percent": "100%", **adapted}
         gap, gauge, icon = round(0.8 * cap), round(3.5 * cap), round(1.5 * cap)
         room = {item: font.width(text) + gap if text else 0 for item, text in texts.items()} | {"gauge": gauge + gap}
@@ -72,7 +74,7 @@ class StatusBar:
     def _fit(self, sayings: Sequence[str], room: dict[str, int], width: int) -> tuple[tuple[str, ...], str, int]:
         """The items and the wording of the status that fit, and the room left: rather fewer items than fewer words."""
         items = tuple(item for item in _ITEMS if item in room)
-        for counts in ((7, 6, 5, 4, 3), (2, 1, 0)):
+        for counts in ((6, 5, 4, 3), (2, 1, 0)):
             for saying in sayings:
                 for n in counts:
                     left = width - self._font.width(saying) - sum(room[k] for k in items[:n])
@@ -82,14 +84,10 @@ class StatusBar:
 
 
 def adaptation(rows: Trajectory) -> dict[str, str]:
-    """`scale`, and `particles` where their number follows the noise, of a single target that adapts; else nothing."""
+    """The size against that of the start, of a single target that adapts; else nothing."""
     found = rows.diagnostics.get(rows.target) if len(rows.targets) == 1 else None
-    scale, noise = (math.nan, math.nan) if found is None else (float(found.get(name)[0]) for name in ("scale", "noise"))
-    if not math.isfinite(scale):
-        return {}
-    texts = {"scale": f"scale {min(scale, 99.0):.2f}"}
-    count = float(rows.particles[0])
-    return texts if math.isnan(count + noise) else {**texts, "particles": f"{count:.0f} particles"}
+    scale = math.nan if found is None else float(found.get("scale")[0])
+    return {"scale": f"size {min(scale, 99.0):.0%}"} if math.isfinite(scale) else {}
 
 
 def summary(rows: Trajectory) -> tuple[Status, list[str]]:
@@ -124,7 +122,7 @@ def _named(rows: Trajectory, those: Mask) -> list[str]:
     for target in rows.targets:
         parts = [part for name, part in chosen if name == target]
         if parts and len(parts) == sum(name == target for name, _ in pairs):
-            names.append(target)
+            names.append(readable(target))
         else:
-            names += [f"{target}/{part}" if len(rows.targets) > 1 else part for part in parts]
+            names += [readable(f"{target}/{part}" if len(rows.targets) > 1 else part) for part in parts]
     return names

@@ -43,7 +43,7 @@ export class Actions {
     if (!value) return;
     if (slot.part !== BOX) {
       this.stage.reveal(...value);
-      this.magnifier.show(...value, "keys", colour(store, slot.target));
+      this.magnifier.show(...value, "keys", colour(store, slot.target, slot.part));
       this.magnifier.hide(2500);
     }
     const kind = this.fixes && slot.part !== BOX ? "quiet" : "info"; // the magnifier shows it, too

@@ -1,16 +1,22 @@
 // How targets are drawn: in the colours of facetrack's videos, a diamond for a point of a start, a frame for a box.
 
+import { readable } from "./dom.js";
 import { BOX, sameSlot } from "./store.js";
 
 /** PALETTE of facetrack's videos; vermilion is reserved for what is lost. */
-export const PALETTE = ["#50cdff", "#fae846", "#28e1a0", "#f096de", "#f0f0f0", "#648cff"];
+export const PALETTE = ["#50cdff", "#fae846", "#28e1a0", "#f096de", "#648cff", "#f0f0f0"];
 export const LOST = "#ff6e19";
 const RIM = "rgb(0 0 0 / 70%)";
 export const LABEL_FONT = "600 12px system-ui, sans-serif";
 export const LABEL_GROUND = "rgb(10 14 18 / 78%)";
 
-export const colour = (store, target) => {
-  const index = store.layout.findIndex((one) => one.target === target);
+/** The colour of a target; of a single one each part has its own, as in plots and videos. */
+export const colour = (store, target, part = BOX) => {
+  let index = store.layout.findIndex((one) => one.target === target);
+  if (index === 0 && store.layout.length === 1) {
+    const { points } = store.layout[0];
+    index = points.includes(part) ? points.indexOf(part) : points.length;
+  }
   return PALETTE[(index < 0 ? store.layout.length : index) % PALETTE.length];
 };
 
@@ -109,8 +115,8 @@ export function ring(context, x, y) {
 
 /** The name of a slot, with its target if there are several. */
 export function label(store, { target, part }) {
-  if (part === BOX) return target;
-  return store.layout.length > 1 ? `${target}: ${part}` : part;
+  if (part === BOX) return readable(target);
+  return store.layout.length > 1 ? `${readable(target)}: ${readable(part)}` : readable(part);
 }
 
 /** The marks of the draft: faint if they belong to another frame, filled if they correct a run. */
@@ -135,12 +141,13 @@ export function draftLayer(store, hovered) {
         const slot = { target, part };
         const [x, y] = stage.toCanvas(...at);
         const selected = sameSlot(store.selected, slot);
-        diamond(context, x, y, selected ? 8 : 6.5, ink, selected ? 2.5 : 2, dash);
-        context.fillStyle = ink;
+        const own = colour(store, target, part);
+        diamond(context, x, y, selected ? 8 : 6.5, own, selected ? 2.5 : 2, dash);
+        context.fillStyle = own;
         if (fixes && here) context.fill();
         else context.fillRect(x - 1, y - 1, 2, 2);
         if (selected) ring(context, x, y);
-        if (selected || sameSlot(hovered(), slot)) drawLabel(context, label(store, slot), x + 22, y - 16, ink);
+        if (selected || sameSlot(hovered(), slot)) drawLabel(context, label(store, slot), x + 22, y - 16, own);
       }
     }
     context.globalAlpha = 1;

@@ -250,7 +250,7 @@ export class Gestures {
   // --- magnifier, pointer and wheel
 
   #magnify([x, y], kind, slot) {
-    this.magnifier.show(x, y, kind, colour(this.store, slot.target));
+    this.magnifier.show(x, y, kind, colour(this.store, slot.target, slot.part));
   }
 
   #hover(at) {

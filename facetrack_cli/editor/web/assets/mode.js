@@ -36,7 +36,7 @@ export class Mode {
     const { store } = this;
     setText($("hint-title"), title);
     setText($("hint-text"), text);
-    $("hint").style.setProperty("--hint", slot && !store.ended ? colour(store, slot.target) : "var(--accent)");
+    $("hint").style.setProperty("--hint", slot && !store.ended ? colour(store, slot.target, slot.part) : "var(--accent)");
     $("elsewhere").hidden = store.isHere() || store.ended || store.busy;
     setText($("elsewhere-text"), elsewhere);
     setText($("go-back"), `Back to ${store.draft.frame}`);

@@ -12,6 +12,13 @@ export class Clip {
       if (Number.isFinite(this.field.valueAsNumber)) store.show(this.field.valueAsNumber);
       this.update();
     });
+    this.field.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter") return;
+      // what is typed next are the keys of the page, not digits of a number
+      this.field.dispatchEvent(new Event("change"));
+      $("stage").focus({ preventScroll: true });
+      event.preventDefault();
+    });
     $("previous").addEventListener("click", () => this.by(-1));
     $("following").addEventListener("click", () => this.by(1));
     store.addEventListener("frame", () => this.update());

@@ -21,7 +21,7 @@ export function trackLayer(store, rows, { shown, hovered }) {
     const faint = ({ target }) => here && store.isHere() && !!store.draft.targets[target];
     for (const slot of slots) {
       context.globalAlpha = faint(slot) ? FAINT : 1;
-      drawTrail(context, stage, rows, slot, at, colour(store, slot.target), store);
+      drawTrail(context, stage, rows, slot, at, colour(store, slot.target, slot.part), store);
     }
     // what is lost is drawn on top
     const lost = (slot) => rows.cell(at, slot)?.[CELL.status] === "lost";
@@ -41,7 +41,7 @@ export function trackLayer(store, rows, { shown, hovered }) {
 
 function drawPart(context, stage, store, slot, cell, { chosen, titled }) {
   const lost = cell[CELL.status] === "lost";
-  const own = colour(store, slot.target);
+  const own = colour(store, slot.target, slot.part);
   const ink = lost ? LOST : own;
   const [x, y] = stage.toCanvas(cell[CELL.x], cell[CELL.y]);
   if (slot.part !== BOX) {

@@ -160,5 +160,7 @@ class Appearance:
 
     def insets(self, learned: Mixture) -> tuple[tuple[str, Image], ...]:
         """S and W as grey images, those that take part, as the paper's figure 3 shows them."""
-        shown = [(name, i) for name, i in (("S", 1), ("W", 0)) if self.settings.mixing.each[i] > 0] or [("F", 2)]
+        shown = [(name, i) for name, i in (("stable", 1), ("recent", 0)) if self.settings.mixing.each[i] > 0] or [
+            ("first", 2)
+        ]
         return tuple((name, np.asarray(kernel.greys(learned.mu[i])).reshape(self.patches.shape)) for name, i in shown)

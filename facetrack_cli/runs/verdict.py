@@ -1,0 +1,135 @@
+"""What a run comes to: where it began, whether a detector bears it out, and which frames somebody should look at.
+
+A detector of faces looks, a few times a second, at the place where a face that was searched for is said to be. It takes
+no part in the tracking, so that a track of something else is told from one of a face even if the tracker is sure of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from facetrack_cli.core.geometry import centre
+from facetrack_cli.core.numbers import clock
+from facetrack_cli.core.types import BOX, Box, Point, Start
+from facetrack_cli.recipe.face import DETECTORS
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.tracking.face.still import BOX as STILL
+from facetrack_cli.tracking.face.still import FACE, Similarity
+from facetrack_cli.tracking.start.detectors import Detector, detector
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+
+EVERY: Final = 15  # frames between two looks
+DOUBTFUL: Final = 0.5  # share of looks, and mean of a calibrated confidence: a track of less may be of something else
+SURE: Final = 0.9  # mean confidence from which a frame need not be looked at
+FEW: Final = 3  # looks of which fewer say nothing
+_SPANS: Final = 3  # that are named
+
+
+@dataclass
+class Watch:
+    """Counts in bounded memory what the verdict on one run rests on; `detector` None: nobody looks."""
+
+    start: Start
+    calibrated: bool
+    detector: Detector | None
+    frames: int = 0
+    first: tuple[int, float] = (0, 0.0)
+    looks: int = 0
+    seen: int = 0
+    sure: float = 0.0
+    least: tuple[float, int] = (np.inf, 0)
+    lost_frames: int = 0
+    lost: list[tuple[int, int]] = field(default_factory=list)  # first and last frames, the longest ones
+    now: tuple[int, int] | None = None
+
+    @classmethod
+    def of(cls, recipe: Recipe, start: Start) -> Watch:
+        calibrated = any(one.confidence.calibration is not None for one in recipe.filters.values())
+        name = next((name for name in DETECTORS if name == start.origin), None)
+        return cls(start, calibrated, None if name is None else detector(name))
+
+    def count(self, result: FrameResult) -> None:
+        """Take in one more frame."""
+        rows, index = result.rows, result.frame.index
+        if not self.frames:
+            self.first = index, result.frame.time_s
+        self.frames += 1
+        gone = rows.status == "lost"
+        if gone.any():
+            self.lost_frames += 1
+            self.now = (index if self.now is None else self.now[0], index)
+        else:
+            self._ended()
+        known = rows.confidence[np.isfinite(rows.confidence)]
+        if known.size:
+            mean = float(known.mean())
+            self.sure += mean
+            if not gone.any():
+                self.least = min(self.least, (mean, index))
+        if self.detector is not None and self.frames % EVERY == 0 and not gone.all():
+            self._look(result)
+
+    def line(self) -> str:
+        """The verdict in one line."""
+        self._ended()
+        why = self.doubts()
+        lost = f"lost in {self.lost_frames} of {self.frames} frames" if self.lost_frames else "never reported lost"
+        index, time_s = self.first
+        skipped = f", {index} frame{'s' * (index > 1)} of the clip are before it" if index else ""
+        begun = f"begins in frame {index} ({clock(time_s)}), by {self.start.origin}{skipped}"
+        parts = [f"doubtful: {why}" if why else lost, begun]
+        if self.detector is not None and not why and self.looks:
+            parts.append(f"{self.detector.name} sees a face there in {self.seen} of {self.looks} looks")
+        places = [f"{a} to {b}" if b > a else str(a) for a, b in sorted(self.lost)]
+        look = [f"{', '.join(places)} (lost)"] if places else []
+        if self.least[0] < SURE:
+            look.append(f"{self.least[1]} (least sure, {self.least[0]:.2f})")
+        if look:
+            parts.append(f"look at frames {', '.join(look)}")
+        return "; ".join(parts)
+
+    def doubts(self) -> str:
+        """What speaks against the track; "" if nothing does."""
+        if self.detector is not None and self.looks >= FEW and self.seen < DOUBTFUL * self.looks:
+            looks = f"in {self.seen} of {self.looks} looks alone"
+            return f"{self.detector.name} sees a face there {looks}; it may be something else, begin with --box X,Y,W,H"
+        if self.calibrated and self.frames and self.sure < DOUBTFUL * self.frames:
+            return f"it is right with a probability of {self.sure / self.frames:.0%} on average"
+        return ""
+
+    def _ended(self) -> None:
+        """The longest spans, with the one that ends here."""
+        if self.now is not None:
+            self.lost = sorted([*self.lost, self.now], key=lambda one: one[0] - one[1])[:_SPANS]
+            self.now = None
+
+    def _look(self, result: FrameResult) -> None:
+        assert self.detector is not None
+        name, given = next(iter(self.start.targets.items()))  # the first is that of the face that was searched for
+        rows = next((one.rows for one in result.targets if one.rows.target == name), None)
+        box = None if rows is None or given.box is None else _face(rows, given.box, given.points)
+        if box is not None:
+            seen = Similarity(np.array(centre(box)), box[2] / FACE).read(result.frame)
+            self.looks += 1
+            self.seen += self.detector.measure(seen.bgr, STILL) is not None
+
+
+def _face(rows: Trajectory, began: Box, points: Mapping[str, Point]) -> Box | None:
+    """The face's box by the rows of a target: its own, or that of the start moved as its points have; None if lost."""
+    parts = [rows.names[i][1] for i in rows.which.tolist()]
+    there = np.isfinite(rows.x + rows.y) & (rows.status != "lost")
+    for k in np.flatnonzero(there).tolist():
+        if parts[k] not in points:
+            side = max(float(np.sqrt(rows.w[k] * rows.h[k])), 2.0)
+            return float(rows.x[k]) - (side - 1) / 2, float(rows.y[k]) - (side - 1) / 2, side, side
+    moved = [
+        (rows.x[k] - points[p][0], rows.y[k] - points[p][1]) for k, p in enumerate(parts) if there[k] and p in points
+    ]
+    if not moved or BOX in parts:
+        return None
+    x, y = np.mean(moved, axis=0).tolist()
+    return began[0] + x, began[1] + y, began[2], began[3]

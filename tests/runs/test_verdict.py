@@ -1,0 +1,103 @@
+"""What a run says at its end: where it began, what bears it out, which frames to look at, and what to do next."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.verdict import EVERY, Watch
+from facetrack_cli.tracking.start.detectors import Found
+from tests.support.results import part, result, target
+
+SAMPLES = Path(__file__).parents[2] / "sample_videos"
+
+
+class Sees:
+    """A detector that sees a face in every n-th look."""
+
+    name = "haar"
+
+    def __init__(self, every):
+        self.every, self.count = every, 0
+
+    def measure(self, image, box):
+        self.count += 1
+        return Found(box, {}) if self.every and self.count % self.every == 0 else None
+
+
+def watched(statuses, confidences, *, sees=None, first=0, origin="--box"):
+    start = Start(first, {"face": TargetStart((30.0, 20.0, 20.0, 20.0))}, origin)
+    watch = Watch(start, calibrated=True, detector=sees)
+    for i, (status, confidence) in enumerate(zip(statuses, confidences, strict=True)):
+        frame = Frame(first + i, (first + i) / 25, np.zeros((60, 80, 3), np.uint8))
+        box = part("box", 40, 30, 20, 20, confidence=confidence, status=status)
+        watch.count(result(frame, [target("face", [box])]))
+    return watch
+
+
+def test_where_it_began_and_which_frames_to_look_at():
+    statuses = ["init", *["tracked"] * 9, *["lost"] * 5, *["tracked"] * 5, "lost"]
+    sure = [1.0, *[0.9] * 8, 0.6, *[0.1] * 5, *[0.95] * 5, 0.1]
+    assert watched(statuses, sure, first=18).line() == (
+        "lost in 6 of 21 frames; begins in frame 18 (0:00.72), by --box, 18 frames of the clip are before it; "
+        "look at frames 28 to 32, 38 (lost), 27 (least sure, 0.60)"
+    )
+
+
+def test_a_track_that_no_detector_confirms_is_doubtful():
+    n = 10 * EVERY
+    good = watched(["tracked"] * n, [1.0] * n, sees=Sees(1), origin="haar")
+    assert not good.doubts() and "haar sees a face there in 10 of 10 looks" in good.line()
+    bad = watched(["tracked"] * n, [1.0] * n, sees=Sees(4), origin="haar")
+    assert bad.line().startswith("doubtful: haar sees a face there in 2 of 10 looks alone")
+    few = watched(["tracked"] * EVERY, [1.0] * EVERY, sees=Sees(0), origin="haar")
+    assert not few.doubts()
+
+
+def test_a_low_calibrated_confidence_is_doubtful():
+    assert "a probability of 31% on average" in watched(["tracked"] * 20, [0.31] * 20).line()
+
+
+def test_memory_does_not_grow_with_the_clip():
+    watch = watched(["lost", "tracked"] * 400, [0.1, 0.9] * 400)
+    assert len(watch.lost) <= 3 and watch.lost_frames == 400
+
+
+def test_of_points_alone_the_box_of_the_start_moves_with_them():
+    seen = []
+
+    class Looks(Sees):
+        def measure(self, image, box):
+            seen.append(image[56:104, 56:104].mean())
+
+    picture = np.zeros((120, 160, 3), np.uint8)
+    picture[50:90, 70:110] = 255  # where the box has moved to
+    start = Start(0, {"face": TargetStart((20.0, 30.0, 40.0, 40.0), {"nose": (40.0, 50.0)})}, "haar")
+    watch = Watch(start, calibrated=False, detector=Looks(0))
+    for i in range(EVERY):
+        nose = part("nose", 90, 70, 5, 5, confidence=1.0)
+        watch.count(result(Frame(i, i / 25, picture), [target("face", [nose])]))
+    assert seen == [255.0]
+
+
+def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    clip = str(SAMPLES / "hands.mp4")  # shows no face
+    assert main(["run", clip, "--init", "haar", "--config", "ncc", "--no-video", "--stop", "150", "-o", "a b"]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert "doubtful: haar sees a face there in" in said[-2] and "43 frames of the clip are before it" in said[-2]
+    assert said[-1] == "look: facetrack report 'a b'; correct: facetrack fix 'a b'"
+    assert main(["run", clip, "--init", "haar", "--no-video", "--stop", "50", "-o", "c", "-q"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert main(["run", clip, "--init", "haar", "--stop", "50", "--no-video", "--format", "csv", "-o", "d"]) == 0
+    assert "facetrack fix" not in capsys.readouterr().err  # which needs the JSON
+
+
+@pytest.mark.parametrize("recipe", ["face", "head_hands", "adaptive"])
+def test_the_face_of_a_recipe_is_looked_at(recipe):
+    start = Start(0, {"face": TargetStart((30.0, 20.0, 20.0, 20.0))}, "haar")
+    watch = Watch.of(load_recipe(recipe), start)
+    assert watch.detector is not None and Watch.of(load_recipe(recipe), Start(0, {}, "--box")).detector is None
