@@ -24,6 +24,7 @@ from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.sets import sweep
 from facetrack_cli.core.snapshot import Arrays, flatten, restore
 from facetrack_cli.runs.posterior import Standing
+from facetrack_cli.runs.verdict import Watch
 from facetrack_cli.tracking import loop
 from facetrack_cli.trajectory.writers import Format
 from facetrack_cli.video.writer import Cut
@@ -50,6 +51,7 @@ class Run(NamedTuple):
     at: loop.Standing
     tables: Mapping[Format, Place]
     posterior: Standing | None
+    watch: Watch | None
 
 
 class Painted(NamedTuple):

@@ -56,7 +56,8 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         if watch is not None:
             watch.count(result)
         last = result.frame.index
-        outputs.mark(partial(Run, last + 1, done.frames, done.lost, done.evidence, notes, at), done.frames)
+        known = partial(Run, last + 1, done.frames, done.lost, done.evidence, notes, at, watch=watch)
+        outputs.mark(known, done.frames)
         report(done.frames, source.frames_hint and source.frames_hint + before)
 
     try:
@@ -72,8 +73,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         first, notes, at = resumed.frame, resumed.notes, resumed.at
         done.frames, done.lost, done.evidence = resumed.frames, dict(resumed.lost), dict(resumed.evidence)
         done.resumed, before = first, resumed.frames
-    # of a run that goes on, the frames before are not known any more
-    watch = None if job.out is None or resumed is not None else Watch.of(job.recipe, start)
+    watch = None if job.out is None else Watch.of(job.recipe, start).after(resumed and resumed.watch)
     with job.open(first) as source:
         source.strict = job.strict
         check_lag(job, source)

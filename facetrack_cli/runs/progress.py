@@ -38,6 +38,9 @@ class Progress:
         if not self._quiet:
             self.error(line)
 
+    def hint(self, line: str) -> None:
+        """A line for who sits before a terminal and waits."""
+
     def error(self, line: str) -> None:
         with contextlib.suppress(OSError):  # a full disk under the log does not stop the run
             sys.stderr.write(flat(line) + "\n")
@@ -86,7 +89,7 @@ class Bar(Progress):
     def say(self, line: str) -> None:
         self._bar.console.print(flat(line), markup=False, highlight=False, soft_wrap=True)
 
-    error = say
+    error = hint = say
 
     def close(self) -> None:
         self._bar.stop()

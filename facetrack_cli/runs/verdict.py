@@ -7,13 +7,14 @@ no part in the tracking, so that a track of something else is told from one of a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.numbers import clock
+from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Box, Point, Start
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.model import Recipe
@@ -33,9 +34,9 @@ _SPANS: Final = 3  # that are named
 class Watch:
     """Counts in bounded memory what the verdict on one run rests on; `detector` None: nobody looks."""
 
-    start: Start
+    start: Start = field(metadata={STORED: False})
     calibrated: bool
-    detector: Detector | None
+    detector: Detector | None = field(metadata={STORED: False})
     frames: int = 0
     first: tuple[int, float] = (0, 0.0)
     looks: int = 0
@@ -51,6 +52,10 @@ class Watch:
         calibrated = any(one.confidence.calibration is not None for one in recipe.filters.values())
         name = next((name for name in DETECTORS if name == start.origin), None)
         return cls(start, calibrated, None if name is None else detector(name))
+
+    def after(self, stored: Watch | None) -> Watch:
+        """This one, with what another has counted of the frames before."""
+        return self if stored is None else replace(stored, start=self.start, detector=self.detector)
 
     def count(self, result: FrameResult) -> None:
         """Take in one more frame."""

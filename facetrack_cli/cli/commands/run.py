@@ -152,7 +152,7 @@ class Run:
         clips, places = given[first - 1 :: step], places[first - 1 :: step]
         workers = max(1, min(self.jobs, len(clips)))
         with Stop().listening() as ending, progress(self.quiet) as shown:
-            cache.tell(shown.say)
+            cache.tell(shown.hint)
             jobs = [
                 Job(
                     clip=clip,
