@@ -119,7 +119,7 @@ def test_skeletons_and_several_points_and_splits(tmp_path):
         "<track id='3' label='head'><box frame='3' outside='0' xtl='0' ytl='0' xbr='10' ybr='5'/></track></annotations>"
     )
     found = read_truth(path)
-    assert found.names == (("face", "nose"), ("mouth", "point_1"), ("mouth", "point_2"), ("head", "box"))
+    assert found.names == (("face", "nose"), ("mouth", "point_01"), ("mouth", "point_02"), ("head", "box"))
     assert found.x.tolist() == [10, 1, 3, 4.5] and found.status.tolist() == ["hidden", "visible", "visible", "visible"]
     assert found.by_hand.tolist() == [True, False, False, True]
     assert read_truth(path, "cvat", shift=2).frame.tolist() == [5] * 4
