@@ -12,8 +12,8 @@ class Trax:
     """Speak TraX, the protocol of the VOT toolkit.
 
     A program such as the VOT toolkit starts this command, speaks to it on standard input and output, gives it a region
-    in a first image, and asks where it is in the next ones. Recipes of a box can be taken. Images are files; of a polygon the upright box around it is followed.
-    What goes wrong is said in the message that ends the session, too.
+    in a first image, and asks where it is in the next ones. Recipes of a box can be taken. Images are files; of a
+    polygon the upright box around it is followed. What goes wrong is said in the message that ends the session, too.
 
     \b
     Examples:
