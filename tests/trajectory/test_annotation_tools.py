@@ -119,7 +119,7 @@ def test_skeletons_and_several_points_and_splits(tmp_path):
         "<track id='3' label='head'><box frame='3' outside='0' xtl='0' ytl='0' xbr='10' ybr='5'/></track></annotations>"
     )
     found = read_truth(path)
-    assert found.names == (("face", "nose"), ("mouth", "point_1"), ("mouth", "point_2"), ("head", "box"))
+    assert found.names == (("face", "nose"), ("mouth", "point_01"), ("mouth", "point_02"), ("head", "box"))
     assert found.x.tolist() == [10, 1, 3, 4.5] and found.status.tolist() == ["hidden", "visible", "visible", "visible"]
     assert found.by_hand.tolist() == [True, False, False, True]
     assert read_truth(path, "cvat", shift=2).frame.tolist() == [5] * 4
@@ -187,3 +187,23 @@ def test_json_that_cannot_be_read(tmp_path, given, said):
     with pytest.raises(InputError, match=said) as error:
         read_labelstudio(path, SIZE)
     assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 2**32), st.integers(1, 6), st.booleans())
+def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, seed, changes, xml):
+    rng = np.random.default_rng(seed)
+    text = write_cvat(table(), SIZE, "c") if xml else write_labelstudio(table(), SIZE, 25.0, "c")
+    data = bytearray(text.encode())
+    for _ in range(changes):
+        at, end = int(rng.integers(len(data))), int(rng.integers(1, 40))
+        piece = data[int(rng.integers(len(data))) :][:end]
+        data[at : at + int(rng.integers(0, end))] = rng.choice([b"", b"-1", b"1e999", b"null", bytes(piece), b"\xff"])
+    path = tmp_path / "damaged"
+    path.write_bytes(data)
+    try:
+        found = read_cvat(path) if xml else read_labelstudio(path, SIZE)
+    except InputError as e:
+        assert str(path) in str(e) and "\n" not in str(e) and len(str(e)) < 600
+    else:
+        assert len(found) and found.frame.min() >= 0

@@ -68,7 +68,7 @@ def test_faces_have_ids_and_stand_by_frame():
     table = joined([*face("anna", (0, 1)), one_part("hand", "box", [0]), *face("ben", (1, 2))])
     found = read(write_openface(table, None))
     assert found[["frame", "face_id"]].to_numpy().tolist() == [[1, 0], [2, 0], [2, 1], [3, 1]]
-    points = [one_part("face", f"point_{i + 1}", [0], x=[float(i)], y=[2.0 * i]) for i in range(68)]
+    points = [one_part("face", f"point_{i + 1:02d}", [0], x=[float(i)], y=[2.0 * i]) for i in range(68)]
     found = read(write_openface(joined(points), None)).iloc[0]
     assert found[[f"x_{i}" for i in range(68)]].tolist() == list(range(68)) and np.isnan(found["pose_Rx"])
     with pytest.raises(InputError, match="no part is one of OpenFace's landmarks, which are nose, mouth_left"):

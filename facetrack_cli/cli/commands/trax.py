@@ -9,11 +9,11 @@ from facetrack_cli.cli.options import Whole, option, verb
 
 
 class Trax:
-    """Speak TraX, the protocol of the VOT toolkit, on standard input and output.
+    """Speak TraX, the protocol of the VOT toolkit.
 
-    A program such as the VOT toolkit starts this command, gives it a region in a first image, and asks where it is in
-    the next ones. Recipes of a box can be taken. Images are files; of a polygon the upright box around it is followed.
-    What goes wrong is said in the message that ends the session, too.
+    A program such as the VOT toolkit starts this command, speaks to it on standard input and output, gives it a region
+    in a first image, and asks where it is in the next ones. Recipes of a box can be taken. Images are files; of a
+    polygon the upright box around it is followed. What goes wrong is said in the message that ends the session, too.
 
     \b
     Examples:
@@ -27,7 +27,7 @@ class Trax:
       command = facetrack trax --config correlation_filter
 
     \b
-    Exit codes: 0 done, 2 usage or recipe, 3 input or messages that cannot be understood.
+    Exit codes: 0 done, 2 usage or recipe, 3 input, or messages that are wrong.
     """
 
     config: str | None = option("--config RECIPE", "Recipe of a box: a file, or a name [default: correlation_filter].")

@@ -76,7 +76,7 @@ def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
     """The tracks: status visible, hidden (occluded) or absent (outside); `by_hand` are keyframes.
 
     Tracks of the same label are one part, as after a split: of two in a frame the visible one counts. A track of
-    several points has the parts point_1, ... InputError, with the track and the frame, for what cannot be read.
+    several points has the parts point_01, ... InputError, with the track and the frame, for what cannot be read.
     """
     root = _root(path)
     found: dict[tuple[str, str], dict[int, Mark]] = {}
@@ -114,7 +114,7 @@ def _marks(place: str, target: str, shape: ET.Element) -> list[tuple[tuple[str, 
     pairs = [point.split(",") for point in points]
     if any(len(pair) != 2 for pair in pairs):
         raise InputError(f"{place}: points are written x,y;x,y; export the file from CVAT again")
-    return [((target, f"point_{i}"), point_mark(place, *pair, **_about(shape))) for i, pair in enumerate(pairs, 1)]
+    return [((target, f"point_{i:02d}"), point_mark(place, *pair, **_about(shape))) for i, pair in enumerate(pairs, 1)]
 
 
 def _point(place: str, point: ET.Element, shape: ET.Element) -> Mark:

@@ -3,7 +3,7 @@
 - `frame` counts from 1, `face_id` from 0 in the order of the targets; `timestamp` in seconds. `success` is 1 where all
   landmarks of the face are seen. All places are written, as OpenFace does; `confidence` is the mean over the parts.
 - `x_i`, `y_i` are the 68 landmarks of iBUG, from 0, in pixels: readers choose them by this number. A part that is one
-  of them (`LANDMARKS`, and `point_1` to `point_68`) fills its own; all others are empty, as is what is not known.
+  of them (`LANDMARKS`, and `point_01` to `point_68`) fills its own; all others are empty, as is what is not known.
 - `pose_R` in radians: pitch, yaw, roll of R = R_x R_y R_z in the camera's axes. `pose_T` in millimetres: the middle
   between the eyes of a generic head (63 mm apart), which OpenFace has near the middle of the face, by OpenFace's own
   guess of a camera: a focal length of the mean of 500 width / 640 and 500 height / 480, through the image's centre.
@@ -17,14 +17,15 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array
+from facetrack_cli.trajectory.formats.pts import NAMED
 from facetrack_cli.trajectory.formats.tables import csv_text, texts
 from facetrack_cli.trajectory.head_pose import HeadPose, euler, head_pose, rotation_of
 from facetrack_cli.trajectory.select import mean
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
 COUNT: Final = 68
-LANDMARKS: Final = {"nose": 30, "mouth_left": 48, "mouth_right": 54, "lip_upper": 51, "lip_lower": 57} | {
-    f"point_{i + 1}": i for i in range(COUNT)
+LANDMARKS: Final = {name: number - 1 for name, number in NAMED.items()} | {
+    f"point_{i + 1:02d}": i for i in range(COUNT)
 }
 """Parts, by the shipped recipes' names and as .pts files are read, and their numbers; left and right of the image."""
 POSE: Final = ("pose_Tx", "pose_Ty", "pose_Tz", "pose_Rx", "pose_Ry", "pose_Rz")
@@ -55,8 +56,8 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
         cells[:, 0], cells[:, 1] = frames + 1, ident
         found += [(row[0], ident, row) for row in cells.tolist()]
     if not found:
-        known = ", ".join(list(LANDMARKS)[:5])
-        raise InputError(f"no part is one of OpenFace's landmarks, which are {known}, and point_1 to point_68")
+        known = ", ".join(NAMED)
+        raise InputError(f"no part is one of OpenFace's landmarks, which are {known}, and point_01 to point_68")
     return csv_text(COLUMNS, [row for *_, row in sorted(found, key=lambda one: one[:2])])
 
 
