@@ -12,7 +12,7 @@ from facetrack_cli.editor.run_folder import Run
 from facetrack_cli.tracking.corrected import all_or
 from facetrack_cli.trajectory.formats.cvat import read_cvat
 from facetrack_cli.trajectory.formats.labelstudio import read_labelstudio
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory
 
 MOVED: Final = 0.05  # pixels: CVAT keeps two decimals
 
@@ -31,7 +31,9 @@ def annotated_corrections(path: Path, run: Run, rows: Trajectory) -> tuple[Corre
         if row is None:
             there = ", ".join("/".join(pair) if pair[1] != BOX else pair[0] for pair in rows.names)
             raise InputError(f"{path}: {one.name} is not in the run, which has {there}; correct the label")
-        for frame, place in _changes(one, row):
+        # the box of a head that carries points is not absent by itself
+        carries = one.part == BOX and len(run.parts[one.target]) > 1
+        for frame, place in _changes(one.take(one.status != "absent") if carries else one, row):
             given[frame, one.target][one.part] = place
     return tuple(_correction(*key, parts, run) for key, parts in sorted(given.items()))
 
@@ -62,7 +64,7 @@ def _changes(one: Trajectory, row: Trajectory) -> list[tuple[int, tuple[float, .
                 gone = True
             continue
         box = one.part == BOX
-        place = tuple(boxes[n] if box else places[n])
+        place = tuple(round(value, DECIMALS["x"]) for value in (boxes[n] if box else places[n]))
         there = (row.boxes[at] if box else np.array([row.x[at], row.y[at]])) if known else np.array(np.nan)
         if gone or not np.abs(there - place).max() <= MOVED or (lost and one.status[n] == "visible"):
             found.append((frame, place))

@@ -104,6 +104,21 @@ def test_boxes_that_were_moved_or_switched_off_in_label_studio(runs):
     assert (one.frame, two) == (4, Correction(6, "face", absent=True))
 
 
+def test_the_box_of_a_head_that_carries_points_is_moved_and_never_absent_alone(tmp_path):
+    run, few = tmp_path / "run", ["--set", "filter.particles=20", "--stop", 5, "--no-video", "-q"]
+    assert facetrack("run", FOLDER / "expressions.mp4", "-o", run, "--config", "face", *few) == 0
+    assert facetrack("export", run, "--to", "cvat") == 0
+
+    def change(shapes):
+        shapes["face", 2].set("outside", "1")
+        shapes["face", 3].set("xbr", str(float(shapes["face", 3].get("xbr")) + 8))
+
+    (one,) = found(run, in_cvat(run, change))
+    left, top, w, h = read_trajectory(run).find("face", "box").boxes[3]
+    assert one.frame == 3 and one.absent == () and not one.given.points
+    assert one.given.box == pytest.approx((left, top, w + 8, h), abs=0.011)
+
+
 def test_fix_tracks_again_from_what_was_corrected(runs, capsys):
     run = runs / "points"
 
