@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
@@ -215,11 +215,13 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
     """
     about = {name: others.pop(name) for name in ("header", "diagnostics", "path") if name in others}
     which, frame = np.asarray(which, np.int64), np.asarray(frame, np.int64)
-    order: Any = np.lexsort((frame, which))
-    if (order == np.arange(len(order))).all():
-        order = slice(None)
-    which, frame = which[order], frame[order]
-    twice = np.flatnonzero((np.diff(frame) == 0) & (np.diff(which) == 0))
+    order: Any = slice(None)
+    if not (which[1:] > which[:-1]).all():  # each part once, in order, as of one frame
+        order = np.lexsort((frame, which))
+        if (order == np.arange(len(order))).all():
+            order = slice(None)
+        which, frame = which[order], frame[order]
+    twice = np.flatnonzero((frame[1:] == frame[:-1]) & (which[1:] == which[:-1]))
     if twice.size:
         at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
         why = f"frame {at} has two rows of {name}; keep one row a frame, target and part"
@@ -230,12 +232,24 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
         if given is not None:
             known[name] = np.asarray(given, dtype=_TYPES.get(name, np.float64))[order]
         elif name != "corners":
-            known[name] = np.full(len(frame), *_UNKNOWN.get(name, (np.nan,)))
+            known[name] = _unknown(name, len(frame))
     return Trajectory(tuple(names), **known, **about, **others)
 
 
 _TYPES: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.str_), "by_hand": np.bool_}
 _UNKNOWN: Final[Mapping[str, tuple[Any, ...]]] = {**dict.fromkeys(TEXTS, ("", "<U8")), "by_hand": (False,)}
+
+
+def _unknown(name: str, rows: int) -> Any:
+    return _unknown_of_few(name, rows) if rows <= 16 else np.full(rows, *_UNKNOWN.get(name, (np.nan,)))
+
+
+@lru_cache
+def _unknown_of_few(name: str, rows: int) -> Any:
+    """Read-only, for the rows of any frame."""
+    column = np.full(rows, *_UNKNOWN.get(name, (np.nan,)))
+    column.flags.writeable = False
+    return column
 
 
 def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:

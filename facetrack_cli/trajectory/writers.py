@@ -8,7 +8,7 @@ footer (how the run ended). JSON lines are the header, a line a frame, and the f
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
-from itertools import groupby, islice
+from itertools import chain, groupby, islice
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -25,6 +25,13 @@ Format: TypeAlias = Literal["csv", "json", "jsonl"]
 FORMATS: tuple[Format, ...] = ("csv", "json", "jsonl")
 Header: TypeAlias = Mapping[str, Any]  # JSON-ready: source, recipe, seed, init
 _Form: TypeAlias = Callable[[list[Any]], list[str]]  # values to texts, "" for what is not known
+
+
+class _Style(NamedTuple):
+    """How rows are written: the columns, what stands before each value, and how a text is quoted."""
+
+    prefixes: Mapping[str, str]
+    quoted: Callable[[str], str]
 
 
 class Footer(NamedTuple):
@@ -156,20 +163,45 @@ def as_written(rows: Trajectory) -> Trajectory:
     return replace(rows, **columns, corners=None, diagnostics=diagnostics)
 
 
-def _frames(rows: Trajectory, forms: Mapping[str, _Form]) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
+def _frames(rows: Trajectory, style: _Style) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
     """Each frame with its rows by part: the indices of their names, and their columns as text, "" if not known."""
-    texts = {name: forms[name]([pair[at] for pair in rows.names]) for at, name in enumerate(("target", "part"))}
+    if len(rows) and (rows.frame == rows.frame[0]).all():  # as a run writes them; no order is looked for
+        yield int(rows.frame[0]), rows.which.tolist(), _lines(rows, style)
+        return
     frames = by_frame(rows)
     while block := list(islice(frames, _BLOCK)):
         some = rows.take(np.array([i for _, at in block for i in at], np.int64))
-        which = some.which.tolist()
-        columns = {name: form(getattr(some, name).tolist()) for name, form in forms.items() if name not in texts}
-        columns |= {name: [those[i] for i in which] for name, those in texts.items()}
-        lines, first = list(zip(*(columns[name] for name in forms), strict=True)), 0
+        which, lines, first = some.which.tolist(), _lines(some, style), 0
         for frame, at in block:
             rows_ = slice(first, first + len(at))
             yield frame, which[rows_], lines[rows_]
             first += len(at)
+
+
+def _lines(rows: Trajectory, style: _Style) -> list[tuple[str, ...]]:
+    """The columns of each row as text, "" if not known."""
+    digits, columns = _digits(rows), []
+    for name, prefix in style.prefixes.items():
+        if name in digits:
+            known = digits[name]
+            columns.append([prefix + text if text else "" for text in known] if prefix else known)
+            continue
+        if name in ("target", "part"):
+            pairs, at = rows.names, ("target", "part").index(name)
+            values = [pairs[i][at] for i in rows.which.tolist()]
+        else:
+            values = getattr(rows, name).tolist()
+        columns.append([prefix + style.quoted(value) if value else "" for value in values])
+    return list(zip(*columns, strict=True))
+
+
+@lru_cache(1)  # of the rows of one frame CSV and JSON ask, one after the other
+def _digits(rows: Trajectory) -> dict[str, list[str]]:
+    """The columns of numbers as text, formatted all at once; "" for what is not finite, and never -0."""
+    values = chain.from_iterable(zip(*(getattr(rows, name).tolist() for name in _SPECS), strict=True))
+    texts = (_ROW * len(rows) % tuple(values)).split("\n")[:-1]
+    texts = [_ODD.get(text, text) for text in texts]
+    return {name: texts[i :: len(_SPECS)] for i, name in enumerate(_SPECS)}
 
 
 def _reported(found: Diagnostics, frame: int) -> list[str]:
@@ -195,20 +227,10 @@ def _reported(found: Diagnostics, frame: int) -> list[str]:
 
 
 @lru_cache
-def _numbers(spec: str, prefix: str = "") -> _Form:
-    """Writes numbers after a `prefix`; "" for what is not finite, and never -0."""
-    whole, zero, minus = f"{prefix}%{spec}\n", prefix + format(0, spec), prefix + format(-0.0, spec.replace("d", ".0f"))
-    odd = {**{f"{prefix}{text}": "" for text in ("nan", "inf", "-inf")}, minus: zero}
-
-    def texts(values: list[Any]) -> list[str]:
-        return [odd.get(text, text) for text in (whole * len(values) % tuple(values)).split("\n")[:-1]]
-
-    return texts
-
-
-def _texts(form: Callable[[Any], str], prefix: str = "") -> _Form:
-    """Writes what is known as `form` does, after a `prefix`."""
-    return lambda values: [prefix + form(value) if value else "" for value in values]
+def _numbers(spec: str) -> _Form:
+    """Writes numbers as `_digits` does."""
+    whole, odd = f"%{spec}\n", {**_ODD, format(-0.0, spec): format(0.0, spec)}
+    return lambda values: [odd.get(text, text) for text in (whole * len(values) % tuple(values)).split("\n")[:-1]]
 
 
 @lru_cache(4096)
@@ -220,9 +242,10 @@ _key = lru_cache(4096)(dumps)  # the names of a gallery come again in every fram
 _OF_TARGET = ("target", "particles", "identity", "identity_prob")
 _OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", *SPREAD, "ess")
 _SPECS = {"frame": "d", "particles": ".0f", **{name: f".{decimals}f" for name, decimals in DECIMALS.items()}}
-_CSV = {name: _numbers(_SPECS[name]) if name in _SPECS else _texts(_quoted) for name in COLUMNS}
-_JSON = {
-    name: _numbers(_SPECS[name], f'"{name}":') if name in _SPECS else _texts(_key, f'"{name}":')
-    for name in (*_OF_TARGET, *_OF_PART, "time_s")
-}
+_ROW = "".join(f"%{spec}\n" for spec in _SPECS.values())
+_ODD = {"nan": "", "inf": "", "-inf": "", **{f"-{zero}": zero for zero in ("0", *(f"{0:.{n}f}" for n in range(1, 5)))}}
+
+
+_CSV = _Style(dict.fromkeys(COLUMNS, ""), _quoted)
+_JSON = _Style({name: f'"{name}":' for name in (*_OF_TARGET, *_OF_PART, "time_s")}, _key)
 _BLOCK = 1_000  # frames that become text at a time

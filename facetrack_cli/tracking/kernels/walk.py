@@ -45,13 +45,12 @@ def _arrive(z, mean, step, scale, log_shown, log_hidden, u, shown, hidden, which
                 parts[k * many + m] = value
                 top = max(top, value)
         seen = unseen = 0.0
-        for i in range(2 * many):
-            value = math.exp(parts[i] - top)
-            parts[i] = value
-            if i < many:
-                seen += value
-            else:
-                unseen += value
+        for m in range(many):
+            parts[m] = math.exp(parts[m] - top)
+            seen += parts[m]
+        for m in range(many, 2 * many):
+            parts[m] = math.exp(parts[m] - top)
+            unseen += parts[m]
         shown[n] = math.log(seen) + top if seen > 0.0 else -math.inf
         hidden[n] = math.log(unseen) + top if unseen > 0.0 else -math.inf
         left, chosen = u[n] * (seen + unseen), 2 * many - 1
