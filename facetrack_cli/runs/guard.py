@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Collection, Sequence
+from importlib import import_module
 from typing import Any, Final, NoReturn
 
 from facetrack_cli import __version__
@@ -157,8 +158,8 @@ class _Wish:
 def _serve() -> None:
     """Do the command lines that come in, one after another, until the worker closes the pipe, or is gone."""
     import facetrack_cli.runs.clip  # noqa: F401 -- so that its forks need not
-    from facetrack_cli.__main__ import main
 
+    main = import_module("facetrack_cli.__main__").main  # as a shell does, it starts at the top
     wish, parent = _Wish(), os.getppid()
     for one in (signal.SIGTERM, signal.SIGUSR1):
         signal.signal(one, wish.note)
