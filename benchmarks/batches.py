@@ -1,17 +1,26 @@
-"""What a batch costs beside the tracking: clips that are finished already, and processes of -j against a plain loop.
+"""What a batch costs beside the tracking, and what follows for a thousand hours of video. Writes nothing.
 
-    python benchmarks/batches.py decide 10000        # seconds to find that so many clips are finished
-    python benchmarks/batches.py overhead 40 --stop 60   # -j 2 against one process that tracks clip after clip
+    python benchmarks/batches.py decide 10000            # seconds to find that so many clips are finished
+    python benchmarks/batches.py overhead 200 --workers 2    # -j, --shard and --cluster against two plain loops
+    python benchmarks/batches.py simulate --track 2.0 --overhead 0.1 --send 0.005   # figures of the other two
 
-`overhead` gives the processor seconds of both, as well as the seconds on the clock: other work on the machine spoils
-only the latter.
+`overhead` tracks short clips in turn by: a loop in one process; a loop of the shell that starts facetrack for each;
+-j; --shard; --cluster local. Each row has the seconds on the clock, which other work on the machine spoils, those of
+the processor, and both a clip, beyond the loop in one process, times the workers where the clock is meant. At the end
+stands the same in percent of a clip of ten seconds, whole, with its video. To reach: at most 5 %.
+
+`simulate` hands out 1,000 hours, as clips of 10 s and of 10 min, to 1, 10 and 100 machines of 8 cores: each core
+takes the next clip when it has done one, and the head sends one after another.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
+import heapq
 import os
 import resource
+import shlex
 import shutil
 import subprocess
 import sys
@@ -20,19 +29,34 @@ import time
 from pathlib import Path
 
 CLIP = Path(__file__).parents[1] / "sample_videos" / "expressions.mp4"
-RUN = [sys.executable, "-m", "facetrack_cli", "run"]
+FACETRACK = [sys.executable, "-m", "facetrack_cli"]
+RUN = [*FACETRACK, "run"]
+LOOP = "import sys; from facetrack_cli.__main__ import main; [main(['run', c, *sys.argv[3:], '-o', sys.argv[1] + c[-9:-4]]) for c in open(sys.argv[2]).read().split()]"  # noqa: E501
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["decide", "overhead"])
-    parser.add_argument("clips", type=int)
-    parser.add_argument("--stop", default="60")
-    parser.add_argument("--config", default="factorized")
+    kinds = parser.add_subparsers(dest="what", required=True)
+    for what in ("decide", "overhead"):
+        kind = kinds.add_parser(what)
+        kind.add_argument("clips", type=int)
+        kind.add_argument("--stop", default="60", help="frames of a clip")
+        kind.add_argument("--config", default="factorized")
+        kind.add_argument("--workers", type=int, default=2)
+    kind = kinds.add_parser("simulate")
+    for name in ("track", "overhead", "send"):
+        kind.add_argument(f"--{name}", type=float, required=True, help="seconds a clip of ten seconds")
     given = parser.parse_args()
+    if given.what == "simulate":
+        simulate(given.track, given.overhead, given.send)
+        return
+    adopt()
     with tempfile.TemporaryDirectory() as folder:
-        options = ["--config", given.config, "--stop", given.stop, "--no-video", "-q"]
-        (decide if given.what == "decide" else overhead)(Path(folder), given.clips, options)
+        options = ["--config", given.config, "--no-video", "-q", "--threads", "1"]
+        if given.what == "decide":
+            decide(Path(folder), given.clips, [*options, "--stop", given.stop])
+        else:
+            overhead(Path(folder), given.clips, options, given.stop, given.workers)
 
 
 def clips(folder: Path, count: int) -> Path:
@@ -57,26 +81,92 @@ def decide(folder: Path, count: int, options: list[str]) -> None:
         to.mkdir(parents=True)
         for file in one.iterdir():
             (to / file.name).hardlink_to(file)
-    for _ in range(3):
-        took, used = timed([*RUN, str(inputs), "-o", str(out), *options])
-        print(f"{count} finished clips: {took:.2f} s on the clock, {used:.2f} s of processor")
+    for more in ([], ["--cluster", "local:2"]):
+        for _ in range(3):
+            took, used = timed([*RUN, str(inputs), "-o", str(out), *options, *more])
+            print(f"{count} finished clips {' '.join(more):16} {took:6.2f} s on the clock, {used:6.2f} s of processor")
 
 
-def overhead(folder: Path, count: int, options: list[str]) -> None:
+def overhead(folder: Path, count: int, options: list[str], stop: str, workers: int) -> None:
     inputs = clips(folder, count)
-    timed([*RUN, str(inputs / "clip00000.mp4"), "-o", str(folder / "warm"), *options])
-    for jobs in ("1", "2", "1", "2"):
-        out = folder / f"out{jobs}"
-        shutil.rmtree(out, ignore_errors=True)
-        took, used = timed([*RUN, str(inputs), "-o", str(out), "-j", jobs, "--threads", "1", *options])
-        print(f"-j {jobs}: {took:6.1f} s on the clock, {used:6.1f} s of processor, {took / count:.2f} s a clip")
+    listed = folder / "list.txt"
+    listed.write_text("\n".join(sorted(str(one) for one in inputs.glob("*.mp4"))))
+    warm = [*RUN, str(inputs / "clip00000.mp4"), *options]
+    timed([*warm, "-o", str(folder / "warm")])  # kernels are compiled
+    whole = timed([*RUN, str(inputs / "clip00000.mp4"), *options[:2], *options[3:], "-o", str(folder / "whole")])[1]
+    start = timed([*RUN, str(inputs / "clip00000.mp4"), *options, "--stop", "1", "-o", str(folder / "start")])[1]
+    short = [*options, "--stop", stop]
+    words = shlex.join([*RUN, *short])
+    shell = f"while read -r clip; do {words} -o {folder}/shell/$(basename $clip .mp4) $clip; done < {listed}; true"
+    shards = "".join(f"{words} {inputs} --shard {i}/{workers} -o {folder}/shards & " for i in range(1, workers + 1))
+    batch = [*RUN, str(inputs), *short, "-o"]
+    kinds = {
+        "a loop in one process": (1, [sys.executable, "-c", LOOP, f"{folder}/loop/", str(listed), *short]),
+        "a loop of the shell": (1, ["bash", "-c", shell]),
+        f"-j {workers}": (workers, [*batch, f"{folder}/j", "-j", str(workers)]),
+        f"--shard I/{workers}": (workers, ["bash", "-c", f"{shards} wait"]),
+        f"--cluster local:{workers}": (workers, [*batch, f"{folder}/cluster", "--cluster", f"local:{workers}"]),
+    }
+    print(f"{count} clips of {stop} frames; one whole clip of 11 s: {whole - start:.2f} s of processor to track")
+    print(f"{'':24}{'clock s':>10}{'processor s':>13}{'clock + a clip':>16}{'processor + a clip':>20}{'of 11 s':>9}")
+    base = 0.0, 0.0
+    for name, (at_once, command) in kinds.items():
+        took, used = timed(command)
+        each = took * at_once / count, used / count
+        base = base if base[1] else each
+        more = each[0] - base[0], each[1] - base[1]
+        share = 100 * more[1] / (whole - start)
+        print(f"{name:24}{took:10.1f}{used:13.1f}{more[0]:16.3f}{more[1]:20.3f}{share:8.1f}%", flush=True)
+    print(f"to send a task and hear of its end: {sending(200):.4f} s")
+
+
+def sending(count: int) -> float:
+    """Seconds for each of so many tasks that do nothing, by the scheduler in a process of its own."""
+    from distributed import Client, LocalCluster, wait
+
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        wait([client.submit(int, pure=False) for _ in range(10)])
+        began = time.perf_counter()
+        wait([client.submit(int, pure=False) for _ in range(count)])
+        return (time.perf_counter() - began) / count
+
+
+def simulate(track: float, overhead: float, send: float) -> None:
+    print("1,000 hours on machines of 8 cores: hours, and the share of the cores' time that is tracking")
+    print(f"{'machines':>10}{'clips of 10 s':>24}{'clips of 10 min':>24}")
+    for machines in (1, 10, 100):
+        row = f"{machines:10}"
+        for length in (10.0, 600.0):
+            count, work = round(3.6e6 / length), track * length / 10 + overhead
+            free = [0.0] * (8 * machines)
+            for i in range(count):
+                heapq.heapreplace(free, max(free[0], i * send) + work)
+            took = max(free)
+            row += f"{took / 3600:14.2f} h {count * track * length / 10 / (took * len(free)):6.1%}"
+        print(row)
+
+
+def adopt() -> None:
+    """Take over processes whose parent ends, so that the processor's time of all of them is counted (Linux)."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)
 
 
 def timed(command: list[str]) -> tuple[float, float]:
     """Seconds on the clock and of the processor."""
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"})
-    took, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, env=environment)
+    took = time.perf_counter() - began
+    try:
+        while True:  # those that were taken over
+            os.waitpid(-1, 0)
+    except ChildProcessError:
+        pass
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return took, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.writers import Format
 
     After: TypeAlias = Callable[[Outcome, Stop, Progress], None]
+    Batch: TypeAlias = Callable[..., Iterator[Outcome]]  # of jobs, stop, progress
 
 
 MOST_DONE = 20  # clips that were done before, of which each has its line
@@ -118,11 +120,14 @@ class Run:
         "--shard I/N", "Track every N-th clip alone, from the I-th on: one of N jobs.", type=_shard
     )
     retry_failed: bool = flag("--retry-failed", "Try clips again that have failed before.")
+    cluster: str | None = option(
+        "--cluster WHERE", "Workers of Dask: local:N, tcp://HOST:PORT, or a scheduler file; see docs/pipelines.md."
+    )
     quiet: bool = options.QUIET
 
     def run(self) -> int:
         from facetrack_cli.recipe.files import default_recipe
-        from facetrack_cli.runs.batch import variant_name
+        from facetrack_cli.runs.batch import run_batch, variant_name
         from facetrack_cli.runs.inputs import expand
         from facetrack_cli.runs.job import Job
         from facetrack_cli.runs.progress import progress
@@ -132,6 +137,8 @@ class Run:
         from facetrack_cli.tracking.kernels import cache
         from facetrack_cli.trajectory.batch_file import write_batch
 
+        if self.cluster is not None:
+            self._check_cluster(self.cluster)
         with progress(self.quiet) as shown:
             given, several = expand(self.inputs, shown.say)
         self.extent.check(*given)
@@ -175,8 +182,33 @@ class Run:
                 for clip, folder in zip(clips, places, strict=True)
             ]
             after = self._smooth if self.smooth else None
-            code = _several(jobs, workers, ending, shown, after) if several else _one(jobs[0], ending, shown, after)
+            if self.cluster is not None:
+                code = _several(jobs, self._on_cluster(self.cluster), ending, shown, self._smooth_left)
+            elif several:
+                code = _several(jobs, partial(run_batch, workers=workers), ending, shown, after)
+            else:  # whose error is the command's
+                code = _one(jobs[0], ending, shown, after)
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
+
+    def _check_cluster(self, where: str) -> None:
+        from facetrack_cli.runs.scheduler import check_cluster
+
+        if self.out == "-":
+            raise UsageError("-o - streams one clip from this machine; name a folder, or leave --cluster out")
+        if self.jobs > 1:
+            raise UsageError("--cluster has workers of its own, -j those of this machine; give one of them")
+        check_cluster(where)
+
+    def _on_cluster(self, where: str) -> Batch:
+        from facetrack_cli.runs.cluster import run_cluster
+
+        words = options.words_without("out", "threads", "jobs", "shard", "cluster", "retry_failed", "quiet")
+        return partial(run_cluster, where=where, options=[*words, f"--threads={self.threads or 1}"])
+
+    def _smooth_left(self, outcome: Outcome, stop: Stop, shown: Progress) -> None:
+        """Smooth what an earlier batch tracked, and did not smooth: workers smooth what they track."""
+        if self.smooth and outcome.again is not None and not outcome.again.smoothed:
+            self._smooth(outcome, stop, shown)
 
     def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
         from facetrack_cli.runs.posterior import check_smoothing
@@ -253,16 +285,16 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
     return stop.code or (ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE)
 
 
-def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
+def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
-    from facetrack_cli.runs.batch import check_all, run_batch
+    from facetrack_cli.runs.batch import check_all
 
     decided, left = check_all(jobs)
     done = sum(one.again is not None and one.error is None for one in decided)
     if done > MOST_DONE:
         shown.say(f"{done} clips: done before")
     failed = before = lost = 0
-    for outcome in itertools.chain(decided, run_batch(left, workers, stop, shown)):
+    for outcome in itertools.chain(decided, batch(left, stop=stop, progress=shown)):
         if outcome.frames or outcome.error is None:
             if outcome.again is None or done <= MOST_DONE:
                 _report(outcome, shown, named=True)
