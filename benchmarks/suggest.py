@@ -14,6 +14,7 @@ import sys
 from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from facetrack_cli.trajectory.formats.read import read_truth
 NEAR = 0.02  # of success AUC
 
 
-def truth_of(clip):
+def truth_of(clip: Path) -> dict[int, Any]:
     beside = [clip.with_suffix(".truth.csv"), clip.parent / "groundtruth.csv"]
     path = next(one for one in beside if one.exists())
     part = next(one for one in read_truth(path).parts if np.isfinite(one.boxes).all(axis=1).any())
@@ -36,7 +37,7 @@ def truth_of(clip):
     return dict(zip(part.frame[known].tolist(), part.boxes[known], strict=True))
 
 
-def measured(clip, most):
+def measured(clip: Path, most: int) -> dict[str, Any]:
     truth = truth_of(clip)
     first = min(truth)
     begin, start = Begin(clip), Start(first, {"face": TargetStart(tuple(truth[first].tolist()))}, "truth")
@@ -50,12 +51,13 @@ def measured(clip, most):
             whole = list(islice(frames_of(source, first, "truth"), most))
         boxes = _tracked(recipe, start, whole).boxes
         pairs = [(boxes[t - first], box) for t, box in truth.items() if t - first < len(boxes)]
-        overlap = np.nan_to_num(iou(*map(np.array, zip(*pairs, strict=True))))
+        ours, theirs = np.array(pairs).transpose(1, 0, 2)
+        overlap = np.nan_to_num(iou(ours, theirs))
         aucs[name.partition(":")[0]] = float(np.mean([(overlap > t).mean() for t in np.linspace(0, 1, 21)]))
     return {name: {**asdict(one), "score": one.score, "auc": aucs[name]} for name, one in trials.items()}
 
 
-def main():
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("clips", nargs="+", type=Path)
     parser.add_argument("--most", type=int, default=500, help="frames of a clip, which are kept in memory")
@@ -73,9 +75,8 @@ def main():
     ways |= {f"always {name}": [rows[name]["auc"] if name in rows else 0.0 for rows in found.values()] for name in ANY}
     for way, aucs in ways.items():
         off = best - aucs
-        print(
-            f"{way}: good in {(off <= NEAR).sum()} of {len(best)}, AUC {np.mean(aucs):.3f}, {off.mean():.3f} off the best"
-        )
+        mean = f"AUC {np.mean(aucs):.3f}, {off.mean():.3f} off the best"
+        print(f"{way}: good in {(off <= NEAR).sum()} of {len(best)}, {mean}")
     return 0
 
 

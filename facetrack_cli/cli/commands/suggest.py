@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Suggest:
-    """Try recipes on the first seconds of a clip, and say which to take.
+    """Try recipes on the start of a clip; say which to take.
 
     Without ground truth: each recipe tracks the first frames forwards, then backwards from where it ended. Recipes
     are ranked by how well both tracks agree, times the share of frames in which the target is not called lost.
@@ -33,7 +33,8 @@ class Suggest:
       facetrack suggest clip.mp4 --config ncc --config skin_ncc_robust --json
 
     \b
-    Exit codes: 0 done, 2 usage or recipe, 3 input, 130 interrupted, 143 terminated.
+    Exit codes: 0 done, 2 usage or recipe, 3 input, 130 interrupted,
+    143 terminated.
     """
 
     clip: Path = argument("INPUT")
