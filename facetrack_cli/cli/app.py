@@ -20,6 +20,7 @@ COMMANDS = {
     "fix": "Correct a finished run, on a page.",
     "smooth": "Smooth a finished run: every row given the whole clip.",
     "recipes": "List, show and check the recipes of trackers.",
+    "suggest": "Try recipes on the start of a clip; say which to take.",
     "prior": "Learn shape priors from annotated frames, and draw them.",
     "gallery": "Learn who is who from images and videos, and draw it.",
     "eval": "Measure a trajectory against ground truth.",

@@ -1,6 +1,8 @@
 """The files of recipes: the shipped ones, and those that a recipe names."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Final
 
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.yaml_tree import Problem, Source, Span, YamlProblems, read_source
@@ -19,6 +21,28 @@ def shipped_folder() -> Path:
 def shipped_recipes() -> list[Path]:
     """The files of the shipped recipes, by name."""
     return sorted(shipped_folder().glob("*.yaml"))
+
+
+TASKS: Final[Mapping[str, tuple[str, ...]]] = {
+    "a face and its features": ("face", "factorized_robust"),
+    "any box: a face, a head, a hand, a thing": ("correlation_filter", "skin_ncc_robust", "adaptive_robust"),
+    "a head and two hands": ("head_hands", "head_hands_cloud"),
+    "a face, and who of a gallery it is": ("adaptive_recognition",),
+    "published: points of a face (Patras & Pantic 2004)": (
+        "factorized", "factorized_transition", "auxiliary_prior", "independent", "sir",
+    ),
+    "published: a face by its appearance (Zhou et al. 2003)": (
+        "adaptive", "adaptive_noise", "adaptive_velocity", "adaptive_appearance", "fixed_template",
+    ),
+    "published: a face by skin and template (Gonzalez & Collet)": ("skin_ncc", "skin", "ncc"),
+    "published: contours and histograms (Odobez et al. 2003)": (
+        "contour_histogram_correlation", "contour_histogram_correlation_robust", "contour_histogram",
+        "contour_correlation", "contour", "histogram_correlation", "histogram",
+    ),
+    "OpenCV's own trackers": ("csrt", "kcf", "mil", "mosse"),
+}  # fmt: skip
+"""The shipped recipes by what is tracked; of the first four the first recipe is the one to take."""
+TAKE: Final = tuple(names[0] for names in list(TASKS.values())[:4])
 
 
 def default_recipe(*, box: bool) -> str:

@@ -113,7 +113,8 @@ class _Maker:
             if missing:
                 done.notes.append(f"{path}: has no frame {missing[0]}, which the run has; name its clip with --clip")
         except InputError as e:
-            done.notes.append(str(e))
+            said = str(e)
+            done.notes.append(said if annotated or "--clip" in said else f"{said}, or name the clip with --clip")
         return done
 
     def draw(self, frame: Frame, view: View) -> Pixels:

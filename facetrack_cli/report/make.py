@@ -94,6 +94,7 @@ def make_report(
         summary=text.sentences(table, header, clock, history),
         identities=list(text.identities(table, clock)),
         mean=float(np.mean(means)) if means else None,
+        calibrated=text.calibrated(header),
         warnings=[*header.warnings, *found.notes],
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
         spans=sorted(longest, key=lambda s: (s.first, s.name)),

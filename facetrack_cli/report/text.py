@@ -16,6 +16,7 @@ from facetrack_cli.trajectory.diagnostics import SURE
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import Trajectory
 
+DOUBTFUL: Final = 0.75  # of a calibrated confidence: a track of which less is right wants looking at
 _DETECTORS: Final[Mapping[str, str]] = {"haar": "the Haar cascades", "yunet": "YuNet"}
 
 
@@ -74,9 +75,12 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
         those = "" if one else f": {names(lost)}"
         share = f"{count(history.frames_lost, 'frame')} ({percent(history.frames_lost / frames)})"
         found.append(f"{who} was lost in {share}, in {times}{those}.")
-        end = f"{_are(gone)} lost" if gone else f"{'every other' if absent else 'every'} part is tracked"
+        end = f"{_are(gone)} lost" if gone else f"{'no other' if absent else 'no'} part is called lost"
         if not one or not absent:
-            found.append(f"In the last frame {('it is lost' if gone else 'it is tracked') if one else end}.")
+            found.append(f"In the last frame {('it is lost' if gone else 'it is not called lost') if one else end}.")
+    sure = table.confidence[np.isfinite(table.confidence) & (table.status != "lost")]
+    if sure.size:
+        found.append(_trust(calibrated(header), float(sure.mean())))
     if history.corrections:
         found.append(f"It was corrected by hand in {count(len(history.corrections), 'frame')}.")
     if missing := [part for part in history.parts if part.frames_absent]:
@@ -84,6 +88,23 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
         over = count(rows, "frame" if len(missing) == 1 else "row")
         found.append(f"Marked as absent: {names([part.name for part in missing])}, in {over}.")
     return " ".join(found)
+
+
+def calibrated(header: Header) -> bool:
+    """Whether confidence is a probability, by the recipe that was run: of all of its filters."""
+    recipe = header.recipe
+    targets = recipe.get("targets")
+    those = [one for one in targets.values() if one] if isinstance(targets, Mapping) else [recipe]
+    found = [one.get("confidence") for one in those if isinstance(one, Mapping)]
+    return bool(found) and all(isinstance(one, Mapping) and one.get("calibration") is not None for one in found)
+
+
+def _trust(known: bool, mean: float) -> str:
+    """What the mean confidence says of the rows."""
+    if not known:
+        return "Its confidence is not calibrated: it says how alike the image is, not how often the place is right."
+    doubt = ", so that the track is doubtful: look at the key frames" if mean < DOUBTFUL else ""
+    return f"By its calibrated confidence {percent(mean)} of the rows that are not called lost are right{doubt}."
 
 
 def identities(table: Trajectory, clock: Clock) -> Iterator[str]:

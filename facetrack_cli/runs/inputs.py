@@ -19,6 +19,7 @@ from facetrack_cli.core.files import MOST, check_readable
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.manifest import NAME
 from facetrack_cli.video import images
+from facetrack_cli.video.playlists import check_local
 
 _KINDS: Final = (
     "3g2 3gp asf avi divx dv f4v flv m2ts m2v m4v mj2 mjpeg mjpg mkv mov mp4 mpe mpeg mpg mts mxf ogm ogv qt rm rmvb "
@@ -77,6 +78,7 @@ def _listed(given: Path) -> list[Path]:
 
 def _clips(given: Path, note: Callable[[str], None]) -> list[Path]:
     """The clips that one input is."""
+    check_local(given)
     try:
         if given.is_dir():
             return _of_folder(given, note) or _below(given, note) or [given]

@@ -51,14 +51,14 @@ def natural_key(name: str) -> tuple[list[tuple[int, int | str]], str]:
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part], name
 
 
-def read(path: Path, size: tuple[int, int] | None = None) -> Image:
-    """Read one image as (H, W, 3) uint8 BGR, contiguous.
+def read(path: Path, size: tuple[int, int] | None = None, data: bytes | None = None) -> Image:
+    """Read one image, whose bytes may be given as `data`, as (H, W, 3) uint8 BGR, contiguous.
 
     The EXIF orientation is applied, 16 bits are scaled to 8, transparency is composited over black. Raises
     UnreadableError, also if the image is not of the `size` (width, height).
     """
     try:
-        with iio.imopen(path, "r", plugin="pillow") as file:
+        with iio.imopen(path if data is None else data, "r", plugin="pillow") as file:
             mode = str(file.metadata(exclude_applied=False)["mode"])
             if mode in ("I", "F") and path.suffix.lower() != ".png":
                 why = "is a 32-bit image, which has no agreed range"
@@ -86,10 +86,19 @@ def read(path: Path, size: tuple[int, int] | None = None) -> Image:
     return np.ascontiguousarray(pixels[..., ::-1])
 
 
-def header_size(path: Path) -> tuple[int, int] | None:
+def is_animated(path: Path) -> bool:
+    """Whether a PNG holds several frames (APNG): its animation is announced before its pixels. Raises OSError."""
+    if path.suffix.lower() != ".png":
+        return False
+    with path.open("rb") as file:
+        head = file.read(1 << 16)
+    return b"acTL" in head[: head.find(b"IDAT") + 1]
+
+
+def header_size(path: Path, data: bytes | None = None) -> tuple[int, int] | None:
     """(width, height) from the header, after the EXIF orientation; None when it is not known."""
     try:
-        with iio.imopen(path, "r", plugin="pillow") as file:
+        with iio.imopen(path if data is None else data, "r", plugin="pillow") as file:
             metadata = file.metadata(exclude_applied=False)
     except Exception:  # what is wrong with the file is said when it is read
         return None

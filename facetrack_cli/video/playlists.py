@@ -1,12 +1,23 @@
-"""Files that name other files. FFmpeg goes by what a file holds and not by its name, and would open what they name."""
+"""Files that name other files, and addresses: FFmpeg goes by what a file holds, and would open what it names."""
 
 import re
 from pathlib import Path
+
+from facetrack_cli.core.errors import InputError
 
 _HEAD = 1 << 16
 # HLS, ffconcat, DASH, IMF, Smooth Streaming, SDP, VobSub, ASX, SMIL, PLS: as their demuxers recognise them
 _AT_START = re.compile(rb"(?i)#EXTM3U|ffconcat version|# VobSub index|v=0\r?\n|\[playlist\]|<asx|<smil|\[reference\]")
 _ANYWHERE = re.compile(rb"(?i)<MPD|<CompositionPlaylist|<AssetMap|<SmoothStreamingMedia|\bc=IN IP[46]|#EXT-X-")
+# a drive of Windows has one letter
+_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(?=[^/])")
+
+
+def check_local(path: Path) -> None:
+    """InputError for an address on the network, of which a path has lost a slash."""
+    if found := _ADDRESS.match(str(path)):
+        address = f"{found[1]}://{str(path)[found.end() :]}"
+        raise InputError(f"{address}: is an address on the network; download it first, then give the file")
 
 
 def is_playlist(path: Path) -> bool:

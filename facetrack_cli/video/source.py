@@ -15,7 +15,7 @@ import math
 import os
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from fractions import Fraction
 from pathlib import Path
@@ -30,17 +30,18 @@ os.environ.setdefault("OPENCV_FFMPEG_READ_ATTEMPTS", "1000000000")
 
 import cv2
 
-from facetrack_cli.core.errors import InputError, UsageError, reason
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.video import decoder_log, ffmpeg, images
+from facetrack_cli.video.archive import Archive, is_archive
 from facetrack_cli.video.checksums import broken_clusters
-from facetrack_cli.video.playlists import is_playlist
+from facetrack_cli.video.playlists import check_local
+from facetrack_cli.video.refused import AGAIN, check_file, why_not
 
 if os.environ["OPENCV_LOG_LEVEL"] == "SILENT":  # where OpenCV was loaded before
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 FOLDER_FPS = Fraction(25)
-_AGAIN = "copy or download it again"
 _PLACES = 6  # of errors that are named
 _MOST_NAMED = 1000  # errors that are kept
 _THREADS = 8  # of the decoder at most: each holds frames
@@ -181,7 +182,7 @@ class VideoSource(Source):
         # the cover image of a music file is a video of 90,000 frames a second for OpenCV
         if image is None or capture.codec == _TEXT or (capture.rate > 1000 and not ffmpeg.contents(path)[0]):
             capture.release()
-            raise _why_not(path)
+            raise why_not(path)
         super().__init__(path, (image.shape[1], image.shape[0]), capture.fps, start, stop)
         self.is_video = True
         if capture.claimed is not None:
@@ -231,14 +232,14 @@ class VideoSource(Source):
         if self.path.exists() and _length(self.path) != self._length:
             self._cut(f"{self.path}: changed while it was read, after {frames} frames; run it again")
         elif cut := self._missing(frames, last_s, self._capture.period):
-            self._cut(f"{self.path}: cut short or damaged{cut}{self._errors(None, '; ')}; {_AGAIN} for the rest")
+            self._cut(f"{self.path}: cut short or damaged{cut}{self._errors(None, '; ')}; {AGAIN} for the rest")
         else:
             self._judge_frames(None)
 
     def _judge_frames(self, until: int | None) -> None:
         """Say so if frames are not what the clip showed; `until`: up to which it was read, if not to its end."""
         if wrong := self._errors(until):
-            self._cut(f"{self.path}: damaged: {wrong}, frames may be wrong; {_AGAIN}")
+            self._cut(f"{self.path}: damaged: {wrong}, frames may be wrong; {AGAIN}")
 
     def _errors(self, until: int | None, before: str = "") -> str:
         """The errors that a decoder reports, after `before`; "" if there are none."""
@@ -288,26 +289,36 @@ def _length(path: Path) -> int:
 
 
 class FolderSource(Source):
-    """The images of a folder in natural order, at a constant rate. Those to be read must be of one size."""
+    """Images of a folder or an archive in natural order, at a constant rate. Those to be read must be of one size."""
 
-    def __init__(self, path: Path, files: Sequence[Path], fps: Fraction, start: int, stop: int | None):
+    def __init__(
+        self,
+        path: Path,
+        files: Sequence[Path],
+        fps: Fraction,
+        start: int,
+        stop: int | None,
+        data: Callable[[Path], bytes | None] = lambda file: None,
+    ):
         super().__init__(path, (0, 0), fps, start, stop)
+        self._data = data  # the bytes of a file that is not on disk
         if start >= len(files):
             raise self._past_end(len(files))
         self.variable, self.files = False, files
         read = files[start:stop]
         self.frames_hint = len(read)
-        height, width = images.read(read[0]).shape[:2]
+        height, width = images.read(read[0], None, data(read[0])).shape[:2]
         self.size = width, height
         for file in read[1:]:
-            size = images.header_size(file)
+            size = images.header_size(file, data(file))
             if size is not None and size != self.size:
                 first = f"{read[0].name} has {width}x{height}; a folder must hold frames of one size"
                 raise InputError(f"{file}: {size[0]}x{size[1]} pixels, but {first}")
 
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
-        return Frame(index, float(index / self.fps), images.read(self.files[index], self.size))
+        file = self.files[index]
+        return Frame(index, float(index / self.fps), images.read(file, self.size, self._data(file)))
 
     def _frames(self) -> Iterator[Frame]:
         total = len(self.files)
@@ -324,7 +335,7 @@ class FolderSource(Source):
 
 
 def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None) -> Source:
-    """Open a video file, a folder of images, or a glob of images in one folder (`frames/a*.png`).
+    """Open a video file, a folder or a .zip of images, a glob of images in one folder (`a*.png`), or a single image.
 
     Frames from `start` up to, not including, `stop`. `fps` is the rate of a folder (default 25); a video has its own
     clock and refuses it. Raises InputError when there is nothing to read, UsageError for impossible arguments.
@@ -335,55 +346,18 @@ def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop
         raise UsageError(f"{path}: nothing to read from frame {start} up to {stop}; stop must be greater than start")
     if fps is not None and fps <= 0:
         raise UsageError(f"{path}: {fps} is no frame rate; give frames per second greater than 0")
+    check_local(path)
     files = images.listing(path)
     if files is not None:
         if not files:
             raise InputError(f"{path}: no images in this folder; {', '.join(sorted(images.SUFFIXES))} are read")
         return FolderSource(path, files, fps or FOLDER_FPS, start, stop)
-    _check_file(path)
+    check_file(path)
+    if is_archive(path):
+        packed = Archive(path)
+        return FolderSource(path, packed.files, fps or FOLDER_FPS, start, stop, packed.read)
+    if path.suffix.lower() in images.SUFFIXES and not images.is_animated(path):
+        return FolderSource(path, [path], fps or FOLDER_FPS, start, stop)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for image folders only")
     return VideoSource(path, start, stop)
-
-
-def _check_file(path: Path) -> None:
-    """Raise InputError for what can be told without looking for a video in it."""
-    try:
-        str(path).encode()
-        if not path.exists():
-            hint = "a pipe cannot be read, save the clip to a file" if str(path) == "-" else "check the name"
-            raise InputError(f"{path}: no such file or folder; {hint}")
-        if not path.is_file():
-            raise InputError(f"{path}: neither a file nor a folder; save the clip to a file")
-        with path.open("rb") as file:
-            if not file.read(1):
-                raise InputError(f"{path}: the file is empty; {_AGAIN}")
-        if is_playlist(path):
-            raise InputError(f"{path}: a playlist, which names other files; give the videos that it names")
-    except UnicodeEncodeError:  # OpenCV would end the process over it
-        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
-    except OSError as error:
-        raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
-    if path.suffix.lower() in images.SUFFIXES:
-        raise InputError(f"{path}: a single image; give a video or the folder that holds the frames")
-
-
-def _why_not(path: Path) -> InputError:
-    """Why a file gave no frame."""
-    try:
-        video, audio, messages = ffmpeg.contents(path)
-    except (OSError, RuntimeError):
-        return InputError(f"{path}: no video that can be decoded; convert it to MP4 (H.264)")
-    # ffmpeg guesses MP4 from the name alone, so that any text called .mp4 lacks its moov
-    video = video.replace("ansi", "")
-    if "moov atom not found" in messages and "low score" not in messages:
-        why = f"the index of this MP4 (moov) is missing, its recording or download was cut off; {_AGAIN}"
-    elif video and not ffmpeg.ending(path)[-1]:
-        why = "the video cannot be decoded; convert it to MP4 (H.264)"
-    elif audio and not video:
-        why = "holds sound but no video; give a video"
-    elif video or ffmpeg.container(path) in ("mp4", "avi", "matroska"):
-        why = f"cut short or damaged before its first frame; {_AGAIN}"
-    else:
-        why = "not a video; give a video file or a folder of images"
-    return InputError(f"{path}: {why}")

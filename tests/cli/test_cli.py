@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from facetrack_cli import __version__
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app as cli
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError, RecipeError
-from facetrack_cli.recipe.files import shipped_recipes
+from facetrack_cli.recipe.files import TAKE, TASKS, default_recipe, shipped_recipes
 from tests.support.terminal import read_all
 
 HEAVY = {"numpy", "cv2", "numba", "pydantic", "rich", "imageio", "imageio_ffmpeg", "ruamel"}
@@ -222,6 +223,12 @@ def test_schema_is_json(capsys):
     assert json.loads(capsys.readouterr().out)["title"] == "Recipe"
 
 
+def test_every_shipped_recipe_has_one_task():
+    listed = [name for names in TASKS.values() for name in names]
+    assert sorted(listed) == sorted(path.stem for path in shipped_recipes())
+    assert {default_recipe(box=False), default_recipe(box=True)} <= {*TAKE}
+
+
 @pytest.mark.skipif(os.name == "nt", reason="needs a pseudo-terminal")
 def test_on_a_terminal_there_are_a_table_and_colours():
     def seen(*arguments, **environment):
@@ -238,7 +245,10 @@ def test_on_a_terminal_there_are_a_table_and_colours():
         return said
 
     table = seen("recipes")
-    assert "particles" in table and "\x1b[1m" in table and "\t" not in table
+    assert "a face and its features" in table and "\x1b[1m" in table and "\t" not in table
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", table)
+    marked = [line.split()[1] for line in plain.splitlines() if line.startswith("-> ") and "is the one" not in line]
+    assert marked == [*TAKE] == ["face", "correlation_filter", "head_hands", "adaptive_recognition"]
     assert "\x1b[" in seen("recipes", "show", "sir")
     assert "\x1b[" not in seen("recipes", "show", "sir", NO_COLOR="1")
 

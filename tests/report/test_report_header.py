@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,6 +13,7 @@ from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.command_line import command, recipe_yaml
+from facetrack_cli.report.text import _trust, calibrated
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import joined
@@ -68,3 +70,18 @@ def test_folders_are_repeated_at_their_rate_and_init_files_from_their_frame(exis
     assert words[words.index("--config") + 1] == "my own.yaml"
     (tmp_path / "x.init.yaml").write_text("frame: 4\nbox: [1, 2, 3, 4]\n")
     assert "--init-frame" not in shlex.split(command(read_header(table), 30))
+
+
+def test_a_confidence_is_called_a_probability_only_where_it_is_one():
+    def header(recipe):
+        return SimpleNamespace(recipe=recipe)
+
+    known, unknown = {"confidence": {"calibration": "a.json"}}, {"confidence": {"calibration": None}}
+    assert calibrated(header(known)) and not calibrated(header(unknown)) and not calibrated(header({}))
+    assert calibrated(header({"targets": {"a": known, "b": None}}))
+    assert not calibrated(header({"targets": {"a": known, "b": unknown}}))
+    assert (
+        _trust(True, 0.98) == "By its calibrated confidence 98.0\u00a0% of the rows that are not called lost are right."
+    )
+    assert "is doubtful: look at the key frames" in _trust(True, 0.4)
+    assert "not how often the place is right" in _trust(False, 0.87)

@@ -277,11 +277,6 @@ def test_cover_picture_of_a_tune_is_no_video(tmp_path: Path) -> None:
     assert "sound but no video" in refusal(path)
 
 
-def test_single_picture_asks_for_the_folder(tmp_path: Path) -> None:
-    folder = media.write_pictures(tmp_path / "frames", 2)
-    assert "folder" in refusal(folder / "0.png")
-
-
 def test_unreadable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = media.write_video(tmp_path / "clip.mp4", frames=3)
 

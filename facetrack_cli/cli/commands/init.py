@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,8 @@ from facetrack_cli.core.errors import ExitCode, InputError, OutputError
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box, Frame, Start
     from facetrack_cli.recipe.model import Recipe
+    from facetrack_cli.runs.progress import Progress
+    from facetrack_cli.video.source import Source
 
 
 class Init:
@@ -103,6 +106,7 @@ class Init:
 
     def _start(self) -> tuple[Start, Frame]:
         """The start, and its frame."""
+        from facetrack_cli.runs.progress import progress
         from facetrack_cli.tracking.start import PARTS, box_start, name_targets, search_start
         from facetrack_cli.tracking.start.detectors import detector
         from facetrack_cli.video.source import open_source
@@ -115,9 +119,11 @@ class Init:
                 start = name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
             return start
 
-        with open_source(self.clip, start=first) as source:
+        with open_source(self.clip, start=first) as source, progress(self.out == "-") as shown:
             if self.box is None:
-                start = search_start(iter(source), points, detector=detector(), clip=clip, complete=complete)
+                shown.begin(f"{self.clip.name}: looking for a face")
+                frames = _told(source, shown)
+                start = search_start(frames, points, detector=detector(), clip=clip, complete=complete)
             else:
                 frame = next(iter(source), None)
                 if frame is None:
@@ -175,6 +181,13 @@ class Init:
         if self.path is None and session.saved is not None:
             write_init(sys.stdout, session.saved, clip=self.clip.name)
         return ExitCode.DONE
+
+
+def _told(source: Source, shown: Progress) -> Iterator[Frame]:
+    """The frames of a source; how far it is, is shown."""
+    for done, frame in enumerate(source):
+        shown.update(done, source.frames_hint)
+        yield frame
 
 
 def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:

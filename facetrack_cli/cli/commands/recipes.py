@@ -15,8 +15,8 @@ def command(ctx: click.Context) -> None:
     """List, show and check the recipes of trackers.
 
     A recipe is a YAML file that says what is tracked, how it moves, how it looks, and by which filter. Without a
-    subcommand, the shipped ones are listed: on a terminal as a table, otherwise as lines of name, particles and
-    description with tabs between them.
+    subcommand, the shipped ones are listed: on a terminal by task, with a mark at those to take, otherwise as lines of
+    name, particles and description with tabs between them.
 
     \b
     Examples:
@@ -99,22 +99,29 @@ def schema() -> None:
 
 
 def _list() -> None:
-    from facetrack_cli.recipe.files import shipped_recipes
+    from facetrack_cli.recipe.files import TAKE, TASKS, shipped_recipes
     from facetrack_cli.recipe.load import load_recipe
 
-    recipes = [load_recipe(str(path)) for path in shipped_recipes()]
-    rows = [(one.name, str(one.particles or "-"), " ".join(one.description.split())) for one in recipes]
+    loaded = {one.name: one for one in (load_recipe(str(path)) for path in shipped_recipes())}
+
+    def row(name: str) -> tuple[str, str, str]:
+        return name, str(loaded[name].particles or "-"), " ".join(loaded[name].description.split())
+
     if not sys.stdout.isatty():
-        for row in rows:
-            click.echo("\t".join(row))
+        for name in loaded:
+            click.echo("\t".join(row(name)))
         return
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("recipe", no_wrap=True, style="bold")
-    table.add_column("particles", justify="right", no_wrap=True)
-    table.add_column("description")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
+    console = Console()
+    for task, names in TASKS.items():
+        console.print(f"[bold]{task}[/bold]")
+        group = Table(box=None, pad_edge=False, show_header=False)
+        group.add_column(width=2)
+        group.add_column(no_wrap=True, style="bold")
+        group.add_column()
+        for name in names:
+            group.add_row("->" if name in TAKE else "", name, row(name)[2])
+        console.print(group)
+    console.print("-> is the one to take; facetrack suggest CLIP tries those that fit on your clip")

@@ -1,0 +1,152 @@
+"""Which recipe a clip asks for, without ground truth: recipes are tried on its first seconds and ranked.
+
+A track that is right comes back where it began if the frames are tracked backwards from its end (forward-backward
+error: Kalal, Mikolajczyk & Matas, "Forward-Backward Error: Automatic Detection of Tracking Failures", ICPR 2010; here
+of whole tracks, as overlap of boxes). Beside it counts the share of frames in which the recipe calls its target lost.
+The log evidence of a recipe is shown and does not count: its constant is the recipe's own.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from itertools import islice
+from typing import Any, Final
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, TargetStart
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.start import Begin, completed, frames_of
+from facetrack_cli.tracking.build.build import tracker_for
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.trajectory.diagnostics import EVIDENCE
+
+FACE: Final = ("face", "correlation_filter", "skin_ncc_robust", "adaptive_robust")
+ANY: Final = ("correlation_filter", "skin_ncc_robust", "adaptive_robust")
+NO_SKIN: Final = "likelihood.skin=null"  # of skin_ncc_robust where a clip is grey
+FRAMES: Final = 100
+MOST_BYTES: Final = 512 << 20  # of the frames that are kept
+GREY: Final = 3.0  # mean difference of colour channels, in grey levels, below which a clip is grey
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a recipe made of the piece. `agreement` is the mean overlap of the tracks forwards and backwards, 0..1."""
+
+    recipe: str
+    agreement: float
+    lost: float
+    confidence: float
+    evidence: float
+    ms: float
+
+    @property
+    def score(self) -> float:
+        """Agreement, times the share of frames in which it is tracked."""
+        return self.agreement * (1 - self.lost)
+
+
+@dataclass(frozen=True)
+class _Track:
+    """The first target's box in each frame (T, 4), whether it is lost (T,), and what else a trial shows."""
+
+    boxes: Array
+    lost: Mask
+    confidence: float
+    evidence: float
+    points: dict[str, tuple[float, float]]
+    seconds: float
+
+
+def piece(begin: Begin, start: Start, most: int = FRAMES) -> list[Frame]:
+    """The first frames from a start on, as many as `MOST_BYTES` hold."""
+    with begin.open(start.frame) as source:
+        most = max(2, min(most, MOST_BYTES // (3 * source.size[0] * source.size[1])))
+        frames = list(islice(frames_of(source, start.frame, start.origin), most))
+    if len(frames) < 2:
+        raise InputError(f"{begin.clip}: a single frame says nothing about recipes; give a longer clip")
+    return frames
+
+
+def is_grey(frame: Frame) -> bool:
+    image = frame.bgr.astype(np.int16)
+    return float(np.ptp(image, axis=2).mean()) < GREY
+
+
+def suggest(
+    recipes: Sequence[tuple[str, Recipe]],
+    frames: Sequence[Frame],
+    start: Start,
+    clip: str,
+    report: Callable[[str, int], None] = lambda recipe, done: None,
+) -> list[Trial]:
+    """The trials of `recipes` on `frames`, the best first; a recipe that cannot begin here is left out."""
+    found: list[Trial] = []
+    for name, recipe in recipes:
+        report(name, len(found))
+        try:
+            own = completed(recipe, start, lambda: frames[0], clip)
+            forwards = _tracked(recipe, own, frames)
+        except InputError:
+            continue
+        found.append(_trial(name, recipe, own, frames, forwards))
+    if not found:
+        raise InputError(f"{clip}: no recipe can begin here; give --box X,Y,W,H around a face, a head or a thing")
+    return sorted(found, key=lambda one: (-one.score, one.ms))
+
+
+def _trial(name: str, recipe: Recipe, start: Start, frames: Sequence[Frame], forwards: _Track) -> Trial:
+    there = np.flatnonzero(~forwards.lost & np.isfinite(forwards.boxes).all(axis=1))
+    last = int(there[-1]) if there.size else 0
+    agreement = 0.0
+    if last:
+        back = [Frame(i, i / 25, frames[last - i].bgr) for i in range(last + 1)]
+        target, given = next(iter(start.targets.items()))
+        x, y, w, h = forwards.boxes[last].tolist()
+        begun = TargetStart((x, y, w, h), forwards.points if given.points else {})
+        try:
+            backwards = _tracked(recipe, Start(0, {target: begun}, start.origin), back).boxes[::-1]
+            overlaps = np.nan_to_num(iou(forwards.boxes[: last + 1], backwards))
+            agreement = float(overlaps.mean())
+        except InputError:  # where it ended a track cannot begin
+            agreement = 0.0
+    ms = 1000 * forwards.seconds / (len(frames) - 1)
+    return Trial(name, agreement, float(forwards.lost.mean()), forwards.confidence, forwards.evidence, ms)
+
+
+def _tracked(recipe: Recipe, start: Start, frames: Sequence[Frame]) -> _Track:
+    """Track the first target; its points in the last frame in which it was there are kept."""
+    boxes, lost, sure, nats = [], [], [], 0.0
+    points: dict[str, tuple[float, float]] = {}
+    target = next(iter(start.targets))
+    began, seconds = 0.0, 0.0
+    tracker = tracker_for(recipe, start, frames[0].size)
+    for result in track(tracker, iter(frames), recipe.seed):
+        seconds = time.perf_counter() - began if began else 0.0
+        began = began or time.perf_counter()  # what is compiled for the first frame does not count
+        rows = next(one.rows for one in result.targets if one.rows.target == target)
+        names = [rows.names[i][1] for i in rows.which.tolist()]
+        k = names.index(BOX) if BOX in names else 0
+        boxes.append(rows.boxes[k])
+        lost.append(bool(rows.status[k] == "lost"))
+        sure.append(rows.confidence[k])
+        if target in rows.diagnostics:
+            nats += float(np.nansum(rows.diagnostics[target].get(EVIDENCE.name)))
+        if not lost[-1]:
+            points = {name: (float(rows.x[i]), float(rows.y[i])) for i, name in enumerate(names) if i != k}
+    known = np.array(sure, float)
+    confidence = float(np.nanmean(known)) if np.isfinite(known).any() else float("nan")
+    return _Track(np.array(boxes), np.array(lost), confidence, nats / len(frames), points, seconds)
+
+
+def as_json(clip: str, frames: Sequence[Frame], trials: Sequence[Trial], command: str) -> dict[str, Any]:
+    """What --json prints; figures to four decimals, null where there is none."""
+    rows = []
+    for one in trials:
+        row = {**asdict(one), "score": one.score}
+        rows.append({k: v if isinstance(v, str) else round(v, 4) if np.isfinite(v) else None for k, v in row.items()})
+    return {"clip": clip, "first": frames[0].index, "frames": len(frames), "trials": rows, "command": command}
