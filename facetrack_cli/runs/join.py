@@ -129,11 +129,13 @@ def join(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda done, t
 
     Raises InputError if no piece has rows. Once `stop` says so nothing is written.
     """
-    assert job.out is not None
+    assert job.out is not None and job.split is not None
     plan, done = read_plan(job.out / PIECES / FILE)[1], Outcome(job.clip)
     found, began = _Survey(job, plan), time.perf_counter()
     last = found.parts[-1].stop
-    more = {"pieces": found.pieces, **({"seams": [seam.record() for seam in found.seams]} if found.seams else {})}
+    more: dict[str, object] = {"split": job.split.record(), "pieces": found.pieces}
+    if found.seams:
+        more["seams"] = [seam.record() for seam in found.seams]
 
     def written() -> Iterator[Trajectory]:
         for part in found.parts:

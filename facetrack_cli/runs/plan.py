@@ -39,6 +39,9 @@ class Split(NamedTuple):
     frames: bool
     starts: Starts
 
+    def record(self) -> dict[str, str]:
+        return {"length": f"{self.length:.15g}{'f' if self.frames else 's'}", "starts": self.starts}
+
 
 @dataclass(frozen=True)
 class Piece:

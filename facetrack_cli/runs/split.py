@@ -96,7 +96,7 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
     of_pieces = asked(replace(job, formats=(), video=False, strict=False))
     told = [of_pieces, clip and (clip.bytes, clip.changed_ns)]
     key = hashlib.sha256(dumps(told).encode()).hexdigest()
-    if path.is_file():
+    if clip is not None and path.is_file():
         with suppress(InputError):
             known, plan = read_plan(path)
             if known == key:
@@ -118,7 +118,7 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
     plan = Plan(start, (*cuts[:-1], (cuts[-1][0], job.stop)), stamps)
     make_folder(path.parent)
     plan.write(path, key)
-    return plan
+    return read_plan(path)[1]  # as whoever comes next has it
 
 
 def _check_detector(job: Job, start: Start) -> None:
