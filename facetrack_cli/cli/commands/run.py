@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import click
 
-from facetrack_cli.cli import options
+from facetrack_cli.cli import options, pieces
 from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
-from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, OutputError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, OutputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
@@ -37,23 +37,6 @@ def _shard(value: str) -> tuple[int, int]:
     if int(which) > int(of):
         raise click.BadParameter(f"{value!r}: of {of} jobs the last is {of}/{of}")
     return int(which), int(of)
-
-
-def _split(value: str) -> tuple[float, bool]:
-    """A length in s, or in frames, and whether it is the latter."""
-    number, unit = value[:-1], value[-1:].lower()
-    if unit not in _UNITS:
-        raise click.BadParameter(f"{value!r}: give a unit, as in 10m, 90s, 1h, or 5000f for frames")
-    try:
-        length = float(number) * _UNITS[unit]
-    except ValueError:
-        length = 0.0
-    if not 0 < length < 1e9:
-        raise click.BadParameter(f"{value!r}: is no length of a piece; give one as 10m, 90s, 1h or 5000f")
-    return length, unit == "f"
-
-
-_UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "f": 1.0}
 
 
 def _formats(value: str) -> tuple[Format, ...]:
@@ -138,7 +121,7 @@ class Run:
     )
     split: tuple[float, bool] | None = option(
         "--split LENGTH", "Track one long clip in pieces of 10m, 90s, 1h or 5000f (frames), see docs/pipelines.md.",
-        type=_split,
+        type=pieces.length,
     )  # fmt: skip
     starts: Literal["detect", "init"] | None = option(
         "--starts HOW",
@@ -206,33 +189,19 @@ class Run:
             ]
             after = self._smooth if self.smooth else None
             if split is not None:
-                code = _pieces(jobs[0], workers, ending, shown, self.shard or (1, 1))
+                code = pieces.run_split(jobs[0], workers, ending, shown, self.shard or (1, 1), _report)
             else:
                 code = _several(jobs, workers, ending, shown, after) if several else _one(jobs[0], ending, shown, after)
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
 
     def _check_split(self, clips: int) -> Split | None:
-        from facetrack_cli.runs.plan import Split
-
-        if self.split is None:
-            if self.starts is not None:
-                raise UsageError("--starts says where the pieces of --split begin; give that too")
-            return None
-        if self.starts is None:
-            raise UsageError(
-                "--split needs to know where its pieces begin: give --starts detect, which looks for the face, or "
-                "--starts init, which takes the corrections in the init file"
-            )
         given = {"--smooth": self.smooth, "--keep-posterior": self.keep_posterior, "--lag": self.lag}
-        if unfit := [name for name, value in given.items() if value]:
-            raise UsageError(f"{unfit[0]} goes over the whole clip, --split cuts it in pieces; give one of them")
-        if clips > 1:
-            raise UsageError(f"--split cuts one clip, and {clips} are given; split one at a time")
-        if self.out == "-":
+        unfit = next((name for name, value in given.items() if value), "")
+        if self.split is not None and self.out == "-":
             raise UsageError("--split keeps its pieces in a folder; name one with --out")
-        if self.overwrite and self.shard is not None:
+        if self.split is not None and self.overwrite and self.shard is not None:
             raise UsageError("--overwrite would replace what the other shards did; remove the folder before them")
-        return Split(*self.split, self.starts)
+        return pieces.check_split(self.split, self.starts, clips, unfit)
 
     def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
         from facetrack_cli.runs.posterior import check_smoothing
@@ -307,30 +276,6 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
         after(outcome, stop, shown)
         shown.close()
     return stop.code or (ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE)
-
-
-def _pieces(job: Job, workers: int, stop: Stop, shown: Progress, shard: tuple[int, int]) -> ExitCode:
-    """Track the pieces of a clip and join them. A piece that fails does not stop the others."""
-    from facetrack_cli.runs.split import run_pieces
-
-    last = None
-    for piece, outcome in run_pieces(job, workers, stop, shown, shard):
-        if not piece:
-            last = outcome
-        elif outcome.error is not None:
-            shown.say(f"facetrack: warning: {piece}: {outcome.error}")
-        elif outcome.again is None and outcome.frames:
-            shown.say(outcome.summary())
-    shown.close()
-    if last is None:
-        return stop.code or ExitCode.DONE
-    _report(last, shown)
-    if last.error is not None and last.frames:
-        shown.error(f"facetrack: error: {last.error}")
-        return stop.code or (ExitCode.INPUT if isinstance(last.error, InputError) else ExitCode.BATCH)
-    if last.error is not None:
-        raise last.error
-    return stop.code or (ExitCode.LOST if last.lost_at_end else ExitCode.DONE)
 
 
 def _several(jobs: list[Job], workers: int, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
