@@ -70,7 +70,10 @@ def command(header: Header, last: int, folder: Path | None = None) -> str:
     init file.
     """
     words = ["facetrack", "run", header.source.path, *_recipe_words(header), "--seed", str(header.seed)]
-    words += [*_init_words(header.init, folder), "--stop", str(last + 1), *_rate_words(header.source), "-o", "again"]
+    words += [*_init_words(header.init, folder), "--stop", str(last + 1), *_rate_words(header.source)]
+    if header.split is not None:
+        words += ["--split", header.split.length, "--starts", header.split.starts]
+    words += ["-o", "again"]
     return shlex.join(words)
 
 

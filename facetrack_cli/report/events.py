@@ -10,9 +10,10 @@ import numpy as np
 
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array
+from facetrack_cli.trajectory.header import SeamHeader
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-Kind: TypeAlias = Literal["start", "corrected", "lost", "back", "worst", "end"]
+Kind: TypeAlias = Literal["start", "corrected", "seam", "lost", "back", "worst", "end"]
 """Why a frame is shown, in the order in which the reasons of one frame stand."""
 MOST_FRAMES: Final = 12
 _OF_EPISODES: Final = 2 / 3  # of the frames beside start, worst and end, where there are too many events
@@ -87,11 +88,12 @@ class PartHistory:
 
 
 class Event(NamedTuple):
-    """Why a frame is shown: the spans that begin or end in it, or its correction."""
+    """Why a frame is shown: the spans that begin or end in it, its correction, or the pieces that meet in it."""
 
     kind: Kind
     spans: tuple[LostSpan, ...] = ()
     corrected: CorrectedFrame | None = None
+    seam: SeamHeader | None = None
 
 
 class KeyFrame(NamedTuple):
@@ -101,13 +103,16 @@ class KeyFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class RunHistory:
-    """A whole run: its parts, the `episodes` in which any is lost, the frame of the lowest mean confidence."""
+    """A whole run: its parts, the `episodes` in which any is lost, the frame of the lowest mean confidence, and the
+    `seams` of one that was tracked in pieces.
+    """
 
     parts: tuple[PartHistory, ...]
     episodes: tuple[Stretch, ...]
     frames_lost: int
     worst: int | None
     corrections: tuple[CorrectedFrame, ...]
+    seams: tuple[SeamHeader, ...] = ()
 
     @property
     def spans(self) -> list[LostSpan]:
@@ -128,11 +133,12 @@ class RunHistory:
                 if frame is not None:
                     before = found.get((frame, kind), Event(kind))
                     found[frame, kind] = Event(kind, (*before.spans, span))
+        found |= {(one.frame, "seam"): Event("seam", seam=one) for one in self.seams if not one.agrees}
         return found | {(one.frame, "corrected"): Event("corrected", corrected=one) for one in self.corrections}
 
 
-def history_of(table: Trajectory, clock: Clock) -> RunHistory:
-    """What happened, from the rows of a trajectory."""
+def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = ()) -> RunHistory:
+    """What happened, from the rows of a trajectory; `seams` are where pieces of its clip meet."""
     several = len(table.targets) > 1
     parts = tuple(_part(one, one.name if several else one.part, clock) for one in table.parts)
     place = np.searchsorted(clock.frames, table.frame)
@@ -150,7 +156,7 @@ def history_of(table: Trajectory, clock: Clock) -> RunHistory:
             given, absent = corrected.setdefault(int(one.frame[at]), ([], []))
             (absent if one.status[at] == "absent" else given).append(part.name)
     fixes = tuple(CorrectedFrame(at, tuple(given), tuple(absent)) for at, (given, absent) in sorted(corrected.items()))
-    return RunHistory(parts, episodes, int(any_lost.sum()), worst, fixes)
+    return RunHistory(parts, episodes, int(any_lost.sum()), worst, fixes, seams)
 
 
 def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:

@@ -75,7 +75,7 @@ def make_report(
     table = read_trajectory(trajectory_of(run))
     header = read_header(table)
     clock = Clock(table, header.source.fps)
-    history = history_of(table, clock)
+    history = history_of(table, clock, header.seams)
     pairs, measured = ([], None) if truth is None else _measured(table, header, truth)
     title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
     first, last = int(clock.frames[0]), int(clock.frames[-1])

@@ -81,6 +81,10 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     sure = table.confidence[np.isfinite(table.confidence) & (table.status != "lost")]
     if sure.size:
         found.append(_trust(calibrated(header), float(sure.mean())))
+    if history.seams:
+        differ = sum(not seam.agrees for seam in history.seams)
+        those = f"{differ or 'none'} of the {count(len(history.seams), 'place')} where they meet"
+        found.append(f"It was tracked in pieces, which differ at {those}.")
     if history.corrections:
         found.append(f"It was corrected by hand in {count(len(history.corrections), 'frame')}.")
     if missing := [part for part in history.parts if part.frames_absent]:
@@ -142,6 +146,10 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
                 given, absent = event.corrected[1:] if event.corrected else ((), ())
                 gone = f"{_are(absent, 5)} absent" if absent else ""
                 return "Corrected by hand", "; ".join(filter(None, (names(given, 5), gone)))
+            case "seam":
+                share = None if event.seam is None else event.seam.agreement
+                agree = f"they agree in {percent(share)} of the frames that both have"
+                return "Two pieces differ", "none of the frames is in both" if share is None else agree
             case "lost":
                 lost = [f"{s.name} (confidence {number(confidence.get(s.name))})" for s in event.spans]
                 return "Lost", names(lost, 5)

@@ -63,7 +63,8 @@ def asked(job: Job) -> str:
     given = _digest(init) if isinstance(init, Path) else to_record(init) if isinstance(init, Start) else init
     settings = [given, job.box, job.init_frame, job.faces, job.start, job.stop]
     options = [str(job.fps), job.lag, job.posterior, job.formats, job.video, job.strict]
-    return hashlib.sha256(dumps([__version__, _of_recipe(job.recipe), settings, options]).encode()).hexdigest()
+    pieces = [job.split, job.piece and [job.piece.correction]] if job.split or job.piece else []
+    return hashlib.sha256(dumps([__version__, _of_recipe(job.recipe), settings, options, *pieces]).encode()).hexdigest()
 
 
 def _of_recipe(recipe: Recipe) -> str:
@@ -93,8 +94,9 @@ def _stamp(path: Path) -> _Stamp:
 class Fingerprint:
     """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked; `clip` is the clip without."""
 
-    def __init__(self, clip: Path) -> None:
-        self.clip, self._found, self._stopped = looked_at(clip), "", False
+    def __init__(self, clip: Path, *, whole: bool = True) -> None:
+        """`whole`: whether it is computed; the clip of a piece is the same for all."""
+        self.clip, self._found, self._stopped = looked_at(clip), "", not whole
 
         def compute() -> None:
             self._found = _digest(clip, lambda: self._stopped)

@@ -11,12 +11,13 @@ from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.runs import pipeline
 from facetrack_cli.runs.checkpoint import Run, forget
 from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended
+from facetrack_cli.runs.join import join
 from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.runs.verdict import Watch
 from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.corrected import revived
+from facetrack_cli.tracking.corrected import resumed_at, revived
 from facetrack_cli.tracking.loop import Standing, track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
@@ -25,6 +26,7 @@ from facetrack_cli.trajectory.writers import Footer
 
 def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
     """Track one clip into its files; raises, and leaves no file, if nothing was tracked. `stop` is asked each frame.
+    Of one that is split the pieces, which are there, are joined.
 
     An error after the first frame is in the outcome, beside what was kept. What the folder holds of the same job is
     left as it is if it was not cut short by an error, a signal or a kill; else the clip is tracked again.
@@ -37,7 +39,7 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
     with Outputs(job) as outputs:
         if (known := ended(job)) is not None:  # meanwhile, by another process
             return known
-        return track_clip(job, outputs, stop, report)
+        return (track_clip if job.split is None else join)(job, outputs, stop, report)
 
 
 def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
@@ -69,6 +71,9 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         return done
     done.note = start.note
     at, first, resumed = Standing(), start.frame, outputs.resume(start)
+    begins = None if job.piece is None else job.piece.correction
+    if begins is not None:
+        first = begins
     if resumed is not None:
         first, notes, at = resumed.frame, resumed.notes, resumed.at
         done.frames, done.lost, done.evidence = resumed.frames, dict(resumed.lost), dict(resumed.evidence)
@@ -78,6 +83,8 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         source.strict = job.strict
         check_lag(job, source)
         tracker = tracker_for(job.recipe, start, source.size)
+        if begins is not None and resumed is None:
+            tracker = resumed_at(tracker, job.frame(start.frame))
         at.states = revived(tracker, at.states, job.frame)
         try:
 

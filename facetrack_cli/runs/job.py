@@ -16,6 +16,7 @@ from facetrack_cli.core.files import check_folder
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.again import previous
 from facetrack_cli.runs.failures import code_of, is_failure
+from facetrack_cli.runs.plan import Split
 from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
@@ -38,7 +39,7 @@ class Job(Begin):
     `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
     whether a clip that is damaged is an error, of which what was tracked is kept. `resume`: whether a run that was
     ended goes on from its last checkpoint. `batch`: whether a clip that fails has a run.json that says so; it is not
-    tried again then, but with `retry_failed`.
+    tried again then, but with `retry_failed`. `split`: that it is tracked in pieces, of which the rows are joined.
     """
 
     recipe: Recipe
@@ -54,6 +55,7 @@ class Job(Begin):
     resume: bool = True
     batch: bool = False
     retry_failed: bool = False
+    split: Split | None = None
 
 
 @dataclass

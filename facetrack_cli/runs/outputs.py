@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import cv2
@@ -133,10 +134,12 @@ class Outputs:
                 return
         self._checkpoints.mark(run(tables, posterior), sync)
 
-    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
-        """Write the headers and start the encoder; `rows` are those of the first frame that is tracked now."""
-        header = _header(self._job, source, start, rows)
-        self._fingerprint = Fingerprint(self._job.clip)
+    def begin(self, source: Source, start: Start, rows: Trajectory, more: Header = MappingProxyType({})) -> None:
+        """Write the headers, with `more` in them, and start the encoder; `rows` are those of the first frame that is
+        tracked now.
+        """
+        header = {**_header(self._job, source, start, rows), **more}
+        self._fingerprint = Fingerprint(self._job.clip, whole=self._job.piece is None)
         if self._lock is not None:
             self._run = self._run.model_copy(update={"clip": self._fingerprint.clip})
             before = 0 if self._after is None else self._after.run.frames
@@ -267,7 +270,7 @@ class Memory(Outputs):
         self._collected = Collector()
         return self
 
-    def begin(self, source: Source, start: Start, rows: Trajectory) -> None:
+    def begin(self, source: Source, start: Start, rows: Trajectory, more: Header = MappingProxyType({})) -> None:
         self._header = {"schema": SCHEMA, "version": VERSION, **_header(self._job, source, start, rows)}
 
     def write(self, rows: Trajectory) -> None:

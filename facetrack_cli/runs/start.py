@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -13,12 +14,14 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.plan import Piece
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.start import box_start, check_start, find_init, name_targets, read_init, search_start
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.tracking.start.search import Faces
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, by_frame
-from facetrack_cli.video.source import Source, open_source
+from facetrack_cli.video.seek import open_sought
+from facetrack_cli.video.source import Source
 
 FAR: Final = 0.5  # overlap of the boxes below which a region does not count as found
 
@@ -30,6 +33,7 @@ class Begin:
     `init` is an init file, a start, or the detector that looks for a face whatever lies beside the clip; None: see
     `find`. `faces` says whether it takes the best face, or all that are there.
     `init_frame` is the frame of the init file or box, or the first to look for a face in.
+    `piece`: that it is one of a clip, whose frames are sought, and in which a face is looked for up to its end.
     """
 
     clip: Path
@@ -41,9 +45,11 @@ class Begin:
     start: int = 0
     stop: int | None = None
     fps: Fraction | None = None
+    piece: Piece | None = None
 
     def open(self, first: int = 0) -> Source:
-        return open_source(self.clip, fps=self.fps, start=first, stop=self.stop)
+        stamps = None if self.piece is None else self.piece.stamps
+        return open_sought(self.clip, stamps, fps=self.fps, start=first, stop=self.stop)
 
     def find(self, recipe: Recipe, truth: Trajectory | None = None, stopped: Callable[[], bool] = never) -> Start:
         """Where a recipe begins: the box or init file given, the init file beside the clip, else the ground truth.
@@ -73,13 +79,18 @@ class Begin:
         if start is not None:
             return completed(recipe, replace(start, frame=at), lambda: self.frame(at, origin), str(self.clip))
         with self.open(at) as source:
-            try:
-                by = next((name for name in DETECTORS if name == self.init), None)
-                return search(recipe, frames_of(source, at, origin, stopped), str(self.clip), by=by, faces=self.faces)
-            except InputError:
-                if stopped():
-                    raise InputError(f"{self.clip}: stopped before a start was found") from None
-                raise
+            by = next((name for name in DETECTORS if name == self.init), None)
+            frames = frames_of(source, at, origin, stopped)
+            while True:
+                try:
+                    return search(recipe, frames, str(self.clip), by=by, faces=self.faces)
+                except InputError:
+                    if stopped():
+                        raise InputError(f"{self.clip}: stopped before a start was found") from None
+                    further = None if self.piece is None else next(frames, None)
+                    if further is None:
+                        raise
+                    frames = chain([further], frames)
 
     def origin(self, start: Start | None) -> str:
         """What says in which frame to begin."""

@@ -115,6 +115,23 @@ class InitHeader(StartRecord):
         return self.start_from(self.origin)
 
 
+class SplitHeader(BaseModel):
+    """How a clip was cut into pieces, as --split and --starts take it."""
+
+    model_config = ConfigDict(frozen=True)
+    length: str
+    starts: str
+
+
+class SeamHeader(BaseModel):
+    """Where two pieces of a clip meet: the first frame of the later one's rows, the share of frames that agree."""
+
+    model_config = ConfigDict(frozen=True)
+    frame: FrameNumber
+    agreement: float | None
+    agrees: bool
+
+
 class Header(BaseModel):
     """The JSON around the frames; what only its end says is None where a file of lines was cut off."""
 
@@ -124,6 +141,8 @@ class Header(BaseModel):
     recipe: dict[str, Any]
     seed: int
     init: InitHeader
+    split: SplitHeader | None = None
+    seams: tuple[SeamHeader, ...] = ()
     complete: bool | None = None
     stopped: str | None = None
     variable_fps: bool | None = None

@@ -185,9 +185,13 @@ class Trajectory:
 
     @property
     def corrected(self) -> Mask:
-        """(R,) rows of a part that corrections gave; in a CSV `init` after the first row, or where `absent` begins."""
+        """(R,) rows of a part that corrections gave; in a CSV `init` after the first row, or where `absent` begins.
+
+        What begins where pieces of a clip meet, as the header says, was not corrected.
+        """
         absent = self.status == "absent"
-        shown = (self.status == "init") | (absent & ~np.concatenate([absent[:1], absent[:-1]]))
+        shown = (self.status == "init") & ~np.isin(self.frame, _seams(self.header))
+        shown |= absent & ~np.concatenate([absent[:1], absent[:-1]])
         found: Mask = self.by_hand | (shown & (np.arange(len(self)) > 0))
         return found
 
@@ -206,6 +210,13 @@ class Trajectory:
 
 
 _ARRAYS = tuple(f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask")))
+
+
+def _seams(header: Mapping[str, Any]) -> list[int]:
+    """The frames in which pieces of a clip meet."""
+    seams = header.get("seams")
+    frames = [one.get("frame") for one in seams if isinstance(one, dict)] if isinstance(seams, list) else []
+    return [frame for frame in frames if isinstance(frame, int)]
 
 
 def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: Any) -> Trajectory:

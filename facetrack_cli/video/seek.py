@@ -21,7 +21,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.video.images import UnreadableError
-from facetrack_cli.video.source import Capture, FolderSource, open_source
+from facetrack_cli.video.source import Capture, FolderSource, Source, VideoSource, open_source
 from facetrack_cli.video.stamps import Stamps, read_stamps
 
 CACHE_BYTES = 256 << 20  # of decoded frames, the neighbours of those that were asked for
@@ -232,22 +232,16 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         # without a claimed number OpenCV does not seek, and loses what it needs to decode onward
         if stamps is None or self._claimed < 2:
             return None
-        lead = _LANDS + 2 + math.ceil(max(stamps.positions[0], 0) * float(self.fps))
-        last = min(index, len(stamps.times) - 1)
-        place = int(np.searchsorted(stamps.keys, last - lead, side="right")) - 1 - further
+        place = _key_before(stamps, index, further, float(self.fps))
         if place < 0 or stamps.keys[place] <= max(SHORT, beyond):
             return None
-        key, entry = int(stamps.keys[place]), float(stamps.entries[place])
         self.jumps += 1
         cursor = self._spare(fresh=False)
-        ahead = math.ceil(entry * cursor.rate - 1e-6) if stamps.indexed else math.floor(entry * cursor.rate) - 1
-        grabbed = cursor.seek(max(ahead, 0) + _LANDS)
-        at = int(np.searchsorted(stamps.positions, cursor.position))
-        self.decoded += max(at - key, 0) + 1
-        if not grabbed or at > index:
+        at = _land(cursor, stamps, place)
+        self.decoded += max(at - cursor.key, 0) + 1
+        if at < 0 or at > index:
             self._drop(cursor)
             raise _LostError
-        cursor.key = key
         if at == len(stamps.times) or stamps.positions[at] != cursor.position:
             self._distrust()
             raise _LostError
@@ -322,3 +316,51 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         self._recent.clear()
         for cursor in [c for c in self._cursors if c.key or self._careful]:
             self._drop(cursor)
+
+
+def _key_before(stamps: Stamps, index: int, further: int, fps: float) -> int:
+    """Which key to seek to for a frame, so many keys `further` before; negative where there is none."""
+    lead = _LANDS + 2 + math.ceil(max(stamps.positions[0], 0) * fps)
+    last = min(index, len(stamps.times) - 1)
+    return int(np.searchsorted(stamps.keys, last - lead, side="right")) - 1 - further
+
+
+def _land(cursor: Capture, stamps: Stamps, place: int) -> int:
+    """Seek to a key; the number of the frame that is arrived at, by its time. Negative if none is."""
+    entry = float(stamps.entries[place])
+    ahead = math.ceil(entry * cursor.rate - 1e-6) if stamps.indexed else math.floor(entry * cursor.rate) - 1
+    grabbed = cursor.seek(max(ahead, 0) + _LANDS)
+    cursor.key = int(stamps.keys[place])
+    return int(np.searchsorted(stamps.positions, cursor.position)) if grabbed else -1
+
+
+def open_sought(
+    path: Path, stamps: Stamps | None, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None
+) -> Source:
+    """As `open_source`, but what comes before `start` is not decoded where the stamps allow to seek it.
+
+    Frames and times are the same. Iterating raises InputError at a frame whose time is not that of its stamp.
+    """
+    source = open_source(path, fps=fps, start=start, stop=stop)
+    if stamps is not None and isinstance(source, VideoSource):
+
+        def approach(capture: Capture, index: int) -> bool:
+            return any(_approached(capture, stamps, index, further) for further in _OTHER_KEYS)
+
+        source.approach, source.positions = approach, stamps.positions
+    return source
+
+
+def _approached(capture: Capture, stamps: Stamps, index: int, further: int) -> bool:
+    """Bring a capture to a frame by a jump, if each frame after that has the time of its stamp."""
+    place = _key_before(stamps, index, further, capture.rate)
+    if capture.claimed is None or capture.claimed < 2 or place < 0 or stamps.keys[place] <= SHORT:
+        return False
+    at = _land(capture, stamps, place)
+    if not 0 <= at <= index < len(stamps.times) or stamps.positions[at] != capture.position:
+        return False
+    capture.next, capture.origin, capture.time = at + 1, float(stamps.positions[0]), float(stamps.times[at])
+    while capture.next <= index:
+        if not capture.grab() or stamps.positions[capture.next - 1] != capture.position:
+            return False
+    return True

@@ -31,7 +31,7 @@ os.environ.setdefault("OPENCV_FFMPEG_READ_ATTEMPTS", "1000000000")
 import cv2
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.types import Frame, Image
+from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.video import decoder_log, ffmpeg, images
 from facetrack_cli.video.archive import Archive, is_archive
 from facetrack_cli.video.checksums import broken_clusters
@@ -42,6 +42,7 @@ if os.environ["OPENCV_LOG_LEVEL"] == "SILENT":  # where OpenCV was loaded before
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 FOLDER_FPS = Fraction(25)
+_ANEW = "convert the clip, or track it in one piece"
 _PLACES = 6  # of errors that are named
 _MOST_NAMED = 1000  # errors that are kept
 _THREADS = 8  # of the decoder at most: each holds frames
@@ -190,6 +191,9 @@ class VideoSource(Source):
         self._capture = capture
         self._length = _length(path)
         self._lock = threading.Lock()
+        # brings the capture to the first frame that is wanted, where that may be sought; and the position of each frame
+        self.approach: Callable[[Capture, int], bool] | None = None
+        self.positions: Array | None = None
 
     def close(self) -> None:
         with self._lock:  # the capture must not be released while it is at work
@@ -197,18 +201,25 @@ class VideoSource(Source):
             self._capture.release()
 
     def _frames(self) -> Iterator[Frame]:
-        capture, start, stop = self._capture, self._start, self._stop
-        shape, index, time = (self.size[1], self.size[0], 3), 0, 0.0
+        start, stop = self._start, self._stop
+        shape, first, time = (self.size[1], self.size[0], 3), 0, 0.0
+        with self._lock:
+            if not self._closed and self._sought():
+                first = start
+        index, capture = first, self._capture
         while stop is None or index < stop:
             image = None  # free the last one before the next is decoded
             with self._lock:
                 if self._closed:
                     return
-                if index > 0 and not capture.grab():
+                if index > first and not capture.grab():
                     break
                 image = capture.image() if index >= start else None
+            known = self.positions if first else None
+            if known is not None and (index >= len(known) or known[index] != capture.position):
+                raise InputError(f"{self.path}: frame {index} is not there at the time that its packet says; {_ANEW}")
             step, time = capture.time - time, capture.time
-            if index > 0 and abs(step - capture.period) > _JITTER_S:
+            if index > first and abs(step - capture.period) > _JITTER_S:
                 self.variable = True
             if index >= start:
                 if image is None or image.shape != shape:
@@ -225,6 +236,18 @@ class VideoSource(Source):
             raise self._past_end(index)
         self.variable = bool(self.variable)
         self._judge(index, time)
+
+    def _sought(self) -> bool:
+        """Whether the capture is at the first frame that is wanted, without decoding all before it."""
+        if self.approach is None or self.positions is None or self._start == 0:
+            return False
+        if self.approach(self._capture, self._start):
+            self._capture.damage.clear()  # what is said of frames that lack those before them
+            return True
+        self._capture.release()
+        self._capture = Capture(self.path)
+        self._capture.grab()
+        return False
 
     def _judge(self, frames: int, last_s: float) -> None:
         """Say so if frames are missing after the last one that was decoded, or are not what the clip showed."""

@@ -488,3 +488,37 @@ def test_a_cache_keeps_to_its_bytes() -> None:
     assert recent.get(6) == "large" and recent.get(5) is None and recent.bytes == 50
     recent.clear()
     assert recent.get(6) is None and recent.bytes == 0
+
+
+@pytest.mark.parametrize("name", CLIPS)
+def test_a_source_that_seeks_its_first_frame_gives_what_decoding_in_order_gives(folder, name):
+    path, frames = made(folder, name)
+    found = stamps.read_stamps(path, threading.Event())
+    assert found is not None or not CLIPS[name][1]
+    sought = 0
+    for start in sorted({1, 18, 45, 46, len(frames) - 20, len(frames) - 1}):
+        with seek.open_sought(path, found, start=start, stop=start + 9) as source:
+            expected = frames[start : start + 9]
+            got = list(source)
+            assert len(got) == len(expected)
+            for one, other in zip(got, expected, strict=True):
+                check(one, other)
+            sought += source._capture.key > 0
+    assert sought or not CLIPS[name][1]
+
+
+def test_a_frame_that_is_not_where_its_packet_says_is_an_error(folder):
+    path, frames = made(folder, "b_frames.mp4")
+    found = stamps.read_stamps(path, threading.Event())
+    assert found is not None
+    positions = found.positions.copy()
+    positions[80] += 0.01
+    moved = replace(found, positions=positions)
+    with seek.open_sought(path, moved, start=75) as source:
+        got = iter(source)
+        check(next(got), frames[75])
+        with pytest.raises(InputError, match="frame 80 is not there at the time that its packet says"):
+            list(got)
+    # what differs on the way is decoded from the start
+    with seek.open_sought(path, moved, start=85) as source:
+        check(next(iter(source)), frames[85])

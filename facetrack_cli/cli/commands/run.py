@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import click
 
-from facetrack_cli.cli import options
+from facetrack_cli.cli import options, pieces
 from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
 from facetrack_cli.core.errors import ExitCode, FacetrackError, OutputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
     from facetrack_cli.runs.job import Job, Outcome
+    from facetrack_cli.runs.plan import Split
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.writers import Format
@@ -75,6 +76,7 @@ class Run:
       facetrack run frames/ --fps 25 -o - | head
       facetrack run clips/ -j 4 --no-video -o results
       facetrack run @list.txt --shard 3/20 -o results
+      facetrack run day.mp4 --split 10m --starts detect -j 8 -o day
 
     \b
     Exit codes: 0 done (also if a clip was cut short or is damaged: a warning
@@ -119,6 +121,15 @@ class Run:
     shard: tuple[int, int] | None = option(
         "--shard I/N", "Track every N-th clip alone, from the I-th on: one of N jobs.", type=_shard
     )
+    split: tuple[float, bool] | None = option(
+        "--split LENGTH", "Track one long clip in pieces of 10m, 90s, 1h or 5000f (frames), see docs/pipelines.md.",
+        type=pieces.length,
+    )  # fmt: skip
+    starts: Literal["detect", "init"] | None = option(
+        "--starts HOW",
+        "Where pieces begin: `detect` looks for the face, `init` takes corrections in the init file.",
+        type=click.Choice(["detect", "init"]), default=None, show_default=False,
+    )  # fmt: skip
     retry_failed: bool = flag("--retry-failed", "Try clips again that have failed before.")
     cluster: str | None = option(
         "--cluster WHERE", "Workers of Dask: local:N, tcp://HOST:PORT, or a scheduler file; see docs/pipelines.md."
@@ -150,14 +161,15 @@ class Run:
                 f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
                 "give likelihood.contour or likelihood.histogram too, or leave the option out"
             )
-        several = several or self.shard is not None
+        split = self._check_split(len(given))
+        several = several or (self.shard is not None and split is None)
         places, formats = self._places(given, several, variant_name(recipe.name, self.set))
         self._check_smoothing(recipe, formats)
         if several and self.out:
             write_batch(Path(self.out), recipe.name, given, [folder.name for folder in places if folder])
-        first, step = self.shard or (1, 1)
+        first, step = (1, 1) if split else self.shard or (1, 1)
         clips, places = given[first - 1 :: step], places[first - 1 :: step]
-        workers = max(1, min(self.jobs, len(clips)))
+        workers = self.jobs if split else max(1, min(self.jobs, len(clips)))
         with Stop().listening() as ending, progress(self.quiet) as shown:
             cache.tell(shown.hint)
             jobs = [
@@ -176,13 +188,16 @@ class Run:
                     resume=not self.no_resume,
                     batch=several,
                     retry_failed=self.retry_failed,
+                    split=split,
                     threads=self.threads or max(1, cores() // workers),
                     **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
                 )
                 for clip, folder in zip(clips, places, strict=True)
             ]
             after = self._smooth if self.smooth else None
-            if self.cluster is not None:
+            if split is not None:
+                code = pieces.run_split(jobs[0], workers, ending, shown, self.shard or (1, 1), _report)
+            elif self.cluster is not None:
                 code = _several(jobs, self._on_cluster(self.cluster), ending, shown, self._smooth_left)
             elif several:
                 code = _several(jobs, partial(run_batch, workers=workers), ending, shown, after)
@@ -197,6 +212,8 @@ class Run:
             raise UsageError("-o - streams one clip from this machine; name a folder, or leave --cluster out")
         if self.jobs > 1:
             raise UsageError("--cluster has workers of its own, -j those of this machine; give one of them")
+        if self.split is not None:
+            raise UsageError("--split tracks its pieces with -j or --shard; leave --cluster out")
         check_cluster(where)
 
     def _on_cluster(self, where: str) -> Batch:
@@ -209,6 +226,15 @@ class Run:
         """Smooth what an earlier batch tracked, and did not smooth: workers smooth what they track."""
         if self.smooth and outcome.again is not None and not outcome.again.smoothed:
             self._smooth(outcome, stop, shown)
+
+    def _check_split(self, clips: int) -> Split | None:
+        given = {"--smooth": self.smooth, "--keep-posterior": self.keep_posterior, "--lag": self.lag}
+        unfit = next((name for name, value in given.items() if value), "")
+        if self.split is not None and self.out == "-":
+            raise UsageError("--split keeps its pieces in a folder; name one with --out")
+        if self.split is not None and self.overwrite and self.shard is not None:
+            raise UsageError("--overwrite would replace what the other shards did; remove the folder before them")
+        return pieces.check_split(self.split, self.starts, clips, unfit)
 
     def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
         from facetrack_cli.runs.posterior import check_smoothing

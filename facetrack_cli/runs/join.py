@@ -1,0 +1,206 @@
+"""The rows of a clip from those of its pieces, which are read one after the other: memory is that of two of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError
+from facetrack_cli.core.types import Frame
+from facetrack_cli.runs import pipeline
+from facetrack_cli.runs.job import Job, Outcome, Report
+from facetrack_cli.runs.outputs import Outputs
+from facetrack_cli.runs.plan import FILE, Plan, read_plan
+from facetrack_cli.runs.seams import Seam, meet, renamed
+from facetrack_cli.runs.signals import Stop, StoppedError
+from facetrack_cli.trajectory.manifest import read_manifest
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
+from facetrack_cli.trajectory.writers import Footer, footer_of
+
+PIECES: Final = "pieces"
+TABLE: Final = "trajectory.json"
+
+
+def folder_of(out: Path, piece: int) -> Path:
+    return out / PIECES / f"{piece:05d}"
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What is taken of one piece: frames [first, stop), its targets under other `names`, those `marked` begin there."""
+
+    table: Path
+    first: int
+    stop: int
+    names: Mapping[str, str]
+    marked: frozenset[str]
+
+    def rows(self) -> Trajectory:
+        rows = renamed(read_trajectory(self.table), self.names).between(self.first, self.stop)
+        marked = [i for i, (target, _) in enumerate(rows.names) if target in self.marked]
+        begins = (rows.frame == self.first) & np.isin(rows.which, marked) & (rows.status == "tracked")
+        return replace(rows, status=np.where(begins, "init", rows.status))
+
+
+class _Survey:
+    """What the pieces hold, and how each meets the one before."""
+
+    def __init__(self, job: Job, plan: Plan) -> None:
+        assert job.out is not None and job.split is not None
+        self.parts: list[_Part] = []
+        self.pieces: list[dict[str, object]] = []
+        self.seams: list[Seam] = []
+        self.failed: list[str] = []
+        self.complete, self.variable = True, None if plan.cuts[-1][1] else False
+        self._clip, self._why = str(job.clip), ""
+        self._warnings: dict[str, None] = {}
+        self._about: list[str] = []
+        matched, taken = job.faces == "all" and not job.recipe.followed, set[str]()
+        end, before = plan.start.frame, None
+        for i, (first, _) in enumerate(plan.cuts):
+            folder = folder_of(job.out, i)
+            rows = self._read(folder, first)
+            if rows is None:
+                continue
+            begins = int(rows.frames[0])
+            names, marked = {name: name for name in rows.targets}, frozenset[str]()
+            if before is not None and job.split.starts == "detect":
+                seam, names, marked = meet(before, rows, taken, matched=matched)
+                begins = seam.frame
+                if not seam.agrees:
+                    marked = frozenset(names.values())
+                self.seams.append(seam)
+                self.parts[-1] = replace(self.parts[-1], stop=min(self.parts[-1].stop, begins))
+                self._say(seam)
+            self._gap(end if not self.parts else self.parts[-1].stop, begins)
+            end = int(rows.frames[-1]) + 1
+            self.parts.append(_Part(folder / TABLE, begins, end, names, marked))
+            taken |= {*names.values()}
+            # what a piece after one that failed may still have in common
+            before = renamed(rows.between(plan.cuts[min(i + 1, len(plan.cuts) - 1)][0], end), names)
+        if not self.parts:
+            raise InputError(f"{self._clip}: no piece has rows: {self._why}")
+        if self.pieces[-1]["frames"] == 0:
+            self._gap(end, plan.cuts[-1][1])
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return (*self._warnings, *self._about)
+
+    def _read(self, folder: Path, first: int) -> Trajectory | None:
+        """The rows of a piece; None if it has none, which is said."""
+        known, name = read_manifest(folder), f"{PIECES}/{folder.name}"
+        why = "was not tracked" if known is None else known.error or known.stopped
+        if known is None or (why is not None and (known.files or known.exit_code != ExitCode.INPUT)):
+            self.failed.append(f"{name}: {why}")
+        if known is None or not known.files:
+            self.complete, self._why = False, str(why)
+            self.pieces.append({"first": first, "frames": 0, "error": why})
+            return None
+        rows = read_trajectory(folder / TABLE)
+        self.pieces.append({"first": int(rows.frames[0]), "frames": len(rows.frames)})
+        self._warnings |= dict.fromkeys(rows.header.get("warnings", ()))
+        self.complete &= bool(rows.header.get("complete")) and why is None
+        self.variable = self.variable or rows.header.get("variable_fps")
+        return rows
+
+    def _say(self, seam: Seam) -> None:
+        if seam.agreement is not None and not seam.agrees:
+            share = f"they agree in {100 * seam.agreement:.0f} % of the frames that both have"
+            self._about.append(f"{self._clip}: two pieces differ where they meet at frame {seam.frame}: {share}")
+
+    def _gap(self, end: int, begins: int | None) -> None:
+        if begins is not None and end >= begins:
+            return
+        self.complete = False
+        until = "on" if begins is None else f"to {begins - 1}"
+        why, self._why = f" ({self._why})" if self._why else "", ""
+        self._about.append(f"{self._clip}: no rows of frames {end} {until}{why}")
+
+
+def join(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
+    """Join the pieces of a clip, which are there, into `outputs`. A piece that failed leaves a gap, which is said.
+
+    Raises InputError if no piece has rows. Once `stop` says so nothing is written.
+    """
+    assert job.out is not None and job.split is not None
+    plan, done = read_plan(job.out / PIECES / FILE)[1], Outcome(job.clip)
+    found, began = _Survey(job, plan), time.perf_counter()
+    last = found.parts[-1].stop
+    more: dict[str, object] = {"split": job.split.record(), "pieces": found.pieces}
+    if found.seams:
+        more["seams"] = [seam.record() for seam in found.seams]
+
+    def written() -> Iterator[Trajectory]:
+        for part in found.parts:
+            rows = part.rows()
+            if not done.frames:
+                declared = {name: rows.header[name] for name in ("diagnostics",) if name in rows.header}
+                outputs.begin(source, plan.start, rows, {**declared, **more})
+            if stop():
+                raise StoppedError
+            outputs.write(rows)
+            _count(done, rows)
+            report(done.frames, None)
+            yield rows
+
+    def shown(frames: Iterator[Frame]) -> Iterator[FrameResult]:
+        chunk = next(chunks)
+        for frame in frames:
+            while frame.index > chunk.frames[-1] and (following := next(chunks, None)) is not None:
+                chunk = following
+            yield FrameResult(frame, recorded(frame.index, chunk.at(frame.index)))
+
+    with replace(job, stop=last).open(plan.start.frame) as source:
+        chunks = written()
+        try:
+            if job.video:
+                frames, paint = iter(source), outputs.paint
+                pipeline.run(frames, shown, lambda _: None, paint, threaded=job.threads > 1, stopped=stop)
+            for _ in chunks:
+                pass
+        except StoppedError:
+            pass
+        if stop():
+            return Outcome(job.clip, stopped=stop.reason)
+        error = None if not found.failed else FacetrackError(f"{job.clip}: {found.failed[0]}{_more(found.failed)}")
+        footer = Footer(
+            complete=found.complete,
+            stopped=None if error is None else str(error),
+            warnings=found.warnings,
+            lost_frames=done.lost,
+            variable_fps=found.variable,
+            evidence=done.evidence,
+        )
+        footer = outputs.close(footer, done)
+    if job.strict and not found.complete:
+        error = error or InputError(found.warnings[-1])
+    done.error = error or outputs.missing
+    done.files, done.note = outputs.written, plan.start.note
+    done.warnings = tuple(line for line in footer.warnings if line != str(done.error))
+    done.frames_per_s = (done.frames - 1) / max(time.perf_counter() - began, 1e-9)
+    done.complete = footer.complete and error is None
+    return done
+
+
+def _more(failed: Sequence[str]) -> str:
+    again = "the same command with --retry-failed tries again"
+    return f"; {again}" if len(failed) == 1 else f" (and {len(failed) - 1} more pieces failed); {again}"
+
+
+def _count(done: Outcome, rows: Trajectory) -> None:
+    """Take in the rows of some frames more."""
+    said = footer_of(rows)
+    done.frames += len(rows.frames)
+    for name, frames in said.lost_frames.items():
+        done.lost[name] = done.lost.get(name, 0) + frames
+    for target, nats in said.evidence.items():
+        done.evidence[target] = done.evidence.get(target, 0.0) + nats
+    now = rows.at(int(rows.frames[-1]))
+    done.lost_at_end = tuple("/".join(now.names[i]) for i in now.which[now.status == "lost"].tolist())

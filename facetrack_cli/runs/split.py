@@ -1,0 +1,167 @@
+"""One long clip in pieces that are tracked side by side, by one process or several, and joined once all are done."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from itertools import chain
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.core.files import make_folder
+from facetrack_cli.core.numbers import dumps
+from facetrack_cli.core.types import Array, Start
+from facetrack_cli.recipe.face import DETECTORS
+from facetrack_cli.runs.again import asked, looked_at
+from facetrack_cli.runs.batch import check_all, run_batch
+from facetrack_cli.runs.job import Job, Outcome, check, ended
+from facetrack_cli.runs.join import PIECES, folder_of
+from facetrack_cli.runs.plan import FILE, Piece, Plan, cut_by_corrections, cut_by_length, read_plan
+from facetrack_cli.runs.progress import Progress
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.tracking.start.haar import check_parts
+from facetrack_cli.video.source import FolderSource
+from facetrack_cli.video.stamps import Stamps, read_stamps
+
+
+def run_pieces(
+    job: Job, workers: int, stop: Stop, progress: Progress, shard: tuple[int, int] = (1, 1)
+) -> Iterator[tuple[str, Outcome]]:
+    """Track the pieces of a clip that are not done yet, `workers` at a time; each is yielded as it ends, with its name,
+    the clip last, with "".
+
+    Of `shard` (I, N) every N-th piece, from the I-th on; the clip is joined by whoever finds all pieces ended. Raises
+    UsageError where it cannot be split, OutputError where the pieces of another split are in its folder.
+    """
+    if (known := ended(job)) is not None:
+        yield "", known
+        return
+    plan = _planned(job, stop, progress)
+    pieces = pieces_of(job, plan)
+    decided, left = check_all(pieces[shard[0] - 1 :: shard[1]])
+    for outcome in chain(decided, run_batch(left, min(workers, len(left)), stop, progress)):
+        yield PIECES, outcome
+    if stop():
+        return
+    over = [ended(replace(one, overwrite=False, retry_failed=False)) is not None for one in pieces]
+    waiting = over.count(False) if shard[1] > 1 else 0
+    if waiting:
+        progress.say(f"{job.clip}: {waiting} of {len(pieces)} pieces are not done; who ends the last one joins them")
+        return
+    for outcome in run_batch([job], 1, stop, progress):
+        yield "", outcome
+
+
+def pieces_of(job: Job, plan: Plan) -> list[Job]:
+    """What is asked of each piece."""
+    assert job.out is not None and job.split is not None
+    by = next((name for name in DETECTORS if name in (job.init, plan.start.origin)), None)
+    by = by or next(name for name in DETECTORS if name == detector().name)
+    found = []
+    for i, (first, stop) in enumerate(plan.cuts):
+        begins = first if i and job.split.starts == "init" else None
+        search = i > 0 and begins is None
+        found.append(
+            replace(
+                job,
+                out=folder_of(job.out, i),
+                init=by if search else plan.start,
+                box=None,
+                init_frame=None,
+                start=first if search else plan.start.frame,
+                stop=stop,
+                piece=Piece(job.out / PIECES / FILE, begins),
+                split=None,
+                formats=("json",),
+                video=False,
+                strict=False,
+                batch=True,
+            )
+        )
+    return found
+
+
+def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
+    """How the clip is cut: as the file beside its pieces says, which is written if there is none."""
+    assert job.out is not None and job.split is not None
+    check(job)
+    path, clip = job.out / PIECES / FILE, looked_at(job.clip)
+    # the pieces are the same whatever is made of them
+    of_pieces = asked(replace(job, formats=(), video=False, strict=False))
+    told = [of_pieces, clip and (clip.bytes, clip.changed_ns)]
+    key = hashlib.sha256(dumps(told).encode()).hexdigest()
+    if clip is not None and path.is_file():
+        with suppress(InputError):
+            known, plan = read_plan(path)
+            if known == key:
+                return plan
+        if not job.overwrite:
+            other = "holds pieces of another --split, recipe, start or clip"
+            raise OutputError(f"{path.parent}: {other}; replace them with --overwrite, or name another --out")
+        shutil.rmtree(path.parent, ignore_errors=True)
+    progress.begin(f"{job.clip.name}: looking where it can be cut")
+    start = job.find(job.recipe, stopped=stop)
+    if job.split.starts == "detect":
+        _check_detector(job, start)
+    times, stamps = _frames(job, start, stop, progress)
+    if job.split.starts == "detect":
+        keys = () if stamps is None else stamps.keys
+        cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
+    else:
+        cuts = cut_by_corrections(job.recipe, start, times, job.split, str(job.clip))
+    plan = Plan(start, (*cuts[:-1], (cuts[-1][0], job.stop)), stamps)
+    make_folder(path.parent)
+    plan.write(path, key)
+    return read_plan(path)[1]  # as whoever comes next has it
+
+
+def _check_detector(job: Job, start: Start) -> None:
+    """UsageError where a detector cannot begin what the clip's start begins."""
+    fix = "correct the run with facetrack fix and take --starts init, or leave --split out"
+    if start.corrections:
+        raise UsageError(f"{start.origin}: has corrections, which --starts detect does not follow; take --starts init")
+    if not job.recipe.points and not job.recipe.followed and start.origin not in DETECTORS:
+        what = f"{job.recipe.name} follows what is in the box of {start.origin}"
+        raise UsageError(f"{job.clip}: {what}, which no detector finds again; begin with --init haar, {fix}")
+    if len(start.targets) > 1 and not job.recipe.followed and job.faces != "all":
+        raise UsageError(f"{start.origin}: has {len(start.targets)} targets, and the search takes one; add --faces all")
+    try:
+        check_parts(job.recipe.points)
+    except InputError as e:
+        raise UsageError(f"{job.clip}: --starts detect: {e}; {fix}") from None
+
+
+def _frames(job: Job, start: Start, stop: Stop, progress: Progress) -> tuple[Array, Stamps | None]:
+    """The times (T,) of the clip's frames up to --stop, in s, and its stamps, if there are any to trust."""
+    with job.open(start.frame) as source:
+        claimed = None if source.frames_hint is None else start.frame + source.frames_hint
+        count, fps = len(source.files) if isinstance(source, FolderSource) else claimed, float(source.fps)
+    stamps = None
+    if not isinstance(source, FolderSource):
+        with suppress(OSError, RuntimeError, ValueError):  # no ffmpeg program, or stopped
+            stamps = read_stamps(job.clip, _Asked(stop))
+        if stop():
+            raise InputError(f"{job.clip}: stopped before it was cut")
+        if stamps is not None:
+            return stamps.times[: job.stop], stamps
+        progress.say(f"{job.clip}: its frames cannot be sought: every piece decodes the clip from its start")
+    if count is None:
+        raise UsageError(f"{job.clip}: does not say how long it is; convert it to MP4, or leave --split out")
+    return np.arange(count)[: job.stop] / fps, None
+
+
+class _Asked(threading.Event):
+    """An event that is set once somebody wishes to stop."""
+
+    def __init__(self, stop: Stop) -> None:
+        super().__init__()
+        self._stop = stop
+
+    def is_set(self) -> bool:
+        return self._stop()

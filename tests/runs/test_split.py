@@ -1,0 +1,272 @@
+"""One clip tracked in pieces: where it is cut, what becomes of each piece, and the rows that are joined of them."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.types import Correction, Start, TargetStart
+from facetrack_cli.report.events import Clock, history_of, key_frames
+from facetrack_cli.report.make import make_report
+from facetrack_cli.runs import batch
+from facetrack_cli.runs.plan import OVERLAP_S, Plan, Split, cut_by_length, read_plan
+from facetrack_cli.tracking.start.init_file import write_init
+from facetrack_cli.trajectory.header import read_header
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.video.source import open_source
+from facetrack_cli.video.stamps import Stamps
+from tests.support import media
+from tests.support.samples import FOLDER as SAMPLES
+
+CLIP = SAMPLES / "expressions.mp4"  # 275 frames
+HIDDEN = range(105, 180)  # frames of dark.mp4 that show nothing
+SMALL = 0.625  # of its size, so that faces are found sooner
+POINTS = {
+    "nose": (159.0 * SMALL, 141.0 * SMALL),
+    "mouth_left": (138.5 * SMALL, 153.6 * SMALL),
+    "mouth_right": (180.0 * SMALL, 154.4 * SMALL),
+    "lip_upper": (159.0 * SMALL, 153.6 * SMALL),
+    "lip_lower": (159.0 * SMALL, 168.6 * SMALL),
+}
+SPLIT = ("--config", "factorized", "--init", "haar", "--split", "75f", "--starts", "detect")
+# at 5 frames/s pieces overlap by 25 frames
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """expressions.mp4 at 5 frames/s, so that it lasts for 55 s, and the same with a dark stretch."""
+    folder = tmp_path_factory.mktemp("clips")
+    slow, dark = f"scale={320 * SMALL}:-1,setpts=5*PTS", f"drawbox=t=fill:color=black:enable='{_dark()}'"
+    filters = {"slow.mp4": slow, "dark.mp4": f"{slow},{dark}"}
+    for name, text in filters.items():
+        options = ("-r", "5", "-c:v", "libx264", "-preset", "veryfast", "-g", "20", "-bf", "2")
+        media.ffmpeg("-i", CLIP, "-vf", text, *options, folder / name)
+    return folder
+
+
+def _dark():
+    return f"between(n,{HIDDEN[0]},{HIDDEN[-1]})"
+
+
+def lines(folder):
+    return (folder / "trajectory.csv").read_text().splitlines()
+
+
+def frames_of(folder):
+    return [line for line in (folder / "trajectory.json").read_text().splitlines() if line.startswith('{"frame":')]
+
+
+def test_pieces_are_tracked_and_joined(facetrack, clips, tmp_path):
+    assert facetrack("run", "IN/slow.mp4", *SPLIT[:4], "--no-video", "-o", "whole")[0] == 0
+    code, _, err = facetrack("run", "IN/slow.mp4", *SPLIT, "--no-video", "-o", "out")
+    assert code == 0, err
+    out, work = tmp_path / "work/out", tmp_path / "work"
+    header = json.loads((out / "trajectory.json").read_text())
+    assert [piece["first"] for piece in header["pieces"]] == [0, 60, 120, 180]
+    seams = header["seams"]
+    assert [seam["agrees"] for seam in seams] == [True] * 3
+    assert [seam["frame"] for seam in seams] == [72, 132, 192]  # the middle of the frames that both have
+    assert header["complete"] and header["frames_tracked"] == 275
+    assert header["split"] == {"length": "75f", "starts": "detect"}
+    # the rows are those of the pieces, the first of which is as the whole run
+    rows = frames_of(out)
+    assert len(rows) == 275
+    assert [line.rstrip(",") for line in rows[:72]] == [line.rstrip(",") for line in frames_of(work / "whole")[:72]]
+    for piece, (first, stop) in enumerate([(0, 72), (72, 132), (132, 192), (192, 275)]):
+        there = {line.rstrip(",") for line in frames_of(out / "pieces" / f"{piece:05d}")}
+        assert {line.rstrip(",") for line in rows[first:stop]} <= there
+    whole, joined = read_trajectory(work / "whole"), read_trajectory(out)
+    assert np.array_equal(whole.frame, joined.frame)
+    assert np.array_equal(whole.time_s, joined.time_s)
+    assert np.hypot(whole.x - joined.x, whole.y - joined.y).mean() < 2.5
+    # and again
+    code, _, err = facetrack("run", "IN/slow.mp4", *SPLIT, "--no-video", "-o", "out")
+    assert code == 0
+    assert "done before" in err
+
+
+def test_shards_share_the_pieces_and_the_last_joins_them(facetrack, clips, tmp_path):
+    command = ("run", "IN/slow.mp4", *SPLIT, "--stop", "200", "-o", "out")
+    code, _, err = facetrack(*command, "--shard", "1/2")
+    assert code == 0
+    assert "1 of 3 pieces are not done; who ends the last one joins them" in err
+    work = tmp_path / "work"
+    assert not (work / "out/run.json").exists()
+    assert facetrack(*command, "--shard", "2/2")[0] == 0
+    assert facetrack(*command[:-1], "alone", "-j", "2")[0] == 0
+    assert lines(work / "out") == lines(work / "alone")
+    assert frames_of(work / "out") == frames_of(work / "alone")
+    for name in ("out", "alone"):  # the video shows all frames of the run
+        with open_source(work / name / "annotated.mp4") as source:
+            assert sum(1 for _ in source) == 200
+
+
+def test_corrections_are_exact_cuts(facetrack, clips, tmp_path, monkeypatch):
+    start = Start(0, {"face": TargetStart(points=POINTS)}, "x")
+    corrected = [Correction(frame, "face", TargetStart(points=POINTS)) for frame in (60, 77, 140, 200)]
+    partly = Correction(101, "face", TargetStart(points={"nose": POINTS["nose"]}))
+    hidden = Correction(170, "face", absent=True)
+    start = replace(start, corrections=tuple(sorted([*corrected, partly, hidden], key=lambda one: one.frame)))
+    write_init(tmp_path / "c.yaml", start)
+    common = ("run", "IN/slow.mp4", "--config", "factorized", "--init", tmp_path / "c.yaml", "--no-video", "-o")
+    assert facetrack(*common, "whole")[0] == 0
+    code, _, err = facetrack(*common, "out", "--split", "75f", "--starts", "init")
+    assert code == 0, err
+    work = tmp_path / "work"
+    header = json.loads((work / "out/trajectory.json").read_text())
+    # the nearest to 75 frames on, then to 75 after that; what is corrected in part is no cut
+    assert [piece["first"] for piece in header["pieces"]] == [0, 77, 140, 200]
+    assert "seams" not in header
+    assert (work / "out/trajectory.csv").read_bytes() == (work / "whole/trajectory.csv").read_bytes()
+    assert frames_of(work / "out") == frames_of(work / "whole")
+    whole = json.loads((work / "whole/trajectory.json").read_text())
+    for key in ("init", "complete", "lost_frames", "variable_fps", "source_sha256", "warnings", "recipe"):
+        assert header[key] == whole[key], key
+    assert header["evidence"] == pytest.approx(whole["evidence"], abs=0.02)
+
+
+def test_targets_that_exclude_each_other_are_cut_where_all_are_corrected(facetrack, clips, tmp_path):
+    boxes = {"head": (135.0, 44.0, 50.0, 50.0), "left_hand": (82, 138, 48, 57), "right_hand": (188, 130, 50, 60)}
+    both = [Correction(12, name, TargetStart(box=box)) for name, box in boxes.items()]
+    alone = Correction(8, "head", TargetStart(box=boxes["head"]))
+    targets = {name: TargetStart(box=box) for name, box in boxes.items()}
+    write_init(tmp_path / "c.yaml", Start(0, targets, "x", (alone, *both)))
+    at = ("run", SAMPLES / "signing.mp4", "--config", "head_hands", "--init", tmp_path / "c.yaml", "--stop", "18")
+    few = ("--set", "targets.head.filter.particles=60", "--no-video", "-o")
+    assert facetrack(*at, *few, "whole")[0] == 0
+    assert facetrack(*at, *few, "out", "--split", "9f", "--starts", "init")[0] == 0
+    work = tmp_path / "work"
+    assert [piece["first"] for piece in json.loads((work / "out/trajectory.json").read_text())["pieces"]] == [0, 12]
+    assert lines(work / "out") == lines(work / "whole")
+
+
+def test_what_no_piece_found_is_missing_and_said(facetrack, clips, tmp_path):
+    command = ("run", "IN/dark.mp4", *SPLIT, "-o", "out")
+    code, _, err = facetrack(*command)
+    assert code == 0, err
+    out = tmp_path / "work/out"
+    header = json.loads((out / "trajectory.json").read_text())
+    assert not header["complete"]
+    assert header["pieces"][2]["first"] in range(HIDDEN[-1] + 1, HIDDEN[-1] + 8)  # it was looked for until then
+    seam = header["seams"][1]
+    table = read_trajectory(out)
+    first = header["pieces"][2]["first"]
+    assert seam["frame"] == first or (not seam["agrees"] and seam["frame"] > first)
+    assert (table.at(seam["frame"]).status == "init").all()
+    assert any("two pieces differ" in line or "no rows of frames" in line for line in header["warnings"])
+    assert all(line in err for line in header["warnings"])
+    # the report has the place as an event, and does not call it corrected
+    history = history_of(table, Clock(table, 5.0), read_header(table).seams)
+    assert history.corrections == ()
+    assert any(event.kind == "seam" for key in key_frames(history, 0, 274) for event in key.events)
+    page = make_report(out).html.decode()
+    assert "Two pieces differ" in page
+    assert "--split 75f --starts detect" in page
+    with open_source(out / "annotated.mp4") as source:
+        assert sum(1 for _ in source) == 275
+
+
+def test_a_piece_without_a_face_is_a_gap(facetrack, clips, tmp_path):
+    media.ffmpeg("-i", clips / "dark.mp4", "-vf", "drawbox=t=fill:color=black:enable='gte(n,105)'", tmp_path / "e.mp4")
+    code, _, err = facetrack("run", tmp_path / "e.mp4", *SPLIT, "--no-video", "-o", "out")
+    assert code == 0, err
+    out = tmp_path / "work/out"
+    header = json.loads((out / "trajectory.json").read_text())
+    assert [piece["frames"] > 0 for piece in header["pieces"]] == [True, True, False]
+    [said] = [line for line in header["warnings"] if "no rows of frames" in line]
+    assert "on (" in said
+    assert "no face found" in said
+    assert not header["complete"]
+    assert "done before" in facetrack("run", tmp_path / "e.mp4", *SPLIT, "--no-video", "-o", "out")[2]
+
+
+def test_a_piece_that_fails_does_not_stop_the_others(facetrack, clips, tmp_path, monkeypatch):
+    run = batch.run
+
+    def breaking(job, *others):
+        if job.out.name == "00001":
+            raise FacetrackError("a fuse blew")
+        return run(job, *others)
+
+    command = ("run", "IN/slow.mp4", *SPLIT, "--stop", "200", "--no-video", "-o", "out")
+    with monkeypatch.context() as patch:
+        patch.setattr(batch, "run", breaking)
+        code, _, err = facetrack(*command)
+    assert code == 5
+    assert "pieces/00001: " in err
+    header = json.loads((tmp_path / "work/out/trajectory.json").read_text())
+    assert not header["complete"]
+    assert header["frames_tracked"] < 200
+    code, _, err = facetrack(*command, "--retry-failed")
+    assert code == 0, err
+    assert json.loads((tmp_path / "work/out/trajectory.json").read_text())["frames_tracked"] == 200
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--split", "30"), "give a unit"),
+        (("--split", "m"), "is no length"),
+        (("--split", "10m"), "give --starts detect"),
+        (("--starts", "detect"), "give that too"),
+        (("--split", "8s", "--starts", "detect"), "overlap by 5 s; give --split 10s or more"),
+        (("--split", "40f", "--starts", "detect"), "give --split 50f or more"),
+        ((*SPLIT, "--smooth"), "--smooth goes over the whole clip"),
+        ((*SPLIT, "--lag", "5"), "--lag goes over the whole clip"),
+        ((*SPLIT, "-o", "-"), "name one with --out"),
+        ((*SPLIT, "IN/dark.mp4"), "--split cuts one clip"),
+        ((*SPLIT, "--overwrite", "--shard", "1/2"), "remove the folder before them"),
+        ((*SPLIT[4:], "--config", "contour", "--box", "110,80,90,90"), "which no detector finds again"),
+        (("--split", "20s", "--starts", "init", "--init", "haar"), "has no correction"),
+    ],
+)
+def test_what_cannot_be_split_is_refused_in_a_line(facetrack, clips, options, said):
+    code, _, err = facetrack("run", "IN/slow.mp4", *options, *(() if "-o" in options else ("-o", "out")))
+    assert code == 2
+    assert said in err.replace("\n", " ")
+
+
+def test_pieces_of_another_split_are_not_mixed(facetrack, clips, tmp_path):
+    command = ("run", "IN/slow.mp4", "--stop", "130", "--no-video", "-o", "out", *SPLIT)
+    assert facetrack(*command, "--shard", "1/2")[0] == 0
+    code, _, err = facetrack(*command, "--seed", "3")
+    assert code == 2
+    assert "holds pieces of another --split" in err
+    assert facetrack(*command, "--seed", "3", "--overwrite")[0] == 0
+
+
+@given(
+    st.integers(0, 200),
+    st.integers(1, 3000),
+    st.lists(st.floats(0.01, 0.2), min_size=1, max_size=4),
+    st.floats(10, 60),
+    st.integers(1, 90),
+)
+def test_pieces_cover_all_frames_and_overlap(first, count, gaps, length, spacing):
+    times = np.cumsum(np.resize(gaps, first + count))
+    pieces = cut_by_length(first, times, Split(length, False, "detect"), range(0, len(times), spacing), "clip")
+    assert pieces[0][0] == first
+    assert pieces[-1][1] == len(times)
+    for (begin, stop), (after, _) in itertools.pairwise(pieces):
+        assert begin < after < stop
+        assert times[stop - 1] < times[after] + OVERLAP_S <= times[min(stop, len(times) - 1)] + 1e-9
+        assert length / 2 - 0.21 <= times[after] - times[begin] <= length + 0.21
+
+
+def test_a_plan_is_read_as_it_was_written(tmp_path):
+    stamps = Stamps(np.arange(4) / 25, np.arange(4) / 25 + 0.1, np.array([0, 2]), np.array([0.0, 0.08]), True)
+    start = Start(3, {"face": TargetStart((1.5, 2, 30, 40), {"nose": (3.25, 4.1)})}, "haar", (), "a note")
+    for known in (stamps, None):
+        plan = Plan(start, ((3, 9), (7, None)), known)
+        plan.write(tmp_path / "plan.npz", "key")
+        key, read = read_plan(tmp_path / "plan.npz")
+        assert (key, read.start, read.cuts) == ("key", start, plan.cuts)
+        for name, value in vars(known).items() if known else ():
+            assert np.array_equal(getattr(read.stamps, name), value)
