@@ -130,7 +130,7 @@ def _named(later: Trajectory, pairs: Mapping[str, str], taken: Collection[str]) 
     for target in later.targets:
         if target not in names:
             stem = target.rstrip("0123456789").rstrip("_")
-            free = (name for name in (stem, *(f"{stem}_{i}" for i in count(2))) if name not in given)
+            free = (name for i in count(1) if (name := f"{stem}_{i}" if i > 1 else stem) not in given)
             names[target] = next(free)
             given.add(names[target])
     return names

@@ -344,10 +344,14 @@ def open_sought(
     source = open_source(path, fps=fps, start=start, stop=stop)
     if stamps is not None and isinstance(source, VideoSource):
 
-        def approach(capture: Capture, index: int) -> bool:
-            return any(_approached(capture, stamps, index, further) for further in _OTHER_KEYS)
+        def approach(capture: Capture, index: int) -> Capture | None:
+            if any(_approached(capture, stamps, index, further) for further in _OTHER_KEYS):
+                capture.damage.clear()  # what is said of frames that lack those before them
+                return capture
+            capture.release()
+            return None
 
-        source.approach, source.positions = approach, stamps.positions
+        source.sought = approach, stamps.positions
     return source
 
 

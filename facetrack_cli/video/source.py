@@ -191,9 +191,8 @@ class VideoSource(Source):
         self._capture = capture
         self._length = _length(path)
         self._lock = threading.Lock()
-        # brings the capture to the first frame that is wanted, where that may be sought; and the position of each frame
-        self.approach: Callable[[Capture, int], bool] | None = None
-        self.positions: Array | None = None
+        # brings a capture to the first frame that is wanted, without those before; and the position that each must have
+        self.sought: tuple[Callable[[Capture, int], Capture | None], Array] | None = None
 
     def close(self) -> None:
         with self._lock:  # the capture must not be released while it is at work
@@ -204,8 +203,11 @@ class VideoSource(Source):
         start, stop = self._start, self._stop
         shape, first, time = (self.size[1], self.size[0], 3), 0, 0.0
         with self._lock:
-            if not self._closed and self._sought():
-                first = start
+            if self.sought is not None and start > 0 and not self._closed:
+                at = self.sought[0](self._capture, start)
+                self._capture, first = at or Capture(self.path), start if at else 0
+                if at is None:
+                    self._capture.grab()
         index, capture = first, self._capture
         while stop is None or index < stop:
             image = None  # free the last one before the next is decoded
@@ -215,7 +217,7 @@ class VideoSource(Source):
                 if index > first and not capture.grab():
                     break
                 image = capture.image() if index >= start else None
-            known = self.positions if first else None
+            known = self.sought[1] if first and self.sought else None
             if known is not None and (index >= len(known) or known[index] != capture.position):
                 raise InputError(f"{self.path}: frame {index} is not there at the time that its packet says; {_ANEW}")
             step, time = capture.time - time, capture.time
@@ -236,18 +238,6 @@ class VideoSource(Source):
             raise self._past_end(index)
         self.variable = bool(self.variable)
         self._judge(index, time)
-
-    def _sought(self) -> bool:
-        """Whether the capture is at the first frame that is wanted, without decoding all before it."""
-        if self.approach is None or self.positions is None or self._start == 0:
-            return False
-        if self.approach(self._capture, self._start):
-            self._capture.damage.clear()  # what is said of frames that lack those before them
-            return True
-        self._capture.release()
-        self._capture = Capture(self.path)
-        self._capture.grab()
-        return False
 
     def _judge(self, frames: int, last_s: float) -> None:
         """Say so if frames are missing after the last one that was decoded, or are not what the clip showed."""
