@@ -263,7 +263,7 @@ def test_threads_and_processes_do_not_change_a_byte(facetrack, config):
     many = ["IN/head", "IN/grey", "--set", "likelihood.histogram.value_bins=1", "--config", config, "--seed", 7]
     code, _, err = facetrack("run", *many, "--no-video", "-q", "-j", 2, "-o", "many")
     assert code == 5 and "grey: head, frame 0: this clip is grey" in err
-    assert csv("t1") == csv("t2") == csv(f"many/head-{config}")
+    assert csv("t1") == csv("t2") == csv(f"many/head-{config}-likelihood.histogram.value_bins=1")
 
 
 def test_of_all_frames_the_last_alone_is_kept():

@@ -21,7 +21,7 @@ class Status:
     Examples:
       facetrack status results
       watch -n 60 facetrack status results
-      facetrack status results --json | jq -r '.clips[] | select(.state == "failed") | .clip'
+      facetrack status results --json | jq .counts
     """
 
     results: Path = argument("RESULTS")
