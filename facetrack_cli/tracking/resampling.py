@@ -17,7 +17,9 @@ Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Whole]
 
 def logsumexp(a: Array, axis: int = 0) -> Array:
     """log(sum(exp(a))) along `axis`, without overflow; -inf for an empty sum of weights."""
-    top = np.max(a, axis=axis, keepdims=True)
+    top = a.max(axis=axis, keepdims=True)
+    if np.isfinite(top).all():  # then a sum is 1 at least
+        return np.asarray((np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top).squeeze(axis))
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):
         return np.asarray((np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top).squeeze(axis))

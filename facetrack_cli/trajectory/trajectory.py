@@ -237,30 +237,32 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
         at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
         why = f"frame {at} has two rows of {name}; keep one row a frame, target and part"
         raise InputError(f"{about.get('path', Path())}: {why}")
-    known: dict[str, Any] = {"which": which, "frame": frame}
-    for name in _ARRAYS[2:]:
-        given = others.pop(name, None)
-        if given is not None:
-            known[name] = np.asarray(given, dtype=_TYPES.get(name, np.float64))[order]
-        elif name != "corners":
-            known[name] = _unknown(name, len(frame))
-    return Trajectory(tuple(names), **known, **about, **others)
+    known = {name: values for name, values in others.items() if values is not None}
+    for name, values in known.items():
+        known[name] = np.asarray(values, dtype=_TYPES.get(name, np.float64))[order]
+    known = {**_unknown(len(frame)), **known, "which": which, "frame": frame}
+    return Trajectory(tuple(names), **known, **about)
 
 
 _TYPES: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.str_), "by_hand": np.bool_}
 _UNKNOWN: Final[Mapping[str, tuple[Any, ...]]] = {**dict.fromkeys(TEXTS, ("", "<U8")), "by_hand": (False,)}
 
 
-def _unknown(name: str, rows: int) -> Any:
-    return _unknown_of_few(name, rows) if rows <= 16 else np.full(rows, *_UNKNOWN.get(name, (np.nan,)))
+def _unknown(rows: int) -> dict[str, Any]:
+    """Columns of which nothing is known; those of few rows are shared by all frames, and read-only."""
+    return _unknown_of_few(rows) if rows <= 16 else _blank(rows)
+
+
+def _blank(rows: int) -> dict[str, Any]:
+    return {name: np.full(rows, *_UNKNOWN.get(name, (np.nan,))) for name in _ARRAYS[2:] if name != "corners"}
 
 
 @lru_cache
-def _unknown_of_few(name: str, rows: int) -> Any:
-    """Read-only, for the rows of any frame."""
-    column = np.full(rows, *_UNKNOWN.get(name, (np.nan,)))
-    column.flags.writeable = False
-    return column
+def _unknown_of_few(rows: int) -> dict[str, Any]:
+    columns = _blank(rows)
+    for column in columns.values():
+        column.flags.writeable = False
+    return columns
 
 
 def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:
