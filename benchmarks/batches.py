@@ -5,9 +5,10 @@
     python benchmarks/batches.py simulate --track 2.0 --overhead 0.1 --send 0.005   # figures of the other two
 
 `overhead` tracks short clips in turn by: a loop in one process; a loop of the shell that starts facetrack for each;
--j; --shard; --cluster local. Each row has the seconds on the clock, which other work on the machine spoils, those of
-the processor, and both a clip, beyond the loop in one process, times the workers where the clock is meant. At the end
-stands the same in percent of a clip of ten seconds, whole, with its video. To reach: at most 5 %.
+-j; --shard; --cluster local. A quarter of the clips, and all of them, tell what the start takes and what a clip does;
+`more` is how much more than in the loop in one process: seconds on the clock, times those at a time, which other work
+on the machine spoils, and seconds of the processor. At the end stands the latter in percent of a clip of 11 s, whole,
+with its video. To reach: at most 5 %.
 
 `simulate` hands out 1,000 hours, as clips of 10 s and of 10 min, to 1, 10 and 100 machines of 8 cores: each core
 takes the next clip when it has done one, and the head sends one after another.
@@ -31,7 +32,12 @@ from pathlib import Path
 CLIP = Path(__file__).parents[1] / "sample_videos" / "expressions.mp4"
 FACETRACK = [sys.executable, "-m", "facetrack_cli"]
 RUN = [*FACETRACK, "run"]
-LOOP = "import sys; from facetrack_cli.__main__ import main; [main(['run', c, *sys.argv[3:], '-o', sys.argv[1] + c[-9:-4]]) for c in open(sys.argv[2]).read().split()]"  # noqa: E501
+LOOP = """
+import sys
+from facetrack_cli.__main__ import main
+for clip in open(sys.argv[2]).read().splitlines():
+    main(["run", clip, *sys.argv[3:], "-o", sys.argv[1] + clip[-9:-4]])
+"""
 
 
 def main() -> None:
@@ -62,7 +68,7 @@ def main() -> None:
 def clips(folder: Path, count: int) -> Path:
     """A folder of so many clips, which are links to one."""
     made = folder / "clips"
-    made.mkdir()
+    made.mkdir(parents=True)
     for suffix in (".mp4", ".init.yaml"):
         first = folder / f"first{suffix}"
         shutil.copy2(CLIP.with_suffix(suffix), first)
@@ -88,36 +94,48 @@ def decide(folder: Path, count: int, options: list[str]) -> None:
 
 
 def overhead(folder: Path, count: int, options: list[str], stop: str, workers: int) -> None:
-    inputs = clips(folder, count)
-    listed = folder / "list.txt"
-    listed.write_text("\n".join(sorted(str(one) for one in inputs.glob("*.mp4"))))
-    warm = [*RUN, str(inputs / "clip00000.mp4"), *options]
-    timed([*warm, "-o", str(folder / "warm")])  # kernels are compiled
-    whole = timed([*RUN, str(inputs / "clip00000.mp4"), *options[:2], *options[3:], "-o", str(folder / "whole")])[1]
-    start = timed([*RUN, str(inputs / "clip00000.mp4"), *options, "--stop", "1", "-o", str(folder / "start")])[1]
-    short = [*options, "--stop", stop]
-    words = shlex.join([*RUN, *short])
-    shell = f"while read -r clip; do {words} -o {folder}/shell/$(basename $clip .mp4) $clip; done < {listed}; true"
-    shards = "".join(f"{words} {inputs} --shard {i}/{workers} -o {folder}/shards & " for i in range(1, workers + 1))
-    batch = [*RUN, str(inputs), *short, "-o"]
-    kinds = {
-        "a loop in one process": (1, [sys.executable, "-c", LOOP, f"{folder}/loop/", str(listed), *short]),
-        "a loop of the shell": (1, ["bash", "-c", shell]),
-        f"-j {workers}": (workers, [*batch, f"{folder}/j", "-j", str(workers)]),
-        f"--shard I/{workers}": (workers, ["bash", "-c", f"{shards} wait"]),
-        f"--cluster local:{workers}": (workers, [*batch, f"{folder}/cluster", "--cluster", f"local:{workers}"]),
-    }
-    print(f"{count} clips of {stop} frames; one whole clip of 11 s: {whole - start:.2f} s of processor to track")
-    print(f"{'':24}{'clock s':>10}{'processor s':>13}{'clock + a clip':>16}{'processor + a clip':>20}{'of 11 s':>9}")
-    base = 0.0, 0.0
-    for name, (at_once, command) in kinds.items():
-        took, used = timed(command)
-        each = took * at_once / count, used / count
-        base = base if base[1] else each
-        more = each[0] - base[0], each[1] - base[1]
-        share = 100 * more[1] / (whole - start)
-        print(f"{name:24}{took:10.1f}{used:13.1f}{more[0]:16.3f}{more[1]:20.3f}{share:8.1f}%", flush=True)
+    one = clips(folder / "one", 1) / "clip00000.mp4"
+    timed([*RUN, str(one), *options, "-o", str(folder / "warm")])  # kernels are compiled
+    without_video = [word for word in options if word != "--no-video"]
+    whole = timed([*RUN, str(one), *without_video, "-o", str(folder / "whole")])[1]
+    whole -= timed([*RUN, str(one), *options, "--stop", "1", "-o", str(folder / "start")])[1]
+    print(f"{count} clips of {stop} frames, {workers} at a time; a whole clip of 11 s: {whole:.2f} s of processor")
+    print(
+        f"{'':24}{'clock: start':>14}{'a clip':>9}{'more':>9}{'processor: start':>19}{'a clip':>9}{'more':>9}", end=""
+    )
+    print(f"{'of 11 s':>10}")
+    few, base = max(1, count // 4), (0.0, 0.0)
+    for kind, at_once in ((0, 1), (1, 1), (2, workers), (3, workers), (4, workers)):
+        sums = []
+        for number in (few, count):
+            place = folder / f"{kind}-{number}"
+            name, command = list(kinds(place, clips(place, number), [*options, "--stop", stop], workers).items())[kind]
+            sums.append(timed(command))
+        (clock, used), (fewer_clock, fewer_used) = sums[1], sums[0]
+        clip = (clock - fewer_clock) * at_once / (count - few), (used - fewer_used) / (count - few)
+        base = base if kind else clip
+        more = clip[0] - base[0], clip[1] - base[1]
+        start = clock - count * clip[0] / at_once, used - count * clip[1]
+        row = f"{name:24}{start[0]:14.1f}{clip[0]:9.3f}{more[0]:9.3f}{start[1]:19.1f}{clip[1]:9.3f}{more[1]:9.3f}"
+        print(f"{row}{more[1] / whole:10.1%}", flush=True)
     print(f"to send a task and hear of its end: {sending(200):.4f} s")
+
+
+def kinds(place: Path, inputs: Path, options: list[str], workers: int) -> dict[str, list[str]]:
+    """The command lines to compare."""
+    listed = place / "list.txt"
+    listed.write_text("\n".join(sorted(str(one) for one in inputs.glob("*.mp4"))) + "\n")
+    words, out = shlex.join([*RUN, *options]), place / "out"
+    shell = f"while read -r clip; do {words} -o {out}/$(basename $clip .mp4) $clip; done < {listed}"
+    shards = "".join(f"{words} {inputs} --shard {i}/{workers} -o {out} & " for i in range(1, workers + 1))
+    batch = [*RUN, str(inputs), *options, "-o", str(out)]
+    return {
+        "a loop in one process": [sys.executable, "-c", LOOP, f"{out}/", str(listed), *options],
+        "a loop of the shell": ["bash", "-c", shell],
+        f"-j {workers}": [*batch, "-j", str(workers)],
+        f"--shard I/{workers}": ["bash", "-c", f"{shards} wait"],
+        f"--cluster local:{workers}": [*batch, "--cluster", f"local:{workers}"],
+    }
 
 
 def sending(count: int) -> float:

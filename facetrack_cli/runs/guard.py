@@ -157,9 +157,12 @@ class _Wish:
 
 def _serve() -> None:
     """Do the command lines that come in, one after another, until the worker closes the pipe, or is gone."""
-    import facetrack_cli.runs.clip  # noqa: F401 -- so that its forks need not
+    import numba
 
-    main = import_module("facetrack_cli.__main__").main  # as a shell does, it starts at the top
+    for name in ("runs.clip", "runs.batch", "runs.inputs", "runs.seeds", "cli.commands.run"):
+        import_module(f"facetrack_cli.{name}")
+    numba.njit(lambda x: x + 1.0)(1.0)  # of which most is loaded when it compiles for the first time
+    main = import_module("facetrack_cli.__main__").main  # as a shell does, a clip starts at the top
     wish, parent = _Wish(), os.getppid()
     for one in (signal.SIGTERM, signal.SIGUSR1):
         signal.signal(one, wish.note)

@@ -11,7 +11,7 @@ from facetrack_cli.core.errors import ExitCode, flat
 
 
 class Status:
-    """Tell how far a batch is: done, running, failed, and the time that is left.
+    """Tell how far a batch is, and how long it still takes.
 
     RESULTS is the folder that --out of facetrack run named, or that of a single run. What runs is told with its
     machine, since when, and how far it is; what failed with the reason. The time that is left is reckoned from the
