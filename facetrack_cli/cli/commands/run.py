@@ -74,6 +74,7 @@ class Run:
       facetrack run clip.mp4 --config adaptive_recognition --gallery people.npz
       facetrack run clip.mp4 --smooth
       facetrack run frames/ --fps 25 -o - | head
+      facetrack run 0 --live
       facetrack run clips/ -j 4 --no-video -o results
       facetrack run @list.txt --shard 3/20 -o results
       facetrack run day.mp4 --split 10m --starts detect -j 8 -o day
@@ -134,6 +135,9 @@ class Run:
     cluster: str | None = option(
         "--cluster WHERE", "Workers of Dask: local:N, tcp://HOST:PORT, or a scheduler file; see docs/pipelines.md."
     )
+    live: bool = flag(
+        "--live", "Write a JSON line a frame to stdout as it comes; INPUT may be a camera's number, or -."
+    )
     quiet: bool = options.QUIET
 
     def run(self) -> int:
@@ -141,6 +145,7 @@ class Run:
         from facetrack_cli.runs.batch import run_batch, variant_name
         from facetrack_cli.runs.inputs import expand
         from facetrack_cli.runs.job import Job
+        from facetrack_cli.runs.live import is_live
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.seeds import load_recipes
         from facetrack_cli.runs.signals import Stop
@@ -150,6 +155,8 @@ class Run:
 
         if self.cluster is not None:
             self._check_cluster(self.cluster)
+        if self.live or any(is_live(one) for one in self.inputs):
+            return self._live()
         with progress(self.quiet) as shown:
             given, several = expand(self.inputs, shown.say)
         self.extent.check(*given)
@@ -204,6 +211,27 @@ class Run:
             else:  # whose error is the command's
                 code = _one(jobs[0], ending, shown, after)
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
+
+    def _live(self) -> int:
+        """Track what comes from a camera, a pipe or a clip; the exit code."""
+        from facetrack_cli.recipe.files import default_recipe
+        from facetrack_cli.runs.live import follow, images_of
+        from facetrack_cli.runs.seeds import load_recipes
+        from facetrack_cli.runs.signals import Stop
+
+        [clip, *more] = self.inputs
+        if not self.live or more:
+            what = "has no end, so that its results are written as they come" if not more else "follows one INPUT"
+            raise UsageError(f"{clip}: {what}; give one INPUT with --live" if not more else f"--live {what}; give one")
+        if self.out not in (None, "-"):
+            raise UsageError("--live writes to stdout; leave --out out")
+        config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
+        seed = () if self.seed is None else (f"seed={self.seed}",)
+        [recipe] = load_recipes([(config, (*self.set, *seed))], self.gallery)
+        init = self.extent.box if self.extent.box is not None else self.extent.init
+        with Stop().listening() as stop:
+            follow(images_of(clip), recipe, init, lambda line: click.echo(line), stop)
+        return stop.code or ExitCode.DONE
 
     def _check_cluster(self, where: str) -> None:
         from facetrack_cli.runs.scheduler import check_cluster
