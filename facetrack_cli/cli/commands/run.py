@@ -144,7 +144,7 @@ class Run:
         from facetrack_cli.recipe.files import default_recipe
         from facetrack_cli.runs.batch import run_batch, variant_name
         from facetrack_cli.runs.inputs import expand
-        from facetrack_cli.runs.job import Job
+        from facetrack_cli.runs.job import Job, default_reason
         from facetrack_cli.runs.live import is_live
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.seeds import load_recipes
@@ -196,6 +196,7 @@ class Run:
                     batch=several,
                     retry_failed=self.retry_failed,
                     split=split,
+                    why=default_reason(self.extent.box, clip) if self.config is None else "",
                     threads=self.threads or max(1, cores() // workers),
                     **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
                 )
@@ -330,7 +331,7 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
     shown.close()
     if isinstance(outcome.error, BrokenPipeError):
         raise outcome.error
-    _report(outcome, shown)
+    _report(outcome, shown, why=job.why)
     if outcome.error is not None:
         raise outcome.error
     if after is not None and not stop():
@@ -372,7 +373,7 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
     return ExitCode.BATCH if failed else ExitCode.LOST if lost else ExitCode.DONE
 
 
-def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
+def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str = "") -> None:
     """What the search took, warnings, the summary, the verdict, and of one clip the next step.
 
     If `named`, warnings say of which clip they are.
@@ -388,7 +389,7 @@ def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
     if outcome.verdict and not (named and not outcome.doubtful):
         shown.say(f"{outcome.clip}: {outcome.verdict}")
     if not named and (what := outcome.next_step()):
-        shown.say(what)
+        shown.say(f"{what}{why}")
 
 
 command = verb(Run)
