@@ -96,7 +96,7 @@ def track_frames(
     begin = _init(init, 0)
     if begin is None or isinstance(begin, str):
         looked, frames = tee(frames)
-        start = search(chosen, looked, IMAGES, by=begin)
+        start = search(chosen, looked, IMAGES, by=begin, whole=False)  # all that are looked at are kept
         del looked  # or it would keep all frames
     else:
         start = begin if isinstance(begin, Start) else read_init(begin)

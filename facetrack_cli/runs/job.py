@@ -13,6 +13,8 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.files import check_folder
+from facetrack_cli.core.types import Box
+from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.again import previous
 from facetrack_cli.runs.failures import code_of, is_failure
@@ -51,6 +53,7 @@ class Job(Begin):
     threads: int = 2
     lag: int = 0
     posterior: bool = False
+    why: str = ""  # why this recipe, said after the next step
     strict: bool = False
     resume: bool = True
     batch: bool = False
@@ -156,6 +159,14 @@ def ended(job: Job) -> Outcome | None:
         return None
     failed = known.error is not None and job.batch and not job.retry_failed
     return Outcome.of(job, known) if failed or _is_whole(job, known) else None
+
+
+def default_reason(box: Box | None, clip: Path) -> str:
+    """Why a run that names no recipe took its own, and how to find others."""
+    why = "for whatever is in a --box" if box is not None else "for a face and its features, where no --box is given"
+    said = "" if box is None else f" --box {','.join(f'{value:g}' for value in box)}"
+    name = default_recipe(box=box is not None)
+    return f"; recipe {name} is the default {why}, others: facetrack suggest {shlex.quote(str(clip))}{said}"
 
 
 def check(job: Job) -> None:

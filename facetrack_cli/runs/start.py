@@ -137,14 +137,21 @@ def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: st
 
 
 def search(
-    recipe: Recipe, frames: Iterator[Frame], clip: str, *, by: DetectorName | None = None, faces: Faces = "one"
+    recipe: Recipe,
+    frames: Iterator[Frame],
+    clip: str,
+    *,
+    by: DetectorName | None = None,
+    faces: Faces = "one",
+    whole: bool = True,
 ) -> Start:
-    """The start at the first face that is found in `frames`. Raises InputError if there is none."""
+    """The start at the first face in `frames`, if not `whole` in the first ones alone. InputError if there is none."""
 
     def complete(frame: Frame, start: Start) -> Start:
         return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
 
-    return search_start(frames, recipe.points, detector=detector(by), faces=faces, clip=clip, complete=complete)
+    look = detector(by)
+    return search_start(frames, recipe.points, detector=look, faces=faces, whole=whole, clip=clip, complete=complete)
 
 
 def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:

@@ -11,7 +11,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Start, TargetStart
-from facetrack_cli.evaluation.experiments.suggest import Trial, is_grey, suggest
+from facetrack_cli.evaluation.experiments.suggest import MARGIN, Trial, is_grey, suggest
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.video.writer import VideoWriter
 
@@ -44,7 +44,7 @@ def test_time_lost_counts_and_the_best_comes_first():
     [one] = trials(["correlation_filter"], sway(20, gone=8))
     assert one.lost > 0.3 and one.score < one.agreement
     both = trials(["fixed_template", "correlation_filter"], sway())
-    assert both[0].score >= both[1].score
+    assert both[0].score + MARGIN >= both[1].score
     assert Trial("a", 0.8, 0.25, 1.0, 0.0, 1.0).score == pytest.approx(0.6)
 
 
@@ -83,7 +83,7 @@ def test_the_table_ends_with_the_command_to_run(clip, capsys):
     assert main([*asked, "--frames", "12", "--json", "-q"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["frames"] == 12 and {one["recipe"] for one in told["trials"]} == {"correlation_filter", "ncc"}
-    assert told["trials"][0]["score"] >= told["trials"][1]["score"]
+    assert told["trials"][0]["score"] + MARGIN >= told["trials"][1]["score"]
 
 
 def test_what_cannot_be_tried(clip, capsys):

@@ -73,6 +73,8 @@ def test_folders_are_repeated_at_their_rate_and_init_files_from_their_frame(exis
 
 
 def test_a_confidence_is_called_a_probability_only_where_it_is_one():
+    trusted = "By its calibrated confidence 98.0\u00a0% of the rows that are not called lost are right."
+
     def header(recipe):
         return SimpleNamespace(recipe=recipe)
 
@@ -80,8 +82,6 @@ def test_a_confidence_is_called_a_probability_only_where_it_is_one():
     assert calibrated(header(known)) and not calibrated(header(unknown)) and not calibrated(header({}))
     assert calibrated(header({"targets": {"a": known, "b": None}}))
     assert not calibrated(header({"targets": {"a": known, "b": unknown}}))
-    assert (
-        _trust(True, 0.98) == "By its calibrated confidence 98.0\u00a0% of the rows that are not called lost are right."
-    )
+    assert _trust(True, 0.98) == trusted
     assert "is doubtful: look at the key frames" in _trust(True, 0.4)
     assert "not how often the place is right" in _trust(False, 0.87)

@@ -94,6 +94,10 @@ def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(tmp_path, monkey
     assert capsys.readouterr() == ("", "")
     assert main(["run", clip, "--init", "haar", "--stop", "50", "--no-video", "--format", "csv", "-o", "d"]) == 0
     assert "facetrack fix" not in capsys.readouterr().err  # which needs the JSON
+    assert main(["run", clip, "--box", "10,20,60,60", "--stop", "3", "--no-video", "-o", "e"]) == 0
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert "recipe correlation_filter is the default for whatever is in a --box, others: facetrack suggest" in said
+    assert said.endswith("--box 10,20,60,60")
 
 
 @pytest.mark.parametrize("recipe", ["face", "head_hands", "adaptive"])

@@ -125,6 +125,19 @@ def test_a_face_that_comes_late_is_found_and_few_frames_are_looked_at():
     assert search_start(again, detector=Fake(found)).frame == start.frame
 
 
+def test_of_images_that_are_all_kept_the_first_alone_are_searched():
+    pulled = []
+
+    def frames():
+        for i, one in enumerate(noise(40) * 10):
+            pulled.append(i)
+            yield Frame(i, i / 25, one.bgr)
+
+    with pytest.raises(InputError, match="no face found in frames 0 to 249"):
+        search_start(frames(), detector=Fake(lambda t: [(60, 30, 40)] * (t > 300)), whole=False)
+    assert len(pulled) == BOUND
+
+
 def test_what_is_seen_once_late_is_no_face():
     frames = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(20) * 30))
     with pytest.raises(InputError, match="no face found in frames 0 to 599; give its box"):

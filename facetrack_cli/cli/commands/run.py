@@ -74,6 +74,7 @@ class Run:
       facetrack run clip.mp4 --config adaptive_recognition --gallery people.npz
       facetrack run clip.mp4 --smooth
       facetrack run frames/ --fps 25 -o - | head
+      facetrack run 0 --live
       facetrack run clips/ -j 4 --no-video -o results
       facetrack run @list.txt --shard 3/20 -o results
       facetrack run day.mp4 --split 10m --starts detect -j 8 -o day
@@ -134,13 +135,17 @@ class Run:
     cluster: str | None = option(
         "--cluster WHERE", "Workers of Dask: local:N, tcp://HOST:PORT, or a scheduler file; see docs/pipelines.md."
     )
+    live: bool = flag(
+        "--live", "Write a JSON line a frame to stdout as it comes; INPUT may be a camera's number, or -."
+    )
     quiet: bool = options.QUIET
 
     def run(self) -> int:
         from facetrack_cli.recipe.files import default_recipe
         from facetrack_cli.runs.batch import run_batch, variant_name
         from facetrack_cli.runs.inputs import expand
-        from facetrack_cli.runs.job import Job
+        from facetrack_cli.runs.job import Job, default_reason
+        from facetrack_cli.runs.live import is_live
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.seeds import load_recipes
         from facetrack_cli.runs.signals import Stop
@@ -150,6 +155,8 @@ class Run:
 
         if self.cluster is not None:
             self._check_cluster(self.cluster)
+        if self.live or any(is_live(one) for one in self.inputs):
+            return self._live()
         with progress(self.quiet) as shown:
             given, several = expand(self.inputs, shown.say)
         self.extent.check(*given)
@@ -189,6 +196,7 @@ class Run:
                     batch=several,
                     retry_failed=self.retry_failed,
                     split=split,
+                    why=default_reason(self.extent.box, clip) if self.config is None else "",
                     threads=self.threads or max(1, cores() // workers),
                     **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
                 )
@@ -204,6 +212,27 @@ class Run:
             else:  # whose error is the command's
                 code = _one(jobs[0], ending, shown, after)
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
+
+    def _live(self) -> int:
+        """Track what comes from a camera, a pipe or a clip; the exit code."""
+        from facetrack_cli.recipe.files import default_recipe
+        from facetrack_cli.runs.live import follow, images_of
+        from facetrack_cli.runs.seeds import load_recipes
+        from facetrack_cli.runs.signals import Stop
+
+        [clip, *more] = self.inputs
+        if not self.live or more:
+            what = "has no end, so that its results are written as they come" if not more else "follows one INPUT"
+            raise UsageError(f"{clip}: {what}; give one INPUT with --live" if not more else f"--live {what}; give one")
+        if self.out not in (None, "-"):
+            raise UsageError("--live writes to stdout; leave --out out")
+        config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
+        seed = () if self.seed is None else (f"seed={self.seed}",)
+        [recipe] = load_recipes([(config, (*self.set, *seed))], self.gallery)
+        init = self.extent.box if self.extent.box is not None else self.extent.init
+        with Stop().listening() as stop:
+            follow(images_of(clip), recipe, init, lambda line: click.echo(line), stop)
+        return stop.code or ExitCode.DONE
 
     def _check_cluster(self, where: str) -> None:
         from facetrack_cli.runs.scheduler import check_cluster
@@ -302,7 +331,7 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
     shown.close()
     if isinstance(outcome.error, BrokenPipeError):
         raise outcome.error
-    _report(outcome, shown)
+    _report(outcome, shown, why=job.why)
     if outcome.error is not None:
         raise outcome.error
     if after is not None and not stop():
@@ -344,7 +373,7 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
     return ExitCode.BATCH if failed else ExitCode.LOST if lost else ExitCode.DONE
 
 
-def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
+def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str = "") -> None:
     """What the search took, warnings, the summary, the verdict, and of one clip the next step.
 
     If `named`, warnings say of which clip they are.
@@ -360,7 +389,7 @@ def _report(outcome: Outcome, shown: Progress, *, named: bool = False) -> None:
     if outcome.verdict and not (named and not outcome.doubtful):
         shown.say(f"{outcome.clip}: {outcome.verdict}")
     if not named and (what := outcome.next_step()):
-        shown.say(what)
+        shown.say(f"{what}{why}")
 
 
 command = verb(Run)

@@ -22,9 +22,10 @@ class Suggest:
     """Try recipes on the start of a clip; say which to take.
 
     Without ground truth: each recipe tracks the first frames forwards, then backwards from where it ended. Recipes
-    are ranked by how well both tracks agree, times the share of frames in which the target is not called lost.
-    For a face that is searched for, these are face, correlation_filter, skin_ncc_robust and adaptive_robust; for a
-    --box, all but face. --config tries others. The log evidence is shown, and is not comparable between recipes.
+    are ranked by how well both tracks agree, times the share of frames in which the target is not called lost. For a
+    face that is searched for these are face, correlation_filter and skin_ncc_robust; for a --box, all but face.
+    Another than the first must be better by .05. --config tries others. The log evidence is shown, and is not
+    comparable between recipes.
 
     \b
     Examples:

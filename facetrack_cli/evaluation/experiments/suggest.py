@@ -25,8 +25,9 @@ from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 
-FACE: Final = ("face", "correlation_filter", "skin_ncc_robust", "adaptive_robust")
-ANY: Final = ("correlation_filter", "skin_ncc_robust", "adaptive_robust")
+FACE: Final = ("face", "correlation_filter", "skin_ncc_robust")
+ANY: Final = ("correlation_filter", "skin_ncc_robust")
+MARGIN: Final = 0.05  # of the score, by which another recipe must be better than the default, the first
 NO_SKIN: Final = "likelihood.skin=null"  # of skin_ncc_robust where a clip is grey
 FRAMES: Final = 100
 MOST_BYTES: Final = 512 << 20  # of the frames that are kept
@@ -84,7 +85,10 @@ def suggest(
     clip: str,
     report: Callable[[str, int], None] = lambda recipe, done: None,
 ) -> list[Trial]:
-    """The trials of `recipes` on `frames`, the best first; a recipe that cannot begin here is left out."""
+    """The trials of `recipes`, of which the first is the default, the best one first.
+
+    A recipe that cannot begin with this start is left out.
+    """
     found: list[Trial] = []
     for name, recipe in recipes:
         report(name, len(found))
@@ -96,7 +100,7 @@ def suggest(
         found.append(_trial(name, recipe, own, frames, forwards))
     if not found:
         raise InputError(f"{clip}: no recipe can begin here; give --box X,Y,W,H around a face, a head or a thing")
-    return sorted(found, key=lambda one: (-one.score, one.ms))
+    return sorted(found, key=lambda one: (-one.score - MARGIN * (one.recipe == recipes[0][0]), one.ms))
 
 
 def _trial(name: str, recipe: Recipe, start: Start, frames: Sequence[Frame], forwards: _Track) -> Trial:

@@ -88,14 +88,16 @@ def search_start(
     detector: Detector | None = None,
     faces: Faces = "one",
     bound: int = BOUND,
+    whole: bool = True,
     clip: str = "the clip",
     complete: Callable[[Frame, Start], Start] = lambda frame, start: start,
 ) -> Start:
     """The start at the first face that stays: its box, and the parts placed in it (pixels, to 0.01).
 
-    Every one of the first `bound` frames is searched. If nobody is there, the rest of the clip is looked at in steps
-    that grow to `STEP` frames, and where a detector finds something every frame is searched again for a while. With
-    `faces` "all", those that are there at the same time are targets `face`, `face_2`, and so on, by their size.
+    Every one of the first `bound` frames is searched. If nobody is there, and `whole`, the rest of the clip is looked
+    at in steps that grow to `STEP` frames, and where a detector finds something every frame is searched again for a
+    while. With `faces` "all", those that are there at the same time are targets `face`, `face_2`, and so on, by their
+    size.
     `complete` adds what else the frame must show, or raises NotHereError.
     InputError, naming the `clip`, if no frame shows all that.
     """
@@ -104,7 +106,7 @@ def search_start(
     search = first = _Search(parts, finder, complete)
     found = search.through(islice(coming, bound), bound=1)
     last = looked = first.frames[-1] if first.frames else 0
-    for frame in coming if not found else ():
+    for frame in coming if whole and not found else ():
         last = frame.index
         if last - looked < min(max(last // STEP, 1), STEP):
             continue

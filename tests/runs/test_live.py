@@ -1,0 +1,93 @@
+"""What comes from a pipe or a camera: a line a frame, with its age; bounded, and refused in one line."""
+
+import io
+import json
+import time
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.live import follow
+from facetrack_cli.video import live
+from facetrack_cli.video.live import piped
+from tests.cli.test_suggest import sway
+
+
+def mjpeg(images):
+    return b"".join(cv2.imencode(".jpg", image)[1].tobytes() for image in images)
+
+
+def y4m(images, colours="420jpeg"):
+    height, width = images[0].shape[:2]
+    frames = [b"FRAME\n" + cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420).tobytes() for image in images]
+    return f"YUV4MPEG2 W{width} H{height} F25:1 C{colours}\n".encode() + b"".join(frames)
+
+
+IMAGES = [frame.bgr for frame in sway(6)]
+
+
+@pytest.mark.parametrize("encoded", [mjpeg, y4m])
+def test_images_of_a_pipe_are_those_that_went_in(encoded):
+    found = list(piped(io.BytesIO(encoded(IMAGES))))
+    assert len(found) == 6 and all(one.shape == IMAGES[0].shape for one in found)
+    assert max(np.abs(a.astype(int) - b).mean() for a, b in zip(found, IMAGES, strict=True)) < 12
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "is empty"),
+        (b"RIFF....AVI LIST", "neither MJPEG nor y4m"),
+        (b"YUV4MPEG2 H48 F25:1\n", "without a size"),
+        (b"YUV4MPEG2 W99999998 H99999998 F25:1\n", "at most 64 MB"),
+        (y4m(IMAGES[:1], "444"), "colours 444"),
+        (y4m(IMAGES)[:-9], "cut short"),
+        (b"\xff\xd8" + bytes(100) + b"\xff\xd9", "image 0 is damaged"),
+    ],
+)
+def test_a_pipe_that_is_no_clip_is_one_line(data, said):
+    with pytest.raises(InputError, match=said):
+        list(piped(io.BytesIO(data)))
+
+
+def test_an_image_without_an_end_is_not_held(monkeypatch):
+    monkeypatch.setattr(live, "MOST", 1 << 20)
+    with pytest.raises(InputError, match="has no end in 1 MB"):
+        list(piped(io.BytesIO(b"\xff\xd8" + bytes(3 << 20))))
+
+
+def test_lines_come_as_the_frames_do_with_their_age():
+    lines, seen = [], []
+
+    def slowly():
+        for image in IMAGES:
+            seen.append(len(lines))  # how many lines were out before this image was asked for
+            time.sleep(0.01)
+            yield image
+
+    assert follow(slowly(), load_recipe("correlation_filter"), (40.0, 30.0, 24.0, 24.0), lines.append) == 6
+    assert seen[-1] >= 4, "no line waits for a later frame"
+    told = [json.loads(line) for line in lines]
+    assert [one["frame"] for one in told] == list(range(6)) and all(one["age_s"] >= 0 for one in told)
+    [part] = told[-1]["targets"][0]["parts"]
+    assert part["x"] == pytest.approx(56.5, abs=2) and told[-1]["time_s"] >= 0.05
+
+
+def test_run_live_from_standard_input(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(y4m(IMAGES)), isatty=lambda: False))
+    assert main(["run", "-", "--live", "--box", "40,30,24,24"]) == 0
+    out, err = capsys.readouterr()
+    assert len(out.splitlines()) == 6 and err == ""
+
+
+def test_what_live_cannot_be(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "-"]) == 2 and "give one INPUT with --live" in capsys.readouterr().err
+    assert main(["run", "7", "--live", "--box", "1,1,9,9"]) == 3
+    assert "7: there is no camera of this number" in capsys.readouterr().err
+    assert main(["run", "-", "--live", "-o", "x"]) == 2 and "leave --out out" in capsys.readouterr().err
