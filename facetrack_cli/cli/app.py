@@ -33,6 +33,7 @@ COMMANDS = {
     "plot": "Draw what happened in a trajectory.",
     "report": "Write one HTML page about a run.",
     "export": "Write a trajectory as other tools read it.",
+    "completion": "Print what makes a shell complete command lines.",
     "trax": "Speak TraX, the protocol of the VOT toolkit.",
 }
 """The one-line helps stand here because to ask the commands for theirs would load them."""

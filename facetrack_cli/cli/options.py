@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import click
 
+from facetrack_cli.cli.words import completes
 from facetrack_cli.core.errors import OutputError, UsageError, flat
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
@@ -64,6 +65,7 @@ def option(names: str, text: str, **more: Any) -> Any:
     """A field for an option, whose help says `text`; `names` as "-o --out FILE". A default is shown."""
     *own, metavar = names.split()
     shown: dict[str, Any] = {"metavar": metavar, "help": text, "show_default": "default" in more}
+    shown["shell_complete"] = completes(metavar)
     return partial(click.Option, own, **shown | more)
 
 
@@ -73,7 +75,9 @@ def flag(names: str, text: str) -> Any:
 
 def argument(metavar: str, **more: Any) -> Any:
     """A field for a file or folder that is named without an option."""
-    return partial(click.Argument, [], **{"metavar": metavar, "type": FILE, **more})
+    return partial(
+        click.Argument, [], **{"metavar": metavar, "type": FILE, "shell_complete": completes(metavar), **more}
+    )
 
 
 def group(kind: type[Any]) -> Any:

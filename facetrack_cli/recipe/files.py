@@ -5,23 +5,12 @@ from pathlib import Path
 from typing import Final
 
 from facetrack_cli.core.errors import RecipeError
+from facetrack_cli.core.shipped import shipped_folder as shipped_folder
+from facetrack_cli.core.shipped import shipped_recipes as shipped_recipes
 from facetrack_cli.core.yaml_tree import Problem, Source, Span, YamlProblems, read_source
 from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.model import Recipe, error_of
 from facetrack_cli.recipe.sections import suggest
-
-
-def shipped_folder() -> Path:
-    """Where the shipped recipes are: in the installed package, or beside it in a working copy."""
-    package = Path(__file__).resolve().parents[1]
-    inside = package / "configs"
-    return inside if inside.is_dir() else package.parent / "configs"
-
-
-def shipped_recipes() -> list[Path]:
-    """The files of the shipped recipes, by name."""
-    return sorted(shipped_folder().glob("*.yaml"))
-
 
 TASKS: Final[Mapping[str, tuple[str, ...]]] = {
     "a face and its features": ("face", "factorized_robust"),

@@ -6,6 +6,7 @@ import sys
 import click
 
 from facetrack_cli.cli.app import colour
+from facetrack_cli.cli.words import completes
 from facetrack_cli.core.errors import ExitCode, RecipeError
 
 
@@ -29,7 +30,7 @@ def command(ctx: click.Context) -> None:
 
 
 @command.command()
-@click.argument("recipe")
+@click.argument("recipe", shell_complete=completes("RECIPE"))
 def show(recipe: str) -> None:
     """Print the text of a recipe: a starting point for your own.
 
@@ -52,8 +53,11 @@ def show(recipe: str) -> None:
 
 
 @command.command()
-@click.argument("recipes", nargs=-1, required=True, metavar="RECIPE...")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Check with this key changed, as in run.")
+@click.argument("recipes", nargs=-1, required=True, metavar="RECIPE...", shell_complete=completes("RECIPE"))
+@click.option(
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Check with this key changed, as in run.",
+    shell_complete=completes("KEY=VALUE"),
+)  # fmt: skip
 def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     """Say everything that is wrong with recipes, and where.
 

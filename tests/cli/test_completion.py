@@ -1,0 +1,109 @@
+"""What shells complete, as they ask for it."""
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.shipped import shipped_recipes
+from facetrack_cli.recipe.load import load_recipe
+from tests.cli.test_cli import HEAVY, facetrack
+
+RECIPES = [path.stem for path in shipped_recipes()]
+
+
+def completed(line, cwd=None):
+    """The words that Bash is offered at the end of a line, as lines of kind,word."""
+    words = f"facetrack {line}"
+    at = len(shlex.split(words)) - (not words.endswith(" "))
+    done = facetrack(_FACETRACK_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(at), cwd=cwd)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("line", "first", "words"),
+    [
+        ("run --config fac", "file,fac", [name for name in RECIPES if name.startswith("fac")]),
+        ("recipes show sk", "file,sk", [name for name in RECIPES if name.startswith("sk")]),
+        ("recipes check sir sk", "file,sk", [name for name in RECIPES if name.startswith("sk")]),
+        ("run --config sir --set filter.p", None, ["filter.particles="]),
+        ("run --conf", None, ["--config"]),
+        ("recipes sh", None, ["show"]),
+        ("completion z", None, ["zsh"]),
+        ("run cl", "file,cl", []),
+        ("run --out cl", "dir,cl", []),
+        ("run --init cl", "file,cl", []),
+    ],
+)
+def test_what_is_completed(line, first, words):
+    assert completed(line) == [*([first] if first else []), *(f"plain,{word}" for word in words)]
+
+
+def test_keys_are_those_of_recipes_and_can_be_set():
+    for name in ("sir", "face", "adaptive", "correlation_filter"):
+        keys = [word.removeprefix("plain,") for word in completed(f"run --config {name} --set f")]
+        assert keys and all(key.endswith("=") for key in keys)
+        for key in keys:
+            value = load_recipe(name)
+            for level in key[:-1].split("."):
+                value = getattr(value, level)
+    assert "plain,target.windows=" not in completed("run --config face --set ")
+    assert len(completed("run --set ")) > len(completed("run --config sir --set "))
+
+
+def test_folders_of_runs_are_completed(tmp_path):
+    for name in ("clip-face", "clip-sir", "other"):
+        (tmp_path / "in" / name).mkdir(parents=True)
+    (tmp_path / "in" / "clip-face" / "run.json").touch()
+    (tmp_path / "in" / "clip-sir" / "trajectory.json").touch()
+    assert completed("report in/c", tmp_path) == ["dir,in/c", "plain,in/clip-face", "plain,in/clip-sir"]
+    assert completed("fix cl", tmp_path / "in") == ["dir,cl", "plain,clip-face", "plain,clip-sir"]
+    assert completed("eval clip-f", tmp_path / "in") == ["file,clip-f", "plain,clip-face"]
+    assert completed("fix nowhere/c", tmp_path) == ["dir,nowhere/c"]
+
+
+def test_recipes_are_completed_without_loading_anything_heavy():
+    done = facetrack(
+        flags=["-X", "importtime"],
+        _FACETRACK_COMPLETE="bash_complete", COMP_WORDS="facetrack run --config f", COMP_CWORD="3",
+    )  # fmt: skip
+    imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
+    assert "plain,face" in done.stdout.split() and "facetrack_cli.cli.words" in imported
+    assert {name.partition(".")[0] for name in imported} & HEAVY == set()
+    assert "facetrack_cli.recipe" not in imported
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_of_a_shell(shell, capsys):
+    assert main(["completion", shell]) == 0
+    said, err = capsys.readouterr()
+    assert f"_FACETRACK_COMPLETE={shell}_complete" in said and err == ""
+    if shutil.which(shell):
+        subprocess.run([shell, "-n"], input=said, text=True, check=True)
+
+
+@pytest.mark.skipif(not shutil.which("bash") or os.name == "nt", reason="there is no Bash")
+def test_bash_completes(tmp_path):
+    (tmp_path / "facetrack").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m facetrack_cli "$@"\n')
+    (tmp_path / "facetrack").chmod(0o755)
+    ask = """
+    eval "$(facetrack completion bash)"
+    COMP_WORDS=(facetrack run --config corr) COMP_CWORD=3
+    compopt() { :; }
+    _facetrack_completion facetrack
+    echo "${COMPREPLY[@]}"
+    """
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, env=environment)
+    assert (done.stdout.split(), done.stderr) == (["correlation_filter"], "")
+
+
+def test_a_shell_that_it_does_not_know(capsys):
+    assert main(["completion", "csh"]) == 2
+    assert "'csh' is not one of 'bash', 'zsh', 'fish'" in capsys.readouterr().err
