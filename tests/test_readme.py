@@ -12,7 +12,7 @@ from tests.test_docs import ROOT, blocks, command_lines
 FRAMES = 24
 PAGES = {"fix", "--pick"}  # which somebody must close
 # what keeps a run short, or is said in the comment beside the command
-MORE = {"run": ["-q", "--keep-posterior"], "init": [], "smooth": ["-q"], "report": ["-q"], "eval": []}
+MORE = {"run": ["-q", "--keep-posterior"], "init": [], "smooth": ["-q"], "report": ["-q"], "eval": [], "suggest": []}
 
 
 @pytest.fixture
