@@ -29,7 +29,8 @@ from collections.abc import Sequence  # noqa: E402
 import click  # noqa: E402
 
 from facetrack_cli.cli.app import READER_GONE, cli  # noqa: E402
-from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, flat, from_system  # noqa: E402
+from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, from_system  # noqa: E402
+from facetrack_cli.core.log import as_json, log_line  # noqa: E402
 from facetrack_cli.runs.signals import TerminatedError, raising  # noqa: E402
 
 for _one, _handler in _before.items():
@@ -121,8 +122,8 @@ def _say(message: str, excerpt: str = "") -> None:
     if len(message) > _LONGEST:  # it quotes what a file says; the place stands first, the remedy last
         message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
     with contextlib.suppress(OSError):  # a full disk under the log must not change the exit code
-        click.echo(f"facetrack: {flat(message)}", err=True)
-        if excerpt:
+        click.echo(log_line(f"facetrack: {message}", **({"excerpt": excerpt} if excerpt else {})), err=True)
+        if excerpt and not as_json():
             click.echo(excerpt, err=True)
 
 

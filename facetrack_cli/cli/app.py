@@ -12,6 +12,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from facetrack_cli import __version__
+from facetrack_cli.cli.defaults import option_of, read_defaults
+from facetrack_cli.core.log import VARIABLE
 
 COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",
@@ -90,9 +92,13 @@ class LazyGroup(click.Group):
 
 @click.group(cls=LazyGroup, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--debug", is_flag=True, help="Show the traceback of an error (also FACETRACK_DEBUG=1).")
+@click.option(
+    "--log-format", type=click.Choice(["text", "json"]), default="text", metavar="FORMAT",
+    help="What stderr says: text, or an object of JSON a line.",
+)  # fmt: skip
 @click.version_option(__version__, prog_name="facetrack", message="%(prog)s %(version)s")
 @click.pass_context
-def cli(ctx: click.Context, debug: bool) -> None:
+def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
     """Track faces, facial features, heads and hands in video with particle filters.
 
     A recipe says which tracker; a clip goes in, a trajectory and an annotated
@@ -103,6 +109,9 @@ def cli(ctx: click.Context, debug: bool) -> None:
         facetrack recipes
         facetrack run --help
 
+    Defaults of options are set by variables, as FACETRACK_RUN_JOBS=4, and in
+    pyproject.toml, as jobs = 4 under [tool.facetrack.run].
+
     Exit codes: 0 done, 1 internal error, 2 usage, recipe or output,
     3 input, 4 target lost (with --fail-on-lost), 5 some of a batch failed,
     6 regression, 130 interrupted, 143 terminated.
@@ -111,6 +120,12 @@ def cli(ctx: click.Context, debug: bool) -> None:
         os.environ["FACETRACK_DEBUG"] = "1"  # an environment variable, so that the processes of a batch know too
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
+        return
+    ctx.default_map = read_defaults(ctx)
+    if option_of(ctx.default_map, ctx, "log_format") == "json":
+        os.environ[VARIABLE] = "json"
+    else:
+        os.environ.pop(VARIABLE, None)
 
 
 def colour() -> bool:

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import click
 
 from facetrack_cli.cli.words import completes
-from facetrack_cli.core.errors import OutputError, UsageError, flat
+from facetrack_cli.core.errors import OutputError, UsageError
+from facetrack_cli.core.log import log_line
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
 if TYPE_CHECKING:
@@ -105,13 +106,13 @@ class _Verb(click.Command):
 def words_without(*fields: str) -> list[str]:
     """The options of the command that runs as they were given, without arguments and the options of these fields."""
     ctx = click.get_current_context()
-    given = ctx.command.make_parser(ctx).parse_args([*ctx.meta[_WORDS]])[0]
+    given = {**(ctx.default_map or {}), **ctx.command.make_parser(ctx).parse_args([*ctx.meta[_WORDS]])[0]}
     found = []
     for one in ctx.command.params:
         if isinstance(one, click.Option) and one.name in given and one.name not in fields:
             name, value = max(one.opts, key=len), given[one.name]
             values = value if one.multiple else [value]
-            found += [name if one.is_flag else f"{name}={value}" for value in values]
+            found += [name if one.is_flag else f"{name}={value}" for value in values if value is not False]
     return found
 
 
@@ -305,7 +306,7 @@ class Page:
 
 def say(line: str) -> None:
     """A line on standard error, also where a name holds line breaks."""
-    click.echo(flat(line), err=True)
+    click.echo(log_line(line), err=True)
 
 
 def write_figure(

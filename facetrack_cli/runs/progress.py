@@ -1,4 +1,4 @@
-"""Progress on standard error: a bar on a terminal, plain lines elsewhere, or nothing."""
+"""Progress on standard error: a bar on a terminal, plain lines elsewhere, objects of JSON if asked for, or nothing."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ import sys
 import time
 
 from facetrack_cli.core.errors import flat
+from facetrack_cli.core.log import as_json, write_line
 
 EVERY_S = 10.0  # between plain lines
+EVERY_JSON_S = 1.0  # between objects of JSON, which nobody reads
 
 
 def progress(quiet: bool) -> contextlib.closing[Progress]:
     """The kind that fits standard error, for a `with`."""
+    if as_json():
+        return contextlib.closing(Events(quiet))
     return contextlib.closing(Bar() if sys.stderr.isatty() and not quiet else Progress(quiet))
 
 
@@ -42,9 +46,7 @@ class Progress:
         """A line for who sits before a terminal and waits."""
 
     def error(self, line: str) -> None:
-        with contextlib.suppress(OSError):  # a full disk under the log does not stop the run
-            sys.stderr.write(flat(line) + "\n")
-            sys.stderr.flush()
+        write_line(line)
 
     def close(self) -> None:
         pass
@@ -58,6 +60,25 @@ class Progress:
 
     def _rate(self, done: int, rate: float | None) -> str:
         return f"{done / (time.monotonic() - self._began) if rate is None else rate:.1f} frames/s"
+
+
+class Events(Progress):
+    """A line of JSON for each message, with the clip, and every second one with how far it is."""
+
+    _name = _unit = ""
+
+    def update(self, done: int, total: int | None, rate: float | None = None) -> None:
+        if not self._quiet and self._due(EVERY_JSON_S):
+            speed = float(self._rate(done, rate).split()[0])
+            write_line(
+                "progress", clip=self._clip(), done=done, total=total or None, unit=self._unit, frames_per_s=speed
+            )
+
+    def error(self, line: str) -> None:
+        write_line(line, clip=self._clip())
+
+    def _clip(self) -> str | None:
+        return self._name if self._unit == "frames" else None
 
 
 class Bar(Progress):

@@ -181,6 +181,11 @@ def test_completion_of_a_command_loads_none():
     assert done.stdout.split() == [f"plain,{name}" for name in cli.COMMANDS if name.startswith("r")]
 
 
+def test_the_package_runs_as_a_module(tmp_path):
+    done = facetrack("--version", cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"facetrack {__version__}\n", "")
+
+
 # recipes
 
 

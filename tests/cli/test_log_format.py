@@ -1,0 +1,85 @@
+"""--log-format json: an object a line on standard error; NO_COLOR."""
+
+import json
+import os
+
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.log import VARIABLE, log_line
+from facetrack_cli.recipe.files import find_recipe, read_recipe
+from facetrack_cli.runs import progress as module
+from facetrack_cli.runs.progress import Bar, progress
+from tests.support.samples import FOLDER
+
+
+@pytest.fixture(autouse=True)
+def plain_afterwards(monkeypatch):
+    monkeypatch.setenv(VARIABLE, "")  # so that what main() sets ends with the test
+
+
+def objects(text):
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_a_run_says_objects(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(module, "EVERY_JSON_S", 0.0)
+    clip = FOLDER / "expressions.mp4"
+    words = ["run", str(clip), "--config", "fixed_template", "--stop", "5", "--no-video", "-o", str(tmp_path / "out")]
+    assert main(["--log-format", "json", *words]) == 0
+    out, err = capfd.readouterr()
+    said = objects(err)
+    assert out == "" and {one["level"] for one in said} == {"info"}
+    assert all(one["clip"] == clip.name for one in said) and all("time" in one for one in said)
+    steps = [one for one in said if one["message"] == "progress"]
+    assert {one["unit"] for one in steps} == {"frames"} and all(one["frames_per_s"] > 0 for one in steps)
+    done = [one["done"] for one in steps]
+    assert done == sorted(done) and done[-1] == 5
+    assert any("5 frames" in one["message"] for one in said)
+    assert main(["--log-format", "text", *words, "--overwrite"]) == 0
+    assert not capfd.readouterr().err.startswith("{")
+
+
+def test_errors_are_objects(tmp_path, capfd):
+    assert main(["--log-format", "json", "run", str(tmp_path / "none\nhere.mp4")]) == 3
+    (said,) = objects(capfd.readouterr().err)
+    assert said["level"] == "error" and "none" in said["message"] and "facetrack" not in said["message"][:9]
+    recipe = tmp_path / "r.yaml"
+    recipe.write_text(read_recipe(find_recipe("sir")).replace("seed: 0", "seed: -1"), encoding="utf-8")
+    assert main(["--log-format", "json", "run", str(FOLDER / "map.mp4"), "--config", str(recipe)]) == 2
+    (said,) = objects(capfd.readouterr().err)
+    assert "seed must be at least 0" in said["message"] and "seed: -1" in said["excerpt"]
+
+
+@pytest.mark.parametrize(
+    ("line", "level", "message"),
+    [
+        ("facetrack: warning: a: b", "warning", "a: b"),
+        ("facetrack: note: a", "info", "a"),
+        ("facetrack: interrupted", "info", "interrupted"),
+        ("a \udce4\nb", "info", "a"),
+    ],
+)
+def test_the_level_of_a_line(monkeypatch, line, level, message):
+    monkeypatch.setenv(VARIABLE, "json")
+    said = json.loads(log_line(line, clip=None, done=1))
+    assert said["level"] == level and said["message"].startswith(message) and "clip" not in said and said["done"] == 1
+
+
+def test_quiet_is_quiet(monkeypatch, capfd):
+    monkeypatch.setenv(VARIABLE, "json")
+    with progress(quiet=True) as shown:
+        shown.begin("a.mp4")
+        shown.update(1, 2)
+        shown.say("hello")
+        shown.error("facetrack: error: bad")
+    (said,) = objects(capfd.readouterr().err)
+    assert (said["level"], said["clip"]) == ("error", "a.mp4")
+
+
+@pytest.mark.parametrize("value", ["1", ""])
+def test_no_color_takes_colours_from_the_bar(monkeypatch, value):
+    monkeypatch.setenv("NO_COLOR", value)
+    monkeypatch.delenv("FORCE_COLOR", raising=False)
+    assert Bar()._bar.console.no_color is bool(value)
+    assert "NO_COLOR" in os.environ
