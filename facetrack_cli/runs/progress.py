@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import sys
 import time
 
@@ -78,7 +79,8 @@ class Events(Progress):
         write_line(line, clip=self._clip())
 
     def _clip(self) -> str | None:
-        return self._name if self._unit == "frames" else None
+        name = re.sub(r"^\[\d+/\d+\] ", "", self._name)  # without the count of a batch
+        return name if self._unit == "frames" else None
 
 
 class Bar(Progress):

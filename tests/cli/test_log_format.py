@@ -69,7 +69,7 @@ def test_the_level_of_a_line(monkeypatch, line, level, message):
 def test_quiet_is_quiet(monkeypatch, capfd):
     monkeypatch.setenv(VARIABLE, "json")
     with progress(quiet=True) as shown:
-        shown.begin("a.mp4")
+        shown.begin("[1/3] a.mp4")
         shown.update(1, 2)
         shown.say("hello")
         shown.error("facetrack: error: bad")
