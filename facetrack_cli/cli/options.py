@@ -116,6 +116,14 @@ def words_without(*fields: str) -> list[str]:
     return found
 
 
+def given_beside(known: set[str]) -> str:
+    """The first option on the command line of a field that is not `known`, as --stop; "" if there is none."""
+    ctx = click.get_current_context()
+    typed = click.core.ParameterSource.COMMANDLINE
+    others = [one for one in ctx.command.params if one.name not in known]
+    return next((max(one.opts, key=len) for one in others if ctx.get_parameter_source(str(one.name)) is typed), "")
+
+
 def _parameters(kind: type[Any]) -> Iterator[click.Parameter]:
     for name, field in vars(kind).items():
         if isinstance(field, type):

@@ -87,7 +87,14 @@ def test_run_live_from_standard_input(monkeypatch, capsys):
 
 def test_what_live_cannot_be(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["run", "-"]) == 2 and "give one INPUT with --live" in capsys.readouterr().err
+    assert main(["run", "-"]) == 2 and "has no end; give --live" in capsys.readouterr().err
     assert main(["run", "7", "--live", "--box", "1,1,9,9"]) == 3
     assert "7: there is no camera of this number" in capsys.readouterr().err
     assert main(["run", "-", "--live", "-o", "x"]) == 2 and "leave --out out" in capsys.readouterr().err
+
+
+def test_options_that_live_has_none_of_are_refused(capsys):
+    assert main(["run", "0", "--live", "--stop", "3"]) == 2
+    assert "--live has no --stop" in capsys.readouterr().err
+    assert main(["run", "0"]) == 2
+    assert "0: has no end; give --live" in capsys.readouterr().err

@@ -221,11 +221,15 @@ class Run:
         from facetrack_cli.runs.signals import Stop
 
         [clip, *more] = self.inputs
-        if not self.live or more:
-            what = "has no end, so that its results are written as they come" if not more else "follows one INPUT"
-            raise UsageError(f"{clip}: {what}; give one INPUT with --live" if not more else f"--live {what}; give one")
+        if not self.live:
+            raise UsageError(f"{clip}: has no end; give --live, which writes results as they come")
+        if more:
+            raise UsageError("--live follows one INPUT; give one")
         if self.out not in (None, "-"):
             raise UsageError("--live writes to stdout; leave --out out")
+        known = {"inputs", "config", "set", "seed", "gallery", "init", "box", "out", "live", "no_video", "quiet"}
+        if unfit := options.given_beside(known):
+            raise UsageError(f"--live has no {unfit}: frames are tracked as they come; leave it out")
         config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
         seed = () if self.seed is None else (f"seed={self.seed}",)
         [recipe] = load_recipes([(config, (*self.set, *seed))], self.gallery)
