@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from facetrack_cli.core.errors import InputError, UsageError, reason
+from facetrack_cli.core.errors import InputError, UsageError, from_system, reason
 from facetrack_cli.core.files import MOST, check_readable
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.manifest import NAME
@@ -85,7 +85,7 @@ def _clips(given: Path, note: Callable[[str], None]) -> list[Path]:
         if re.search(r"[*?\[]", str(given)) and not is_there(given):
             return _of_glob(given, note)
     except OSError as e:
-        raise InputError(f"{e.filename or given}: {reason(e)}; check the name and the permissions") from e
+        raise from_system(e) or InputError(f"{e.filename or given}: {reason(e)}; check the permissions") from e
     return [given]
 
 

@@ -65,9 +65,9 @@ class Encoder:
 
     def drop(self) -> None:
         """End the program; a file that is not finished is removed."""
-        whole = self.program.child.poll() == 0
+        whole = self.whole
         self.program.__exit__()
-        if not whole:
+        if not whole and self.target.is_file():
             self.target.unlink(missing_ok=True)
 
     @property

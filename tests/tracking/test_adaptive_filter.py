@@ -234,7 +234,7 @@ def test_who_it_is_is_said_where_one_is_likelier_than_all_others():
     assert [parts_of(one)[0].identity_prob for one in results] == [None, None, 0.8, 0.9, None, 1.0]
     assert [reported(one)["entropy"] for one in results] == list(ENTROPIES)
     assert [tuple(reported(one)["posterior"].values()) for one in results] == list(POSTERIORS)
-    assert all([name for name, _ in one.insets] == ["S", "W"] for one in results)
+    assert all([name for name, _ in one.insets] == ["stable", "recent"] for one in results)
 
 
 @pytest.mark.parametrize("best", [False, True])

@@ -369,11 +369,11 @@ def test_the_pictures_of_s_and_w_are_grey_levels_around_the_middle():
     mu = learned.mu.copy()
     mu[S, :6], mu[W, :6] = (0, 1, -1, 2.49, 2.6, -40), (-2.5, -2.6, 40, 0.5, -0.5, 0)
     shown = dict(MODEL.insets(replace(learned, mu=mu)))
-    assert shown["S"].shape == shown["W"].shape == PATCHES.shape and shown["S"].dtype == np.uint8
-    assert shown["S"].ravel()[:6].tolist() == [128, 179, 77, 254, 255, 0]
-    assert shown["W"].ravel()[:6].tolist() == [0, 0, 255, 153, 102, 128]
-    assert [name for name, _ in FIXED.insets(learned)] == ["F"]
-    assert [name for name, _ in changed(MODEL, mixing=components(0.5, 0, 0.5)).insets(learned)] == ["W"]
+    assert shown["stable"].shape == shown["recent"].shape == PATCHES.shape and shown["stable"].dtype == np.uint8
+    assert shown["stable"].ravel()[:6].tolist() == [128, 179, 77, 254, 255, 0]
+    assert shown["recent"].ravel()[:6].tolist() == [0, 0, 255, 153, 102, 128]
+    assert [name for name, _ in FIXED.insets(learned)] == ["first"]
+    assert [name for name, _ in changed(MODEL, mixing=components(0.5, 0, 0.5)).insets(learned)] == ["recent"]
 
 
 def test_so_many_pixels_count_as_independent():
