@@ -142,7 +142,7 @@ def test_a_proposal_is_taken_corrected_and_saved(clips, pick, windows, tmp_path)
 
     def dashed():
         edge = window.image(np.arange(left, left + width), [top - 0.5])
-        return (np.abs(edge - (255, 205, 80)).max(axis=-1) < 40).any()
+        return (np.abs(edge - 240).max(axis=-1) < 12).any()
 
     until(dashed, "the box of the proposal", window.page.wait_for_timeout)
     window.click_on("take-image-0")
