@@ -19,6 +19,7 @@ from facetrack_cli.recipe.load import files_of
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.start import find_init
+from facetrack_cli.trajectory.batch_file import as_text
 from facetrack_cli.trajectory.header import is_there, to_record
 from facetrack_cli.trajectory.manifest import Clip, Manifest, read_manifest
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -137,8 +138,7 @@ def looked_at(clip: Path) -> Clip | None:
     except OSError:
         return None
     changed = max((one.st_mtime_ns for one in stats), default=0)
-    path = str(clip).encode(errors="backslashreplace").decode()
-    return Clip(path=path, bytes=sum(one.st_size for one in stats), changed_ns=changed, sha256="")
+    return Clip(path=as_text(str(clip)), bytes=sum(one.st_size for one in stats), changed_ns=changed, sha256="")
 
 
 def _digest(path: Path, stopped: Callable[[], bool] = never) -> str:

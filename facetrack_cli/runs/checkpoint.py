@@ -83,7 +83,7 @@ class Checkpoints:
         self._last, self._frames = time.monotonic(), 0
 
     def find(self) -> Found | None:
-        """The last one of this very run. What is there of others is removed."""
+        """The last one of this very run; None if there is none that can be read."""
         path = self.folder / _FILE
 
         def make(stored: Stored) -> Found | None:

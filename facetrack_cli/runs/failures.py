@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 from facetrack_cli.core.claims import here, utc_now
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system
 from facetrack_cli.runs.again import asked, looked_at, previous
+from facetrack_cli.trajectory.batch_file import as_text
 from facetrack_cli.trajectory.manifest import OWNED, Manifest, commit, read_manifest
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def failure(error: Exception, log: Sequence[str] = ()) -> dict[str, object]:
     """What run.json says of an error. `log`: what the process said last, if it died."""
     said = line(error)
     last = tuple(text.encode(errors="replace").decode() for text in log[-LOG_LINES:])
-    text = str(said).encode(errors="backslashreplace").decode()
+    text = as_text(str(said))
     return {"complete": False, "error": text, "exit_code": int(said.exit_code), "log": last, "ended": utc_now()}
 
 

@@ -141,13 +141,11 @@ class Run:
     quiet: bool = options.QUIET
 
     def run(self) -> int:
-        from facetrack_cli.recipe.files import default_recipe
         from facetrack_cli.runs.batch import run_batch, variant_name
         from facetrack_cli.runs.inputs import expand
         from facetrack_cli.runs.job import Job, default_reason
         from facetrack_cli.runs.live import is_live
         from facetrack_cli.runs.progress import progress
-        from facetrack_cli.runs.seeds import load_recipes
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.runs.workers import cores
         from facetrack_cli.tracking.kernels import cache
@@ -160,9 +158,7 @@ class Run:
         with progress(self.quiet) as shown:
             given, several = expand(self.inputs, shown.say)
         self.extent.check(*given)
-        seed = () if self.seed is None else (f"seed={self.seed}",)
-        config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
-        [recipe] = load_recipes([(config, (*self.set, *seed))], self.gallery)
+        recipe = self._recipe()
         if self.fail_on_lost and not recipe.judges:
             raise UsageError(
                 f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
@@ -213,11 +209,18 @@ class Run:
                 code = _one(jobs[0], ending, shown, after)
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
 
+    def _recipe(self) -> Recipe:
+        from facetrack_cli.recipe.files import default_recipe
+        from facetrack_cli.runs.seeds import load_recipes
+
+        seed = () if self.seed is None else (f"seed={self.seed}",)
+        config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
+        [recipe] = load_recipes([(config, (*self.set, *seed))], self.gallery)
+        return recipe
+
     def _live(self) -> int:
         """Track what comes from a camera, a pipe or a clip; the exit code."""
-        from facetrack_cli.recipe.files import default_recipe
         from facetrack_cli.runs.live import follow, images_of
-        from facetrack_cli.runs.seeds import load_recipes
         from facetrack_cli.runs.signals import Stop
 
         [clip, *more] = self.inputs
@@ -230,9 +233,7 @@ class Run:
         known = {"inputs", "config", "set", "seed", "gallery", "init", "box", "out", "live", "no_video", "quiet"}
         if unfit := options.given_beside(known):
             raise UsageError(f"--live has no {unfit}: frames are tracked as they come; leave it out")
-        config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
-        seed = () if self.seed is None else (f"seed={self.seed}",)
-        [recipe] = load_recipes([(config, (*self.set, *seed))], self.gallery)
+        recipe = self._recipe()
         init = self.extent.box if self.extent.box is not None else self.extent.init
         with Stop().listening() as stop:
             follow(images_of(clip), recipe, init, lambda line: click.echo(line), stop)
