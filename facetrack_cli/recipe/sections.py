@@ -55,9 +55,7 @@ class Section(BaseModel):
     """A part of a recipe: frozen, without unknown keys, its fields described by the docstrings below them."""
 
     # built when the first recipe is read, when all types of sections are known
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True, defer_build=True
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
     def mistakes(self) -> Iterable[Refusal]:
         """What is wrong between the fields of this section; paths begin at it."""

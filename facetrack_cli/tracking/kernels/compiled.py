@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numba.core import caching
+from numba.core.runtime import rtsys
 
 from facetrack_cli.tracking.kernels.cache import compiling
 
@@ -62,9 +63,22 @@ _SUMS: Any = {"contract", "reassoc", "nsz"}
 _KERNEL: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # nobody calls them but Python
 
 
+class Kept(caching.FunctionCache):
+    """The cache of one kernel. Loading needs numba's allocator alone: the compiler, half a second, is not made ready.
+
+    A compilation makes itself ready.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+
 def _kept(kernel: Any) -> Any:
-    if isinstance(file := getattr(getattr(kernel, "_cache", None), "_cache_file", None), caching.IndexDataCacheFile):
-        file.__class__ = Checked
+    if isinstance(cache := getattr(kernel, "_cache", None), caching.FunctionCache):  # not with NUMBA_DISABLE_JIT
+        cache.__class__ = Kept
+        cache._cache_file.__class__ = Checked
     return kernel
 
 

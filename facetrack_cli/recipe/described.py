@@ -1,0 +1,43 @@
+"""A JSON Schema whose fields are described by the docstrings below them.
+
+They are read from the source when a schema is asked for: pydantic's `use_attribute_docstrings` reads them whenever the
+models are imported, at the start of every command.
+"""
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.json_schema import GenerateJsonSchema
+
+
+class Described(GenerateJsonSchema):
+    """Fields without a description of their own get their docstrings."""
+
+    def model_schema(self, schema: Any) -> dict[str, Any]:
+        found = super().model_schema(schema)
+        said = {name: text for one in reversed(schema["cls"].__mro__) for name, text in _docstrings(one)}
+        for name, field in found.get("properties", {}).items():
+            if name in said:
+                field.setdefault("description", said[name])
+        return found
+
+
+def _docstrings(model: type) -> Iterator[tuple[str, str]]:
+    """The attributes of a model's own body and the docstrings below them; none without its source."""
+    if not issubclass(model, BaseModel) or model is BaseModel:
+        return
+    try:
+        source = inspect.getsource(model)
+    except (OSError, TypeError):
+        return
+    body = ast.parse(textwrap.dedent(source)).body[0]
+    assert isinstance(body, ast.ClassDef)
+    for field, below in pairwise(body.body):
+        match field, below:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                yield name, inspect.cleandoc(text)
