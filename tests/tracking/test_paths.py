@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.tracking.kernels.paths import follow
+from facetrack_cli.tracking.start.paths import follow
 from tests.twins import paths as naive
 
 

@@ -1,4 +1,4 @@
-"""A slow, plain twin of kernels/paths.py, which tries all paths. Imports nothing of ours."""
+"""A slow, plain twin of start/paths.py, which tries all paths. Imports nothing of ours."""
 
 import itertools
 

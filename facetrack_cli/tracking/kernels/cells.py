@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.tracking.kernels.compiled import exact, fast
 
+Array: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
 _CLIP, _TEXTURE, _FLAT = np.float32(0.2), np.float32(0.2357), np.float32(1e-4)
@@ -199,11 +200,14 @@ def respond(filters, x, out):
             imaginary[f] += fr[f] * xi[f] - fi[f] * xr[f]
 
 
-@exact
-def read_cubic(values, x, y, out):
+def read_cubic(values: Single, x: Array, y: Array, out: Array) -> None:
     """`values` (H, W) at the places x (N,), y (N,) by Catmull and Rom's cubic; beyond the border as at it."""
+    _read_cubic(values, x, y, *np.empty((2, 4)), out)
+
+
+@exact
+def _read_cubic(values, x, y, wx, wy, out):
     height, width = values.shape
-    wx, wy = np.empty(4), np.empty(4)
     for n in range(len(x)):
         u, v = min(max(x[n], 0.0), width - 1.0), min(max(y[n], 0.0), height - 1.0)
         j, i = int(u), int(v)

@@ -1,13 +1,15 @@
 """Windows read from an image, and their colours compared (Patras & Pantic 2004, eq. 8 and 9)."""
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.tracking.kernels.compiled import exact, fast, inline
 
+Array: TypeAlias = NDArray[np.float64]
+Whole: TypeAlias = NDArray[np.int64]
 L1, HUBER, TUKEY, GEMAN_MCCLURE = 0, 1, 2, 3
 ROBUST = {"l1": L1, "huber": HUBER, "tukey": TUKEY, "geman_mcclure": GEMAN_MCCLURE}
 
@@ -50,15 +52,27 @@ def _read_window(image, x, y, w, h, pixels, out):
 
 
 def read_window(image: NDArray[Any], x: float, y: float, w: int, h: int) -> NDArray[np.float32]:
-    """The window of w x h pixels of image (H, W * 3) at (x, y): (h, w + 1, 3) float32, its last column zero."""
-    out = np.empty((h, w + 1, 3), np.float32)
-    _window(image, x, y, w, h, np.zeros((h + 1) * (w + 1) * 3 + 3, np.float32), out.reshape(-1))
+    """The window of w x h pixels of image (H, W * 3) at (x, y): (h, w + 1, 3) float32, its last column zero.
+
+    By NumPy, since it is read a few times a frame: the arithmetic of `_read_window`, to the bit.
+    """
+    height, width = image.shape[0], image.shape[1] // 3
+    left, top = x - (w - 1) / 2, y - (h - 1) / 2
+    x0, y0 = math.floor(left), math.floor(top)
+    fx, fy, one = np.float32(left - x0), np.float32(top - y0), np.float32(1.0)
+    if x0 >= 0 and y0 >= 0 and x0 + w + 1 <= width and y0 + h + 1 <= height:
+        pixels = image[y0 : y0 + h + 1, 3 * x0 : 3 * (x0 + w + 1)].astype(np.float32)
+    else:
+        rows, columns = (
+            np.clip(np.arange(y0, y0 + h + 1), 0, height - 1),
+            np.clip(np.arange(x0, x0 + w + 1), 0, width - 1),
+        )
+        pixels = image.reshape(height, width, 3)[rows[:, None], columns].astype(np.float32).reshape(h + 1, -1)
+    out = np.zeros((h, w + 1, 3), np.float32)
+    upper = (one - fy) * (one - fx) * pixels[:-1, :-3] + (one - fy) * fx * pixels[:-1, 3:]
+    seen = upper + fy * (one - fx) * pixels[1:, :-3] + fy * fx * pixels[1:, 3:]
+    out[:, :w] = seen.reshape(h, w, 3)
     return out
-
-
-@exact
-def _window(image, x, y, w, h, pixels, out):
-    _read_window(image, x, y, w, h, pixels, out)
 
 
 @inline
@@ -87,10 +101,10 @@ def _mean_rho(template, window, gain, robust, scale, n):
     return scale * d / n
 
 
-@fast
 def colour_ratio_distances(
-    image, ratios, offsets, sides, parts, x, origin_x, origin_y, factor, least_mean, robust, scale, out
-):
+    image: NDArray[Any], ratios: NDArray[np.float32], offsets: Whole, sides: Whole, parts: Whole, x: Array,
+    origin_x: int, origin_y: int, factor: int, least_mean: float, robust: int, scale: float, out: Array,
+) -> None:  # fmt: skip
     """Mean robust difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
 
     Template g of part `parts[g]` is `ratios[offsets[g] : offsets[g + 1]]`, divided by its own mean and laid out as
@@ -98,10 +112,31 @@ def colour_ratio_distances(
     (H, W * 3) shows it from (origin_x, origin_y) on, reduced by `factor`. The distance goes to `out[n, parts[g]]`. A
     window darker than `least_mean` is divided by that instead of its mean.
     """
-    largest = 0
-    for g in range(len(parts)):
-        largest = max(largest, (sides[g, 0] + 1) * (sides[g, 1] + 1) * 3)
+    largest = 3 * int(np.prod(sides + 1, axis=1).max(initial=0))
     pixels, buffer = np.zeros(largest + 3, np.float32), np.empty(largest, np.float32)
+    _distances(
+        image,
+        ratios,
+        offsets,
+        sides,
+        parts,
+        x,
+        origin_x,
+        origin_y,
+        factor,
+        least_mean,
+        robust,
+        scale,
+        pixels,
+        buffer,
+        out,
+    )
+
+
+@fast
+def _distances(
+    image, ratios, offsets, sides, parts, x, origin_x, origin_y, factor, least_mean, robust, scale, pixels, buffer, out
+):
     # far outside, every window shows the same border; the bound keeps the integers small
     reach = 4.0 * (image.shape[0] + image.shape[1])
     for g in range(len(parts)):

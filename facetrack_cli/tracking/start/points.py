@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Box, Image, Point
-from facetrack_cli.tracking.kernels import paths
+from facetrack_cli.tracking.start import paths
 
 Index: TypeAlias = NDArray[np.int64]
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
