@@ -75,7 +75,7 @@ def kernel() -> None:
 
     def ours() -> None:
         windows.colour_ratio_distances(
-            rows, ratios, offsets, sides, parts, x, 0.0, 0.0, 1, 1.0, windows.L1, 1.0, out
+            rows, ratios, offsets, sides, parts, x, 0, 0, 1, 1.0, windows.L1, 1.0, out
         )  # fmt: skip
 
     def theirs() -> np.ndarray:

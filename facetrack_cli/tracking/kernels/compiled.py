@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numba.core import caching
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 
 from facetrack_cli.tracking.kernels.cache import compiling
 
