@@ -8,6 +8,7 @@ from functools import partial
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame
+from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.runs import pipeline
 from facetrack_cli.runs.checkpoint import Run, forget
 from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended
@@ -18,6 +19,7 @@ from facetrack_cli.runs.start import frames_of
 from facetrack_cli.runs.verdict import Watch
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.corrected import resumed_at, revived
+from facetrack_cli.tracking.kernels.ahead import Ahead
 from facetrack_cli.tracking.loop import Standing, track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
@@ -63,7 +65,9 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         report(done.frames, source.frames_hint and source.frames_hint + before)
 
     try:
-        start = job.find(job.recipe, stopped=stop)
+        with Ahead(to_dict(job.recipe), job.threads) as ahead:
+            start = job.find(job.recipe, stopped=stop)
+            ahead.finish(stop)
     except InputError:
         if not stop():
             raise

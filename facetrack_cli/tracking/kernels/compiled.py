@@ -74,6 +74,14 @@ class Kept(caching.FunctionCache):
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)
 
+    def holds(self, kernel: Any, sig: Any) -> bool:
+        """Whether `kernel` need not be compiled for `sig`. What is damaged is seen, and said, when it is loaded."""
+        try:
+            known = self._cache_file._load_index()
+            return sig in kernel.overloads or self._index_key(sig, kernel.targetctx.codegen()) in known
+        except Exception:
+            return True
+
 
 def _kept(kernel: Any) -> Any:
     if isinstance(cache := getattr(kernel, "_cache", None), caching.FunctionCache):  # not with NUMBA_DISABLE_JIT

@@ -111,7 +111,8 @@ def _view(template: Template, frame: Frame, x: Array) -> _View:
     grey, left, top = frame.grey(factor, (x0 * factor, y0 * factor, x1 * factor - 1, y1 * factor - 1))
     dx, dy = left // factor, top // factor
     boxes -= (x0, y0, 0.0)
-    return _View(grey[y0 - dy : y1 - dy, x0 - dx : x1 - dx], boxes, seen, low - (x0, y0), high - (x0, y0), same)
+    image = np.ascontiguousarray(grey[y0 - dy : y1 - dy, x0 - dx : x1 - dx])  # one signature, one compilation
+    return _View(image, boxes, seen, low - (x0, y0), high - (x0, y0), same)
 
 
 def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:

@@ -74,6 +74,6 @@ class SkinCloud:
     def _skin(self, learned: Learned, frame: Frame, xy: Array) -> Array:
         """(N,): p of the pixel at each place xy (N, 2); 0 beyond the frame."""
         factor = factor_for(max(self.size), self.settings.max_size)
-        image, left, top = frame.reduced(factor, extent(xy[:, None], 0.0))
+        image, left, top = frame.reduced(factor, extent(np.ascontiguousarray(xy)[:, None], 0.0))
         there = (xy - (left, top) - (factor - 1) / 2) / factor
         return np.asarray(kernel.at_points(image, learned.table, there))
