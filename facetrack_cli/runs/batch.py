@@ -17,13 +17,15 @@ import cv2
 
 from facetrack_cli.core.claims import LOCK, Claim, holder
 from facetrack_cli.core.errors import BusyError, FacetrackError
+from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.runs.again import previous
 from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.failures import line, note_failure
 from facetrack_cli.runs.job import Job, Outcome, Report, check, ended
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.workers import DiedError, side_by_side
+from facetrack_cli.runs.workers import DiedError, cores, side_by_side
+from facetrack_cli.tracking.kernels.ahead import Ahead
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.killed import settle
 
@@ -128,6 +130,8 @@ def _round(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) ->
             progress.begin(f"[{i}/{len(jobs)}] {job.clip.name}", "frames", None)
             yield job, _attempt(job, stop, progress.update)
         return
+    with Ahead(to_dict(jobs[0].recipe), cores()) as ahead:  # or each of the workers would compile them
+        ahead.finish(stop)
     began, finished = time.monotonic(), 0
     progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
 
