@@ -11,6 +11,8 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeAlias, TypeVar
 
+import cv2
+
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trajectory.trajectory import FrameResult
 
@@ -21,6 +23,11 @@ PATIENCE_S = 1.0  # a decoder that does not come back from a read is left behind
 T = TypeVar("T")
 Track: TypeAlias = Callable[[Iterator[Frame]], Iterator[FrameResult]]
 Effect: TypeAlias = Callable[[FrameResult], None]
+
+
+def share_threads(threads: int) -> None:
+    """Leave one of so many to decoding. OpenCV's wait for work by spinning: on two cores that is a tenth of a run."""
+    cv2.setNumThreads(max(threads - 1, 1))
 
 
 def run(

@@ -326,11 +326,10 @@ class Run:
 
 def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
     """Run one clip; its error is the command's."""
-    import cv2
-
     from facetrack_cli.runs.clip import run
+    from facetrack_cli.runs.pipeline import share_threads
 
-    cv2.setNumThreads(job.threads)
+    share_threads(job.threads)
     shown.begin(job.clip.name)
     outcome = run(job, stop, shown.update)
     shown.close()
