@@ -229,7 +229,7 @@ class Extent:
     box: Box | None = box_option("The face, head or hand in the first frame, in pixels.")
     start: int = option("--start N", "First frame, from 0.", type=FRAME, default=0, show_default=False)
     stop: int | None = option("--stop N", "Frame to stop before.", type=FRAME)
-    fps: Fraction | None = option("--fps RATE", "Frames per second of image folders.", type=_rate)
+    fps: Fraction | None = option("--fps RATE", "Frames per second of a folder or .zip of images.", type=_rate)
 
     def check(self, *clips: Path) -> None:
         """UsageError where options contradict each other, or have no meaning for these clips."""
@@ -239,7 +239,10 @@ class Extent:
             place = f"after --start {self.start}" if self.start else "at all"
             raise UsageError(f"--stop {self.stop} leaves no frame {place}; it is the frame to stop before")
         if self.fps is not None and all(one.is_file() for one in clips):
-            raise UsageError("--fps is for image folders; a video brings its own rate")
+            from facetrack_cli.video.kinds import brings_rate
+
+            if all(map(brings_rate, clips)):
+                raise UsageError("--fps is for image folders and archives; a video brings its own rate")
 
 
 def format_of(names: str, text: str) -> Any:

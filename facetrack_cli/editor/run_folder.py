@@ -28,6 +28,7 @@ from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, Sink, footer_of, json_frames
 from facetrack_cli.video.images import listing
+from facetrack_cli.video.kinds import brings_rate
 
 UNSAVED: Final = "unsaved.init.yaml"
 STATUS: Final = ("init", "tracked", "lost", "absent")
@@ -87,7 +88,7 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     if (other := swapped(rows, path)) is not None:
         raise InputError(f"{other}; name its clip with --clip")
     recipe = _recipe(main, rows.header["recipe"], [Path(), folder, folder.parent, path.parent])
-    fps = None if listing(path) is None else Fraction(header.source.fps).limit_denominator(1001)
+    fps = None if brings_rate(path) else Fraction(header.source.fps).limit_denominator(1001)
     run = Run(folder, rows, header, recipe, header.init.start, path, fps, stamped)
     _check_rows(main, run)
     return run

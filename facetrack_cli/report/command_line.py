@@ -22,7 +22,7 @@ from facetrack_cli.recipe.model import completed, to_dict
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.tracking.start.init_file import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED, ClipHeader, Header, InitHeader
-from facetrack_cli.video.images import listing
+from facetrack_cli.video.kinds import brings_rate
 from facetrack_cli.video.source import FOLDER_FPS
 
 
@@ -131,5 +131,5 @@ def _corrections(start: Start) -> list[Correction]:
 def _rate_words(source: ClipHeader) -> list[str]:
     path, folder, rate = Path(source.path), False, Fraction(source.fps).limit_denominator(1001)
     with contextlib.suppress(FacetrackError, OSError, ValueError):
-        folder = listing(path) is not None or (not path.exists() and not path.suffix)
+        folder = not brings_rate(path) or (not path.exists() and not path.suffix)
     return ["--fps", str(rate)] if folder and rate != FOLDER_FPS else []

@@ -19,7 +19,7 @@ from facetrack_cli.runs.again import swapped
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.manifest import check_belongs
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
-from facetrack_cli.video.images import listing
+from facetrack_cli.video.kinds import brings_rate
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 
@@ -169,7 +169,7 @@ class _Maker:
 
 def _frames(path: Path, size: tuple[int, int], fps: float, wanted: Sequence[int], report: Report) -> Iterator[Frame]:
     """The wanted frames, in their order, in one pass. InputError if the clip is of another size."""
-    folder = listing(path) is not None
+    folder = not brings_rate(path)
     runs = [(n, n + 1) for n in wanted] if folder else [(wanted[0], wanted[-1] + 1)]
     total, done = sum(end - begin for begin, end in runs), 0
     for begin, end in runs:

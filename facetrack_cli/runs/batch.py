@@ -13,8 +13,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-import cv2
-
 from facetrack_cli.core.claims import LOCK, Claim, holder
 from facetrack_cli.core.errors import BusyError, FacetrackError
 from facetrack_cli.recipe.model import to_dict
@@ -22,6 +20,7 @@ from facetrack_cli.runs.again import previous
 from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.failures import line, note_failure
 from facetrack_cli.runs.job import Job, Outcome, Report, check, ended
+from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
@@ -126,7 +125,7 @@ def _round(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) ->
         for i, job in enumerate(jobs, 1):
             if stop():
                 return
-            cv2.setNumThreads(job.threads)
+            share_threads(job.threads)
             progress.begin(f"[{i}/{len(jobs)}] {job.clip.name}", "frames", None)
             yield job, _attempt(job, stop, progress.update)
         return

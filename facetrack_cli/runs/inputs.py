@@ -1,7 +1,7 @@
 """The clips that a command line names: files, folders, globs, and lists of them.
 
-A folder of images is one clip. In a folder that holds videos each of them is a clip; in one that holds neither, those
-of its sub-folders are.
+A folder of images is one clip. In a folder that holds videos, animations or archives of images each of them is a clip;
+in one that holds none of these, those of its sub-folders are.
 """
 
 from __future__ import annotations
@@ -12,20 +12,15 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from facetrack_cli.core.errors import InputError, UsageError, from_system, reason
 from facetrack_cli.core.files import MOST, check_readable
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.manifest import NAME
 from facetrack_cli.video import images
+from facetrack_cli.video.kinds import is_clip, is_image
 from facetrack_cli.video.playlists import check_local
-
-_KINDS: Final = (
-    "3g2 3gp asf avi divx dv f4v flv m2ts m2v m4v mj2 mjpeg mjpg mkv mov mp4 mpe mpeg mpg mts mxf ogm ogv qt rm rmvb "
-    "ts vob webm wmv y4m"
-)
-VIDEOS: Final = frozenset(f".{kind}" for kind in _KINDS.split())
 
 
 class Found(NamedTuple):
@@ -45,7 +40,7 @@ def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: No
     groups = [_clips(given, note) for given in listed]
     found = {Path(os.path.abspath(clip)): clip for group in groups for clip in group}  # noqa: PTH100 -- keeps links
     clips = list(found.values())
-    alone = [clip for clip in clips if clip.suffix.lower() in images.SUFFIXES and images.listing(clip) is None]
+    alone = [clip for clip in clips if is_image(clip) and images.listing(clip) is None]
     if len(alone) > 1:
         folder = alone[0].parent
         raise UsageError(f"{alone[0]} and {len(alone) - 1} more are single images; give their folder, {folder}{os.sep}")
@@ -95,8 +90,8 @@ def _of_glob(given: Path, note: Callable[[str], None]) -> list[Path]:
         raise InputError(f"{given}: matches no file; check the name")
     folders = [one for one in matches if one.is_dir()]
     files = [one for one in matches if not one.is_dir()]
-    pictures = [one for one in files if one.suffix.lower() in images.SUFFIXES]
-    videos = [one for one in files if one.suffix.lower() not in images.SUFFIXES]
+    pictures = {one for one in files if is_image(one)}
+    videos = [one for one in files if one not in pictures]
     if pictures and not videos and not folders:
         return [given]
     _left_out(given, len(pictures), note)
@@ -108,12 +103,11 @@ def _of_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
     if (folder / NAME).exists():
         return []
     names = [name for name in os.listdir(folder) if not name.startswith(".")]  # noqa: PTH208 -- of many, fast
-    suffixes = {name: os.path.splitext(name)[1].lower() for name in names}  # noqa: PTH122
-    wanted = sorted((name for name in names if suffixes[name] in VIDEOS), key=images.natural_key)
-    videos = [path for path in map(folder.joinpath, wanted) if path.is_file()]
-    pictures = [name for name in names if suffixes[name] in images.SUFFIXES]
+    paths = [folder / name for name in names]
+    videos = sorted(filter(is_clip, paths), key=lambda path: images.natural_key(path.name))
+    pictures = [path for path in {*paths}.difference(videos) if path.suffix.lower() in images.SUFFIXES]
     if not videos:
-        return [folder] if any((folder / name).is_file() for name in pictures) else []
+        return [folder] if any(path.is_file() for path in pictures) else []
     _left_out(folder, len(pictures), note)
     return videos
 

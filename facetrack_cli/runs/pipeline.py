@@ -11,16 +11,23 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeAlias, TypeVar
 
+import cv2
+
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trajectory.trajectory import FrameResult
 
 DEPTH = 4  # frames in each queue
-MOST_BYTES = 64 << 20  # of their pixels, unless one alone has more
+MOST_BYTES = 32 << 20  # of their pixels, unless one alone has more
 POLL_S = 0.1  # how long a stage sleeps at most before it looks whether the run was cancelled
 PATIENCE_S = 1.0  # a decoder that does not come back from a read is left behind after this long
 T = TypeVar("T")
 Track: TypeAlias = Callable[[Iterator[Frame]], Iterator[FrameResult]]
 Effect: TypeAlias = Callable[[FrameResult], None]
+
+
+def share_threads(threads: int) -> None:
+    """Leave one of so many to decoding. OpenCV's wait for work by spinning: on two cores that is a tenth of a run."""
+    cv2.setNumThreads(max(threads - 1, 1))
 
 
 def run(
@@ -50,7 +57,7 @@ def run(
 
     def decode() -> None:
         try:
-            if all(decoded.put(frame) for frame in frames):
+            if all(map(decoded.put, frames)):  # which holds no frame while the next one is decoded
                 decoded.put(None)
         except BaseException as e:  # it travels like a frame, behind the frames that came before it
             decoded.put(e)
@@ -72,6 +79,7 @@ def run(
             record(result)
             if paint is not None and not results.put(result):
                 break
+            del result  # while the next one is tracked
     finally:
         cancelled.set()
         results.put(None)

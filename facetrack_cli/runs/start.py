@@ -114,6 +114,7 @@ def frames_of(source: Source, first: int, origin: str, stopped: Callable[[], boo
         raise InputError(source.warnings.pop() if source.warnings else f"{source.path}: frame {first} cannot be read")
     while frame is not None and not stopped():
         yield frame
+        frame = None  # while the next one is decoded
         frame = next(frames, None)
 
 

@@ -18,9 +18,8 @@ from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import cv2
-
 from facetrack_cli.core.errors import ExitCode, FacetrackError
+from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.signals import Stop
 
 Work: TypeAlias = Callable[[Any, Stop, Callable[..., None]], Any]
@@ -231,7 +230,7 @@ def _serve(pipe: Connection, log: Path, work: Work, ending: Ending, threads: int
             return ExitCode(ending.value)
         return ExitCode.INTERRUPTED if os.getppid() != parent else None
 
-    cv2.setNumThreads(threads)
+    share_threads(threads)
     with contextlib.suppress(EOFError, OSError):
         while True:
             (task,) = pipe.recv()

@@ -20,6 +20,15 @@ def is_archive(path: Path) -> bool:
     return path.suffix.lower() == ".zip" and path.is_file() and is_zipfile(path)
 
 
+def holds_images(path: Path) -> bool:
+    """Whether an archive has an image, or cannot be read, of which more is said once it is opened."""
+    try:
+        with ZipFile(path) as packed:
+            return any(_is_frame(PurePosixPath(name)) for name in packed.namelist())
+    except _DAMAGED:
+        return True
+
+
 class Archive:
     """The images of one folder of an archive; `files` are their paths, as if the archive were a folder.
 

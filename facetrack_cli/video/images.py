@@ -1,5 +1,6 @@
 """Image files: which files of a folder are frames, in what order, and how one becomes (H, W, 3) uint8 BGR."""
 
+import contextlib
 import re
 import warnings
 from pathlib import Path
@@ -87,12 +88,15 @@ def read(path: Path, size: tuple[int, int] | None = None, data: bytes | None = N
 
 
 def is_animated(path: Path) -> bool:
-    """Whether a PNG holds several frames (APNG): its animation is announced before its pixels. Raises OSError."""
+    """Whether a PNG holds several frames (APNG): its animation is announced before its pixels."""
     if path.suffix.lower() != ".png":
         return False
-    with path.open("rb") as file:
-        head = file.read(1 << 16)
-    return b"acTL" in head[: head.find(b"IDAT") + 1]
+    with contextlib.suppress(OSError), path.open("rb") as file:  # which is said when it is read
+        head = file.read(1 << 12)
+        if b"IDAT" not in head:  # after a colour profile
+            head += file.read(1 << 16)
+        return b"acTL" in head[: head.find(b"IDAT") + 1]
+    return False
 
 
 def header_size(path: Path, data: bytes | None = None) -> tuple[int, int] | None:

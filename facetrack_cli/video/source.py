@@ -35,6 +35,7 @@ from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.video import decoder_log, ffmpeg, images
 from facetrack_cli.video.archive import Archive, is_archive
 from facetrack_cli.video.checksums import broken_clusters
+from facetrack_cli.video.kinds import is_image
 from facetrack_cli.video.playlists import check_local
 from facetrack_cli.video.refused import AGAIN, check_file, why_not
 
@@ -350,7 +351,7 @@ class FolderSource(Source):
 def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None) -> Source:
     """Open a video file, a folder or a .zip of images, a glob of images in one folder (`a*.png`), or a single image.
 
-    Frames from `start` up to, not including, `stop`. `fps` is the rate of a folder (default 25); a video has its own
+    Frames from `start` up to, not including, `stop`. `fps` is the rate of images (default 25); a video has its own
     clock and refuses it. Raises InputError when there is nothing to read, UsageError for impossible arguments.
     """
     if start < 0:
@@ -369,8 +370,8 @@ def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop
     if is_archive(path):
         packed = Archive(path)
         return FolderSource(path, packed.files, fps or FOLDER_FPS, start, stop, packed.read)
-    if path.suffix.lower() in images.SUFFIXES and not images.is_animated(path):
+    if is_image(path):
         return FolderSource(path, [path], fps or FOLDER_FPS, start, stop)
     if fps is not None:
-        raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for image folders only")
+        raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for images only")
     return VideoSource(path, start, stop)

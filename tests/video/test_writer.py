@@ -16,6 +16,7 @@ import pytest
 
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.video import ffmpeg as ours
+from facetrack_cli.video.encoder import Planes
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support import media
@@ -142,6 +143,19 @@ def test_colours_come_back(tmp_path: Path, size: tuple[int, int]) -> None:
     for k, colour in enumerate(colours):
         middle = decoded[height // 2, width // 5 * k + width // 10]
         assert np.abs(middle.astype(int) - colour).max() <= 3, (colour, middle)
+
+
+@pytest.mark.parametrize(("size", "weight"), [((6, 4), 0.587), ((5, 3), 0.587), ((2, 720), 0.7152)])
+def test_chroma_is_the_mean_of_four_pixels(size: tuple[int, int], weight: float) -> None:
+    planes, image = Planes(size), np.zeros((size[1], size[0], 3), np.uint8)
+    width, height = planes.size
+    image[..., 1] = 255
+    green = planes.of(image)[width * height :].reshape(2, -1)[:, 0].astype(int) - 128
+    image[:, ::2] = 0  # lines one pixel wide
+    y, cb, cr = np.split(planes.of(image), [width * height, width * height * 5 // 4])
+    np.testing.assert_allclose(y.reshape(height, width)[0, :2], [16, 16 + 219 * weight], atol=0.7)
+    assert [len(cb), len(cr)] == [width * height // 4] * 2
+    np.testing.assert_allclose([cb[0] - 128.0, cr[0] - 128.0], green / 2, atol=1)
 
 
 def test_wrong_frames_are_refused(tmp_path: Path) -> None:

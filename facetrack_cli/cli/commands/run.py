@@ -150,6 +150,7 @@ class Run:
         from facetrack_cli.runs.workers import cores
         from facetrack_cli.tracking.kernels import cache
         from facetrack_cli.trajectory.batch_file import write_batch
+        from facetrack_cli.video.kinds import brings_rate
 
         if self.cluster is not None:
             self._check_cluster(self.cluster)
@@ -194,7 +195,7 @@ class Run:
                     split=split,
                     why=default_reason(self.extent.box, clip) if self.config is None else "",
                     threads=self.threads or max(1, cores() // workers),
-                    **vars(self.extent) | ({"fps": None} if clip.is_file() else {}),
+                    **vars(self.extent) | ({"fps": None} if self.extent.fps and brings_rate(clip) else {}),
                 )
                 for clip, folder in zip(clips, places, strict=True)
             ]
@@ -326,11 +327,10 @@ class Run:
 
 def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
     """Run one clip; its error is the command's."""
-    import cv2
-
     from facetrack_cli.runs.clip import run
+    from facetrack_cli.runs.pipeline import share_threads
 
-    cv2.setNumThreads(job.threads)
+    share_threads(job.threads)
     shown.begin(job.clip.name)
     outcome = run(job, stop, shown.update)
     shown.close()

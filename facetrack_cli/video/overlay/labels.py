@@ -190,8 +190,8 @@ class Labels:
 
     def _parts(self, image: Image, shape: Shape, taken: list[Rect], sides: dict[tuple[str, str], int]) -> None:
         """The names of parts whose windows are large enough, first at the sides that face away from the middle."""
-        middle = shape.centres.mean(axis=0)
-        columns = (shape.parts, shape.bounds.tolist(), shape.centres, shape.lost.tolist(), shape.colours)
+        middle = shape.centres.mean(axis=0).tolist()
+        columns = (shape.parts, shape.bounds.tolist(), shape.centres.tolist(), shape.lost.tolist(), shape.colours)
         for part, bound, centre, lost, colour in zip(*columns, strict=True):
             small = min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * self._font.cap
             if small or part in (shape.target, BOX):  # the latter say nothing more
@@ -199,9 +199,9 @@ class Labels:
             sprite = self._font.sprite(readable(part), LOST if lost else colour, self._line)
             places = _beside(bound, sprite.size, 2 * self._line)
             key = (shape.target, part)
-            x, y = (centre - middle).tolist()
+            x, y = centre[0] - middle[0], centre[1] - middle[1]
             order = sorted(range(4), key=(x, y, -x, -y).__getitem__, reverse=True)
-            for side in [*([self._sides[key]] if key in self._sides else []), *order]:
+            for side in [self._sides[key], *order] if key in self._sides else order:
                 left, top = places[side]
                 box = (left, top, left + sprite.size[0], top + sprite.size[1])
                 if self._free(box, taken):

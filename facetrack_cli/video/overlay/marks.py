@@ -128,9 +128,10 @@ class Font:
         self.top = math.ceil(0.2 * cap)
         self.height = self.top + cap + math.ceil(0.4 * cap)
         self.sprite = lru_cache(_KEPT)(self._render)
+        self.width = lru_cache(_KEPT)(self._width)
         self._glyph = lru_cache(None)(self._draw_glyph)
 
-    def width(self, text: str) -> int:
+    def _width(self, text: str) -> int:
         """The width of `text` in pixels."""
         return sum(self._glyph(c).shape[1] for c in plain(text))
 
@@ -141,8 +142,8 @@ class Font:
 
     def passing(self, text: str) -> Sprite:
         """White text that will be another in the next frame, and so is not kept."""
-        mask = self.mask(text)
-        return Sprite(_grey(mask), _grey(cv2.bitwise_not(mask)))
+        ink = _grey(self.mask(text))
+        return Sprite(ink, np.asarray(cv2.bitwise_not(ink), np.uint8))
 
     def _render(self, text: str, colour: Colour, halo: int = 0) -> Sprite:
         """Text in `colour` (blue, green, red), with a dark rim of `halo` pixels which widens it on all sides."""

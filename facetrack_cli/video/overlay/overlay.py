@@ -103,11 +103,11 @@ class Overlay:
     def _shape(self, target: TargetResult, place: int, *, alone: bool) -> Shape:
         every = target.rows
         fine = np.isfinite(every.x + every.y + every.w + every.h)
-        rows = every.take(fine)
+        rows = every if fine.all() else every.take(fine)
         table = np.clip(np.stack([rows.x, rows.y, rows.w, rows.h], axis=1), -self._reach, self._reach)
         half = np.maximum(table[:, 2:] - 1, 2) / 2
         corners = half[:, None] * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-        angle = np.radians(np.nan_to_num(rows.angle, posinf=0, neginf=0))
+        angle = np.radians(np.where(np.isfinite(rows.angle), rows.angle, 0.0))
         if angle.any():
             cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
             x, y = corners[..., 0], corners[..., 1]
@@ -182,7 +182,7 @@ class Overlay:
             return
         layer = np.zeros((y1 - y0, x1 - x0, 4), np.uint8)  # colours times opacity, and opacity
         origin = np.array((x0, y0), np.float64)
-        for strokes, colour, opacity in self._strokes(trail, marks.fixed(np.stack(places) - origin), shape.colours):
+        for strokes, colour, opacity in self._strokes(trail, marks.fixed(np.array(places) - origin), shape.colours):
             marks.polylines(layer, strokes, marks.ink(colour, opacity), fine)
         gone = GREY if shape.is_face else LOST
         tints = [gone if lost else own for lost, own in zip(shape.lost.tolist(), shape.colours, strict=False)]
@@ -221,7 +221,7 @@ class Overlay:
     ) -> Iterator[tuple[list[Points], Colour, float]]:
         """The trail's lines of equal opacity, faint to strong; where a part was lost, dashes in vermilion."""
         paths = np.ascontiguousarray(at.reshape(len(trail), -1, 2).transpose(1, 0, 2))  # (K, T, 2)
-        lost = np.stack([p.lost for p in trail], axis=1)  # (K, T)
+        lost = np.array([p.lost for p in trail]).T  # (K, T)
         fresh = [1 - (trail[-1].time_s - p.time_s) / max(self.trail_s, 1e-9) for p in trail]
         ends = [bisect_left(fresh, (b + 1) / _FADES) for b in range(_FADES - 1)] + [len(trail) - 1]
         start = 0
@@ -230,9 +230,9 @@ class Overlay:
                 continue
             opacity = 0.3 + 0.65 * b / (_FADES - 1)
             broken = list[Points]()
-            for path, gone, colour in zip(paths, lost[:, start + 1 : end + 1], colours, strict=False):
-                whole = [] if gone.any() else [path[start : end + 1]]
-                for i, is_lost in enumerate(gone.tolist(), start + 1) if gone.any() else ():
+            for path, gone, colour in zip(paths, lost[:, start + 1 : end + 1].tolist(), colours, strict=False):
+                whole = [] if any(gone) else [path[start : end + 1]]
+                for i, is_lost in enumerate(gone, start + 1) if any(gone) else ():
                     if not is_lost:
                         whole.append(path[i - 1 : i + 1])
                     elif trail[i].number % 2:
@@ -257,13 +257,16 @@ class Overlay:
     def _ellipses(self, shape: Shape) -> tuple[Array, list[int]]:
         """Two standard deviations around centres, (R, 32, 2), and whose; only where that is more than the mark."""
         rows = shape.rows
-        sx, sy = (np.minimum(np.nan_to_num(std, posinf=0.0), self._reach) for std in (rows.std_x, rows.std_y))
+        spreads = np.array([rows.std_x, rows.std_y])
+        sx, sy = np.minimum(np.where(np.isfinite(spreads), spreads, 0.0), self._reach)
         # in a small window the dots say as much, with less clutter
         least = np.where(shape.side < _SMALL * self._line, 1.25 * shape.sizes.max(axis=1), 4 * self._line)
         shown = 2 * np.maximum(sx, sy) >= least
         if shape.is_face:  # only of a head that is lost
             shown &= shape.lost & (np.array(shape.parts) == BOX)
         whose = np.flatnonzero(shown)
+        if not len(whose):
+            return np.empty((0, len(_CIRCLE), 2)), []
         sx, sy, xy = sx[whose], sy[whose], np.nan_to_num(rows.cov_xy[whose])
         spread = sx * sy > 1e-12
         lean = np.where(spread, np.clip(xy / np.where(spread, sx * sy, 1.0), -1.0, 1.0), 0.0)
