@@ -29,9 +29,10 @@ from facetrack_cli.tracking.face import still
 from facetrack_cli.tracking.face.registration import Registration
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
+from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.start.detectors import Detector
-from facetrack_cli.tracking.target import Names, ParticleTarget, State
+from facetrack_cli.tracking.target import ParticleTarget, State
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, joined
 

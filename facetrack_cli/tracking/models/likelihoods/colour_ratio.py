@@ -82,7 +82,7 @@ class ColourRatio:
         out = np.empty(x.shape[:2])
         robust, scale = windows.ROBUST[self.settings.robust], self.settings.scale or 1.0
         extent = windows.extent(x, learned.reach)
-        for g in learned.groups:
+        for g in reversed(learned.groups):  # a picture much reduced is made from one reduced less, at least as large
             image, left, top = frame.reduced(g.factor, extent)
             template = g.ratios, g.offsets, g.sides, g.parts
             at = x, left, top, g.factor
