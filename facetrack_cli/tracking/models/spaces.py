@@ -159,8 +159,8 @@ class AffineSpace(Space):
         return np.array([[math.hypot(a1, a3) * self.size[0], math.hypot(a2, a4) * self.size[1]]])
 
     def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
-        columns = particles.x[:, 0, 2:].reshape(-1, 2, 2)
-        sides = np.sqrt(np.square(columns).sum(axis=1)) * np.array(self.size)
+        squares = np.square(particles.x[:, 0, 2:])
+        sides = np.sqrt(squares[:, :2] + squares[:, 2:]) * np.array(self.size)
         return estimate(particles, ess, best=best, sides=sides)
 
     def at(self, box: Box) -> Array:
@@ -320,7 +320,7 @@ class Patches:
 
         The frame remembers the last few: of one state by its values, of more by the array x, which must not change.
         """
-        key = self, factor, x.tobytes() if x.size == 6 else id(x)
+        key = self.size, self.shape, factor, x.tobytes() if x.size == 6 else id(x)
         if (known := frame.remembered(key)) is not None:
             return known
         states = np.ascontiguousarray(x.reshape(-1, 6))
