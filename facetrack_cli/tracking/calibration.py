@@ -20,7 +20,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
@@ -58,8 +58,9 @@ class Logistic(_Stored):
     def __call__(self, known: Mapping[Feature, Array]) -> Array:
         """p (R,) of rows with these features (R,); nan where one is."""
         logit = sum((slope * known[name] for name, slope in self.coefficients.items()), self.intercept)
-        p = 1 / (1 + np.exp(-np.clip(logit, -700, 700)))
-        return np.asarray(np.clip(p + np.zeros_like(known["confidence"]), self.least, 1 - self.least))
+        p = 1 / (1 + np.exp(-np.minimum(np.maximum(logit, -700), 700)))
+        p = np.minimum(np.maximum(p, self.least), 1 - self.least)
+        return np.asarray(p + np.zeros_like(known["confidence"]))
 
 
 class Isotonic(_Stored):
@@ -144,8 +145,9 @@ class Calibration(_Stored):
         boxes, p, by = boxes_of(rows), np.full(len(rows), np.nan), np.ones(len(rows))
         known = features(rows, boxes, size)
         for kind, of in self.maps.items():
-            mine = boxes == (kind == "box")
-            p, by = np.where(mine, of(known), p), np.where(mine, self.spread[kind], by)
+            mine = boxes if kind == "box" else ~boxes
+            if mine.any():
+                p, by = np.where(mine, of(known), p), np.where(mine, self.spread[kind], by)
         given = (rows.status == "init") | np.isnan(rows.confidence)
         spread = {name: getattr(rows, name) * (by**2 if name == "cov_xy" else by) for name in SPREAD}
         return replace(rows, confidence=np.where(given, rows.confidence, p), **spread)
@@ -156,7 +158,12 @@ class Calibration(_Stored):
 
 def boxes_of(rows: Trajectory) -> Mask:
     """(R,) which rows are of boxes."""
-    return np.array([part == BOX for _, part in rows.names], np.bool_)[rows.which]
+    return _boxes(rows.names)[rows.which]
+
+
+@lru_cache  # of the same names in every frame
+def _boxes(names: tuple[tuple[str, str], ...]) -> Mask:
+    return np.array([part == BOX for _, part in names], np.bool_)
 
 
 def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]:
@@ -164,8 +171,8 @@ def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]
     c = rows.confidence
     sides = np.where(boxes | (size == 0), np.sqrt(rows.w * rows.h), size)
     with np.errstate(divide="ignore", invalid="ignore"):
-        spread = np.log(np.clip(np.hypot(rows.std_x, rows.std_y) / sides, 1e-3, 10))
-        ess = np.log10(np.clip(rows.ess / rows.particles, 1e-3, 1))
+        spread = np.log(np.minimum(np.maximum(np.hypot(rows.std_x, rows.std_y) / sides, 1e-3), 10))
+        ess = np.log10(np.minimum(np.maximum(rows.ess / rows.particles, 1e-3), 1))
     odds = np.log((c + 0.01) / (1.01 - c))
     return {"confidence": c, "log_odds": odds, "spread": spread, "ess": ess, "lost": (rows.status == "lost") * 1.0}
 

@@ -53,19 +53,23 @@ def begin(settings: Confidence, measure: Measures, learned: Any, frame: Frame, x
 
 def judge(settings: Confidence, last: Judgement, distance: Array) -> Judgement:
     """The judgement of the next frame, whose windows at the estimates have `distance` (K,) from the templates."""
-    span = last.bad - last.good
-    confidence = np.where(span > 1e-6, np.clip((last.bad - distance) / np.maximum(span, 1e-6), 0.0, 1.0), 0.0)
-    good = last.good
+    good, span = last.good, last.bad - last.good
+    share = np.minimum(np.maximum((last.bad - distance) / np.maximum(span, 1e-6), 0.0), 1.0)
+    confidence = np.where(span > 1e-6, share, 0.0)
     if settings.memory is not None:
         good = np.where(confidence < settings.lost_below, good, good + (distance - good) / settings.memory)
-    return decide(settings, replace(last, good=good), confidence)
+    return _decided(settings, last, good, confidence)
 
 
 def decide(settings: Confidence, last: Judgement, confidence: Array) -> Judgement:
     """The judgement of the next frame, with this confidence (K,)."""
+    return _decided(settings, last, last.good, confidence)
+
+
+def _decided(settings: Confidence, last: Judgement, good: Array, confidence: Array) -> Judgement:
     below = np.where(confidence < settings.lost_below, last.below + 1, 0)
-    status = tuple(np.where(below >= settings.patience, "lost", "tracked").tolist())
-    return Judgement(last.good, last.bad, confidence, below, status)
+    status: tuple[Status, ...] = tuple(["lost" if n >= settings.patience else "tracked" for n in below.tolist()])
+    return Judgement(good, last.bad, confidence, below, status)
 
 
 def resume(

@@ -20,6 +20,7 @@ from facetrack_cli.tracking.resampling import (
     effective_sample_size,
     logsumexp,
     normalise,
+    summed,
     tempered,
     uniform,
 )
@@ -136,32 +137,32 @@ def factorized(
     With `from_prior` (beyond the paper) the transition of a part is the mixture of both; the label of the component
     belongs to the auxiliary variable, and the weights of steps 3 and 5 hold as they are.
     """
-    n, k, _ = particles.x.shape
+    n, k, d = particles.x.shape
     resample, columns = SCHEMES[settings.resampling], np.arange(k)
     jumps = rng.random((n, k)) < settings.from_prior if settings.from_prior > 0 else None
     if settings.look_ahead == "none":
         (chosen, base), evidence = _parents(settings, rng, particles, k), 0.0
     else:
-        all_ = np.repeat(np.arange(n)[:, None], k, axis=1)
-        mean = settings.look_ahead == "mean"
+        mean, all_ = settings.look_ahead == "mean", np.broadcast_to(np.arange(n)[:, None], (n, k))
         mu = _move(rng, particles.x, model, particles.x, jumps, all_, mean=mean)
         log_lambda = np.maximum(model.log_likelihood(mu, particles.x), LEAST)
-        log_first = particles.log_w[:, None] + log_lambda
-        chosen = resample(rng, normalise(log_first), n)
-        base, evidence = -log_lambda[chosen, columns], float(logsumexp(log_first).sum())
-    parents = particles.x[chosen, columns]
+        first, log_first = summed(particles.log_w[:, None] + log_lambda)
+        chosen = resample(rng, first, n)
+        base, evidence = -log_lambda.take(chosen * k + columns), float(log_first.sum())
+    parents = particles.x.reshape(n * k, d).take(chosen * k + columns, axis=0)
     s = _move(rng, parents, model, particles.x, None if jumps is None else jumps[chosen, columns], chosen)
     s, _, marginal, each = _observed(settings, rng, model, _log_parts, s, parents, base)
     # shuffled, because resampled indices come in order and would tie the parts together
     picked = rng.permuted(resample(rng, marginal, n), axis=0)
-    x = _regularised(settings, rng, s[picked, columns], picked)
+    x = _regularised(settings, rng, s.reshape(n * k, d).take(picked * k + columns, axis=0), picked)
     log_ratio = np.zeros(n)
     if settings.reweight in ("prior", "both"):
         log_ratio = log_ratio + model.log_prior(x)
     if settings.reweight in ("transition", "both"):
         log_ratio = log_ratio + _log_ratio(x, particles, model)
-    log_w = uniform(n) if settings.reweight == "none" else normalise(log_ratio)
-    evidence += each + float(logsumexp(log_ratio)) - math.log(n)
+    log_w, log_sum = summed(log_ratio)
+    log_w = uniform(n) if settings.reweight == "none" else log_w
+    evidence += each + float(log_sum) - math.log(n)
     return Particles(x, log_w), Info(distinct(picked, log_w), evidence)
 
 
@@ -280,8 +281,8 @@ def guided(settings: correlation_filter.Guided, rng: Generator, particles: Parti
     total = np.logaddexp(log_visible, log_hidden)
     x[:, 0, -1] = np.exp(log_visible - total)
     log_ratio = np.maximum(total - log_q, LEAST)
-    log_w = normalise(log_ratio)
-    evidence = float(logsumexp(log_ratio)) - math.log(n)
+    log_w, log_sum = summed(log_ratio)
+    evidence = float(log_sum) - math.log(n)
     return Particles(x, log_w), Info(np.full(1, float(effective_sample_size(log_w))), evidence)
 
 
@@ -318,8 +319,8 @@ def _observed(
     """
     n, log_l = len(x), observe(model, x, parents)
     if settings is None or settings.temper is None:
-        log_ratio = log_l + base
-        return x, parents, _normalised(log_ratio), float(np.sum(logsumexp(log_ratio))) - log_l.shape[1] * math.log(n)
+        log_w, log_sums = summed(log_l + base)
+        return x, parents, log_w, float(log_sums.sum()) - log_l.shape[1] * math.log(n)
     done = tempered(base, log_l, settings.temper)
     log_ratio = base + done * log_l
     evidence = float(np.sum(logsumexp(log_ratio) - np.log(n)))
@@ -334,12 +335,7 @@ def _observed(
         step = np.minimum(np.maximum(tempered(np.zeros(1), log_l, settings.temper, 1 - done), 0.01), 1 - done)
         done, log_ratio = done + step, step * log_l
         evidence += float(np.sum(logsumexp(log_ratio) - np.log(n)))
-    return x, parents, _normalised(log_ratio), evidence
-
-
-def _normalised(log_w: Array) -> Array:
-    """`normalise` of (N, C), which of one column is to the last bit that of (N,)."""
-    return normalise(log_w) if log_w.shape[1] > 1 else normalise(log_w[:, 0])[:, None]
+    return x, parents, normalise(log_ratio), evidence
 
 
 def _moved(

@@ -3,102 +3,31 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import size_of_points
-from facetrack_cli.core.types import Array, Frame, Image, Info, Mask, Particles, TargetStart
+from facetrack_cli.core.types import Array, Frame, Info, Mask, Particles, TargetStart
 from facetrack_cli.recipe.model import Confidence
 from facetrack_cli.recipe.skin import Exclusion
 from facetrack_cli.tracking import confidence
 from facetrack_cli.tracking.calibration import Calibration
-from facetrack_cli.tracking.confidence import Judgement, Measures
+from facetrack_cli.tracking.confidence import Judgement
 from facetrack_cli.tracking.filters import Ahead, Step
 from facetrack_cli.tracking.guides import Arrived, Guides
 from facetrack_cli.tracking.loop import Cover, log_weights
-from facetrack_cli.tracking.models.motion import Linear, VisibleWalk
+from facetrack_cli.tracking.models.motion import VisibleWalk
 from facetrack_cli.tracking.models.shape_prior import BoundPrior
 from facetrack_cli.tracking.models.spaces import CloudSpace, Estimate, PointSpace, Space, VisibleBoxSpace, evenly
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
 from facetrack_cli.tracking.resampling import uniform
+from facetrack_cli.tracking.roles import Adapts, Knows, LearnsParts, Likelihood, Looks, Motion, Names, Reports
 from facetrack_cli.tracking.smoothing import Belief, belief
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
-from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, build
-
-Names: TypeAlias = Sequence[str]
-
-
-class Likelihood(Measures, Protocol):
-    """An observation model; what it has learned of a clip so far is a value that it returns and is given back.
-
-    `init`: from the first frame with the parts at x0 (K, D); its `notes`, if any, are lines for the user. `score`:
-    (N, K), log p(y | x) of each part, x and parents (N, K, D). `learn`: after a frame with the estimate (K, D).
-    """
-
-    def init(self, frame: Frame, x0: Array) -> Any: ...
-    def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array: ...
-    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any: ...
-
-
-@runtime_checkable
-class Reports(Protocol):
-    """A likelihood that reports more than log-likelihoods: in every frame the value of each diagnostic by its name."""
-
-    diagnostics: tuple[Diagnostic, ...]
-
-    def diagnose(self, learned: Any) -> Mapping[str, Any]: ...
-
-
-@runtime_checkable  # is asked once a target: it is slow
-class Adapts(Protocol):
-    """A likelihood that says how far patches are from what is known, for the velocity prediction."""
-
-    def error(self, learned: Any, patches: Any) -> Array: ...  # (N,): phi(y, a_t) of patches y (N, d)
-    def expected(self, learned: Any) -> Any: ...  # (d,): the mean patch
-    def insets(self, learned: Any) -> tuple[tuple[str, Image], ...]: ...  # small grey images, each with its name
-
-
-@runtime_checkable
-class Looks(Protocol):
-    """A likelihood that looks at a frame once, before any particle is drawn, and proposes where they should be."""
-
-    def look(self, learned: Any, frame: Frame, expected: Array) -> Any: ...  # around the expected state (K, D)
-    def guides(self, learned: Any) -> Guides: ...
-
-
-@runtime_checkable
-class Knows(Protocol):
-    """A likelihood that says with which probability each part is visible, (K,), at the estimate (K, D)."""
-
-    def presence(self, learned: Any, frame: Frame, state: Array) -> Array: ...
-
-
-@runtime_checkable
-class LearnsParts(Protocol):
-    """A likelihood that can learn some of its parts (K,) again, as they look in a frame at x0 (K, D)."""
-
-    def relearn(self, learned: Any, frame: Frame, x0: Array, parts: Mask) -> Any: ...
-
-
-@runtime_checkable
-class Restarts(Protocol):
-    """A target that can begin again with what it knows; see `ParticleTarget.restart`."""
-
-    def restart(
-        self, rng: Generator, frame: Frame, first: Any, given: TargetStart, absent: Names = (), anew: Names = ()
-    ) -> tuple[Any, TargetResult]: ...
-
-
-class Motion(Protocol):
-    """How parts move from frame to frame; see `filters.FrameModel`."""
-
-    def propagate(self, rng: Generator, x: Array) -> Array: ...
-    def log_transition(self, x: Array, parents: Array) -> Array: ...
-    def expect(self, x: Array) -> Array: ...
-    def linear(self, state: Array) -> Linear: ...
+from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_frame
 
 
 @dataclass(frozen=True)
@@ -225,8 +154,8 @@ class ParticleTarget:
         estimated = self.space.estimate(particles, info.ess, best=self.best)
         if (judgement := state.judgement) is not None:
             assert self.confidence is not None
-            if isinstance(self.space, VisibleBoxSpace):
-                presence = self.space.presence(particles, estimated)
+            if self._hides is not None:
+                presence = self._hides.presence(particles, estimated)
                 judgement = confidence.decide(self.confidence, judgement, presence)
             elif self._knows is not None:
                 presence = self._knows.presence(state.learned, frame, estimated.state)
@@ -235,11 +164,13 @@ class ParticleTarget:
                 distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
                 judgement = confidence.judge(self.confidence, judgement, distance)
         learned = self.likelihood.learn(state.learned, frame, estimated.state, particles)
-        before, absent = state.reported.get(ENTROPY.name), state.absent
-        state = State(particles, estimated, learned, judgement, self._diagnose(learned), absent=absent)
+        predicted: dict[str, Any] = {}
         if self._predicts is not None:
             flow = self._predicts.learn(frame, estimated.state, particles.x)
-            state = replace(state, flow=flow, ahead=bound.ahead, entropy_before=before)
+            predicted = {"flow": flow, "ahead": bound.ahead, "entropy_before": state.reported.get(ENTROPY.name)}
+        state = State(
+            particles, estimated, learned, judgement, self._diagnose(learned), absent=state.absent, **predicted
+        )
         return state, self._result(state, frame, info, "tracked")
 
     @cached_property
@@ -259,6 +190,10 @@ class ParticleTarget:
         return self.likelihood if isinstance(self.likelihood, Knows) else None
 
     @cached_property
+    def _hides(self) -> VisibleBoxSpace | None:
+        return self.space if isinstance(self.space, VisibleBoxSpace) else None
+
+    @cached_property
     def _reports(self) -> Reports | None:
         return self.likelihood if isinstance(self.likelihood, Reports) else None
 
@@ -273,6 +208,10 @@ class ParticleTarget:
         return Cover(centre[0, :2], self.space.windows(state.estimated)[0] / 2)
 
     @cached_property
+    def _names(self) -> tuple[tuple[str, str], ...]:
+        return tuple((self.name, part) for part in self.parts)
+
+    @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What is reported of the target beside its rows."""
         parts = (self._reports, self.space, self._predicts)
@@ -282,23 +221,27 @@ class ParticleTarget:
         """`otherwise` is the status where nothing judges."""
         k, judged, estimated = len(self.parts), state.judgement, state.estimated
         windows, outline = self.space.windows(estimated), self.space.outline(estimated)
-        posterior = state.reported.get(POSTERIOR.name, {})
-        best = max(posterior.values(), default=None)
-        likeliest = [name for name, probability in posterior.items() if probability == best]
-        std = np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
-        known: dict[str, Any] = {"time_s": np.full(k, frame.time_s), "diagnostics": self._reported(state, frame, info)}
-        known |= {"x": estimated.state[:, 0], "y": estimated.state[:, 1], "w": windows[:, 0], "h": windows[:, 1]}
-        known |= {"std_x": std[:, 0], "std_y": std[:, 1], "cov_xy": estimated.cov[:, 0, 1]}
+        std = np.sqrt(np.maximum(estimated.cov.reshape(k, 4)[:, ::3], 0.0))
+        known: dict[str, Any] = {
+            "x": estimated.state[:, 0], "y": estimated.state[:, 1], "w": windows[:, 0], "h": windows[:, 1],
+            "std_x": std[:, 0], "std_y": std[:, 1], "cov_xy": estimated.cov[:, 0, 1],
+            "particles": np.full(k, float(len(state.particles.x))), "ess": info.ess,
+            "diagnostics": self._reported(state, frame, info),
+        }  # fmt: skip
         if estimated.side_std is not None:
             known |= {"std_w": estimated.side_std[:1], "std_h": estimated.side_std[1:]}
-        known |= {"particles": np.full(k, float(len(state.particles.x))), "ess": info.ess, "status": [otherwise] * k}
-        if judged is not None:
+        if judged is None:
+            known["status"] = [otherwise] * k
+        else:
             known |= {"status": judged.status, "confidence": judged.confidence}
         if outline is not None:
             known |= {"angle": [outline.angle], "corners": outline.corners[None]}
-        if len(likeliest) == 1:  # of equals, as in the first frame, nobody is named
-            known |= {"identity": likeliest * k, "identity_prob": [best] * k}
-        rows = build([(self.name, part) for part in self.parts], np.arange(k), np.full(k, frame.index), **known)
+        if posterior := state.reported.get(POSTERIOR.name):
+            best = max(posterior.values())
+            likeliest = [name for name, probability in posterior.items() if probability == best]
+            if len(likeliest) == 1:  # of equals, as in the first frame, nobody is named
+                known |= {"identity": likeliest * k, "identity_prob": [best] * k}
+        rows = of_frame(self._names, frame, **known)
         if state.absent is not None:
             known = {name: np.where(state.absent, np.nan, getattr(rows, name)) for name in PLACE}
             rows = replace(rows, **known, status=np.where(state.absent, "absent", rows.status))

@@ -103,11 +103,10 @@ class Diagnostics:
                 continue
             if one.shape is None:
                 labels[one.name] = tuple(dict.fromkeys(key for v in given if isinstance(v, Mapping) for key in v))
-            width = () if one.shape == () else (len(labels[one.name]),) if one.shape is None else one.shape
-            values[one.name] = column = np.full((len(found), *width), np.nan)
-            for at, value in enumerate(given):
-                if value is not None:
-                    column[at] = _checked(one, at, value, labels.get(one.name, ()))
+            names = labels.get(one.name, ())
+            unknown = math.nan if one.shape == () else [math.nan] * (len(names) if one.shape is None else one.shape[0])
+            each = [unknown if v is None else _checked(one, at, v, names) for at, v in enumerate(given)]
+            values[one.name] = np.array(each, np.float64)
         return cls(tuple(declared), np.asarray(frame, np.int64), values, labels)
 
     @classmethod
@@ -147,15 +146,12 @@ def outlines(rows: Trajectory) -> Array | None:
 
 def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
     """The numbers of a value, nan where there are none."""
-    bounds = one.least, one.most
-    known = {(0, 1): "probability", (0, math.inf): "number from 0 up", (-math.inf, math.inf): "finite number"}
-    expected = known.get(bounds) or "number from {:g} to {:g}".format(*bounds)
     if one.shape is None:
         if not isinstance(value, Mapping):
             raise ValueError(at, f"{one.name} is not an object of names and numbers")
         for name, number in value.items():
             if not name or not _fits(one, number):
-                raise ValueError(at, f"{one.name} of {name!r}: {number!r} is no {expected}")
+                raise ValueError(at, f"{one.name} of {name!r}: {number!r} is no {_expected(one)}")
         return [float(value.get(name, math.nan)) for name in labels]
     if one.shape:
         listed = isinstance(value, Sequence | np.ndarray) and len(value) == one.shape[0]
@@ -163,11 +159,19 @@ def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> A
             raise ValueError(at, f"{one.name} is not a list of {one.shape[0]} numbers")
         return [float(v) for v in value]
     if not _fits(one, value):
-        raise ValueError(at, f"{one.name} {value!r} is no {expected}")
+        raise ValueError(at, f"{one.name} {value!r} is no {_expected(one)}")
     return float(value)
 
 
+def _expected(one: Diagnostic) -> str:
+    bounds = one.least, one.most
+    known = {(0, 1): "probability", (0, math.inf): "number from 0 up", (-math.inf, math.inf): "finite number"}
+    return known.get(bounds) or "number from {:g} to {:g}".format(*bounds)
+
+
 def _fits(one: Diagnostic, value: Any) -> bool:
+    if type(value) is float:  # as nearly all are
+        return math.isnan(value) or (abs(value) <= 1e300 and one.least <= value <= one.most)
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
     number = float(value) if not isinstance(value, int) or abs(value) < 10**300 else math.inf

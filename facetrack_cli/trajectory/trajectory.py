@@ -244,6 +244,16 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
     return Trajectory(tuple(names), **known, **about)
 
 
+def of_frame(
+    names: tuple[tuple[str, str], ...], frame: Frame, diagnostics: Mapping[str, Diagnostics], **columns: Any
+) -> Trajectory:
+    """`build` of the rows of one frame, one for each of `names` and in their order, without looking for mistakes."""
+    rows, known = len(names), dict(_unknown(len(names)))
+    known |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
+    known |= {name: np.asarray(values, dtype=_TYPES.get(name, np.float64)) for name, values in columns.items()}
+    return Trajectory(names, **known, diagnostics=diagnostics)
+
+
 _TYPES: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.str_), "by_hand": np.bool_}
 _UNKNOWN: Final[Mapping[str, tuple[Any, ...]]] = {**dict.fromkeys(TEXTS, ("", "<U8")), "by_hand": (False,)}
 
@@ -325,6 +335,8 @@ class FrameResult:
     @cached_property
     def rows(self) -> Trajectory:
         """A row for each target and part, in the tracker's order."""
+        if len(self.targets) == 1:
+            return self.targets[0].rows
         diagnostics = {name: one for target in self.targets for name, one in target.rows.diagnostics.items()}
         return joined([target.rows for target in self.targets], diagnostics=diagnostics)
 

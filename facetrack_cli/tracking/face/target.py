@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -29,11 +30,12 @@ from facetrack_cli.tracking.face import still
 from facetrack_cli.tracking.face.registration import Registration
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
+from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.start.detectors import Detector
-from facetrack_cli.tracking.target import Names, ParticleTarget, State
+from facetrack_cli.tracking.target import ParticleTarget, State
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
-from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, joined
+from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
 _STD: Final = 0.05  # of a detection, where there is none
@@ -229,36 +231,42 @@ class FaceTarget:
         """Rows of the points, as last seen in the still face, and of the box."""
         similarity, rows, registration = self._map(state.head, state.pose), state.points.rows, state.registration
         scale, matrix, gone = similarity.scale, similarity.matrix, rows.status == "absent"
-        at = similarity.to_frame(np.column_stack([rows.x, rows.y]) - registration.bias[0])
+        at = similarity.to_frame(np.stack([rows.x, rows.y], axis=1) - registration.bias[0])
         shown = registration.shown * _sure(state.head)
-        known = np.nan_to_num(rows.confidence, nan=1.0) * shown
+        known = np.where(np.isnan(rows.confidence), 1.0, rows.confidence) * shown
         cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
         cov = matrix @ (cov + registration.cov[:, :1, :1] * np.eye(2)) @ matrix.T
         cov += (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
-        var = np.diagonal(cov, axis1=1, axis2=2)
+        var = cov.reshape(-1, 4)[:, ::3]
         near = 1 - np.exp(-((OFF * EYES * scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
         confidence = known * near if state.frames else rows.confidence
         lost = (shown * near < self.settings.lost_below) | (rows.status == "lost")
         since = np.where(rows.status == "init", "init" if not state.frames else "tracked", rows.status)
-        columns: dict[str, Any] = {"x": at[:, 0], "y": at[:, 1], "w": rows.w * scale, "h": rows.h * scale}
-        columns |= {"std_x": np.sqrt(var[:, 0]), "std_y": np.sqrt(var[:, 1]), "cov_xy": cov[:, 0, 1]}
-        columns |= {"confidence": confidence}
-        columns = {name: np.where(gone, np.nan, values) for name, values in columns.items()}
-        columns |= {"frame": np.full(len(rows), frame.index), "time_s": np.full(len(rows), frame.time_s)}
-        columns |= {"status": np.where(lost & ~gone, "lost", since), "diagnostics": {}}
-        faces = joined([replace(rows, **columns), self._face(box.rows, similarity)])
+        std, face = np.sqrt(var), self._face(box.rows, similarity)
+        points = {"x": at[:, 0], "y": at[:, 1], "w": rows.w * scale, "h": rows.h * scale, "confidence": confidence}
+        points |= {"std_x": std[:, 0], "std_y": std[:, 1], "cov_xy": cov[:, 0, 1]}
+        if gone.any():
+            points = {name: np.where(gone, np.nan, values) for name, values in points.items()}
+        points |= {"status": np.where(lost & ~gone, "lost", since), "ess": rows.ess}
+        columns = {
+            name: np.concatenate([values, face.pop(name, getattr(box.rows, name))]) for name, values in points.items()
+        }
+        # what points do not have
+        columns |= {
+            name: np.concatenate([np.full((len(rows), *one.shape[1:]), np.nan), one]) for name, one in face.items()
+        }
         # of a target one number: both filters' together
-        faces = replace(faces, particles=np.full(len(faces), float(np.max(rows.particles) + box.rows.particles[0])))
-        if self.calibration is not None:
-            faces = self.calibration.applied(faces, self.features.size * self.side / FACE)
+        columns["particles"] = np.full(len(rows) + 1, float(rows.particles.max() + box.rows.particles[0]))
         values = {SCALE.name: scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
         # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
-        seen = [one for one in (box.rows, state.points.rows) if one.frame[0] == frame.index]
+        seen = [one for one in (box.rows, rows) if one.frame[0] == frame.index]
         values[EVIDENCE.name] = sum(float(one.diagnostics[self.name].get(EVIDENCE.name)[0]) for one in seen)
         found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
+        faces = of_frame(self._names, frame, found, **columns)
+        if self.calibration is not None:
+            faces = self.calibration.applied(faces, self.features.size * self.side / FACE)
         cloud = similarity.to_frame(state.points.cloud - registration.bias[0])
-        rows = replace(faces, diagnostics=found)
-        return TargetResult(rows, cloud, (), box.notes, lambda: self.beliefs(state))
+        return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state))
 
     def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
         """What is known of the points in the still face, without their bias, and of the head."""
@@ -268,15 +276,19 @@ class FaceTarget:
             return points, head
         return self.calibration.believed(self.features.parts, points), self.calibration.believed(self.head.parts, head)
 
-    def _face(self, rows: Trajectory, face: Similarity) -> Trajectory:
-        """The row of the head's box, where the face is in it, as large as that, and turned by its roll."""
-        roll, grown = face.angle, face.scale * FACE / np.sqrt(rows.w * rows.h)
-        sizes = {name: getattr(rows, name) * grown for name in ("w", "h", "std_w", "std_h")}
-        rows = replace(rows, x=face.centre[:1], y=face.centre[1:], **sizes)
+    @cached_property
+    def _names(self) -> tuple[tuple[str, str], ...]:
+        return tuple((self.name, part) for part in self.parts)
+
+    def _face(self, row: Trajectory, face: Similarity) -> dict[str, Array]:
+        """Columns of the head's box: it is where the face is in it, as large as that, and turned by its roll."""
+        roll, grown = face.angle, face.scale * FACE / np.sqrt(row.w * row.h)
+        found = {name: getattr(row, name) * grown for name in ("w", "h", "std_w", "std_h")}
+        found |= {"x": face.centre[:1], "y": face.centre[1:], "angle": np.array([math.degrees(roll)])}
         way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
         # the border runs through the middle of the outermost pixels
-        found = corners(way, np.column_stack([rows.x, rows.y]), np.column_stack([rows.w - 1, rows.h - 1]))
-        return replace(rows, angle=np.array([math.degrees(roll)]), corners=found, diagnostics={})
+        size = np.stack([found["w"] - 1, found["h"] - 1], axis=1)
+        return {**found, "corners": corners(way, face.centre[None], size)}
 
 
 def _sure(head: State) -> float:

@@ -1,5 +1,6 @@
 """Cells of gradients, and the linear algebra of a correlation filter over them."""
 
+import math
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,6 +12,7 @@ Array: TypeAlias = NDArray[np.float64]
 Single: TypeAlias = NDArray[np.float32]
 CHANNELS = 31  # 18 signed orientations, 9 unsigned ones, 4 of texture
 _CLIP, _TEXTURE, _FLAT = np.float32(0.2), np.float32(0.2357), np.float32(1e-4)
+_WAYS: Single = np.array([[math.cos(k * math.pi / 9), math.sin(k * math.pi / 9)] for k in range(9)], np.float32)
 _ZERO, _HALF, _ONE, _UNIT = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(1 / 255)
 
 
@@ -47,7 +49,7 @@ def _gradients(grey, cell, bins, energy, row_of, which, out):
             most[x] = _ZERO
             which[x] = 0
         for k in range(9):  # a loop over pixels inside vectorises
-            u, v = np.float32(np.cos(k * np.pi / 9)), np.float32(np.sin(k * np.pi / 9))
+            u, v = _WAYS[k, 0], _WAYS[k, 1]
             for x in range(width):
                 along = u * dx[x] + v * dy[x]
                 if abs(along) > most[x]:

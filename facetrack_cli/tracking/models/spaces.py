@@ -159,8 +159,8 @@ class AffineSpace(Space):
         return np.array([[math.hypot(a1, a3) * self.size[0], math.hypot(a2, a4) * self.size[1]]])
 
     def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
-        columns = particles.x[:, 0, 2:].reshape(-1, 2, 2)
-        sides = np.sqrt(np.square(columns).sum(axis=1)) * np.array(self.size)
+        squares = np.square(particles.x[:, 0, 2:])
+        sides = np.sqrt(squares[:, :2] + squares[:, 2:]) * np.array(self.size)
         return estimate(particles, ess, best=best, sides=sides)
 
     def at(self, box: Box) -> Array:
@@ -190,10 +190,18 @@ def estimate(particles: Particles, ess: Array, *, best: bool = False, sides: Arr
     w = np.exp(particles.log_w)
     more = (1 + 1 / ess) / np.maximum(1 - 1 / ess, 1e-12)
     mean = np.einsum("n,nkd->kd", w, particles.x)
-    centred = particles.x[..., :2] - mean[:, :2]
-    cov = np.einsum("n,nkd,nke->kde", w, centred, centred) * more[:, None, None]
+    cov = spread(w, particles.x[..., :2] - mean[:, :2]) * more[:, None, None]
     side_std = None if sides is None else np.sqrt(w @ np.square(sides - w @ sides) * more[0])
     return Estimate(particles.x[int(np.argmax(particles.log_w))] if best else mean, cov, side_std)
+
+
+def spread(w: Array, off: Array) -> Array:
+    """(K, 2, 2): the mean of the outer products of `off` (N, K, 2), with weights w (N,)."""
+    # by two sums of products of two, a quarter of the time of one of products of three
+    weighted, cov = w[:, None, None] * off, np.empty((off.shape[1], 4))
+    cov[:, ::3] = np.einsum("nkd,nkd->kd", weighted, off)
+    cov[:, 1:3] = np.einsum("nkd,nkd->kd", weighted, off[..., ::-1])
+    return cov.reshape(-1, 2, 2)
 
 
 def evenly(x0: Array, windows: Array | None) -> Estimate:
@@ -312,7 +320,7 @@ class Patches:
 
         The frame remembers the last few: of one state by its values, of more by the array x, which must not change.
         """
-        key = self, factor, x.tobytes() if x.size == 6 else id(x)
+        key = self.size, self.shape, factor, x.tobytes() if x.size == 6 else id(x)
         if (known := frame.remembered(key)) is not None:
             return known
         states = np.ascontiguousarray(x.reshape(-1, 6))

@@ -53,14 +53,24 @@ def has_colours(image: Image) -> bool:
 
 def spectrum(x: Single) -> Single:
     """The Fourier transform (2, C, F) of x (C, G, G): real and imaginary parts of the F = G (G / 2 + 1) frequencies."""
-    found = np.fft.rfft2(x).reshape(len(x), -1)
-    return np.stack([found.real, found.imag]).astype(np.float32, copy=False)
+    found = np.fft.rfft(x)
+    found = np.fft.fft(found, axis=1, out=found).reshape(len(x), -1)
+    both = np.empty((2, *found.shape), np.float32)
+    both[0], both[1] = found.real, found.imag
+    return both
 
 
 def inverse(v: Single, cells: int) -> Single:
     """`spectrum` undone: (2, C, F) -> (C, G, G)."""
-    whole = (v[0] + 1j * v[1]).reshape(-1, cells, cells // 2 + 1)
-    return np.fft.irfft2(whole, s=(cells, cells)).astype(np.float32, copy=False)
+    whole = joined(v).reshape(-1, cells, cells // 2 + 1)
+    return np.fft.irfft(np.fft.ifft(whole, axis=1, out=whole), cells)
+
+
+def joined(v: Single) -> NDArray[np.complex64]:
+    """Real and imaginary parts (2, ...) as complex numbers (...)."""
+    found = np.empty(v.shape[1:], np.complex64)
+    found.real, found.imag = v
+    return found
 
 
 @dataclass(frozen=True, eq=False)

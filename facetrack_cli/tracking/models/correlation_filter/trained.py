@@ -28,7 +28,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array
 from facetrack_cli.tracking.kernels.cells import multiply, remember, respond
-from facetrack_cli.tracking.models.correlation_filter.features import Single, inverse, spectrum
+from facetrack_cli.tracking.models.correlation_filter.features import Single, inverse, joined, spectrum
 
 UPSAMPLED = 2  # samples of a response for a cell
 _FIRST_STEPS = 50
@@ -95,11 +95,11 @@ class Trainer:
         g, n = self.cells, UPSAMPLED * self.cells
         found = np.empty((2, x.shape[2]), np.float32)
         respond(filters, x, found)
-        few = (found[0] + 1j * found[1]).reshape(g, -1) * self._middle
+        few = joined(found).reshape(g, -1) * self._middle
         many = np.zeros((n, n // 2 + 1), few.dtype)
         half = g // 2
         many[:half, :half], many[-half + 1 :, :half] = few[:half, :half], few[half + 1 :, :half]
-        return np.fft.irfft2(many, s=(n, n)).astype(np.float32, copy=False)
+        return np.fft.irfft(np.fft.ifft(many, axis=0, out=many), n)
 
     def _solve(self, known: Trained, steps: int) -> Trained:
         """Conjugate gradients, preconditioned by the diagonal."""
@@ -107,7 +107,7 @@ class Trainer:
         matrices, v = known.matrices, known.filters
         channels = v.shape[1]
         diagonal = matrices[np.cumsum([0, *range(channels, 1, -1)]), 0]
-        scale = 1.0 / (diagonal + np.float32(0.5 * float(diagonal.mean()) + _INSIDE))
+        scale = np.float32(1.0) / (diagonal + np.float32(0.5 * float(diagonal.mean()) + _INSIDE))
         r = known.target - self._times(matrices, v)
         p = z = scale * r
         rz = self._dot(r, z)
@@ -121,13 +121,15 @@ class Trainer:
         return known._replace(filters=v)
 
     def _times(self, matrices: Single, v: Single) -> Single:
-        out = np.empty_like(v)
+        out, cells = np.empty_like(v), inverse(v, self.cells)
         multiply(matrices, v, out)
-        return out + spectrum(self.wall * inverse(v, self.cells))
+        cells *= self.wall
+        out += spectrum(cells)
+        return out
 
     def _dot(self, a: Single, b: Single) -> float:
         """The inner product of two real functions by half of their frequencies."""
-        product = np.sum(a.astype(np.float64) * b, axis=(0, 1)).reshape(self.cells, -1)
+        product = np.sum(np.multiply(a, b, dtype=np.float64), axis=(0, 1)).reshape(self.cells, -1)
         return float(2 * product.sum() - product[:, 0].sum() - product[:, -1].sum())
 
     def _admm(self, x: Single, last: Single | None, inertia: float) -> Single:

@@ -81,10 +81,14 @@ class BackgroundRatio:
 
     def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
         """d of windows at x (N, K, 2) -> (N, K)."""
+        return self._both(learned, frame, x)[0]
+
+    def _both(self, learned: Learned, frame: Frame, x: Array) -> tuple[Array, Array]:
+        """d, and that to the first frame's template alone."""
         d = self.colours.distances(learned.first, frame, x)
         if learned.recent is learned.first:
-            return d
-        return np.minimum(d, self.colours.distances(learned.recent, frame, x))
+            return d, d
+        return np.minimum(d, self.colours.distances(learned.recent, frame, x)), d
 
     def log_ratio(self, learned: Learned, d: Array) -> Array:
         """log L of distances (..., K)."""
@@ -104,16 +108,16 @@ class BackgroundRatio:
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
         """Distances at the part in proportion to v, those beside it always, the second template while it is seen."""
-        d = self.distances(learned, frame, state[None])[0]
-        beside = self.distances(learned, frame, self._around(state, 1.0))
+        each, to_first = self._both(learned, frame, np.vstack([state[None], self._around(state, 1.0)]))
+        d, beside = each[0], each[1:]
         visible, (g, s), (b, t) = _visible(learned, d), learned.good, learned.bad
-        rate, off = visible / _MEMORY, np.clip(d - g, -2 * s, 2 * s)
+        rate, off = visible / _MEMORY, np.minimum(np.maximum(d - g, -2 * s), 2 * s)
         good = Distances(g + rate * off, np.sqrt((1 - rate) * (s**2 + rate * off**2)))
         away, spread = beside.mean(axis=0) - b, ((beside - b) ** 2).mean(axis=0)
         bad = Distances(b + away / _MEMORY, np.sqrt(t**2 + (spread - t**2) / _MEMORY))
         rate = self.settings.adapt * np.where(visible > 0.5, visible, 0.0)
         recent = self.colours.blended(learned.recent, frame, state, rate) if rate.any() else learned.recent
-        like = self.log_ratio(learned, self.colours.distances(learned.first, frame, state[None])[0])
+        like = self.log_ratio(learned, to_first[0])
         anchored = visible / (1 + np.exp(-np.clip(like, -30, 30)))
         return Learned(learned.first, recent, good, bad, visible, anchored)
 

@@ -14,6 +14,7 @@ Templates are learned in the first frame and then stay, except where a correctio
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,13 +64,24 @@ class ColourRatio:
 
     def init(self, frame: Frame, x0: Array) -> Templates:
         """The templates of K parts at x0 (K, 2)."""
+        layouts, reach = self._layouts
+        extent, means = windows.extent(x0[None], reach), np.empty(len(x0))
+        groups = tuple(self._group(frame, extent, x0, one, means) for one in layouts)
+        return Templates(groups, self.settings.sigma / means, reach)
+
+    @cached_property
+    def _layouts(self) -> tuple[tuple[Group, ...], float]:
+        """Groups whose templates are still empty, and the reach: they follow from the windows."""
         most = self.settings.max_samples
         factors = np.array([factor_for(side, most) for side in self.windows.max(axis=1).tolist()])
-        reach = float(self.windows.max()) / 2 + 3 * int(factors.max())
-        extent = windows.extent(x0[None], reach)
-        means, each = np.empty(len(x0)), [(k, np.flatnonzero(factors == k)) for k in np.unique(factors).tolist()]
-        groups = tuple(self._group(frame, extent, x0, factor, parts, means) for factor, parts in each)
-        return Templates(groups, self.settings.sigma / means, reach)
+        found = []
+        for factor in np.unique(factors).tolist():
+            parts = np.flatnonzero(factors == factor)
+            # odd, and at least 3, so that a window has a pixel at its centre
+            odd = [[max(3, 2 * round((side / factor - 1) / 2) + 1) for side in self.windows[k]] for k in parts]
+            offsets = np.cumsum([0, *(CHANNELS * (w + 1) * h for w, h in odd)])
+            found.append(Group(factor, parts, np.array(odd, np.int64), np.empty(0, np.float32), offsets))
+        return tuple(found), float(self.windows.max()) / 2 + 3 * int(factors.max())
 
     def score(self, learned: Templates, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; parents do not matter."""
@@ -82,7 +94,7 @@ class ColourRatio:
         out = np.empty(x.shape[:2])
         robust, scale = windows.ROBUST[self.settings.robust], self.settings.scale or 1.0
         extent = windows.extent(x, learned.reach)
-        for g in learned.groups:
+        for g in reversed(learned.groups):  # a picture much reduced is made from one reduced less, at least as large
             image, left, top = frame.reduced(g.factor, extent)
             template = g.ratios, g.offsets, g.sides, g.parts
             at = x, left, top, g.factor
@@ -105,17 +117,16 @@ class ColourRatio:
             groups.append(replace(new, ratios=(1 - share) * old.ratios + share * new.ratios))
         return Templates(tuple(groups), learned.sigma + rate * (anew.sigma - learned.sigma), learned.reach)
 
-    def _group(self, frame: Frame, extent: Extent, x0: Array, factor: int, parts: Whole, means: Array) -> Group:
-        """The templates of `parts`, read at 1 / `factor` of the frame's size; E{o_i} of each goes into `means` (K,)."""
-        # odd, and at least 3, so that a window has a pixel at its centre
-        odd = [[max(3, 2 * round((side / factor - 1) / 2) + 1) for side in self.windows[k]] for k in parts]
-        sides = np.array(odd, np.int64)
-        image, left, top = frame.reduced(factor, extent)
-        ratios = []
-        for k, (w, h) in zip(parts, sides, strict=True):
-            x, y = (x0[k] - (left, top) - (factor - 1) / 2) / factor
-            o = windows.read_window(windows.flat(image), x, y, w, h)
+    def _group(self, frame: Frame, extent: Extent, x0: Array, layout: Group, means: Array) -> Group:
+        """The templates of the parts of a group; E{o_i} of each goes into `means` (K,)."""
+        factor, (image, left, top) = layout.factor, frame.reduced(layout.factor, extent)
+        flat, ratios = windows.flat(image), np.empty(layout.offsets[-1], np.float32)
+        for k, (w, h), first in zip(
+            layout.parts.tolist(), layout.sides.tolist(), layout.offsets[:-1].tolist(), strict=True
+        ):
+            x, y = x0[k].tolist()
+            at = (x - left - (factor - 1) / 2) / factor, (y - top - (factor - 1) / 2) / factor
+            o = windows.read_window(flat, *at, w, h)
             means[k] = max(float(o[:, :w].mean()), LEAST_MEAN)
-            ratios.append(o.ravel() / np.float32(means[k]))
-        offsets = np.concatenate([[0], np.cumsum([len(row) for row in ratios])]).astype(np.int64)
-        return Group(factor, parts, sides, np.concatenate(ratios), offsets)
+            np.divide(o.ravel(), np.float32(means[k]), out=ratios[first : first + o.size])
+        return replace(layout, ratios=ratios)

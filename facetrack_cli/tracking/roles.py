@@ -1,0 +1,85 @@
+"""What the parts of a particle filter's target are asked: observation model, motion, and what some of them can more."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, TypeAlias, runtime_checkable
+
+from numpy.random import Generator
+
+from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles, TargetStart
+from facetrack_cli.tracking.confidence import Measures
+from facetrack_cli.tracking.guides import Guides
+from facetrack_cli.tracking.models.motion import Linear
+from facetrack_cli.trajectory.diagnostics import Diagnostic
+from facetrack_cli.trajectory.trajectory import TargetResult
+
+Names: TypeAlias = Sequence[str]
+
+
+class Likelihood(Measures, Protocol):
+    """An observation model; what it has learned of a clip so far is a value that it returns and is given back.
+
+    `init`: from the first frame with the parts at x0 (K, D); its `notes`, if any, are lines for the user. `score`:
+    (N, K), log p(y | x) of each part, x and parents (N, K, D). `learn`: after a frame with the estimate (K, D).
+    """
+
+    def init(self, frame: Frame, x0: Array) -> Any: ...
+    def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array: ...
+    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any: ...
+
+
+@runtime_checkable
+class Reports(Protocol):
+    """A likelihood that reports more than log-likelihoods: in every frame the value of each diagnostic by its name."""
+
+    diagnostics: tuple[Diagnostic, ...]
+
+    def diagnose(self, learned: Any) -> Mapping[str, Any]: ...
+
+
+@runtime_checkable  # is asked once a target: it is slow
+class Adapts(Protocol):
+    """A likelihood that says how far patches are from what is known, for the velocity prediction."""
+
+    def error(self, learned: Any, patches: Any) -> Array: ...  # (N,): phi(y, a_t) of patches y (N, d)
+    def expected(self, learned: Any) -> Any: ...  # (d,): the mean patch
+    def insets(self, learned: Any) -> tuple[tuple[str, Image], ...]: ...  # small grey images, each with its name
+
+
+@runtime_checkable
+class Looks(Protocol):
+    """A likelihood that looks at a frame once, before any particle is drawn, and proposes where they should be."""
+
+    def look(self, learned: Any, frame: Frame, expected: Array) -> Any: ...  # around the expected state (K, D)
+    def guides(self, learned: Any) -> Guides: ...
+
+
+@runtime_checkable
+class Knows(Protocol):
+    """A likelihood that says with which probability each part is visible, (K,), at the estimate (K, D)."""
+
+    def presence(self, learned: Any, frame: Frame, state: Array) -> Array: ...
+
+
+@runtime_checkable
+class LearnsParts(Protocol):
+    """A likelihood that can learn some of its parts (K,) again, as they look in a frame at x0 (K, D)."""
+
+    def relearn(self, learned: Any, frame: Frame, x0: Array, parts: Mask) -> Any: ...
+
+
+@runtime_checkable
+class Restarts(Protocol):
+    """A target that can begin again with what it knows; see `ParticleTarget.restart`."""
+
+    def restart(
+        self, rng: Generator, frame: Frame, first: Any, given: TargetStart, absent: Names = (), anew: Names = ()
+    ) -> tuple[Any, TargetResult]: ...
+
+
+class Motion(Protocol):
+    """How parts move from frame to frame; see `filters.FrameModel`."""
+
+    def propagate(self, rng: Generator, x: Array) -> Array: ...
+    def log_transition(self, x: Array, parents: Array) -> Array: ...
+    def expect(self, x: Array) -> Array: ...
+    def linear(self, state: Array) -> Linear: ...
