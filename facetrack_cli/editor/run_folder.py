@@ -273,7 +273,7 @@ def _check_rows(main: Path, run: Run) -> None:
         raise InputError(f"{main}: init.corrections is not as facetrack run writes it; {_AGAIN}")
     try:
         check_start(run.start, run.header.source.size, run.recipe.points)
-        tracker = build_tracker(run.recipe, run.start)
+        tracker = build_tracker(run.recipe, run.start, run.header.source.fps)
     except FacetrackError as e:
         raise InputError(f"{main}: its start and its recipe do not go together: {e}") from None
     expected = {target.name: target.parts for target in tracker}

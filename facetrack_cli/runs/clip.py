@@ -82,7 +82,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
     with job.open(first) as source:
         source.strict = job.strict
         check_lag(job, source)
-        tracker = tracker_for(job.recipe, start, source.size)
+        tracker = tracker_for(job.recipe, start, source.size, source.fps)
         if begins is not None and resumed is None:
             tracker = resumed_at(tracker, job.frame(start.frame))
         at.states = revived(tracker, at.states, job.frame)
