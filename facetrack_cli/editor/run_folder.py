@@ -29,7 +29,6 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, Sink, footer_of, json_frames
 from facetrack_cli.video.images import listing
 
-UNSAVED: Final = "unsaved.init.yaml"
 STATUS: Final = ("init", "tracked", "lost", "absent")
 _AGAIN: Final = "make the run again"
 _FRAME: Final = re.compile(rb'\{(?:"type":"frame",)?"frame":(\d{1,15}),')

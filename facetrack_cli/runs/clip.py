@@ -126,7 +126,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
     if job.strict and not source.complete and stopped is None:
         done.error = done.error or InputError(source.warnings[-1])
     failed = done.error or outputs.missing  # said last, as the command's error
-    done.files, done.warnings = outputs.written, tuple(line for line in footer.warnings if line != str(failed))
+    done.files, done.warnings = outputs.written, outputs.told(footer, failed)
     done.frames_per_s = (done.frames - before - 1) / max(time.perf_counter() - began, 1e-9)
     done.complete = footer.complete and done.error is None
     done.stopped = stopped if done.error is None else None

@@ -183,7 +183,7 @@ def join(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda done, t
         error = error or InputError(found.warnings[-1])
     done.error = error or outputs.missing
     done.files, done.note = outputs.written, plan.start.note
-    done.warnings = tuple(line for line in footer.warnings if line != str(done.error))
+    done.warnings = outputs.told(footer, done.error)
     done.frames_per_s = (done.frames - 1) / max(time.perf_counter() - began, 1e-9)
     done.complete = footer.complete and error is None
     return done

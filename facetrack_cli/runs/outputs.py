@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import platform
 import sys
 import time
@@ -29,9 +30,9 @@ from facetrack_cli.runs.failures import failure, note_failure
 from facetrack_cli.runs.job import VIDEO, Job, Outcome, check
 from facetrack_cli.runs.posterior import POSTERIOR, PosteriorWriter
 from facetrack_cli.trajectory.diagnostics import KNOWN
-from facetrack_cli.trajectory.header import to_record
+from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, to_record
 from facetrack_cli.trajectory.killed import recover
-from facetrack_cli.trajectory.manifest import Manifest, commit
+from facetrack_cli.trajectory.manifest import Manifest, commit, outdated
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Format, Header, Writer
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -57,6 +58,7 @@ class Outputs:
         self._after: Found | None = None
         self._painted = 0
         self.written: list[Path] = []
+        self.older: tuple[str, ...] = ()  # lines on what is there from a track before
         self.missing: OutputError | None = None  # why there is no video; the tables are whole all the same
 
     def __enter__(self) -> Outputs:
@@ -224,6 +226,7 @@ class Outputs:
                 ended |= failure(done.error)
             try:
                 commit(self._job.out, self.written, self._run.model_copy(update=ended), claim=self._lock, anyway=True)
+                self.older = (*outdated(self._job.out), *_kept(self._job, self._job.out))
             except OutputError as e:  # the claim is lost
                 self.written = []
                 errors.append(e)
@@ -235,6 +238,10 @@ class Outputs:
         if errors:
             raise errors[0]
         return footer
+
+    def told(self, footer: Footer, error: Exception | None) -> tuple[str, ...]:
+        """The warnings of a run, but for the one that is its error, and what is older than its track."""
+        return (*(line for line in footer.warnings if line != str(error)), *self.older)
 
     def _finish(self, file: _File, end: Callable[[], None], errors: list[Exception]) -> None:
         try:
@@ -280,6 +287,16 @@ class Memory(Outputs):
         header = {**self._header, **footer._asdict()}
         self.trajectory = self._collected.trajectory(header=header, path=self._job.clip)
         return footer
+
+
+def _kept(job: Job, folder: Path) -> list[str]:
+    """A line on each file of corrections there, of the track before, that this run did not begin with."""
+    files = [folder / name for name in (CORRECTED, UNSAVED)]
+    begun = os.path.realpath(job.init) if isinstance(job.init, Path) else ""
+    there = [path for path in files if path.is_file() and os.path.realpath(path) != begun]
+    return [
+        f"{path}: corrections of the track before, kept and not in this one; --init {path} takes them" for path in there
+    ]
 
 
 def _versions() -> Header:

@@ -304,7 +304,7 @@ class Run:
         except StoppedError:
             shown.say(f"{outcome.clip}: not smoothed; facetrack smooth {folder} --overwrite does it")
             return
-        for note in notes:
+        for note in (one for one in notes if one not in outcome.warnings):
             shown.say(f"facetrack: warning: {note}")
         shown.say(f"{outcome.clip}: smoothed: {', '.join(path.name for path in files)}")
 
