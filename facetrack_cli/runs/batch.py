@@ -17,10 +17,11 @@ import cv2
 
 from facetrack_cli.core.claims import LOCK, Claim, holder
 from facetrack_cli.core.errors import BusyError, FacetrackError
+from facetrack_cli.core.log import about
 from facetrack_cli.runs.again import previous
 from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.failures import line, note_failure
-from facetrack_cli.runs.job import Job, Outcome, Report, check, ended
+from facetrack_cli.runs.job import Job, Outcome, Report, check, ended, silent
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, side_by_side
@@ -126,7 +127,7 @@ def _round(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) ->
                 return
             cv2.setNumThreads(job.threads)
             progress.begin(f"[{i}/{len(jobs)}] {job.clip.name}", "frames", None)
-            yield job, _attempt(job, stop, progress.update)
+            yield job, _attempt(job, stop, progress.update, progress.looked)
         return
     began, finished = time.monotonic(), 0
     progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
@@ -179,10 +180,11 @@ def _died(job: Job, error: Exception) -> Outcome:
     return Outcome(job.clip, error=said)
 
 
-def _attempt(job: Job, stop: Stop, report: Report) -> Outcome:
-    try:
-        outcome = run(job, stop, report)
-    except Exception as e:
-        outcome = Outcome(job.clip, error=e)
-    outcome.error = outcome.error and line(outcome.error)
+def _attempt(job: Job, stop: Stop, report: Report, looked: Report = silent) -> Outcome:
+    with about(job.clip.name):
+        try:
+            outcome = run(job, stop, report, looked)
+        except Exception as e:
+            outcome = Outcome(job.clip, error=e)
+        outcome.error = outcome.error and line(outcome.error)
     return outcome

@@ -10,7 +10,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.runs import pipeline
 from facetrack_cli.runs.checkpoint import Run, forget
-from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended
+from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, silent
 from facetrack_cli.runs.join import join
 from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.signals import Stop
@@ -24,9 +24,9 @@ from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.trajectory.writers import Footer
 
 
-def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
+def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
     """Track one clip into its files; raises, and leaves no file, if nothing was tracked. `stop` is asked each frame.
-    Of one that is split the pieces, which are there, are joined.
+    Of one that is split the pieces, which are there, are joined. While a face is looked for `looked` hears of it.
 
     An error after the first frame is in the outcome, beside what was kept. What the folder holds of the same job is
     left as it is if it was not cut short by an error, a signal or a kill; else the clip is tracked again.
@@ -39,10 +39,12 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
     with Outputs(job) as outputs:
         if (known := ended(job)) is not None:  # meanwhile, by another process
             return known
-        return (track_clip if job.split is None else join)(job, outputs, stop, report)
+        if job.split is not None:
+            return join(job, outputs, stop, report)
+        return track_clip(job, outputs, stop, report, looked)
 
 
-def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
+def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
     """Track one clip; its results go to `outputs`. Raises and stops as `run`."""
     done = Outcome(job.clip, streamed=job.out is None)
     began, last, before, notes = 0.0, 0, 0, tuple[str, ...]()
@@ -63,7 +65,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
         report(done.frames, source.frames_hint and source.frames_hint + before)
 
     try:
-        start = job.find(job.recipe, stopped=stop)
+        start = job.find(job.recipe, stopped=stop, looked=looked)
     except InputError:
         if not stop():
             raise
