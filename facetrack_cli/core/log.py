@@ -11,6 +11,7 @@ from typing import Final
 from facetrack_cli.core.errors import flat
 
 VARIABLE: Final = "FACETRACK_LOG_FORMAT"  # a variable, so that the processes of a batch know too
+LINES: Final = 20  # of what a process wrote to standard error that are kept, the last ones
 _LEVELS: Final = {"error: ": "error", "warning: ": "warning", "note: ": "info"}
 
 

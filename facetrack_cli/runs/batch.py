@@ -6,7 +6,6 @@ several batches on the same folders, also of several machines, share the clips.
 
 import contextlib
 import hashlib
-import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -17,6 +16,7 @@ import cv2
 
 from facetrack_cli.core.claims import LOCK, Claim, holder
 from facetrack_cli.core.errors import BusyError, FacetrackError
+from facetrack_cli.core.files import absolute
 from facetrack_cli.core.log import about
 from facetrack_cli.runs.again import previous
 from facetrack_cli.runs.clip import run
@@ -66,11 +66,6 @@ def folders(clips: Sequence[Path], recipe: str) -> list[str]:
             count[names[i].casefold()] += 1
         taken.add(names[i].casefold())
     return [f"{name}-{recipe}" for name in names]
-
-
-def absolute(clip: Path) -> Path:
-    """The whole path under the name that was given: a link keeps its own."""
-    return Path(os.path.abspath(clip))  # noqa: PTH100 -- Path.resolve follows links
 
 
 def title(clip: Path) -> str:

@@ -53,7 +53,7 @@ class Outputs:
         self._overlay: Overlay | None = None
         self._writers: list[Writer] = []
         self._posterior: PosteriorWriter | None = None
-        self._lock: Claim | None = None
+        self._claim: Claim | None = None
         self._checkpoints: Checkpoints | None = None
         self._after: Found | None = None
         self._painted = 0
@@ -68,8 +68,8 @@ class Outputs:
             return self
         self._made = make_folder(out)
         try:
-            self._lock = Claim(out).__enter__()
-            recover(out, self._lock)
+            self._claim = Claim(out).__enter__()
+            recover(out, self._claim)
             self._began = time.monotonic()
             self._run = Manifest(asked=asked(self._job), host=here()[0], began=utc_now())
             check(self._job)  # again, as somebody may have written since
@@ -88,7 +88,7 @@ class Outputs:
         if job.lag or not job.recipe.filters:
             forget(job.out)
             return None
-        told = [asked(job), _versions(), to_record(start)]
+        told = [self._run.asked, _versions(), to_record(start)]
         with contextlib.suppress(OSError):  # of a clip that cannot be read, which is said when it is opened
             told.append(ends(job.clip))
         key = hashlib.sha256(dumps(told).encode(errors="surrogateescape")).hexdigest()
@@ -142,11 +142,11 @@ class Outputs:
         """
         header = {**_header(self._job, source, start, rows), **more}
         self._fingerprint = Fingerprint(self._job.clip, whole=self._job.piece is None)
-        if self._lock is not None:
+        if self._claim is not None:
             self._run = self._run.model_copy(update={"clip": self._fingerprint.clip})
             before = 0 if self._after is None else self._after.run.frames
-            self._lock.frame, self._lock.frames = before, source.frames_hint and source.frames_hint + before
-            self._lock.note({"clip": str(self._job.clip), "run": self._run.model_dump()})
+            self._claim.frame, self._claim.frames = before, source.frames_hint and source.frames_hint + before
+            self._claim.note({"clip": str(self._job.clip), "run": self._run.model_dump()})
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self._writers.append(WRITERS[form](sink, header, begun=self._after is not None))
         if self._job.out is not None and self._job.posterior:
@@ -169,8 +169,8 @@ class Outputs:
 
     def write(self, rows: Trajectory) -> None:
         """Write the rows of one frame."""
-        if self._lock is not None:
-            self._lock.frame += 1
+        if self._claim is not None:
+            self._claim.frame += 1
         for writer in self._writers:
             writer.write(rows)
 
@@ -225,7 +225,7 @@ class Outputs:
             if self._job.batch and done.error is not None and not isinstance(done.error, OutputError):
                 ended |= failure(done.error)
             try:
-                commit(self._job.out, self.written, self._run.model_copy(update=ended), claim=self._lock, anyway=True)
+                commit(self._job.out, self.written, self._run.model_copy(update=ended), claim=self._claim, anyway=True)
                 self.older = (*outdated(self._job.out), *_kept(self._job, self._job.out))
             except OutputError as e:  # the claim is lost
                 self.written = []
@@ -261,10 +261,10 @@ class Outputs:
         for made in (self._video, self._posterior):
             if made is not None:
                 made.discard()
-        if self._lock is not None:
+        if self._claim is not None:
             if self._job.batch and isinstance(error, Exception):
                 note_failure(self._job, error, begun=self._run)
-            self._lock.__exit__()
+            self._claim.__exit__()
         remove_folders(self._made)
 
 
