@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from facetrack_cli.core.errors import ExitCode, InputError, UsageError
+from facetrack_cli.core.log import about
 
 if TYPE_CHECKING:
     from facetrack_cli.runs.job import Job, Outcome
@@ -66,20 +67,21 @@ def run_split(
     from facetrack_cli.runs.split import run_pieces
 
     whole = None
-    for piece, outcome in run_pieces(job, workers, stop, shown, shard):
-        if not piece:
-            whole = outcome
-        elif outcome.error is not None:
-            shown.say(f"facetrack: warning: {piece}: {outcome.error}")
-        elif outcome.again is None and outcome.frames:
-            shown.say(outcome.summary())
-    shown.close()
-    if whole is None:
-        return stop.code or ExitCode.DONE
-    if whole.error is not None and not whole.frames:
-        raise whole.error
-    say(whole, shown)
-    if whole.error is not None:
-        shown.error(f"facetrack: error: {whole.error}")
-        return stop.code or (ExitCode.INPUT if isinstance(whole.error, InputError) else ExitCode.BATCH)
-    return stop.code or (ExitCode.LOST if whole.lost_at_end else ExitCode.DONE)
+    with about(job.clip.name):
+        for piece, outcome in run_pieces(job, workers, stop, shown, shard):
+            if not piece:
+                whole = outcome
+            elif outcome.error is not None:
+                shown.say(f"facetrack: warning: {piece}: {outcome.error}")
+            elif outcome.again is None and outcome.frames:
+                shown.say(outcome.summary())
+        shown.close()
+        if whole is None:
+            return stop.code or ExitCode.DONE
+        if whole.error is not None and not whole.frames:
+            raise whole.error
+        say(whole, shown)
+        if whole.error is not None:
+            shown.error(f"facetrack: error: {whole.error}")
+            return stop.code or (ExitCode.INPUT if isinstance(whole.error, InputError) else ExitCode.BATCH)
+        return stop.code or (ExitCode.LOST if whole.lost_at_end else ExitCode.DONE)

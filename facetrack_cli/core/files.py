@@ -288,6 +288,11 @@ def check_readable(path: Path, most: int, what: str = "file") -> None:
         raise InputError(f"{path}: is too large for a {what}: {size}; name the right file, or split it")
 
 
+def absolute(path: Path) -> Path:
+    """The whole path under the name that was given: a link keeps its own."""
+    return Path(os.path.abspath(path))  # noqa: PTH100 -- Path.resolve follows links
+
+
 def same_file(path: Path, other: Path) -> bool:
     """Whether both exist and are the same file or folder."""
     try:

@@ -5,12 +5,28 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from collections.abc import Iterator
 from typing import Final
 
 from facetrack_cli.core.errors import flat
 
 VARIABLE: Final = "FACETRACK_LOG_FORMAT"  # a variable, so that the processes of a batch know too
+LINES: Final = 20  # of what a process wrote to standard error that are kept, the last ones
 _LEVELS: Final = {"error: ": "error", "warning: ": "warning", "note: ": "info"}
+
+
+_clip: str | None = None
+
+
+@contextlib.contextmanager
+def about(clip: str) -> Iterator[None]:
+    """Within this all lines of this process are about a clip of that name."""
+    global _clip
+    before, _clip = _clip, clip
+    try:
+        yield
+    finally:
+        _clip = before
 
 
 def as_json() -> bool:
@@ -29,7 +45,7 @@ def log_line(message: str, **more: object) -> str:
         if said.startswith(prefix):
             level, said = name, said.removeprefix(prefix)
     time = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-    known = {name: value for name, value in more.items() if value is not None}
+    known = {name: value for name, value in {**more, "clip": _clip or more.get("clip")}.items() if value is not None}
     # what is no text in UTF-8, as a name of a file may be, is escaped
     return json.dumps({"time": time, "level": level, "message": said, **known})
 

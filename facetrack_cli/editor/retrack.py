@@ -123,7 +123,8 @@ class Tracking:
     def check(self, correction: Correction) -> None:
         """InputError if a correction does not fit the clip or the recipe."""
         start = replace(self._run.start, corrections=(correction,))
-        tracker_for(self._run.recipe, start, self._run.header.source.size)
+        source = self._run.header.source
+        tracker_for(self._run.recipe, start, source.size, source.fps)
 
     def track(
         self, tasks: Sequence[Task], rows: Trajectory, *, report: Report = silent, stop: Stop = never
@@ -188,7 +189,8 @@ class _Live:
     def __init__(self, run: Run, task: Task, first: Frame) -> None:
         self.task, self.place = task, run.rows.targets.index(task.target)
         corrections = () if task.begin is None else (task.begin,)
-        self.target: Target = build_tracker(run.recipe, replace(run.start, corrections=corrections))[self.place]
+        begin, fps = replace(run.start, corrections=corrections), run.header.source.fps
+        self.target: Target = build_tracker(run.recipe, begin, fps)[self.place]
         if task.begin is not None:
             assert isinstance(self.target, CorrectedTarget)
             self.target = self.target.resumed(first)

@@ -30,7 +30,6 @@ from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, S
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.kinds import brings_rate
 
-UNSAVED: Final = "unsaved.init.yaml"
 STATUS: Final = ("init", "tracked", "lost", "absent")
 _AGAIN: Final = "make the run again"
 _FRAME: Final = re.compile(rb'\{(?:"type":"frame",)?"frame":(\d{1,15}),')
@@ -274,7 +273,7 @@ def _check_rows(main: Path, run: Run) -> None:
         raise InputError(f"{main}: init.corrections is not as facetrack run writes it; {_AGAIN}")
     try:
         check_start(run.start, run.header.source.size, run.recipe.points)
-        tracker = build_tracker(run.recipe, run.start)
+        tracker = build_tracker(run.recipe, run.start, run.header.source.fps)
     except FacetrackError as e:
         raise InputError(f"{main}: its start and its recipe do not go together: {e}") from None
     expected = {target.name: target.parts for target in tracker}

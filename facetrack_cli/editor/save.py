@@ -11,14 +11,13 @@ from facetrack_cli.core.files import FULL, beside, discard
 from facetrack_cli.core.sets import sweep
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.retrack import Report, Stop, silent
-from facetrack_cli.editor.run_folder import UNSAVED, Run, stamp, write_rows
-from facetrack_cli.report.make import NAME as PAGE
+from facetrack_cli.editor.run_folder import Run, stamp, write_rows
 from facetrack_cli.runs.clip import past_end
 from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.tracking.start import write_init
 from facetrack_cli.tracking.start.init_file import as_yaml
-from facetrack_cli.trajectory.header import CORRECTED
-from facetrack_cli.trajectory.manifest import commit, read_manifest
+from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
+from facetrack_cli.trajectory.manifest import commit, outdated, read_manifest
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
 from facetrack_cli.trajectory.writers import footer_of
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -84,10 +83,9 @@ def _save(fixer: Fixer, claim: Claim, video: bool, report: Report, stop: Stop) -
         remedy = "free some space" if e.errno in FULL else "make it writable"
         raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
     notes += past_end(fixer.corrections, run.last, str(run.folder / CORRECTED))
-    old = [run.video] if run.video is not None and not video else []
-    old += [path for path in (run.folder / PAGE,) if path.is_file()]
-    notes += [f"{path}: left as it was, it shows the track of before" for path in old]
-    return [*(f"{path}: written" for path in files), *notes]
+    if run.video is not None and not video:
+        notes.append(f"{run.video}: left as it was, it shows the track of before")
+    return [*(f"{path}: written" for path in files), *notes, *outdated(run.folder)]
 
 
 def _check(run: Run) -> None:

@@ -17,7 +17,7 @@ from facetrack_cli.runs.job import VIDEO
 from facetrack_cli.runs.posterior import POSTERIOR, read_posterior
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.smoothed import MotionName, smoothed_rows
-from facetrack_cli.trajectory.manifest import FILTERED, OWNED, commit, read_manifest
+from facetrack_cli.trajectory.manifest import FILTERED, OWNED, commit, outdated, read_manifest
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 from facetrack_cli.trajectory.writers import Format
@@ -45,7 +45,8 @@ def save_smoothed(
     report: Report = silent,
     stop: Stop = never,
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Write the smoothed run into `to`, None for its own folder; the files, and warnings of its video.
+    """Write the smoothed run into `to`, None for its own folder; the files, warnings of its video, and a line on what
+    is older now.
 
     It has the trajectories and, with `video`, the annotated video of the run, drawn again from `clip`. In its own
     folder the rows of before go to trajectory.filtered.csv, and the posterior is removed. Raises OutputError or
@@ -89,7 +90,7 @@ def save_smoothed(
         for path in files:
             discard(path)
         remove_folders(made)
-    return files, notes
+    return files, (*notes, *outdated(place))
 
 
 def _read(folder: Path) -> Trajectory:

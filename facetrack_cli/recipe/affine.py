@@ -13,6 +13,7 @@ from pydantic import Field
 
 from facetrack_cli.recipe.regions import Factor, Scaled
 from facetrack_cli.recipe.sections import Component, Length, Likelihood, Motion, Refusal, Section
+from facetrack_cli.recipe.times import SHARE
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilter
@@ -145,7 +146,7 @@ class Appearance(PatchLikelihood):
     """m_i in the first frame, in proportion; 0 leaves a component out, and f alone is a fixed template."""
     sigma: Components
     """sigma_i in the first frame, in standard deviations of the patch."""
-    alpha: Annotated[float, Field(ge=0, lt=1)]
+    alpha: Annotated[float, Field(ge=0, lt=1), SHARE]
     """The updating factor: the share of a new frame in what is known."""
     least_sigma: Deviation = 0.1
     """Floor of sigma_s, which a pixel that never changes would drive to zero."""

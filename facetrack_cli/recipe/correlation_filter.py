@@ -10,8 +10,10 @@ from pydantic import Field
 
 from facetrack_cli.recipe.regions import Factor, Scaled
 from facetrack_cli.recipe.sections import Filter, Length, Likelihood, Motion, Refusal, Section
+from facetrack_cli.recipe.times import FRAMES, SHARE
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+Rate: TypeAlias = Annotated[float, Field(ge=0, le=1), SHARE]
 Probability: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
 
 
@@ -57,7 +59,7 @@ class Scales(Section):
     """S, how many scales are looked at."""
     step: Annotated[float, Field(gt=1, le=1.2)] = 1.025
     """a, the ratio of one scale to the next."""
-    rate: Share = 0.025
+    rate: Rate = 0.025
     """Learning rate."""
     sharpness: Annotated[float, Field(gt=0, le=100)] = 8.0
     """log p(y | s) is this times the logarithm of the response."""
@@ -84,9 +86,9 @@ class CorrelationFilter(Likelihood):
     """sigma_y: standard deviation of the response that is wanted, in mean sides of the box."""
     learn: Literal["memory", "temporal"] = "memory"
     """What keeps the filter from forgetting: all windows so far (SRDCF, ECO), or a temporal term (STRCF)."""
-    rate: Share = 0.02
+    rate: Rate = 0.02
     """Learning rate of the memory, at P(visible) = 1."""
-    every: Annotated[int, Field(ge=1, le=10)] = 3
+    every: Annotated[int, Field(ge=1, le=10), FRAMES] = 3
     """The appearance is learned in every so many frames, as much more at a time (ECO: every 6th)."""
     hidden_rate: Share = 0.05
     """How much is learned while the target is hidden, in terms of what is learned while it is visible."""

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.correlation_filter import Box, CorrelationFilter, Guided, Share, VisibleWalk
+from facetrack_cli.recipe.correlation_filter import Box, CorrelationFilter, Guided, Rate, Share, VisibleWalk
 from facetrack_cli.recipe.sections import LengthPerPart, Likelihood, Motion, Refusal, Section
+from facetrack_cli.recipe.times import FRAMES
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilter
@@ -25,7 +26,7 @@ DETECTORS: tuple[DetectorName, ...] = ("haar", "yunet")
 class Detections(Section):
     """A detector of faces that measures the points every so many frames."""
 
-    every: Annotated[int, Field(ge=1, le=1000)] = 3
+    every: Annotated[int, Field(ge=1, le=1000), FRAMES] = 3
     """Frames from one look for the face to the next; while it is lost, the whole frame is searched as often."""
     by: DetectorName | Literal["auto"] = "auto"
     """OpenCV's Haar cascades or YuNet (of the extra `detect`); auto: what found the start, else the cascades."""
@@ -76,5 +77,5 @@ class BackgroundRatio(Likelihood):
     """Likelihood ratio of the part against windows beside it, of a part that may be hidden."""
     max_samples: Annotated[int, Field(ge=5)] | None = None
     """Samples along a side of a window at most: a larger one is read from a reduced frame; null: every pixel."""
-    adapt: Share = 0.05
+    adapt: Rate = 0.05
     """Learning rate of the second template, which follows the part while it is visible; 0: only the first frame's."""

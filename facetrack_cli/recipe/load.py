@@ -2,16 +2,19 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
+from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.yaml_tree import Node, Problem, Span, YamlProblems, assign, parse
 from facetrack_cli.recipe.files import find_file, find_recipe, read_file
 from facetrack_cli.recipe.messages import problems
-from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, error_of
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, error_of, to_dict
 from facetrack_cli.recipe.sections import suggest
+from facetrack_cli.recipe.times import FPS, times
 
 
 def load_recipe(name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] = ()) -> Recipe:
@@ -35,6 +38,22 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
     except YamlProblems as refused:
         return list(refused.problems)
     return []
+
+
+def in_frames(recipe: Recipe, fps: float | Fraction) -> Recipe:
+    """The recipe with numbers in place of its times, for a clip of `fps` frames per second; RecipeError for a bound."""
+    if not any(times(recipe)):
+        return recipe
+    rate = round(float(fps), 6)  # as a trajectory says it, so that a run that is opened again has the same numbers
+    context = {"path": recipe.path, "root": recipe._root, FPS: rate}
+    try:
+        return type(recipe).model_validate(to_dict(recipe), context=context)
+    except ValidationError as error:
+        if recipe._root is None:
+            first = error.errors()[0]
+            wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}, at {rate:g} frames per second"
+            raise RecipeError(f"{recipe.path}: {wrong}") from None
+        raise error_of(problems(error, type(recipe), recipe._root)) from None
 
 
 def files_of(recipe: Recipe) -> list[Path]:

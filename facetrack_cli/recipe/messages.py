@@ -118,6 +118,8 @@ def _must(details: ErrorDetails, node: Node) -> str:
         name, phrase = _BOUNDS[kind]
         bound = context[name]  # written as people do: 1000000, not 1e+06
         number = bound if isinstance(bound, int) else format(bound, ".0f" if bound.is_integer() else "g")
+        if isinstance(node.value, str):  # a time
+            given = f"{details['input']:g}, which is {node.value} at the clip's frame rate"
         return f"must be {phrase.format(number)}, not {given}"
     if kind in ("too_short", "too_long"):
         bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"

@@ -14,6 +14,7 @@ from facetrack_cli.recipe.face import Head
 from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.sections import Component, Filter, Kind, Likelihood, Motion, Prior, Refusal, Section, Target
 from facetrack_cli.recipe.skin import Exclusion, SkinCloud
+from facetrack_cli.recipe.times import FRAMES
 
 S = TypeVar("S", bound=Kind)
 MOST_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
@@ -25,9 +26,9 @@ class Confidence(Section):
 
     lost_below: Annotated[float, Field(ge=0, le=1)] = 0.3
     """A part is lost while its confidence stays below this, 0..1."""
-    patience: Annotated[int, Field(ge=1)] = 3
+    patience: Annotated[int, Field(ge=1), FRAMES] = 3
     """For so many frames in a row it must be below, for the part to be lost."""
-    memory: Annotated[int, Field(ge=1)] | None = 50
+    memory: Annotated[int, Field(ge=1), FRAMES] | None = 50
     """Frames over which it is learned how well a part matches when it is there; null: the first frame says so."""
     beside: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""

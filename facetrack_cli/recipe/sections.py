@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag
 from pydantic_core import PydanticCustomError, core_schema
 
 from facetrack_cli.core.errors import RecipeError
+from facetrack_cli.recipe.times import NUMBER
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 Steps: TypeAlias = tuple[str | int, ...]
 T = TypeVar("T")
 SHORTEST, LONGEST = 1e-6, 1e6  # lengths; no frame needs more, and squares would overflow
-_NUMBER = r"([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?"
 # the modules beside this one that hold sections, in the order in which types are listed
 FAMILIES = ("points", "regions", "skin", "affine", "filters", "correlation_filter", "face")
 GROUP = "facetrack.sections"  # the entry points by which other packages bring sections of their own
@@ -232,7 +232,7 @@ class Length:
         if cls.least == 0 and isinstance(given, int | float) and given == 0 and not isinstance(given, bool):
             return cls(0.0)
         length = cls(math.nan)
-        if isinstance(given, str) and re.fullmatch(_NUMBER + " ?px", given):
+        if isinstance(given, str) and re.fullmatch(NUMBER + " ?px", given):
             length = cls(float(given.removesuffix("px")), px=True)
         elif isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e300:
             length = cls(float(given))
@@ -255,7 +255,7 @@ class Length:
     ) -> dict[str, Any]:
         said = "In units of the target's size at the start."
         units = {"type": "number", "minimum": cls.least, "maximum": LONGEST, "description": said}
-        pixels = {"type": "string", "pattern": f"^{_NUMBER} ?px$", "description": "In pixels, as in 12px."}
+        pixels = {"type": "string", "pattern": f"^{NUMBER} ?px$", "description": "In pixels, as in 12px."}
         return {"title": cls.__name__, "anyOf": [units, pixels]}
 
 

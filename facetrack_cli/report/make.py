@@ -30,7 +30,6 @@ from facetrack_cli.trajectory.killed import settle
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-NAME: Final = "report.html"
 MOST_PARTS, MOST_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
 _VIDEO: Final = "annotated.mp4"
 _MOST_SVG: Final = 400_000  # bytes; a larger drawing becomes a PNG

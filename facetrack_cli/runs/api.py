@@ -105,7 +105,7 @@ def track_frames(
     if found is None:
         raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
     first = found
-    tracker = tracker_for(chosen, completed(chosen, start, lambda: first, IMAGES), first.size)
+    tracker = tracker_for(chosen, completed(chosen, start, lambda: first, IMAGES), first.size, fps)
     results = track(tracker, chain([first], frames), chosen.seed, clip=IMAGES)
     yield from lagged(results, lag) if lag else results
 

@@ -6,7 +6,6 @@ several batches on the same folders, also of several machines, share the clips.
 
 import contextlib
 import hashlib
-import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -15,11 +14,13 @@ from typing import Final
 
 from facetrack_cli.core.claims import LOCK, Claim, holder
 from facetrack_cli.core.errors import BusyError, FacetrackError
+from facetrack_cli.core.files import absolute
+from facetrack_cli.core.log import about
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.runs.again import previous
 from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.failures import line, note_failure
-from facetrack_cli.runs.job import Job, Outcome, Report, check, ended
+from facetrack_cli.runs.job import Job, Outcome, Report, check, ended, silent
 from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
@@ -66,11 +67,6 @@ def folders(clips: Sequence[Path], recipe: str) -> list[str]:
             count[names[i].casefold()] += 1
         taken.add(names[i].casefold())
     return [f"{name}-{recipe}" for name in names]
-
-
-def absolute(clip: Path) -> Path:
-    """The whole path under the name that was given: a link keeps its own."""
-    return Path(os.path.abspath(clip))  # noqa: PTH100 -- Path.resolve follows links
 
 
 def title(clip: Path) -> str:
@@ -127,7 +123,7 @@ def _round(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) ->
                 return
             share_threads(job.threads)
             progress.begin(f"[{i}/{len(jobs)}] {job.clip.name}", "frames", None)
-            yield job, _attempt(job, stop, progress.update)
+            yield job, _attempt(job, stop, progress.update, progress.looked)
         return
     with Ahead(to_dict(jobs[0].recipe), cores()) as ahead:  # or each of the workers would compile them
         ahead.finish(stop)
@@ -182,10 +178,11 @@ def _died(job: Job, error: Exception) -> Outcome:
     return Outcome(job.clip, error=said)
 
 
-def _attempt(job: Job, stop: Stop, report: Report) -> Outcome:
-    try:
-        outcome = run(job, stop, report)
-    except Exception as e:
-        outcome = Outcome(job.clip, error=e)
-    outcome.error = outcome.error and line(outcome.error)
+def _attempt(job: Job, stop: Stop, report: Report, looked: Report = silent) -> Outcome:
+    with about(job.clip.name):
+        try:
+            outcome = run(job, stop, report, looked)
+        except Exception as e:
+            outcome = Outcome(job.clip, error=e)
+        outcome.error = outcome.error and line(outcome.error)
     return outcome

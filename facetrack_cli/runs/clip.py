@@ -11,7 +11,7 @@ from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.runs import pipeline
 from facetrack_cli.runs.checkpoint import Run, forget
-from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended
+from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, silent
 from facetrack_cli.runs.join import join
 from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.signals import Stop
@@ -26,9 +26,9 @@ from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.trajectory.writers import Footer
 
 
-def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
+def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
     """Track one clip into its files; raises, and leaves no file, if nothing was tracked. `stop` is asked each frame.
-    Of one that is split the pieces, which are there, are joined.
+    Of one that is split the pieces, which are there, are joined. While a face is looked for `looked` hears of it.
 
     An error after the first frame is in the outcome, beside what was kept. What the folder holds of the same job is
     left as it is if it was not cut short by an error, a signal or a kill; else the clip is tracked again.
@@ -41,10 +41,12 @@ def run(job: Job, stop: Stop, report: Report = lambda done, total: None) -> Outc
     with Outputs(job) as outputs:
         if (known := ended(job)) is not None:  # meanwhile, by another process
             return known
-        return (track_clip if job.split is None else join)(job, outputs, stop, report)
+        if job.split is not None:
+            return join(job, outputs, stop, report)
+        return track_clip(job, outputs, stop, report, looked)
 
 
-def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
+def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
     """Track one clip; its results go to `outputs`. Raises and stops as `run`."""
     done = Outcome(job.clip, streamed=job.out is None)
     began, last, before, notes = 0.0, 0, 0, tuple[str, ...]()
@@ -66,7 +68,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
 
     try:
         with Ahead(to_dict(job.recipe), job.threads) as ahead:
-            start = job.find(job.recipe, stopped=stop)
+            start = job.find(job.recipe, stopped=stop, looked=looked)
             ahead.finish(stop)
     except InputError:
         if not stop():
@@ -86,7 +88,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
     with job.open(first) as source:
         source.strict = job.strict
         check_lag(job, source)
-        tracker = tracker_for(job.recipe, start, source.size)
+        tracker = tracker_for(job.recipe, start, source.size, source.fps)
         if begins is not None and resumed is None:
             tracker = resumed_at(tracker, job.frame(start.frame))
         at.states = revived(tracker, at.states, job.frame)
@@ -130,7 +132,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda d
     if job.strict and not source.complete and stopped is None:
         done.error = done.error or InputError(source.warnings[-1])
     failed = done.error or outputs.missing  # said last, as the command's error
-    done.files, done.warnings = outputs.written, tuple(line for line in footer.warnings if line != str(failed))
+    done.files, done.warnings = outputs.written, outputs.told(footer, failed)
     done.frames_per_s = (done.frames - before - 1) / max(time.perf_counter() - began, 1e-9)
     done.complete = footer.complete and done.error is None
     done.stopped = stopped if done.error is None else None

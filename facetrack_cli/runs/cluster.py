@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 from facetrack_cli import __version__
 from facetrack_cli.core.claims import LOCK, Claim, holder
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, reason
+from facetrack_cli.core.files import absolute
 from facetrack_cli.runs.again import previous
-from facetrack_cli.runs.batch import absolute
 from facetrack_cli.runs.failures import note_failure
 from facetrack_cli.runs.guard import GRACE_S, FailedError
 from facetrack_cli.runs.job import Job, Outcome, finished

@@ -6,18 +6,17 @@ import contextlib
 import os
 import traceback
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from facetrack_cli.core.claims import here, utc_now
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system
+from facetrack_cli.core.log import LINES
 from facetrack_cli.runs.again import asked, looked_at, previous
 from facetrack_cli.trajectory.batch_file import as_text
 from facetrack_cli.trajectory.manifest import OWNED, Manifest, commit, read_manifest
 
 if TYPE_CHECKING:
     from facetrack_cli.runs.job import Job
-
-LOG_LINES: Final = 20  # of what a process wrote to standard error before it ended
 
 
 def line(error: Exception) -> FacetrackError:
@@ -35,7 +34,7 @@ def line(error: Exception) -> FacetrackError:
 def failure(error: Exception, log: Sequence[str] = ()) -> dict[str, object]:
     """What run.json says of an error. `log`: what the process said last, if it died."""
     said = line(error)
-    last = tuple(text.encode(errors="replace").decode() for text in log[-LOG_LINES:])
+    last = tuple(text.encode(errors="replace").decode() for text in log[-LINES:])
     text = as_text(str(said))
     return {"complete": False, "error": text, "exit_code": int(said.exit_code), "log": last, "ended": utc_now()}
 

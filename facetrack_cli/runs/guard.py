@@ -21,11 +21,11 @@ from importlib import import_module
 from typing import Any, Final, NoReturn
 
 from facetrack_cli import __version__
+from facetrack_cli.core.log import LINES, VARIABLE
 
 LOOK_S: Final = 0.2  # between two looks at who is there
 GRACE_S: Final = 10.0  # for a clip that is asked to end, to close its files
 _ERROR: Final = "facetrack: error: "
-LINES: Final = 20  # the last ones of standard error that are kept
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -96,7 +96,7 @@ class _Guard:
     def __init__(self) -> None:
         # as the worker finds its modules, and nothing more: -m alone would look into the working directory first
         path = [one or os.getcwd() for one in sys.path]  # noqa: PTH109
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(path), "PYTHONSAFEPATH": "1"}
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(path), "PYTHONSAFEPATH": "1", VARIABLE: ""}
         environment |= dict.fromkeys(_THREADS, "1")
         command = [sys.executable, "-m", "facetrack_cli.runs.guard"]
         self.process = subprocess.Popen(

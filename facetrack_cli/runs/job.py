@@ -34,6 +34,10 @@ LAG_BYTES: Final = 1 << 30  # of the frames that wait for later ones
 Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
 
 
+def silent(done: int, total: int | None) -> None:
+    """Where nobody listens."""
+
+
 @dataclass(frozen=True)
 class Job(Begin):
     """What is asked of one clip. `out` None streams the one format to standard output.

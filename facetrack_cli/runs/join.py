@@ -13,7 +13,7 @@ import numpy as np
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.runs import pipeline
-from facetrack_cli.runs.job import Job, Outcome, Report
+from facetrack_cli.runs.job import Job, Outcome, Report, silent
 from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.plan import FILE, Plan, read_plan
 from facetrack_cli.runs.seams import Seam, meet, renamed
@@ -124,7 +124,7 @@ class _Survey:
         self._about.append(f"{self._clip}: no rows of frames {end} {until}{why}")
 
 
-def join(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda done, total: None) -> Outcome:
+def join(job: Job, outputs: Outputs, stop: Stop, report: Report = silent) -> Outcome:
     """Join the pieces of a clip, which are there, into `outputs`. A piece that failed leaves a gap, which is said.
 
     Raises InputError if no piece has rows. Once `stop` says so nothing is written.
@@ -183,7 +183,7 @@ def join(job: Job, outputs: Outputs, stop: Stop, report: Report = lambda done, t
         error = error or InputError(found.warnings[-1])
     done.error = error or outputs.missing
     done.files, done.note = outputs.written, plan.start.note
-    done.warnings = tuple(line for line in footer.warnings if line != str(done.error))
+    done.warnings = outputs.told(footer, done.error)
     done.frames_per_s = (done.frames - 1) / max(time.perf_counter() - began, 1e-9)
     done.complete = footer.complete and error is None
     return done

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import platform
 import sys
 import time
@@ -29,9 +30,9 @@ from facetrack_cli.runs.failures import failure, note_failure
 from facetrack_cli.runs.job import VIDEO, Job, Outcome, check
 from facetrack_cli.runs.posterior import POSTERIOR, PosteriorWriter
 from facetrack_cli.trajectory.diagnostics import KNOWN
-from facetrack_cli.trajectory.header import to_record
+from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, to_record
 from facetrack_cli.trajectory.killed import recover
-from facetrack_cli.trajectory.manifest import Manifest, commit
+from facetrack_cli.trajectory.manifest import Manifest, commit, outdated
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION, WRITERS, Footer, Format, Header, Writer
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -52,11 +53,12 @@ class Outputs:
         self._overlay: Overlay | None = None
         self._writers: list[Writer] = []
         self._posterior: PosteriorWriter | None = None
-        self._lock: Claim | None = None
+        self._claim: Claim | None = None
         self._checkpoints: Checkpoints | None = None
         self._after: Found | None = None
         self._painted = 0
         self.written: list[Path] = []
+        self.older: tuple[str, ...] = ()  # lines on what is there from a track before
         self.missing: OutputError | None = None  # why there is no video; the tables are whole all the same
 
     def __enter__(self) -> Outputs:
@@ -66,8 +68,8 @@ class Outputs:
             return self
         self._made = make_folder(out)
         try:
-            self._lock = Claim(out).__enter__()
-            recover(out, self._lock)
+            self._claim = Claim(out).__enter__()
+            recover(out, self._claim)
             self._began = time.monotonic()
             self._run = Manifest(asked=asked(self._job), host=here()[0], began=utc_now())
             check(self._job)  # again, as somebody may have written since
@@ -86,7 +88,7 @@ class Outputs:
         if job.lag or not job.recipe.filters:
             forget(job.out)
             return None
-        told = [asked(job), _versions(), to_record(start)]
+        told = [self._run.asked, _versions(), to_record(start)]
         with contextlib.suppress(OSError):  # of a clip that cannot be read, which is said when it is opened
             told.append(ends(job.clip))
         key = hashlib.sha256(dumps(told).encode(errors="surrogateescape")).hexdigest()
@@ -140,11 +142,11 @@ class Outputs:
         """
         header = {**_header(self._job, source, start, rows), **more}
         self._fingerprint = Fingerprint(self._job.clip, whole=self._job.piece is None)
-        if self._lock is not None:
+        if self._claim is not None:
             self._run = self._run.model_copy(update={"clip": self._fingerprint.clip})
             before = 0 if self._after is None else self._after.run.frames
-            self._lock.frame, self._lock.frames = before, source.frames_hint and source.frames_hint + before
-            self._lock.note({"clip": str(self._job.clip), "run": self._run.model_dump()})
+            self._claim.frame, self._claim.frames = before, source.frames_hint and source.frames_hint + before
+            self._claim.note({"clip": str(self._job.clip), "run": self._run.model_dump()})
         for form, sink in zip(self._job.formats, self._sinks, strict=True):
             self._writers.append(WRITERS[form](sink, header, begun=self._after is not None))
         if self._job.out is not None and self._job.posterior:
@@ -167,8 +169,8 @@ class Outputs:
 
     def write(self, rows: Trajectory) -> None:
         """Write the rows of one frame."""
-        if self._lock is not None:
-            self._lock.frame += 1
+        if self._claim is not None:
+            self._claim.frame += 1
         for writer in self._writers:
             writer.write(rows)
 
@@ -223,7 +225,8 @@ class Outputs:
             if self._job.batch and done.error is not None and not isinstance(done.error, OutputError):
                 ended |= failure(done.error)
             try:
-                commit(self._job.out, self.written, self._run.model_copy(update=ended), claim=self._lock, anyway=True)
+                commit(self._job.out, self.written, self._run.model_copy(update=ended), claim=self._claim, anyway=True)
+                self.older = (*outdated(self._job.out), *_kept(self._job, self._job.out))
             except OutputError as e:  # the claim is lost
                 self.written = []
                 errors.append(e)
@@ -235,6 +238,10 @@ class Outputs:
         if errors:
             raise errors[0]
         return footer
+
+    def told(self, footer: Footer, error: Exception | None) -> tuple[str, ...]:
+        """The warnings of a run, but for the one that is its error, and what is older than its track."""
+        return (*(line for line in footer.warnings if line != str(error)), *self.older)
 
     def _finish(self, file: _File, end: Callable[[], None], errors: list[Exception]) -> None:
         try:
@@ -254,10 +261,10 @@ class Outputs:
         for made in (self._video, self._posterior):
             if made is not None:
                 made.discard()
-        if self._lock is not None:
+        if self._claim is not None:
             if self._job.batch and isinstance(error, Exception):
                 note_failure(self._job, error, begun=self._run)
-            self._lock.__exit__()
+            self._claim.__exit__()
         remove_folders(self._made)
 
 
@@ -280,6 +287,16 @@ class Memory(Outputs):
         header = {**self._header, **footer._asdict()}
         self.trajectory = self._collected.trajectory(header=header, path=self._job.clip)
         return footer
+
+
+def _kept(job: Job, folder: Path) -> list[str]:
+    """A line on each file of corrections there, of the track before, that this run did not begin with."""
+    files = [folder / name for name in (CORRECTED, UNSAVED)]
+    begun = os.path.realpath(job.init) if isinstance(job.init, Path) else ""
+    there = [path for path in files if path.is_file() and os.path.realpath(path) != begun]
+    return [
+        f"{path}: corrections of the track before, kept and not in this one; --init {path} takes them" for path in there
+    ]
 
 
 def _versions() -> Header:

@@ -28,15 +28,25 @@ class Progress:
         self._quiet = quiet
 
     def begin(self, name: str, unit: str = "frames", total: int | None = None) -> None:
-        self._name, self._unit = name, unit
+        self._name, self._unit, self._doing = name, unit, ""
         self._began = self._last = time.monotonic()
+
+    def looked(self, done: int, total: int | None) -> None:
+        """As `update`, while a face is looked for: what is tracked later is counted, and timed, anew."""
+        self._doing = ", looking for a face"
+        self._show(done, total, None)
 
     def update(self, done: int, total: int | None, rate: float | None = None) -> None:
         """Called as often as one likes; `total` None or 0 is not known."""
+        if self._doing:
+            self._doing, self._began = "", time.monotonic()
+        self._show(done, total, rate)
+
+    def _show(self, done: int, total: int | None, rate: float | None) -> None:
         if not self._quiet and self._due(EVERY_S):
             # the length that a file states is a guess
             of = "" if not total else f" of about {total}" if self._unit == "frames" else f" of {total}"
-            self.say(f"{self._name}: {done}{of} {self._unit}, {self._rate(done, rate)}")
+            self.say(f"{self._name}{self._doing}: {done}{of} {self._unit}, {self._rate(done, rate)}")
 
     def say(self, line: str) -> None:
         """A line that stays."""
@@ -66,13 +76,18 @@ class Progress:
 class Events(Progress):
     """A line of JSON for each message, with the clip, and every second one with how far it is."""
 
-    _name = _unit = ""
+    _name = _unit = _doing = ""
 
-    def update(self, done: int, total: int | None, rate: float | None = None) -> None:
+    def _show(self, done: int, total: int | None, rate: float | None) -> None:
         if not self._quiet and self._due(EVERY_JSON_S):
             speed = float(self._rate(done, rate).split()[0])
             write_line(
-                "progress", clip=self._clip(), done=done, total=total or None, unit=self._unit, frames_per_s=speed
+                f"progress{self._doing}",
+                clip=self._clip(),
+                done=done,
+                total=total or None,
+                unit=self._unit,
+                frames_per_s=speed,
             )
 
     def error(self, line: str) -> None:
@@ -102,12 +117,13 @@ class Bar(Progress):
         self._bar.add_task(flat(name), total=total, count="", rate="")
         self._bar.start()
 
-    def update(self, done: int, total: int | None, rate: float | None = None) -> None:
+    def _show(self, done: int, total: int | None, rate: float | None) -> None:
         if self._bar.task_ids and self._due(0.1):
             total = total if total and done <= total else None  # a stated length may be wrong
             count = f"{done}{f'/{total}' if total else ''} {self._unit}"
             [task] = self._bar.task_ids
-            self._bar.update(task, completed=done, total=total, count=count, rate=self._rate(done, rate))
+            name, speed = flat(f"{self._name}{self._doing}"), self._rate(done, rate)
+            self._bar.update(task, description=name, completed=done, total=total, count=count, rate=speed)
 
     def say(self, line: str) -> None:
         self._bar.console.print(flat(line), markup=False, highlight=False, soft_wrap=True)

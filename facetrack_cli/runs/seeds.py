@@ -28,7 +28,7 @@ from facetrack_cli.runs.workers import DiedError, cores, side_by_side
 from facetrack_cli.tracking.build.build import check_gallery, tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, one_part
-from facetrack_cli.video.source import open_source
+from facetrack_cli.video.source import FOLDER_FPS, open_source
 
 Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
 OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
@@ -161,7 +161,7 @@ def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
 
     Raises the errors of recipe and start that show before a frame is read.
     """
-    tracker = tracker_for(plan.recipe, plan.start, size)
+    tracker = tracker_for(plan.recipe, plan.start, size, plan.fps or FOLDER_FPS)  # names alone, whatever the rate
     one = np.ones(len(frames))  # every part of every tracker has a size
     rows = [one_part(target.name, part, frames, w=one, h=one) for target in tracker for part in target.parts]
     return joined(rows, path=plan.clip, header={"source": {"size": list(size)}})
@@ -177,7 +177,7 @@ def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable
             yield Frame(frame.index, frame.time_s, frame.bgr)
 
     with open_source(plan.clip, fps=plan.fps, start=plan.start.frame, stop=plan.stop) as source:
-        tracker = tracker_for(plan.recipe, plan.start, source.size)
+        tracker = tracker_for(plan.recipe, plan.start, source.size, source.fps)
         runs = [track(tracker, present(), seed, clip=str(plan.clip)) for seed in seeds]
         logs, seconds = [Collector() for _ in seeds], [0.0 for _ in seeds]
         count, notes = 0, tuple[str, ...]()

@@ -106,7 +106,7 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
             raise OutputError(f"{path.parent}: {other}; replace them with --overwrite, or name another --out")
         shutil.rmtree(path.parent, ignore_errors=True)
     progress.begin(f"{job.clip.name}: looking where it can be cut")
-    start = job.find(job.recipe, stopped=stop)
+    start = job.find(job.recipe, stopped=stop, looked=progress.looked)
     if job.split.starts == "detect":
         _check_detector(job, start)
     times, stamps = _frames(job, start, stop, progress)

@@ -51,11 +51,18 @@ class Begin:
         stamps = None if self.piece is None else self.piece.stamps
         return open_sought(self.clip, stamps, fps=self.fps, start=first, stop=self.stop)
 
-    def find(self, recipe: Recipe, truth: Trajectory | None = None, stopped: Callable[[], bool] = never) -> Start:
+    def find(
+        self,
+        recipe: Recipe,
+        truth: Trajectory | None = None,
+        stopped: Callable[[], bool] = never,
+        looked: Callable[[int, int | None], None] = lambda done, total: None,
+    ) -> Start:
         """Where a recipe begins: the box or init file given, the init file beside the clip, else the ground truth.
 
         The start of ground truth is its first frame in which all that the recipe follows is visible. Without any a face
         is looked for. Raises InputError where there is no such place in these frames, or once `stopped`.
+        `looked` hears in how many frames, and of how many, a face was looked for.
         """
         first = self.start if self.init_frame is None else self.init_frame
         path = find_init(self.clip) if self.init is None else self.init
@@ -80,7 +87,7 @@ class Begin:
             return completed(recipe, replace(start, frame=at), lambda: self.frame(at, origin), str(self.clip))
         with self.open(at) as source:
             by = next((name for name in DETECTORS if name == self.init), None)
-            frames = frames_of(source, at, origin, stopped)
+            frames = _counted(frames_of(source, at, origin, stopped), source, looked)
             while True:
                 try:
                     return search(recipe, frames, str(self.clip), by=by, faces=self.faces)
@@ -116,6 +123,12 @@ def frames_of(source: Source, first: int, origin: str, stopped: Callable[[], boo
         yield frame
         frame = None  # while the next one is decoded
         frame = next(frames, None)
+
+
+def _counted(frames: Iterator[Frame], source: Source, looked: Callable[[int, int | None], None]) -> Iterator[Frame]:
+    for done, frame in enumerate(frames, 1):
+        yield frame
+        looked(done, source.frames_hint)
 
 
 def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: str) -> Start:

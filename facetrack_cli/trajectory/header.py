@@ -14,6 +14,7 @@ from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, not_as_writte
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 CORRECTED: Final = "corrected.init.yaml"
+UNSAVED: Final = "unsaved.init.yaml"
 Pixels: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_PIXELS, le=MAX_PIXELS, allow_inf_nan=False)]
 Side: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=MAX_PIXELS, allow_inf_nan=False)]
 FrameNumber: TypeAlias = Annotated[int, Field(strict=True, ge=0, le=MAX_FRAME)]

@@ -5,6 +5,7 @@ It is replaced together with those files, so files of different runs are noticed
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal
@@ -21,6 +22,10 @@ NAME: Final = "run.json"
 TABLES: Final = tuple(f"trajectory.{form}" for form in ("csv", "json", "jsonl"))
 FILTERED: Final = "trajectory.filtered.csv"
 OWNED: Final = ("annotated.mp4", "posterior.npz", FILTERED, *TABLES, NAME)  # what a run writes, or replaces
+
+
+REPORT: Final = "report.html"
+PLOT: Final = "plot.png"
 
 
 class _Stored(BaseModel):
@@ -99,6 +104,28 @@ def check_belongs(path: Path) -> None:
             f"{path}: is not as its run wrote it, as {NAME} beside it says: it was edited, or is of another run; "
             "copy it elsewhere to read it as it is"
         )
+
+
+def outdated(folder: Path) -> list[str]:
+    """A line, where a track replaces another, on what was made from that one and stays; none if nothing was.
+
+    That is what report, plot and export wrote by the names that they choose.
+    """
+    try:
+        there = sorted(one.name for one in folder.iterdir() if one.name not in OWNED)
+    except OSError:
+        return []
+    made = {name: made_by(name) for name in there if made_by(name)}
+    if not made:
+        return []
+    again = [f"facetrack {by} {shlex.quote(str(folder))} --overwrite" for by in dict.fromkeys(made.values())]
+    return [f"{folder}: older than the track: {', '.join(made)}; make anew: {', '.join(again)}"]
+
+
+def made_by(name: str) -> str:
+    """The command that writes a file of this name beside a trajectory; "" for any other file."""
+    known = {REPORT: "report", PLOT: "plot"}
+    return known.get(name, "export --to FORMAT" if name.startswith("trajectory.") else "")
 
 
 def commit(

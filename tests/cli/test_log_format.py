@@ -2,7 +2,9 @@
 
 import json
 import os
+from fractions import Fraction
 
+import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
@@ -10,6 +12,7 @@ from facetrack_cli.core.log import VARIABLE, log_line
 from facetrack_cli.recipe.files import find_recipe, read_recipe
 from facetrack_cli.runs import progress as module
 from facetrack_cli.runs.progress import Bar, progress
+from facetrack_cli.video.writer import VideoWriter
 from tests.support.samples import FOLDER
 
 
@@ -38,6 +41,46 @@ def test_a_run_says_objects(tmp_path, capfd, monkeypatch):
     assert any("5 frames" in one["message"] for one in said)
     assert main(["--log-format", "text", *words, "--overwrite"]) == 0
     assert not capfd.readouterr().err.startswith("{")
+
+
+def test_lines_of_several_clips_say_which(tmp_path, capfd):
+    clips = [tmp_path / name for name in ("a.mp4", "b.mp4", "bad.mp4")]
+    for clip in clips:
+        clip.write_bytes(b"x" if clip.stem == "bad" else (FOLDER / "map.mp4").read_bytes())
+    words = [
+        "run",
+        *map(str, clips),
+        "-j",
+        "2",
+        "--box",
+        "100,60,80,80",
+        "--config",
+        "sir",
+        "--no-video",
+        "--stop",
+        "3",
+    ]
+    set_ = ["--set", "target.parts=[nose]", "--set", "filter.particles=5"]
+    assert main(["--log-format", "json", *words, *set_, "-o", str(tmp_path / "out")]) == 5
+    said = objects(capfd.readouterr().err)
+    for clip in clips:
+        mine = [one for one in said if clip.name in one["message"]]
+        assert mine and {one.get("clip") for one in mine} == {clip.name}
+    assert [one["message"] for one in said if "clip" not in one and one["message"] != "progress"] == [
+        "1 of 3 inputs failed"
+    ]
+
+
+def test_the_search_for_a_face_is_told(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(module, "EVERY_JSON_S", 0.0)
+    clip = tmp_path / "nobody.mp4"
+    with VideoWriter(clip, (96, 96), Fraction(25)) as video:
+        for i in range(12):
+            video.write(np.full((96, 96, 3), 90, np.uint8), i / 25)
+    assert main(["--log-format", "json", "run", str(clip), "-o", str(tmp_path / "out")]) == 3
+    steps = [one for one in objects(capfd.readouterr().err) if "progress" in one["message"]]
+    assert {one["message"] for one in steps} == {"progress, looking for a face"}
+    assert [one["done"] for one in steps] == [*range(1, 13)] and {one["total"] for one in steps} == {12}
 
 
 def test_errors_are_objects(tmp_path, capfd):

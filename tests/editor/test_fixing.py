@@ -15,13 +15,13 @@ from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import history
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.run_folder import UNSAVED, _recipe, check_size, open_run
+from facetrack_cli.editor.run_folder import _recipe, check_size, open_run
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.runs.signals import StoppedError
-from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.writers import csv_frames, json_frames

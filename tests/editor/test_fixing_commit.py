@@ -13,9 +13,9 @@ from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import beside
 from facetrack_cli.core.sets import JOURNAL, announce, finish, sweep
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.run_folder import UNSAVED, open_run
+from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import keep, save
-from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from tests.editor.test_fixing_odd import fixing, nose, put
 from tests.support.samples import FOLDER
 

@@ -351,7 +351,12 @@ def test_a_disk_that_is_full_for_a_while_leaves_the_rows_as_they_were(short, tmp
 def test_a_report_that_is_there_is_said_to_be_of_before(short, tmp_path):
     out = copied(short, tmp_path / "out")
     (out / "report.html").write_text("x")
-    assert put(out, nose(8, 159, 140))[-1] == f"{out / 'report.html'}: left as it was, it shows the track of before"
+    (out / "trajectory.mot.txt").write_text("x")
+    said = (
+        f"{out}: older than the track: report.html, trajectory.mot.txt; make anew: facetrack report {out} --overwrite"
+    )
+    assert put(out, nose(8, 159, 140))[-1] == f"{said}, facetrack export --to FORMAT {out} --overwrite"
+    assert (out / "report.html").read_text() == "x"
 
 
 def test_a_video_that_cannot_be_written_is_called_by_its_name(short, tmp_path, monkeypatch):

@@ -34,6 +34,40 @@ def clips(tmp_path_factory):
     return folder
 
 
+# --- small faces ---
+
+
+def test_the_marks_of_a_small_face_do_not_hide_it(clips, pick, windows, tmp_path):
+    points = {part: (1900 + (x - 160) / 3, 1000 + (y - 138) / 3) for part, (x, y) in POINTS.items()}
+    begun = Start(0, {"face": TargetStart((1880, 980, 40, 40), points)}, "a file")
+    _, url = pick(clips / "large", tmp_path / "a.yaml", "factorized", begun=begun)
+    window = windows(url)
+    assert window.get("zoom") > 5, "they could not be told apart"
+    apart = window.on_screen(points["mouth_left"], points["mouth_right"])
+    assert apart[1][0] - apart[0][0] > 60
+    window.press("0")
+    assert window.get("zoom") == 1 and window.scale() < 0.5
+    window.press("z")
+    assert window.get("zoom") > 5
+    window.click_on("zoom-fit")
+    assert window.get("zoom") == 1
+    window.click_on("zoom-fit")
+    assert window.get("zoom") > 5
+
+
+def test_a_number_of_a_frame_leaves_the_keys_free(clips, pick, windows, tmp_path):
+    _, url = pick(clips / "face", tmp_path / "a.yaml", "factorized", begun=BEGUN)
+    window = windows(url)
+    assert window.get("zoom") == 1, "a face of this size stays as it is"
+    window.press("f")
+    window.keyboard.type("2")
+    window.press("Enter")
+    window.until_shown(2)
+    assert window.evaluate("document.activeElement.id") == "stage"
+    window.press("b")
+    assert window.get("draft.frame") == 2
+
+
 # --- fingers ---------------------------------------------------------------------------------------------------------
 
 

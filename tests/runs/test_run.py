@@ -339,6 +339,17 @@ def test_results_that_are_there_are_not_touched(run: Runner, clip: Path) -> None
     assert run(clip, *SMALL, "--overwrite")[0] == 0
     assert names(folder) == ["annotated.mp4", "run.json", "trajectory.csv", "trajectory.json"]
     assert json.loads((folder / "trajectory.json").read_text())["complete"]
+    # what was made from it, or corrected in it, stays and is named
+    mine = {"report.html", "trajectory.wide.csv", "corrected.init.yaml", "unsaved.init.yaml", "notes.txt"}
+    for name in mine:
+        (folder / name).write_text(INIT)
+    begun = ["--init", folder / "corrected.init.yaml"]
+    code, _, err = run(clip, *SMALL, "--overwrite", "--no-video", *begun)
+    assert code == 0 and {*names(folder)} == {*mine, "run.json", "trajectory.csv", "trajectory.json"}
+    assert "older than the track: report.html, trajectory.wide.csv; make anew: facetrack report sway-face --over" in err
+    assert "unsaved.init.yaml: corrections of the track before, kept" in err
+    assert "corrected.init.yaml: corrections" not in err, "the run begins with them"
+    assert "older" not in run(clip, *SMALL, "--no-video", *begun)[2], "nothing is replaced"
 
 
 def test_old_results_stay_until_the_new_ones_are_whole(run: Runner) -> None:

@@ -289,7 +289,7 @@ def test_a_large_target_in_a_large_frame_is_followed():
     size, frame_size = (300, 300), (1280, 720)
     places = [(500 + 12.0 * n, 330 + 3.0 * n) for n in range(8)]
     frames, begin = clip(places, size, frame_size=frame_size, blur=12.0), start(places[0], size)
-    tracker = tracker_for(load_recipe("correlation_filter"), begin, frame_size)
+    tracker = tracker_for(load_recipe("correlation_filter"), begin, frame_size, 25)
     results = list(track(tracker, iter(frames), 0))
     assert_followed(results, places)
 

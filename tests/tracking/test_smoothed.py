@@ -26,7 +26,7 @@ MOVED = Correction(60, "face", TargetStart(points={"nose": (175.0, 120.0)}))
 def results_of(name, stop=112, corrections=(), overrides=None):
     recipe = load_recipe(name, overrides or {})
     start = replace(CLIP.start, corrections=tuple(corrections))
-    tracker = tracker_for(recipe, start, CLIP.frames[0].size)
+    tracker = tracker_for(recipe, start, CLIP.frames[0].size, 25)
     return list(track(tracker, iter(CLIP.frames[:stop]), 0))
 
 

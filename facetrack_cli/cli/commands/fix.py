@@ -82,10 +82,10 @@ class Fix:
         """Take the corrections of --init or --import, and save; the exit code."""
         from facetrack_cli.editor.annotated import annotated_corrections
         from facetrack_cli.editor.history import corrections_of, merged
-        from facetrack_cli.editor.run_folder import UNSAVED
         from facetrack_cli.editor.save import save
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import StoppedError
+        from facetrack_cli.trajectory.header import UNSAVED
 
         folder = fixer.run.folder
         unsaved = folder / UNSAVED
@@ -123,8 +123,8 @@ class Fix:
     def _serve(self, fixer: Fixer, frames: Frames, stop: Stop) -> int:
         """Serve the page until it is saved or stopped; the exit code."""
         from facetrack_cli.editor.history import corrections_of
-        from facetrack_cli.editor.run_folder import UNSAVED
         from facetrack_cli.editor.web.fix_session import FixSession
+        from facetrack_cli.trajectory.header import UNSAVED
 
         folder = fixer.run.folder
         kept = folder / UNSAVED

@@ -82,6 +82,9 @@ class Init:
             raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
         if preview is not None and preview.suffix.lower() != ".png":
             raise OutputError(f"{preview}: the preview is a PNG; let its name end in .png")
+        if self.pick and not self.overwrite and path is not None and path.is_file():
+            begin = f"facetrack init {self.clip} --pick --overwrite begins with it"
+            raise OutputError(f"{path}: exists already; {begin}, and replaces it; or name another file with --out")
         for file in filter(None, (path, preview)):
             check_new(file, overwrite=self.overwrite)
         if preview is not None and self.clip.is_dir() and preview.parent.resolve() == self.clip.resolve():

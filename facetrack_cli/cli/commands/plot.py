@@ -44,10 +44,12 @@ class Plot:
     dpi: float = option("--dpi N", "Pixels an inch of a PNG.", type=Number(40, 600), default=120)
 
     def run(self) -> None:
+        from facetrack_cli.trajectory.manifest import PLOT
+
         if self.truth is None:
             self.truth_options.refuse(target=False)
         folder = self.trajectory if self.trajectory.is_dir() else self.trajectory.parent
-        out = self.out or folder / "plot.png"
+        out = self.out or folder / PLOT
         write_figure(out, self._draw, overwrite=self.overwrite, dpi=self.dpi)
         say(f"{self.trajectory} -> {out}")
 

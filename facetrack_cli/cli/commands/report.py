@@ -37,14 +37,15 @@ class Report:
 
     def run(self) -> int:
         from facetrack_cli.core.files import check_new, write_new
-        from facetrack_cli.report.make import NAME, TruthFile, make_report, trajectory_of
+        from facetrack_cli.report.make import TruthFile, make_report, trajectory_of
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop
+        from facetrack_cli.trajectory.manifest import REPORT
 
         if self.truth is None:
             self.truth_options.refuse(target=True)
         trajectory_of(self.folder)
-        to = self.folder / NAME if self.out is None else self.out
+        to = self.folder / REPORT if self.out is None else self.out
         check_new(to, overwrite=self.overwrite, inputs=(self.truth, self.clip))
         with progress(self.quiet) as shown:
             shown.begin(self.folder.name or str(self.folder))

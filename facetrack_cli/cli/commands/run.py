@@ -142,7 +142,7 @@ class Run:
 
     def run(self) -> int:
         from facetrack_cli.runs.batch import run_batch, variant_name
-        from facetrack_cli.runs.inputs import expand
+        from facetrack_cli.runs.inputs import expand, say_rate
         from facetrack_cli.runs.job import Job, default_reason
         from facetrack_cli.runs.live import is_live
         from facetrack_cli.runs.progress import progress
@@ -158,6 +158,8 @@ class Run:
             return self._live()
         with progress(self.quiet) as shown:
             given, several = expand(self.inputs, shown.say)
+            if self.extent.fps is None:
+                say_rate(given, shown.say)
         self.extent.check(*given)
         recipe = self._recipe()
         if self.fail_on_lost and not recipe.judges:
@@ -216,8 +218,7 @@ class Run:
 
         seed = () if self.seed is None else (f"seed={self.seed}",)
         config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
-        [recipe] = load_recipes([(config, (*self.set, *seed))], self.gallery)
-        return recipe
+        return load_recipes([(config, (*self.set, *seed))], self.gallery)[0]
 
     def _live(self) -> int:
         """Track what comes from a camera, a pipe or a clip; the exit code."""
@@ -305,7 +306,7 @@ class Run:
         except StoppedError:
             shown.say(f"{outcome.clip}: not smoothed; facetrack smooth {folder} --overwrite does it")
             return
-        for note in notes:
+        for note in (one for one in notes if one not in outcome.warnings):
             shown.say(f"facetrack: warning: {note}")
         shown.say(f"{outcome.clip}: smoothed: {', '.join(path.name for path in files)}")
 
@@ -332,7 +333,7 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
 
     share_threads(job.threads)
     shown.begin(job.clip.name)
-    outcome = run(job, stop, shown.update)
+    outcome = run(job, stop, shown.update, shown.looked)
     shown.close()
     if isinstance(outcome.error, BrokenPipeError):
         raise outcome.error
@@ -347,6 +348,7 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
 
 def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
+    from facetrack_cli.core.log import about
     from facetrack_cli.runs.batch import check_all
 
     decided, left = check_all(jobs)
@@ -355,20 +357,21 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
         shown.say(f"{done} clips: done before")
     failed = before = lost = 0
     for outcome in itertools.chain(decided, batch(left, stop=stop, progress=shown)):
-        if outcome.frames or outcome.error is None:
-            if outcome.again is None or done <= MOST_DONE:
-                _report(outcome, shown, named=True)
-            lost += bool(outcome.lost_at_end)
-            if after is not None and not stop():
-                try:
-                    after(outcome, stop, shown)
-                except FacetrackError as e:
-                    outcome.error = e
-        if outcome.error is not None:
-            failed += 1
-            before += outcome.again is not None
-            named = "" if str(outcome.clip) in str(outcome.error) else f"{outcome.clip}: "
-            shown.error(f"facetrack: error: {named}{outcome.error}")
+        with about(outcome.clip.name):
+            if outcome.frames or outcome.error is None:
+                if outcome.again is None or done <= MOST_DONE:
+                    _report(outcome, shown, named=True)
+                lost += bool(outcome.lost_at_end)
+                if after is not None and not stop():
+                    try:
+                        after(outcome, stop, shown)
+                    except FacetrackError as e:
+                        outcome.error = e
+            if outcome.error is not None:
+                failed += 1
+                before += outcome.again is not None
+                named = "" if str(outcome.clip) in str(outcome.error) else f"{outcome.clip}: "
+                shown.error(f"facetrack: error: {named}{outcome.error}")
     shown.close()
     if stop.code is not None:
         return stop.code
@@ -379,10 +382,7 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
 
 
 def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str = "") -> None:
-    """What the search took, warnings, the summary, the verdict, and of one clip the next step.
-
-    If `named`, warnings say of which clip they are.
-    """
+    """What the search took, warnings, the summary, the verdict; the next step, if no other clip is `named`."""
     if outcome.note:
         shown.say(f"{outcome.clip}: {outcome.note}")
     for warning in outcome.warnings:

@@ -1,7 +1,6 @@
 """What an experiment found, as text: a table on a terminal, piped or as Markdown, and JSON."""
 
 import math
-import os
 import re
 import sys
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from typing import Final
 import click
 
 from facetrack_cli.core.errors import flat, visible
+from facetrack_cli.core.files import absolute
 from facetrack_cli.runs.seeds import OVERRIDES
 
 WIDE: Final = 100  # columns of a table that is not printed on a terminal
@@ -100,7 +100,7 @@ def broken(label: str) -> str:
 
 def clip_name(clip: Path) -> str:
     """A clip in titles: a file's name; a folder with the one above it, since so many are called img."""
-    place = Path(os.path.abspath(clip))  # noqa: PTH100 -- Path.resolve follows links
+    place = absolute(clip)
     return f"{place.parent.name}/{place.name}" if place.is_dir() and place.parent.name else place.name
 
 

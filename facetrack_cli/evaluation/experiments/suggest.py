@@ -24,6 +24,7 @@ from facetrack_cli.runs.start import Begin, completed, frames_of
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
+from facetrack_cli.video.source import FOLDER_FPS
 
 FACE: Final = ("face", "correlation_filter", "skin_ncc_robust")
 ANY: Final = ("correlation_filter", "skin_ncc_robust")
@@ -128,7 +129,7 @@ def _tracked(recipe: Recipe, start: Start, frames: Sequence[Frame]) -> _Track:
     points: dict[str, tuple[float, float]] = {}
     target = next(iter(start.targets))
     began, seconds = 0.0, 0.0
-    tracker = tracker_for(recipe, start, frames[0].size)
+    tracker = tracker_for(recipe, start, frames[0].size, FOLDER_FPS)
     for result in track(tracker, iter(frames), recipe.seed):
         seconds = time.perf_counter() - began if began else 0.0
         began = began or time.perf_counter()  # what is compiled for the first frame does not count

@@ -1,10 +1,12 @@
 """From a recipe and a start to a tracker. Each part is built from its settings, in the file where it is."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
 from facetrack_cli.recipe.affine import PatchLikelihood
+from facetrack_cli.recipe.load import in_frames
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, above
 from facetrack_cli.tracking import opencv
 from facetrack_cli.tracking.build.targets import box_with, face_target, particle_target
@@ -16,11 +18,13 @@ from facetrack_cli.tracking.start.haar import PARTS, box_start
 from facetrack_cli.tracking.start.init_file import TARGET as FACE
 
 
-def build_tracker(recipe: Recipe, start: Start) -> Tracker:
+def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> Tracker:
     """The tracker of a recipe for a clip that begins at `start`, whose every point lies in the frame.
 
+    By `fps`, the frames per second of the clip, the recipe's times become frames.
     Raises InputError where the start or a correction lacks what the recipe needs, RecipeError for parts that disagree.
     """
+    recipe = in_frames(recipe, fps)
     if isinstance(recipe, OpenCvRecipe):
         opencv.check(recipe)
     if missing := ", ".join(name for name in recipe.followed if name not in start.targets):
@@ -48,10 +52,10 @@ def _target(recipe: Recipe, start: Start, name: str) -> Target:
     return particle_target(recipe, key, given, start, name)
 
 
-def tracker_for(recipe: Recipe, start: Start, size: tuple[int, int]) -> Tracker:
+def tracker_for(recipe: Recipe, start: Start, size: tuple[int, int], fps: float | Fraction) -> Tracker:
     """As `build_tracker`, for a clip of this (width, height); raises also where start or windows do not fit it."""
     check_start(start, size, recipe.points)
-    tracker = build_tracker(recipe, start)
+    tracker = build_tracker(recipe, start, fps)
     check_windows(recipe, tracker, size, start.origin)
     return tracker
 

@@ -126,7 +126,7 @@ async function start() {
   press("save", does.save);
   press("zoom-in", does.zoom(1.4));
   press("zoom-out", does.zoom(1 / 1.4));
-  press("zoom-fit", () => stage.toFit());
+  press("zoom-fit", () => mode.showTargets());
   press("help-open", does.help);
   press("help-close", () => $("help").close());
   for (const dialog of document.querySelectorAll("dialog")) {
@@ -142,7 +142,9 @@ async function start() {
     reducing = setTimeout(want, 120); // a finer image once the zoom rests
     mode.update();
   };
+  let opened = false; // whether it is known how large the targets are
   const changed = () => {
+    opened ||= mode.showSmall() || !fixes;
     stage.draw();
     $("undo").disabled = !(fixes ? mode.undoable : store.past.length) || store.ended;
     $("redo").disabled = !store.future.length || store.ended;

@@ -1,6 +1,7 @@
 // How targets are drawn: in the colours of facetrack's videos, a diamond for a point of a start, a frame for a box.
 
 import { readable } from "./dom.js";
+import { markScale } from "./geometry.js";
 import { BOX, sameSlot } from "./store.js";
 
 /** PALETTE of facetrack's videos; vermilion is reserved for what is lost. */
@@ -107,9 +108,9 @@ export function drawHandles(context, stage, box, ink) {
 }
 
 /** Around a selected point. */
-export function ring(context, x, y) {
+export function ring(context, x, y, size = 1) {
   context.beginPath();
-  context.arc(x, y, 15, 0, 2 * Math.PI);
+  context.arc(x, y, 15 * size, 0, 2 * Math.PI);
   stroke(context, "#fff", 1.5);
 }
 
@@ -137,16 +138,18 @@ export function draftLayer(store, hovered) {
         if (selected || store.layout.length > 1) drawLabel(context, label(store, slot), x0 + 5, y0 - 14, ink);
         if (selected && here) drawHandles(context, stage, given.box, ink);
       }
+      const size = markScale(Object.values(given.points), stage.view.scale);
       for (const [part, at] of Object.entries(given.points)) {
         const slot = { target, part };
         const [x, y] = stage.toCanvas(...at);
         const selected = sameSlot(store.selected, slot);
         const own = colour(store, target, part);
-        diamond(context, x, y, selected ? 8 : 6.5, own, selected ? 2.5 : 2, dash);
+        const width = size < 0.7 && !selected ? 1 : 2;
+        diamond(context, x, y, (selected ? 8 : 6.5) * size, own, selected ? 2.5 * size : width, dash);
         context.fillStyle = own;
         if (fixes && here) context.fill();
         else context.fillRect(x - 1, y - 1, 2, 2);
-        if (selected) ring(context, x, y);
+        if (selected) ring(context, x, y, size);
         if (selected || sameSlot(hovered(), slot)) drawLabel(context, label(store, slot), x + 22, y - 16, own);
       }
     }

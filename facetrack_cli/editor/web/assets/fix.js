@@ -44,6 +44,7 @@ export class Fix extends Mode {
     this.timeline = new Timeline(store, () => this.#refresh());
     this.tabs = new Tabs($("tabs"));
     this.#show(overview);
+    store.addEventListener("frame", () => this.#follow());
     const [worst] = this.review.frames;
     if (store.isEmpty() && worst?.frame === store.frame) this.review.worst();
     const press = (id, action) => $(id).addEventListener("click", action);
@@ -200,6 +201,14 @@ export class Fix extends Mode {
     if (this.store.busy) return;
     const text = lost ? "Another window was faster; its change is shown now." : "Changed in another window.";
     this.say(text, "warning");
+  }
+
+  // zoomed in, a single target does not leave the view
+  #follow() {
+    const { place, stage, store } = this;
+    if (!place || store.layout.length > 1) return;
+    const [left, top, right, bottom] = place;
+    stage.reveal((left + right) / 2, (top + bottom) / 2);
   }
 
   async #refreshed() {

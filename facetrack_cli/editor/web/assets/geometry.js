@@ -33,6 +33,27 @@ export function resizeBox([left, top, w, h], [sx, sy], dx, dy, least = LEAST_BOX
   ];
 }
 
+/** [left, top, right, bottom] around points and boxes; null around nothing. */
+export function around(places) {
+  if (!places.length) return null;
+  const corners = places.flatMap(([x, y, w = 1, h = 1]) => [
+    [x, y],
+    [x + w - 1, y + h - 1],
+  ]);
+  const [xs, ys] = [0, 1].map((k) => corners.map((corner) => corner[k]));
+  return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+}
+
+const ROOMY = 110; // CSS pixels across the points of a target, from which marks have their full size
+const LEAST_MARK = 0.4;
+
+/** By how much the marks of a target's points are smaller than others, 1 to 0.4: those of a small face would hide it. */
+export function markScale(points, scale) {
+  if (points.length < 2) return 1;
+  const [left, top, right, bottom] = around(points);
+  return clamp((Math.hypot(right - left, bottom - top) * scale) / ROOMY, LEAST_MARK, 1);
+}
+
 /** As fine as the eye can see: to a quarter of a pixel where pixels are large. */
 export function snap([x, y], scale) {
   const step = scale >= 2 ? 0.25 : scale >= 1 ? 0.5 : 1;

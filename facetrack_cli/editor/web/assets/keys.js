@@ -117,6 +117,7 @@ export function keyTable({ store, stage, clip, list, gestures, magnifier, mode, 
         key("+ or −", "zoom; also the wheel, or two fingers", plain("+", "="), does.zoom(1.25)),
         key("", "", plain("-", "−"), does.zoom(0.8)),
         key("0", "the whole frame", plain("0"), () => stage.toFit()),
+        key("Z", "the targets, or the whole frame", letter("z"), () => mode.showTargets()),
         key(
           "Space and drag",
           "move the image; also the middle button, or two fingers",

@@ -2,7 +2,10 @@
 
 import { $, flash, setText, TOUCH } from "./dom.js";
 import { colour } from "./draw.js";
+import { around, markScale } from "./geometry.js";
 import { Proposals } from "./proposals.js";
+
+const SMALL = 0.6; // marks of less than this share of their size are hard to tell apart
 
 /** A subclass has `reasonAgainst`, why marks cannot be changed, and `update`, which calls `showHint`. */
 export class Mode {
@@ -12,6 +15,38 @@ export class Mode {
     for (const name of ["frame", "draft"]) store.addEventListener(name, () => this.update());
     TOUCH.addEventListener("change", () => this.update());
     $("go-back").addEventListener("click", () => store.showDraftFrame());
+  }
+
+  // --- the view
+
+  /** The place of each target, [left, top, right, bottom] around all of them; null while there is none. */
+  get place() {
+    const { store } = this;
+    return around(store.slots().flatMap((slot) => [store.value(slot) ?? []].filter((place) => place.length)));
+  }
+
+  /** Shows the targets; the whole frame if they are shown already, or have no place. */
+  showTargets() {
+    const { place, stage } = this;
+    if (place && stage.fitted) stage.toRegion(place);
+    else stage.toFit();
+  }
+
+  /** At first, where the points of all targets are too near to be told apart; whether that is known now. */
+  showSmall() {
+    const { place, stage, store } = this;
+    if (!place) return false;
+    const points = ({ target }) =>
+      store
+        .slots()
+        .filter((slot) => slot.target === target)
+        .map((slot) => store.value(slot))
+        .filter((value) => value?.length === 2);
+    if (stage.fitted && store.layout.every((one) => markScale(points(one), stage.fit) < SMALL)) {
+      stage.toRegion(place);
+      this.say("Zoomed in, since the marks are small. The whole frame: 0, or the button between − and +.");
+    }
+    return true;
   }
 
   /** Whether all that belongs to the frame is there. */

@@ -4,6 +4,8 @@
 import { clamp } from "./geometry.js";
 
 const CLOSEST = 32; // CSS pixels for one of the image
+const CLOSE = 8; // the same, where the page chooses it
+const ROOM = 3.5; // of a part of the frame that is shown, in terms of its longer side
 const MARGIN = 48; // CSS pixels that the image's border may come in from the window's when zoomed
 const REDUCED = [8, 4, 2];
 
@@ -60,6 +62,17 @@ export class Stage {
 
   toFit() {
     this.fitted = true;
+    this.#updateView();
+  }
+
+  /** Shows [left, top, right, bottom] of the frame, and as much around it. */
+  toRegion([left, top, right, bottom]) {
+    const { width, height } = this.box;
+    const room = ROOM * Math.max(right - left, bottom - top, 1);
+    const scale = clamp(Math.min(width, height) / room, this.fit, Math.max(this.fit, CLOSE));
+    const middle = (low, high, length) => length / 2 - ((low + high) / 2 + 0.5) * scale;
+    this.view = { scale, x: middle(left, right, width), y: middle(top, bottom, height) };
+    this.fitted = scale <= this.fit * 1.001;
     this.#updateView();
   }
 

@@ -4,7 +4,7 @@
 import { colour, diamond, drawBox, drawHandles, drawLabel, label, LOST, ring, stroke } from "./draw.js";
 import { CELL, placeOf } from "./fix_store.js";
 import { percent } from "./dom.js";
-import { centreOf } from "./geometry.js";
+import { centreOf, markScale } from "./geometry.js";
 import { BOX, sameSlot } from "./store.js";
 
 const TRAIL_S = 1; // of the past, and of the future
@@ -23,6 +23,7 @@ export function trackLayer(store, rows, { shown, hovered }) {
       context.globalAlpha = faint(slot) ? FAINT : 1;
       drawTrail(context, stage, rows, slot, at, colour(store, slot.target, slot.part), store);
     }
+    const sizes = new Map(store.layout.map(({ target }) => [target, sizeOf(store.parts(target), rows, at, stage)]));
     // what is lost is drawn on top
     const lost = (slot) => rows.cell(at, slot)?.[CELL.status] === "lost";
     for (const slot of [...slots.filter((slot) => !lost(slot)), ...slots.filter(lost)]) {
@@ -32,14 +33,24 @@ export function trackLayer(store, rows, { shown, hovered }) {
       const changed = here && (store.drafted(slot) || store.markedAbsent(slot));
       const titled = chosen || (here && sameSlot(hovered(), slot));
       context.globalAlpha = changed || (faint(slot) && !chosen) ? FAINT : 1;
-      drawPart(context, stage, store, slot, cell, { chosen: chosen && !changed, titled: titled && !changed });
+      drawPart(context, stage, store, slot, cell, {
+        chosen: chosen && !changed,
+        titled: titled && !changed,
+        size: sizes.get(slot.target),
+      });
       if (changed) drawMove(context, stage, store, slot, cell);
     }
     context.globalAlpha = 1;
   };
 }
 
-function drawPart(context, stage, store, slot, cell, { chosen, titled }) {
+// by how much the marks of a target's points are smaller
+function sizeOf(slots, rows, at, stage) {
+  const points = slots.filter(({ part }) => part !== BOX).map((slot) => placeOf(rows.cell(at, slot), slot.part));
+  return markScale(points.filter(Boolean), stage.view.scale);
+}
+
+function drawPart(context, stage, store, slot, cell, { chosen, titled, size }) {
   const lost = cell[CELL.status] === "lost";
   const own = colour(store, slot.target, slot.part);
   const ink = lost ? LOST : own;
@@ -47,11 +58,11 @@ function drawPart(context, stage, store, slot, cell, { chosen, titled }) {
   if (slot.part !== BOX) {
     const alpha = context.globalAlpha;
     context.globalAlpha = alpha * (chosen ? 0.75 : 0.35);
-    // the window of the point
-    if (cell[CELL.w] && cell[CELL.h]) drawBox(context, stage, placeOf(cell, BOX), ink, 1, lost ? [4, 4] : []);
+    // the window of the point, where those of all do not hide the face
+    if (cell[CELL.w] && cell[CELL.h] && (chosen || size > 0.7)) drawBox(context, stage, placeOf(cell, BOX), ink, 1, lost ? [4, 4] : []);
     context.globalAlpha = alpha;
-    drawStatus(context, x, y, cell, ink, chosen ? 6.5 : 5);
-    if (chosen) ring(context, x, y);
+    drawStatus(context, x, y, cell, ink, (chosen ? 6.5 : 5) * size);
+    if (chosen) ring(context, x, y, size);
     if (titled) drawLabel(context, title(store, slot, cell), x + 22, y - 16, ink);
     return;
   }
@@ -83,7 +94,7 @@ function drawStatus(context, x, y, cell, ink, size) {
       context.moveTo(x - size, y - turn * size);
       context.lineTo(x + size, y + turn * size);
     }
-    return stroke(context, ink, 2.5);
+    return stroke(context, ink, Math.min(2.5, size / 2));
   }
   context.fillStyle = ink;
   if (status === "init") {
@@ -93,7 +104,7 @@ function drawStatus(context, x, y, cell, ink, size) {
   }
   context.beginPath();
   context.arc(x, y, size, 0, 2 * Math.PI);
-  context.lineWidth = 2;
+  context.lineWidth = size < 3.5 ? 1 : 2;
   context.strokeStyle = "rgb(0 0 0 / 70%)";
   context.stroke();
   context.fill();
