@@ -37,7 +37,7 @@ esac
 exec {python} -m facetrack_cli "$@"
 """
 PYTHON = '#!/bin/sh\nexec {python} "$@"\n'
-COMMENT = re.compile(r"<!-- (first|exit code|not typed):? (.*?) -->\s*\Z", re.DOTALL)
+COMMENT = re.compile(r"<!-- (first|exit code|not typed):? ([^\n]*) -->\s*\Z")
 INSTALL = re.compile(r"python3 -m venv \S+|\. \S+/activate|\S*pip (?:un)?install [^&\n]+")
 TIMES = re.compile(r"[\d.,]+ +×[\d.,]+|[\d.,]+ (?:frames/s|s|ms|MB)\b")
 NUMBER = re.compile(r"(?:\d[\d,]*)?\.?\d+(?: ± [\d.,]+)?")
@@ -76,8 +76,7 @@ def folder(tmp_path):
     samples, programs, here = ROOT / "sample_videos", tmp_path / "bin", tmp_path / "here"
     programs.mkdir()
     (here / "clips").mkdir(parents=True)
-    for name in ("sample_videos", "docs"):
-        (here / name).symlink_to(ROOT / name)
+    (here / "sample_videos").symlink_to(samples)
     for name in ("expressions", "occlusion"):
         for file in samples.glob(f"{name}.*"):
             shutil.copy(file, here / "clips")

@@ -121,9 +121,9 @@ def shot(page: Any, name: str, quality: int = 82) -> None:
 def report() -> None:
     command("run", "sample_videos/occlusion.mp4", "--config", "factorized_robust", "-q")
     command("report", "occlusion-factorized_robust", "--truth", "sample_videos/occlusion.truth.csv", "-q")
-    with browser(1000, 1500) as page:
+    with browser(1000, 1640) as page:
         page.goto(f"file://{Path.cwd()}/occlusion-factorized_robust/report.html")
-        shot(page, "report.jpg")
+        shot(page, "report.jpg", 70)
 
 
 def pick() -> None:
