@@ -1,60 +1,160 @@
-"""README's commands, typed one after the other in an empty folder: each finds what those before it have written."""
+"""What README and the guides say to type is typed, block after block in one folder, and prints what they show.
 
-import shlex
+An HTML comment above a block, which readers do not see, says what they know from the text:
+`<!-- first: COMMANDS -->` make the files that the block speaks of; `<!-- exit code N -->` is what it ends with;
+`<!-- not typed: WHY -->` leaves it out, and what is shown below it. Each line of a block of `text` must be among what
+the block above it has printed, its numbers within a fifth, within its spread (±), or any where they are times.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from importlib.util import find_spec
 
 import pytest
+from imageio_ffmpeg import get_ffmpeg_exe
 
-from facetrack_cli.__main__ import main
-from facetrack_cli.video.source import open_source
-from facetrack_cli.video.writer import VideoWriter
-from tests.test_docs import ROOT, blocks, command_lines
+from tests.test_docs import FENCE, PAGES, ROOT
 
-FRAMES = 24
-PAGES = {"fix", "--pick"}  # which somebody must close
-# what keeps a run short, or is said in the comment beside the command
-MORE = {"run": ["-q", "--keep-posterior"], "init": [], "smooth": ["-q"], "report": ["-q"], "eval": [], "suggest": []}
+# these by day, with few frames; with `nightly` all, with whole clips and what is printed
+BY_DAY = ("README.md", "first_track.md")
+SHORT = {"RUN_STOP": "12", "SUGGEST_FRAMES": "12", "EVAL_PARTIAL": "1"}
+# measurements, most of them of clips that are not here; a reference; code that has its own tests
+OTHERS = ("results.md", "corrections.md", "posterior.md", "commands.md", "python.md", "extending.md")
+CLIPS = {"skin.md": "signing"}  # what clip.mp4 is there
+# words of blocks that are typed where there is such a program or module
+TOOLS = {"jq ": "jq", "| parallel": "parallel", "parquet": "pyarrow", "pandas": "pandas", "facetrack tune": "optuna"}
+
+FACETRACK = """#!/bin/sh
+case " $* " in
+*" --pick "* | *" 0 --live "*) exit 0 ;;  # which somebody ends
+*" --init "* | *" --import "*) ;;
+*" fix "*) exit 0 ;;
+esac
+exec {python} -m facetrack_cli "$@"
+"""
+PYTHON = '#!/bin/sh\nexec {python} "$@"\n'
+COMMENT = re.compile(r"<!-- (first|exit code|not typed):? ([^\n]*) -->\s*\Z")
+INSTALL = re.compile(r"python3 -m venv \S+|\. \S+/activate|\S*pip (?:un)?install [^&\n]+")
+TIMES = re.compile(r"[\d.,]+ +×[\d.,]+|[\d.,]+ (?:frames/s|s|ms|MB)\b")
+NUMBER = re.compile(r"(?:\d[\d,]*)?\.?\d+(?: ± [\d.,]+)?")
+
+
+def typed(page):
+    """Language, text and comments of each block that is typed, and of those that show what is printed."""
+    text, skipped = page.read_text(encoding="utf-8"), False
+    for block in FENCE.finditer(text):
+        comments, before = {}, text[: block.start()].rstrip(" ")
+        while comment := COMMENT.search(before):
+            comments[comment[1]] = comment[2]
+            before = before[: comment.start()]
+        if block[2] in ("sh", "python"):
+            skipped = "not typed" in comments or "benchmarks/" in block[3] or lacks(block[3])
+        if block[2] in ("sh", "python", "text") and not skipped and "not typed" not in comments:
+            yield block[2], textwrap.dedent(block[3]), comments
+
+
+def lacks(text):
+    """Whether a block calls a program that is not on the PATH, or needs a module that is not installed."""
+    return any(word in text and shutil.which(one) is None and find_spec(one) is None for word, one in TOOLS.items())
+
+
+def cases():
+    for page in PAGES:
+        if page.name not in OTHERS and any(language != "text" for language, *_ in typed(page)):
+            yield pytest.param(page, False, marks=pytest.mark.nightly, id=page.name)
+            if page.name in BY_DAY:
+                yield pytest.param(page, True, id=f"{page.name}, in short")
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """An empty folder with a clip, its ground truth, the samples, and a recipe in a file."""
-    source = open_source(ROOT / "sample_videos" / "expressions.mp4", stop=FRAMES)
-    with source, VideoWriter(tmp_path / "clip.mp4", source.size, source.fps) as video:
-        for frame in source:
-            video.write(frame.bgr, frame.time_s)
-    lines = (ROOT / "sample_videos" / "expressions.truth.csv").read_text().splitlines()
-    few = [line for line in lines[1:] if int(line.split(",")[0]) < FRAMES]
-    (tmp_path / "points.csv").write_text("\n".join([lines[0], *few]) + "\n")
-    (tmp_path / "sample_videos").symlink_to(ROOT / "sample_videos")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+def folder(tmp_path):
+    """A folder with files of the names that the pages use, and beside it the programs that they call."""
+    samples, programs, here = ROOT / "sample_videos", tmp_path / "bin", tmp_path / "here"
+    programs.mkdir()
+    (here / "clips").mkdir(parents=True)
+    (here / "sample_videos").symlink_to(samples)
+    for name in ("expressions", "occlusion"):
+        for file in samples.glob(f"{name}.*"):
+            shutil.copy(file, here / "clips")
+    shutil.copy(samples / "expressions.mp4", here / "clip.mp4")
+    shutil.copy(samples / "expressions.truth.csv", here / "points.csv")
+    for name, text in {"facetrack": FACETRACK, "python": PYTHON}.items():
+        (programs / name).write_text(text.format(python=sys.executable))
+        (programs / name).chmod(0o755)
+    (programs / "ffmpeg").symlink_to(get_ffmpeg_exe())
+    return here
 
 
-def typed():
-    """The calls of facetrack in README's blocks of shell, in their order; pip lines and pages are passed over."""
-    for block in blocks(ROOT / "README.md", "sh"):
-        for arguments, _ in command_lines(block):
-            if not PAGES & {*arguments} and "..." not in arguments:
-                yield arguments
+def bash(command, folder, more):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PATH": f"{folder.parent / 'bin'}:{os.environ['PATH']}"}
+    environment |= {f"FACETRACK_{name}": value for name, value in more.items()}
+    both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "stdin": subprocess.DEVNULL}
+    words = ["bash", "-eo", "pipefail", "-c", command]
+    done = subprocess.run(words, cwd=folder, env=environment, text=True, check=False, **both)
+    early = "| head" in command and done.returncode == 141  # a reader that stops is no mistake
+    return 0 if early else done.returncode, done.stdout
 
 
-def test_the_commands_of_readme_work_in_their_order(folder, capsys):
-    done = []
-    for arguments in typed():
-        more = [*MORE[arguments[0]], *(["--stop", "12"] if "sample_videos/" in " ".join(arguments) else [])]
-        code = main([*arguments, *more])
-        assert code == 0, f"{shlex.join(arguments)}: {capsys.readouterr().err}"
-        done.append(arguments[0])
-    assert {"run", "eval", "smooth", "report"} <= {*done}
-    written = {path.name for path in folder.iterdir()}
-    assert {"clip-face", "clip-factorized", "expressions-face", "smooth"} <= written
-    for name in ("clip-face", "expressions-face"):
-        assert {"annotated.mp4", "trajectory.csv", "trajectory.json"} <= {p.name for p in (folder / name).iterdir()}
-    assert (folder / "clip-face" / "report.html").is_file()
+def form(line):
+    """A line without its numbers, and they: value, and how far another may be from it."""
+    line, numbers = TIMES.sub("TIME", " ".join(line.split())), []
+    for found in NUMBER.findall(line):
+        value, _, spread = found.replace(",", "").partition(" ± ")
+        last = 10.0 ** -len(value.partition(".")[2])
+        numbers.append((float(value), max(abs(float(value)) / 5, 2 * last, 2 * float(spread or 0))))
+    return re.sub("─+", "─", NUMBER.sub("#", line)), numbers
 
 
-def test_the_python_of_readme_runs(folder, capsys):
-    [block] = blocks(ROOT / "README.md", "python")
-    exec(compile(block.replace("stop=50", "stop=6"), "README.md", "exec"), {})
-    frame, x, y, confidence, status = capsys.readouterr().out.split()
-    assert frame == "5" and status == "tracked" and float(confidence) > 0.3 and float(x) > 0 and float(y) > 0
+def is_printed(shown, printed):
+    """Whether a line of a page is among those printed; `...` at its end stands for the rest."""
+    words, numbers = form(shown.removesuffix("..."))
+    for line in printed.splitlines():
+        other, values = form(line)
+        same = other.startswith(words) if shown.endswith("...") else other == words
+        if same and all(abs(a - b) <= within for (a, within), (b, _) in zip(numbers, values, strict=False)):
+            return True
+    return not words
+
+
+@pytest.mark.parametrize(("page", "short"), list(cases()))
+def test_a_page_is_typed(page, short, folder):
+    if page.name in CLIPS:
+        shutil.copy(ROOT / "sample_videos" / f"{CLIPS[page.name]}.mp4", folder / "clip.mp4")
+    printed = ""
+    for language, text, comments in typed(page):
+        if language == "text":
+            wrong = [] if short else [line for line in text.splitlines() if not is_printed(line, printed)]
+            assert not wrong, f"{page.name} shows what is not printed:\n" + "\n".join(wrong) + f"\nbut:\n{printed}"
+            continue
+        if "first" in comments:
+            code, printed = bash(comments["first"], folder, SHORT if short else {})
+            assert code == 0, f"{page.name}: {comments['first']}\n{printed}"
+        command = INSTALL.sub("true", text) if language == "sh" else f"python - << 'END'\n{text}\nEND"
+        code, printed = bash(command, folder, SHORT if short else {})
+        assert code == int(comments.get("exit code", 0)), f"{page.name}: {text}\n{printed}"
+
+
+def test_few_blocks_are_not_typed():
+    left_out = [page.name for page in PAGES for _ in re.findall("<!-- not typed: ", page.read_text(encoding="utf-8"))]
+    assert len(left_out) < 15, left_out
+
+
+@pytest.mark.parametrize(
+    ("shown", "same"),
+    [
+        ("nose   0.77  260 of 260", True),
+        ("nose 0.70 250 of 260", True),
+        ("nose 0.5 260 of 260", False),
+        ("mouth 0.77 260 of 260", False),
+        ("nose 0.5 ± 0.2 260 of 260", False),
+        ("nose 0.77 ...", True),
+        ("a table 0.50 ± 0.30 4.1 s", True),
+        ("a table 0.50 ± 0.10 4.1 s", False),
+    ],
+)
+def test_what_is_printed_is_found(shown, same):
+    assert is_printed(shown, "first\nnose  0.77   260 of 260\na table 0.90 ± 0.31   9 s\n") == same

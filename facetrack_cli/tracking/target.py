@@ -128,8 +128,11 @@ class ParticleTarget:
             learned = self.likelihood.relearn(learned, frame, x0, fresh)
         if judgement is not None:
             assert self.confidence is not None
-            windows, measure = self.space.windows(still), self.likelihood
-            judgement = confidence.resume(self.confidence, judgement, fresh, measure, learned, frame, x0, windows)
+            if isinstance(self.space, VisibleBoxSpace):
+                judgement = confidence.decide(self.confidence, judgement, self.space.presence(particles, still))
+            else:
+                windows, measure = self.space.windows(still), self.likelihood
+                judgement = confidence.resume(self.confidence, judgement, fresh, measure, learned, frame, x0, windows)
         learned = self.likelihood.learn(learned, frame, x0, particles)
         state = State(particles, still, learned, judgement, absent=hidden if hidden.any() else None)
         return self._begun(rng, frame, state, "tracked")

@@ -126,6 +126,7 @@ def test_a_correction_puts_the_whole_face_right(learn):
     one = Correction(10, "face", TargetStart(points=at), learn=learn)
     rows = run(moving.clip(poses), replace(moving.start(poses[0]), corrections=(one,)), ALONE)
     assert {*rows[10].status[:5]} == {"init"} and rows[10].by_hand[:5].all() and not rows[10].by_hand[5]
+    assert rows[10].status[5] == "tracked"
     found = errors(rows, poses)[10:]
     assert found[0].max() < 0.01 and np.mean(found < 0.35) > 0.95
     assert rows[12].x[5] == pytest.approx(190, abs=12)
