@@ -16,13 +16,18 @@ from tests.support.samples import FOLDER
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# property tests try the same 50 examples each time; HYPOTHESIS_PROFILE=nightly tries 200, new ones each time
-for profile, examples in {"default": 30, "nightly": 200}.items():
+# property tests try the same examples each time; HYPOTHESIS_PROFILE=nightly tries ten times as many, new ones each time
+for profile, examples in {"default": 20, "nightly": 200}.items():
     unhealthy = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
     settings.register_profile(
         profile, max_examples=examples, deadline=None, suppress_health_check=unhealthy, derandomize=profile == "default"
     )
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+
+def pytest_xdist_auto_num_workers():
+    """A process more than there are cores: many tests wait for others that they started."""
+    return (os.cpu_count() or 1) + 1
 
 
 @pytest.fixture

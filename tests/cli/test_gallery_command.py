@@ -165,7 +165,7 @@ def drawn(gallery, title="gallery.npz"):
     return cv2.imdecode(np.frombuffer(render(gallery_figure(gallery, title=title)), np.uint8), cv2.IMREAD_COLOR)
 
 
-@pytest.mark.parametrize("count", [2, 10, 60, pytest.param(90, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("count", [2, 10, *(pytest.param(count, marks=pytest.mark.nightly) for count in (60, 90))])
 def test_the_figure_has_everyone_in_it(count):
     names = [f"person {number:03}" for number in range(count)]
     gallery = some_gallery(names, pictures=2, shape=(15, 13))

@@ -276,17 +276,20 @@ def verdicts(stem: str, *overrides: str, first_seed: int = 0) -> list[regress.Ch
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", ONE_BY_DAY)
 @pytest.mark.parametrize(
-    "change", ["motion.sigma=0.07", "motion.sigma=0.13", "likelihood.sigma=1.05", "likelihood.sigma=1.95"]
+    "change",
+    [
+        "motion.sigma=0.07",
+        "likelihood.sigma=1.95",
+        *(pytest.param(one, marks=pytest.mark.nightly) for one in ("motion.sigma=0.13", "likelihood.sigma=1.05")),
+    ],
 )
 def test_a_sigma_that_is_off_by_30_percent_fails(stem: str, change: str) -> None:
     (found,) = verdicts(stem, change)
     assert found.status == "fails" and found.verdict is not None and found.verdict.closest > 1.1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "change", ["motion.sigma=0.14", pytest.param("likelihood.sigma=0.2", marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("change", ["motion.sigma=0.14", "likelihood.sigma=0.2"])
 def test_a_face_by_skin_with_another_sigma_fails(change: str) -> None:
     (found,) = verdicts("map.skin_ncc_robust", change)
     assert found.status == "fails" and found.verdict is not None and found.verdict.closest > 1.1

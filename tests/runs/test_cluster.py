@@ -250,6 +250,7 @@ def test_a_clip_that_ends_its_process(dask, place):
     check_equal(place, "poison")
 
 
+@pytest.mark.nightly
 def test_a_clip_that_ends_its_worker_is_alone_at_fault(dask, place):
     with Killing(place / "worse" / "c1-sir", worker_of, dask.mark) as killing:
         done = dask.run(*SIR, "-o", "worse", "--cluster", dask.file, *names(), cwd=place)
@@ -261,6 +262,7 @@ def test_a_clip_that_ends_its_worker_is_alone_at_fault(dask, place):
     check_equal(place, "worse")
 
 
+@pytest.mark.nightly
 def test_a_clip_that_hangs_and_a_worker_that_does(dask, place):
     head = dask.run(*SIR, "-o", "hung", "--cluster", dask.file, *names(), cwd=place, wait=False)
     first = begun(place / "hung" / "c0-sir")

@@ -159,6 +159,7 @@ def test_the_nose_of_the_first_frame_is_found_at_the_truth_to_the_end(clip: Clip
     assert np.quantile(np.linalg.norm(errors, axis=1), 0.9) < 2.0
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", CLIPS)
 @pytest.mark.usefixtures("sample_scripts")
 def test_rendered_anew_a_few_frames_are_the_committed_ones(name: str) -> None:

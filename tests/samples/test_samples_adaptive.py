@@ -187,6 +187,7 @@ def test_the_clip_shows_who_it_should_but_none_of_the_gallery_s_pictures(
     assert alike.max() < 0.97
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("sample_scripts")
 def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[samples]'")
@@ -203,6 +204,7 @@ def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip) -> Non
         assert np.abs(np.clip(drawn, 0, 255) - clip.pictures[t]).mean() < 4
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("sample_scripts")
 def test_rendered_anew_the_gallery_is_the_committed_one(gallery: dict[str, list[np.ndarray]]) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[samples]'")

@@ -177,6 +177,7 @@ def test_who_passes_has_a_face_of_about_the_same_size_and_colour() -> None:
     assert np.abs(np.array([cr, cb]) - SKIN).max() < 7
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("sample_scripts")
 def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[samples]'")

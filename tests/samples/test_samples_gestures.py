@@ -106,6 +106,7 @@ def test_the_hands_have_the_colour_of_the_face(clip: BoxClip) -> None:
         assert np.abs(chroma(first, *at, 15) - skin).max() > 10
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("sample_scripts")
 def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip) -> None:
     import gestures

@@ -138,6 +138,7 @@ def test_the_camera_moves(clip: BoxClip) -> None:
     assert np.ptp(np.array(shifts), axis=0).max() > 20
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("sample_scripts")
 def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip) -> None:
     import hands

@@ -189,6 +189,7 @@ def test_the_head_goes_from_the_plain_wall_to_the_books_and_back(turning: BoxCli
     assert max(busy(0), busy(8)) < 0.6 * min(busy(58), busy(70), busy(130), busy(150))
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("sample_scripts")
 @pytest.mark.parametrize(("name", "some"), [("textured", (5, 129)), ("turning", (60, 96))])
 def test_rendered_anew_a_few_frames_are_the_committed_ones(

@@ -135,6 +135,7 @@ def test_the_picture_moves_as_the_truth_says(clip: BoxClip) -> None:
     assert np.mean(np.array(errors) <= 1.5) > 0.95
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("sample_scripts")
 def test_rendered_anew_a_few_frames_are_the_committed_ones(clip: BoxClip) -> None:
     import person_hands
