@@ -35,7 +35,8 @@ from facetrack_cli.recipe.regions import FirstOrder, Product
 from facetrack_cli.recipe.skin import SkinNcc
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import Tracker, track
-from facetrack_cli.tracking.roles import Likelihood, ParticleTarget
+from facetrack_cli.tracking.roles import Likelihood
+from facetrack_cli.tracking.target import ParticleTarget
 from facetrack_cli.trajectory.trajectory import Collector
 from facetrack_cli.video.source import open_source
 

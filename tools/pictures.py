@@ -79,7 +79,8 @@ def grid(name: str, width: int, rows: list[tuple[str, list[str], list[int]]]) ->
             stop = str(max(frames) + 1)
             command("run", f"sample_videos/{clip}.mp4", *more, "--stop", stop, "-q", "--overwrite", "-o", out)
             video, found, n = cv2.VideoCapture(f"{out}/annotated.mp4"), {}, 0
-            while (image := video.read()[1]) is not None:
+            while (read := video.read())[0]:
+                image = read[1]
                 if n in frames:
                     height = round(width * image.shape[0] / image.shape[1])
                     found[n] = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
@@ -150,8 +151,10 @@ def guide() -> None:
     command("report", "occlusion-face", "-q")
     shutil.copytree("occlusion-face", "before")
     part = "mouth_right"
-    truth = facetrack.read_truth("sample_videos/occlusion.truth.csv").find("face", part).at(DRAGGED)
-    was = facetrack.read_trajectory("occlusion-face").find("face", part).at(DRAGGED)
+    truth = facetrack.read_truth("sample_videos/occlusion.truth.csv").find("face", part)
+    was = facetrack.read_trajectory("occlusion-face").find("face", part)
+    assert truth is not None and was is not None
+    truth, was = truth.at(DRAGGED), was.at(DRAGGED)
     with browser(900, 960) as page:
         page.goto(f"file://{Path.cwd()}/occlusion-face/report.html")
         shot(page, "first_track-report.jpg")

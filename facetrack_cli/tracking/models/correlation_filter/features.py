@@ -7,7 +7,7 @@ colours, reduced to the principal components of the first frame (as Danelljan et
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -62,8 +62,8 @@ def spectrum(x: Single) -> Single:
 
 def inverse(v: Single, cells: int) -> Single:
     """`spectrum` undone: (2, C, F) -> (C, G, G)."""
-    whole = joined(v).reshape(-1, cells, cells // 2 + 1)
-    return np.fft.irfft(np.fft.ifft(whole, axis=1, out=whole), cells)
+    whole: Any = joined(v).reshape(-1, cells, cells // 2 + 1)
+    return np.fft.irfft(np.fft.ifft(whole, axis=1, out=whole), cells).astype(np.float32, copy=False)
 
 
 def joined(v: Single) -> NDArray[np.complex64]:

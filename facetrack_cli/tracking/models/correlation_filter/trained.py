@@ -99,7 +99,7 @@ class Trainer:
         many = np.zeros((n, n // 2 + 1), few.dtype)
         half = g // 2
         many[:half, :half], many[-half + 1 :, :half] = few[:half, :half], few[half + 1 :, :half]
-        return np.fft.irfft(np.fft.ifft(many, axis=0, out=many), n)
+        return np.fft.irfft(np.fft.ifft(many, axis=0, out=many), n).astype(np.float32, copy=False)
 
     def _solve(self, known: Trained, steps: int) -> Trained:
         """Conjugate gradients, preconditioned by the diagonal."""
