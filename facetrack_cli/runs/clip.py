@@ -24,6 +24,7 @@ from facetrack_cli.tracking.loop import Standing, track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.trajectory.writers import Footer
+from facetrack_cli.video.source import FolderSource
 
 
 def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
@@ -129,6 +130,8 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = silent, 
             done.error = done.error or e
     if watch is not None:
         done.verdict, done.doubtful = watch.line(), bool(watch.doubts())
+        if job.fps is None and done.frames > 1 and isinstance(source, FolderSource):
+            done.verdict += f"; images have no rate: {source.fps} frames/s is taken, or that of --fps"
     if job.strict and not source.complete and stopped is None:
         done.error = done.error or InputError(source.warnings[-1])
     failed = done.error or outputs.missing  # said last, as the command's error

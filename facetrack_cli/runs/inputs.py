@@ -21,7 +21,6 @@ from facetrack_cli.trajectory.manifest import NAME
 from facetrack_cli.video import images
 from facetrack_cli.video.kinds import is_clip, is_image
 from facetrack_cli.video.playlists import check_local
-from facetrack_cli.video.source import FOLDER_FPS
 
 
 class Found(NamedTuple):
@@ -47,18 +46,6 @@ def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: No
         raise UsageError(f"{alone[0]} and {len(alone) - 1} more are single images; give their folder, {folder}{os.sep}")
     plain = len(inputs) == len(listed) and groups == [[given] for given in inputs]
     return Found(clips, len(clips) > 1 or not plain)
-
-
-def say_rate(clips: Sequence[Path], note: Callable[[str], None]) -> None:
-    """Let `note` hear which clips are images, that get the default frame rate."""
-    those = [clip for clip in clips if clip.is_dir() or _is_glob(clip) or clip.suffix.lower() == ".zip"]
-    if those:
-        of = f"{those[0]}{f' and {len(those) - 1} more' if len(those) > 1 else ''}"
-        note(f"facetrack: note: {of}: images have no frame rate; {FOLDER_FPS} frames/s is taken, --fps gives another")
-
-
-def _is_glob(given: Path) -> bool:
-    return re.search(r"[*?\[]", str(given)) is not None and not is_there(given)
 
 
 def _listed(given: Path) -> list[Path]:
@@ -90,7 +77,7 @@ def _clips(given: Path, note: Callable[[str], None]) -> list[Path]:
     try:
         if given.is_dir():
             return _of_folder(given, note) or _below(given, note) or [given]
-        if _is_glob(given):
+        if re.search(r"[*?\[]", str(given)) and not is_there(given):
             return _of_glob(given, note)
     except OSError as e:
         raise from_system(e) or InputError(f"{e.filename or given}: {reason(e)}; check the permissions") from e

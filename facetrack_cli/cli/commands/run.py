@@ -142,7 +142,7 @@ class Run:
 
     def run(self) -> int:
         from facetrack_cli.runs.batch import run_batch, variant_name
-        from facetrack_cli.runs.inputs import expand, say_rate
+        from facetrack_cli.runs.inputs import expand
         from facetrack_cli.runs.job import Job, default_reason
         from facetrack_cli.runs.live import is_live
         from facetrack_cli.runs.progress import progress
@@ -158,8 +158,6 @@ class Run:
             return self._live()
         with progress(self.quiet) as shown:
             given, several = expand(self.inputs, shown.say)
-            if self.extent.fps is None:
-                say_rate(given, shown.say)
         self.extent.check(*given)
         recipe = self._recipe()
         if self.fail_on_lost and not recipe.judges:
