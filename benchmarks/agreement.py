@@ -1,8 +1,8 @@
-"""A long clip without ground truth: how far each recipe stays from what the Haar start finds again, over many seeds.
+"""A long clip without ground truth: how far each recipe stays from what the start's search finds again.
 
     python benchmarks/agreement.py CLIP --config factorized --config independent --seeds 10
 
-Every 50th frame is given to the Haar start on its own. Its points are right to about 6 % of the mouth's width, so
+Every 50th frame is given to the search on its own. Its points are right to about 6 % of the mouth's width, so
 this cannot tell good trackers apart; but it shows for minutes of video whether a tracker is still on the features. A
 part agrees where it is within a quarter of the target's initial size.
 """
@@ -19,14 +19,16 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Array, Start
+from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import search_start
+from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.video.source import open_source
 
 
-def detections(path: Path, every: int) -> tuple[Start, dict[int, Array]]:
+def detections(path: Path, every: int, by: str) -> tuple[Start, dict[int, Array]]:
     """The start of the clip, and the points (K, 2) found again in every so many frames that show a face."""
     parts = load_recipe("factorized").points
     found: dict[int, Array] = {}
@@ -36,13 +38,13 @@ def detections(path: Path, every: int) -> tuple[Start, dict[int, Array]]:
             if frame.index % every and start is not None:
                 continue
             try:
-                here = search_start([frame], parts)
+                here = search_start([frame], parts, detector=detector(by))
             except InputError:
                 continue
             start = start or here
             found[frame.index] = np.array([next(iter(here.targets.values())).points[part] for part in parts])
     if start is None:
-        raise SystemExit(f"{path}: Haar finds no face")
+        raise SystemExit(f"{path}: {by} finds no face")
     return start, found
 
 
@@ -67,9 +69,10 @@ def main() -> None:
     parser.add_argument("--config", action="append", required=True)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--every", type=int, default=50)
+    parser.add_argument("--by", choices=DETECTORS, default="haar")
     parser.add_argument("-j", dest="jobs", type=int, default=2)
     given = parser.parse_args()
-    start, found = detections(given.clip, given.every)
+    start, found = detections(given.clip, given.every, given.by)
     size = size_of_points(found[start.frame])
     print(f"{given.clip.name}: start at frame {start.frame}, size {size:.1f} px, {len(found)} frames found again\n")
     print("| recipe | seeds | median distance | mean distance | agrees | called lost | wrong at the end |")

@@ -38,17 +38,17 @@ class Similarity(NamedTuple):
         """Places (..., 2) of the frame in the still face."""
         return np.asarray((x - self.centre) @ np.linalg.inv(self.matrix).T + MIDDLE)
 
-    def read(self, frame: Frame) -> Frame:
-        """The still face, (SIDE, SIDE, 3), as the frame shows it; beyond the frame's border, the border's pixels."""
+    def read(self, frame: Frame, side: int = SIDE) -> Frame:
+        """The still face, (side, side, 3), as the frame shows it; beyond the frame's border, the border's pixels."""
         factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)
-        far = 0.75 * SIDE * self.scale + 2 * factor
+        far = 0.75 * side * self.scale + 2 * factor
         x, y = self.centre.tolist()
         image, left, top = frame.reduced(factor, (x - far, y - far, x + far, y + far))
         matrix = self.matrix / factor
-        corner = (self.centre - (left, top) - (factor - 1) / 2) / factor - matrix @ (MIDDLE, MIDDLE)
+        corner = (self.centre - (left, top) - (factor - 1) / 2) / factor - matrix @ ((side - 1) / 2, (side - 1) / 2)
         how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         whole = np.column_stack([matrix, corner])
-        still = cv2.warpAffine(image, whole, (SIDE, SIDE), flags=how, borderMode=cv2.BORDER_REPLICATE)
+        still = cv2.warpAffine(image, whole, (side, side), flags=how, borderMode=cv2.BORDER_REPLICATE)
         return Frame(frame.index, frame.time_s, np.asarray(still, np.uint8))
 
 

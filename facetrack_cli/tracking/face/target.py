@@ -32,7 +32,7 @@ from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.tracking.start.detectors import Detector
+from facetrack_cli.tracking.start.detectors import TILT, Detector
 from facetrack_cli.tracking.target import ParticleTarget, State
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
@@ -42,7 +42,10 @@ _STD: Final = 0.05  # of a detection, where there is none
 _SIZES: Final = 0.15  # standard deviation of the log size of a detection
 _FACES: Final = 4  # that are compared with the one that is lost
 _PLACES: Final = 0.1  # and of its middle, in sizes of the box
-_POSE: Final = np.array([math.radians(0.2), 0.004, 0.004, 0.004])  # standard deviations of the pose in a frame
+_POSE: Final = np.array([math.radians(0.5), 0.004, 0.004, 0.004])  # standard deviations of the pose in a frame
+_TILTED: Final = 2  # looks from one at the roll to the next
+_TILT: Final = math.radians(5)  # standard deviation of a roll that is measured so
+_FINE: Final = 256, (16.0, 16.0, 224.0, 224.0)  # pixels of the face in which it is measured, and the face's box there
 _MOST: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
 
 
@@ -51,7 +54,8 @@ class FaceState:
     """The states of head and points, the last `points` as rows of the still face, and how they are registered.
 
     `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
-    the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start.
+    the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `marks` (M, 2) are the
+    detector's, of the start, where the roll is 0; None if it saw none there.
     """
 
     head: State
@@ -60,6 +64,7 @@ class FaceState:
     registration: Registration
     pose: Array
     pose_var: Array
+    marks: Array | None
     frames: int = 0
 
 
@@ -96,7 +101,8 @@ class FaceTarget:
         registration = Registration.begin(len(self.features.parts), self._std, searched=self.searched)
         if self.detector is not None and not self.searched and self.detector.measure(seen.bgr, still.BOX) is None:
             registration = registration.unseen()
-        state = FaceState(head, features, points._replace(beliefs=None), registration, np.zeros(4), np.zeros(4))
+        marks, rest = self._marks(head, np.zeros(4), frame), np.zeros(4)
+        state = FaceState(head, features, points._replace(beliefs=None), registration, rest, rest, marks)
         return state, self._result(state, box, frame)
 
     def restart(
@@ -124,7 +130,7 @@ class FaceTarget:
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
         registration = first.registration.again(known, self._std)
-        state = FaceState(head, features, rows._replace(beliefs=None), registration, pose, np.zeros(4))
+        state = FaceState(head, features, rows._replace(beliefs=None), registration, pose, np.zeros(4), first.marks)
         return state, self._result(state, boxed, frame)
 
     def advance(
@@ -144,10 +150,11 @@ class FaceTarget:
         anchored = getattr(features.learned, "anchored", np.zeros(len(self.features.parts)))
         registration = state.registration.predict(anchored, looks=self.detector is not None)
         points = points._replace(beliefs=None)  # those are of the state
-        state = FaceState(head, features, points, registration, state.pose, state.pose_var + _POSE**2, frames)
+        pose_var, marks = state.pose_var + _POSE**2, state.marks
+        state = FaceState(head, features, points, registration, state.pose, pose_var, marks, frames)
         if not due:
             return state, self._result(state, box, frame)
-        after = self._measured(state, seen)
+        after = self._measured(state, seen, frame)
         # of this frame the points are in the still face as it was
         result = self._result(replace(after, pose=state.pose), box, frame)
         return self._moved(after, state.pose), result
@@ -156,15 +163,6 @@ class FaceTarget:
     def _std(self) -> float:
         """Standard deviation of a detection, in pixels of the still face."""
         return EYES * (_STD if self.detector is None else self.detector.std)
-
-    @property
-    def _ends(self) -> list[int]:
-        """The two parts that are farthest apart across the face: of a mouth its corners.
-
-        A head that turns leaves the direction from one to the other nearly as it is; a nose it moves aside.
-        """
-        across = self.features.x0[:, 0]
-        return [int(np.argmin(across)), int(np.argmax(across))]
 
     def _map(self, head: State, pose: Array) -> Similarity:
         x, y, scale = head.estimated.state[0, :3].tolist()
@@ -180,7 +178,7 @@ class FaceTarget:
         )
         return replace(head, learned=head.learned._replace(sighted=places))
 
-    def _measured(self, state: FaceState, seen: Frame) -> FaceState:
+    def _measured(self, state: FaceState, seen: Frame, frame: Frame) -> FaceState:
         """With what the detector says of the points."""
         assert self.detector is not None
         found = self.detector.measure(seen.bgr, still.BOX)
@@ -195,16 +193,26 @@ class FaceTarget:
         lies = Similarity(np.zeros(2), math.exp(state.pose[1]) / FACE, float(state.pose[0])).to_frame(
             np.array(centre(found.box))
         )
-        off, ends = np.array([0.0, math.log(found.box[2] / FACE), *lies]), self._ends
+        off = np.array([0.0, math.log(found.box[2] / FACE), *lies])
         # a box drawn by hand may be another one than the detector's
         noise = np.array([np.inf, _SIZES**2, _PLACES**2, _PLACES**2]) if self.searched else np.full(4, np.inf)
-        if self.detector.rolls and known[ends].all():
-            rest = self.features.x0[ends]
-            off[0] = still.turn_between((z + registration.bias[1])[ends], rest)
-            noise[0] = 2 * self._std**2 / max(float(np.sum((rest[1] - rest[0]) ** 2)), 1e-9)
+        assert self.settings.detections is not None
+        if state.marks is not None and state.frames // self.settings.detections.every % _TILTED == 0:
+            marks = self._marks(state.head, state.pose, frame)
+            if marks is not None:
+                off[0], noise[0] = still.turn_between(marks, state.marks) / TILT, _TILT**2
         gain = state.pose_var / (state.pose_var + noise)
         pose = np.clip(state.pose + gain * off, -_MOST, _MOST)
         return replace(state, registration=registration, pose=pose, pose_var=(1 - gain) * state.pose_var)
+
+    def _marks(self, head: State, pose: Array, frame: Frame) -> Array | None:
+        """Where the detector sees the marks of the face, larger than the still one, so that they show how it rolls."""
+        if self.detector is None:
+            return None
+        side, box = _FINE
+        similarity = self._map(head, pose)
+        fine = similarity._replace(scale=similarity.scale * FACE / box[2])
+        return self.detector.marks(fine.read(frame, side).bgr, box)
 
     def _moved(self, state: FaceState, before: Array) -> FaceState:
         """With the points, which are in the still face of the pose `before`, in that of the state's own."""

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.geometry import overlap
-from facetrack_cli.core.types import Box, Frame, Image, Point, factor_for
+from facetrack_cli.core.types import Array, Box, Frame, Image, Point, factor_for
 from facetrack_cli.tracking.start.haar import LONGEST, find_faces, nearest
 from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, lips_of, place, place_upright
 
 MODEL: Final = "face_detection_yunet_2023mar.onnx"
 SMALL: Final = 67  # pixels of the face's box to which a measured image is reduced
 SAME: Final = 0.3  # overlap with the face that is expected
+TILT: Final = 0.7  # of a face's tilt that YuNet shows on a face of 224 pixels; on one of 67, less than a tenth
 
 
 class Found(NamedTuple):
@@ -34,14 +35,12 @@ class Found(NamedTuple):
 
 
 class Detector(Protocol):
-    """`std`: of its points, in distances between the eyes; `rolls`: whether they roll as the face does."""
+    """`std`: of its points, in distances between the eyes."""
 
     @property
     def name(self) -> str: ...
     @property
     def std(self) -> float: ...
-    @property
-    def rolls(self) -> bool: ...
 
     def find(self, frame: Frame) -> list[Found]:
         """All faces of a frame with the five points, the best first."""
@@ -49,11 +48,13 @@ class Detector(Protocol):
     def measure(self, image: Image, box: Box) -> Found | None:
         """The upright face that about fills `box` of a small image; None if none is seen there."""
 
+    def marks(self, image: Image, box: Box) -> Array | None:
+        """Marks (M, 2) of the face that about fills `box`, which turn with it by TILT of its tilt; None if unseen."""
+
 
 class Haar:
     name: Final = "haar"
     std: Final = 0.09
-    rolls: Final = False  # the points of a tilted face are placed half as tilted
 
     def find(self, frame: Frame) -> list[Found]:
         return [Found(box, place(frame.bgr, box)) for box in find_faces(frame.bgr)]
@@ -62,13 +63,15 @@ class Haar:
         face = nearest(image, box)
         return None if face is None else Found(face, place_upright(image, face))
 
+    def marks(self, image: Image, box: Box) -> None:
+        """The cascades say nothing of a tilt: their points are placed in an upright box."""
+
 
 class YuNet:
     """YuNet (Wu, Peng & Yu 2023), a small neural network; `model` is its file."""
 
     name: Final = "yunet"
     std: Final = 0.05
-    rolls: Final = True
 
     def __init__(self, model: Path) -> None:
         self._model = str(model)
@@ -87,6 +90,11 @@ class YuNet:
         found = [self._found(image, (row[4:14].reshape(5, 2) + 0.5) / k - 0.5) for row in rows]
         best = max(found, key=lambda one: overlap(one.box, box), default=None)
         return None if best is None or overlap(best.box, box) < SAME else best
+
+    def marks(self, image: Image, box: Box) -> Array | None:
+        rows = self._detect(image)
+        best = max(rows, key=lambda row: overlap(_box(row), box), default=None)
+        return None if best is None or overlap(_box(best), box) < SAME else best[4:14].reshape(5, 2).astype(float)
 
     def _detect(self, image: Image) -> NDArray[np.float32]:
         """(J, 15): left, top, width, height, five points, score of each face."""
@@ -108,6 +116,11 @@ class YuNet:
         lips = lips_of(image, (eyes[0], eyes[1]), (mouth[0], mouth[1]))
         nose = float(marks[2, 0]), float(marks[2, 1])
         return Found((x, y, side, side), {"nose": nose, "mouth_left": mouth[0], "mouth_right": mouth[1], **lips}, True)
+
+
+def _box(row: NDArray[np.float32]) -> Box:
+    x, y, w, h = row[:4].tolist()
+    return x, y, w, h
 
 
 @lru_cache(maxsize=16)
