@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError, needed
 from facetrack_cli.core.numbers import clock as at_clock
@@ -82,6 +81,7 @@ def make_report(
     shown = [key.frame for key in keys]
     annotated = run / _VIDEO if (run / _VIDEO).is_file() else None
     found = key_images(table, header, shown, clip, annotated, report)
+    mean = text.confidence_of(table)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MOST_SPANS]
     again = command(header, last, run)
     document: str = template.render(
@@ -91,9 +91,9 @@ def make_report(
         history=history,
         summary=text.sentences(table, header, clock, history),
         identities=list(text.identities(table, clock)),
-        mean=text.confidence_of(table),
+        mean=mean,
         calibrated=calibrated(header.recipe),
-        warnings=[*header.warnings, *found.notes],
+        warnings=[*text.doubts(header, mean), *header.warnings, *found.notes],
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,

@@ -106,9 +106,15 @@ def _trust(known: bool, mean: float) -> str:
     """What the mean confidence says of the rows."""
     if not known:
         return "Its confidence is not calibrated: it says how alike the image is, not how often the place is right."
-    doubt = ", which is doubtful: look at the key frames" if mean < DOUBTFUL else ""
     right = "right, within a quarter of the target's size"
-    return f"Its confidence, calibrated on other clips, expects {percent(mean)} of the rows to be {right}{doubt}."
+    return f"Its confidence, calibrated on other clips, expects {percent(mean)} of the rows to be {right}."
+
+
+def doubts(header: Header, mean: float | None) -> list[str]:
+    """A line if a calibrated confidence of this mean speaks against the track."""
+    if mean is None or mean >= DOUBTFUL or not calibrated(header.recipe):
+        return []
+    return ["The track is doubtful: by its confidence fewer than half of its rows are right"]
 
 
 def identities(table: Trajectory, clock: Clock) -> Iterator[str]:

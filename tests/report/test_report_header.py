@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,7 +14,7 @@ from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.command_line import command, recipe_yaml
-from facetrack_cli.report.text import _trust
+from facetrack_cli.report.text import _trust, doubts
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import joined
@@ -78,9 +79,10 @@ def test_a_confidence_is_called_a_probability_only_where_it_is_one():
     assert calibrated({"targets": {"a": known, "b": None}})
     assert not calibrated({"targets": {"a": known, "b": unknown}})
     said = _trust(True, 0.98)
-    assert "expects 98.0\u00a0% of the rows to be right" in said and "doubtful" not in said
-    assert "which is doubtful: look at the key frames" in _trust(True, 0.4)
+    assert "expects 98.0\u00a0% of the rows to be right" in said
     assert "not how often the place is right" in _trust(False, 0.87)
+    assert doubts(SimpleNamespace(recipe=known), 0.49) and not doubts(SimpleNamespace(recipe=known), 0.5)
+    assert not doubts(SimpleNamespace(recipe=unknown), 0.1) and not doubts(SimpleNamespace(recipe=known), None)
 
 
 def test_a_shipped_calibration_holds_for_the_recipe_as_it_is_shipped():
