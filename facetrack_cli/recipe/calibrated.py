@@ -20,17 +20,25 @@ def calibrated(settings: Mapping[str, Any]) -> bool:
     The calibration of a shipped recipe holds for that recipe as it is shipped. Of a file of one's own nothing is known
     but that it is named.
     """
+    for file in (files := _files(settings)):
+        ours = _shipped(PurePath(file).stem)
+        if ours is not None and file == ours["confidence"]["calibration"] and _bare(completed(settings)) != ours:
+            return False
+    return bool(files)
+
+
+def fitted(settings: Mapping[str, Any]) -> bool:
+    """Whether all filters name a calibration, be it made for other settings."""
+    return bool(_files(settings))
+
+
+def _files(settings: Mapping[str, Any]) -> list[str]:
+    """The calibrations of all filters; none if one has none."""
     targets = settings.get("targets")
     those = [one for one in targets.values() if one] if isinstance(targets, Mapping) else [settings]
     sections = [one.get("confidence") for one in those if isinstance(one, Mapping)]
     files = [one.get("calibration") if isinstance(one, Mapping) else None for one in sections]
-    if not files or None in files:
-        return False
-    for file in files:
-        ours = _shipped(PurePath(str(file)).stem)
-        if ours is not None and file == ours["confidence"]["calibration"] and _bare(completed(settings)) != ours:
-            return False
-    return True
+    return [] if None in files else [str(file) for file in files]
 
 
 @lru_cache

@@ -11,7 +11,7 @@ from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.evaluation.measure import Value
 from facetrack_cli.evaluation.rows import NEAR_IOU
 from facetrack_cli.evaluation.summary import Evaluation
-from facetrack_cli.recipe.calibrated import calibrated
+from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.report.events import Clock, Event, KeyFrame, RunHistory
 from facetrack_cli.runs.verdict import DOUBTFUL
 from facetrack_cli.trajectory.diagnostics import SURE
@@ -111,8 +111,8 @@ def _trust(known: bool, mean: float) -> str:
 
 
 def doubts(header: Header, mean: float | None) -> list[str]:
-    """A line if a calibrated confidence of this mean speaks against the track."""
-    if mean is None or mean >= DOUBTFUL or not calibrated(header.recipe):
+    """A line if a confidence of this mean speaks against the track, be it calibrated with other settings."""
+    if mean is None or mean >= DOUBTFUL or not fitted(header.recipe):
         return []
     return ["The track is doubtful: by its confidence fewer than half of its rows are right"]
 

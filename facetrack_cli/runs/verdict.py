@@ -16,7 +16,7 @@ from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Box, Point, Start
-from facetrack_cli.recipe.calibrated import calibrated
+from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.tracking.face.still import BOX as STILL
@@ -36,7 +36,8 @@ class Watch:
     """Counts in bounded memory what the verdict on one run rests on; `detector` None: nobody looks."""
 
     start: Start = field(metadata={STORED: False})
-    calibrated: bool
+    calibrated: bool  # whether confidence is a probability
+    fitted: bool  # or one with other settings, which counts where it is low
     detector: Detector | None = field(metadata={STORED: False})
     frames: int = 0
     first: tuple[int, float] = (0, 0.0)
@@ -53,7 +54,8 @@ class Watch:
     @classmethod
     def of(cls, recipe: Recipe, start: Start) -> Watch:
         name = next((name for name in DETECTORS if name == start.origin), None)
-        return cls(start, calibrated(to_dict(recipe)), None if name is None else detector(name))
+        settings = to_dict(recipe)
+        return cls(start, calibrated(settings), fitted(settings), None if name is None else detector(name))
 
     def after(self, stored: Watch | None) -> Watch:
         """This one, with what another has counted of the frames before."""
@@ -106,8 +108,8 @@ class Watch:
         """What speaks against the track; "" if nothing does."""
         if why := self.unseen():
             return why
-        if self.calibrated and self.sure < DOUBTFUL * self.judged:
-            return f"its calibrated confidence expects {self.sure / self.judged:.0%} of its rows to be right"
+        if self.fitted and self.sure < DOUBTFUL * self.judged:
+            return f"its confidence expects {self.sure / self.judged:.0%} of its rows to be right"
         return ""
 
     def unseen(self) -> str:

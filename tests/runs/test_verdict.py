@@ -31,7 +31,7 @@ class Sees:
 
 def watched(statuses, confidences, *, sees=None, first=0, origin="--box", calibrated=True):
     start = Start(first, {"face": TargetStart((30.0, 20.0, 20.0, 20.0))}, origin)
-    watch = Watch(start, calibrated=calibrated, detector=sees)
+    watch = Watch(start, calibrated=calibrated, fitted=calibrated, detector=sees)
     for i, (status, confidence) in enumerate(zip(statuses, confidences, strict=True)):
         frame = Frame(first + i, (first + i) / 25, np.zeros((60, 80, 3), np.uint8))
         box = part("box", 40, 30, 20, 20, confidence=confidence, status=status)
@@ -60,7 +60,7 @@ def test_a_track_that_no_detector_confirms_is_doubtful():
 
 def test_a_low_calibrated_confidence_is_doubtful():
     low = ["init"] + ["tracked"] * 20, [1.0] + [0.49] * 20
-    assert watched(*low).line().startswith("doubtful: its calibrated confidence expects 49% of its rows to be right")
+    assert watched(*low).line().startswith("doubtful: its confidence expects 49% of its rows to be right")
     raw = watched(*low, calibrated=False).line()
     assert raw.startswith("never called lost") and raw.endswith("(lowest confidence, 0.49, not calibrated)")
     assert not watched(["init"] + ["tracked"] * 3, [1.0] + [float("nan")] * 3).doubts()  # it says nothing
@@ -81,7 +81,7 @@ def test_of_points_alone_the_box_of_the_start_moves_with_them():
     picture = np.zeros((120, 160, 3), np.uint8)
     picture[50:90, 70:110] = 255  # where the box has moved to
     start = Start(0, {"face": TargetStart((20.0, 30.0, 40.0, 40.0), {"nose": (40.0, 50.0)})}, "haar")
-    watch = Watch(start, calibrated=False, detector=Looks(0))
+    watch = Watch(start, calibrated=False, fitted=False, detector=Looks(0))
     for i in range(EVERY):
         nose = part("nose", 90, 70, 5, 5, confidence=1.0)
         watch.count(result(Frame(i, i / 25, picture), [target("face", [nose])]))
