@@ -62,7 +62,7 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     whose = table.target if len(table.targets) == 1 else count(len(table.targets), "target")
     what = whose if one else f"{count(len(history.parts), 'part')} of {whose}"
     long = f"{count(frames, 'frame')}, {lasting(clock.duration)}"
-    found = [f"The recipe {header.recipe_name} followed {what} in {header.clip_name} over {long}."]
+    found = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
     lost = [part.name for part in history.parts if part.spans]
     gone, absent = history.ending("lost"), history.ending("absent")
     if not any(part.judged for part in history.parts):
