@@ -107,7 +107,7 @@ def _trust(known: bool, mean: float) -> str:
     if not known:
         return "Its confidence is not calibrated: it says how alike the image is, not how often the place is right."
     right = "right, within a quarter of the target's size"
-    return f"Its confidence, calibrated on other clips, expects {percent(mean)} of the rows to be {right}."
+    return f"Its confidence, calibrated on clips of known truth, expects {percent(mean)} of the rows to be {right}."
 
 
 def doubts(header: Header, mean: float | None) -> list[str]:
