@@ -10,14 +10,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError, needed
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import Options, evaluate
+from facetrack_cli.recipe.calibrated import calibrated
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import text
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
@@ -82,7 +81,7 @@ def make_report(
     shown = [key.frame for key in keys]
     annotated = run / _VIDEO if (run / _VIDEO).is_file() else None
     found = key_images(table, header, shown, clip, annotated, report)
-    means = [part.mean for part in history.parts if np.isfinite(part.mean)]
+    mean = text.confidence_of(table)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MOST_SPANS]
     again = command(header, last, run)
     document: str = template.render(
@@ -92,9 +91,9 @@ def make_report(
         history=history,
         summary=text.sentences(table, header, clock, history),
         identities=list(text.identities(table, clock)),
-        mean=float(np.mean(means)) if means else None,
-        calibrated=text.calibrated(header),
-        warnings=[*header.warnings, *found.notes],
+        mean=mean,
+        calibrated=calibrated(header.recipe),
+        warnings=[*text.doubts(header, mean), *header.warnings, *found.notes],
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,

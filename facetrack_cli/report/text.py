@@ -11,12 +11,13 @@ from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.evaluation.measure import Value
 from facetrack_cli.evaluation.rows import NEAR_IOU
 from facetrack_cli.evaluation.summary import Evaluation
+from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.report.events import Clock, Event, KeyFrame, RunHistory
+from facetrack_cli.runs.verdict import DOUBTFUL
 from facetrack_cli.trajectory.diagnostics import SURE
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-DOUBTFUL: Final = 0.75  # of a calibrated confidence: a track of which less is right wants looking at
 _DETECTORS: Final[Mapping[str, str]] = {"haar": "the Haar cascades", "yunet": "YuNet"}
 
 
@@ -61,26 +62,27 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     whose = table.target if len(table.targets) == 1 else count(len(table.targets), "target")
     what = whose if one else f"{count(len(history.parts), 'part')} of {whose}"
     long = f"{count(frames, 'frame')}, {lasting(clock.duration)}"
-    found = [f"The recipe {header.recipe_name} followed {what} in {header.clip_name} over {long}."]
+    found = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
     lost = [part.name for part in history.parts if part.spans]
     gone, absent = history.ending("lost"), history.ending("absent")
     if not any(part.judged for part in history.parts):
         found.append("The tracker does not report when it is lost.")
     elif not lost:
-        found.append("It was never reported lost." if one else "No part was ever reported lost.")
+        found.append("It was never called lost." if one else "No part was ever called lost.")
     else:
         n = len(history.episodes)
         times = {1: "one stretch", 2: "two stretches"}.get(n, count(n, "stretch", "stretches"))
         who = "It" if one else "At least one part"
         those = "" if one else f": {names(lost)}"
         share = f"{count(history.frames_lost, 'frame')} ({percent(history.frames_lost / frames)})"
-        found.append(f"{who} was lost in {share}, in {times}{those}.")
-        end = f"{_are(gone)} lost" if gone else f"{'no other' if absent else 'no'} part is called lost"
+        found.append(f"{who} was called lost in {share}, in {times}{those}.")
+        end = f"{_are(gone)} called lost" if gone else f"{'no other' if absent else 'no'} part is called lost"
         if not one or not absent:
-            found.append(f"In the last frame {('it is lost' if gone else 'it is not called lost') if one else end}.")
-    sure = table.confidence[np.isfinite(table.confidence) & (table.status != "lost")]
-    if sure.size:
-        found.append(_trust(calibrated(header), float(sure.mean())))
+            found.append(
+                f"In the last frame {('it is called lost' if gone else 'it is not called lost') if one else end}."
+            )
+    if (mean := confidence_of(table)) is not None:
+        found.append(_trust(calibrated(header.recipe), mean))
     if history.seams:
         differ = sum(not seam.agrees for seam in history.seams)
         those = f"{differ or 'none'} of the {count(len(history.seams), 'place')} where they meet"
@@ -94,21 +96,25 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     return " ".join(found)
 
 
-def calibrated(header: Header) -> bool:
-    """Whether confidence is a probability, by the recipe that was run: of all of its filters."""
-    recipe = header.recipe
-    targets = recipe.get("targets")
-    those = [one for one in targets.values() if one] if isinstance(targets, Mapping) else [recipe]
-    found = [one.get("confidence") for one in those if isinstance(one, Mapping)]
-    return bool(found) and all(isinstance(one, Mapping) and one.get("calibration") is not None for one in found)
+def confidence_of(table: Trajectory) -> float | None:
+    """The mean confidence of all rows after the start, those that are called lost included; None without any."""
+    sure = table.confidence[np.isfinite(table.confidence) & (table.status != "init")]
+    return float(sure.mean()) if sure.size else None
 
 
 def _trust(known: bool, mean: float) -> str:
     """What the mean confidence says of the rows."""
     if not known:
         return "Its confidence is not calibrated: it says how alike the image is, not how often the place is right."
-    doubt = ", so that the track is doubtful: look at the key frames" if mean < DOUBTFUL else ""
-    return f"By its calibrated confidence {percent(mean)} of the rows that are not called lost are right{doubt}."
+    right = "right, within a quarter of the target's size"
+    return f"Its confidence, calibrated on clips of known truth, expects {percent(mean)} of the rows to be {right}."
+
+
+def doubts(header: Header, mean: float | None) -> list[str]:
+    """A line if a confidence of this mean speaks against the track, be it calibrated with other settings."""
+    if mean is None or mean >= DOUBTFUL or not fitted(header.recipe):
+        return []
+    return ["The track is doubtful: by its confidence fewer than half of its rows are right"]
 
 
 def identities(table: Trajectory, clock: Clock) -> Iterator[str]:
@@ -152,16 +158,17 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
                 return "Two pieces differ", "none of the frames is in both" if share is None else agree
             case "lost":
                 lost = [f"{s.name} (confidence {number(confidence.get(s.name))})" for s in event.spans]
-                return "Lost", names(lost, 5)
+                return "Called lost", names(lost, 5)
             case "back":
                 back = [(s.name, lasting(s.seconds), number(confidence.get(s.name))) for s in event.spans]
-                return "Tracked again", names([f"{name} after {s} (confidence {c})" for name, s, c in back], 5)
+                return "No longer called lost", names([f"{name} after {s} (confidence {c})" for name, s, c in back], 5)
             case "worst":
                 return "Lowest confidence", mean + (f", the mean over {len(parts):,} parts" if len(parts) > 1 else "")
             case _:
                 ends = [(kind, [parts[i] for i in np.flatnonzero(rows.status == kind)]) for kind in ("lost", "absent")]
-                found = "; ".join(f"{kind}: {names(those, 5)}" for kind, those in ends if those)
-                return "End", found or ("tracked" if len(parts) == 1 else "all parts tracked")
+                words = {"lost": "called lost", "absent": "absent"}
+                found = "; ".join(f"{words[kind]}: {names(those, 5)}" for kind, those in ends if those)
+                return "End", found or ("not called lost" if len(parts) == 1 else "no part is called lost")
 
     return [(event.kind, *words(event)) for event in key.events]
 

@@ -116,10 +116,11 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = silent, 
             return done
         stopped = stop.reason if stop() else None if done.error is None else str(done.error)
         beyond = [] if stopped or job.stop is not None else past_end(start.corrections, last, start.origin)
+        unseen = [why] if watch is not None and (why := watch.unseen()) else []
         footer = Footer(
             complete=source.complete and stopped is None,
             stopped=stopped,
-            warnings=(*source.warnings, *notes, *beyond),
+            warnings=(*source.warnings, *notes, *beyond, *unseen),
             lost_frames=done.lost,
             variable_fps=source.variable,
             evidence=done.evidence,
@@ -135,7 +136,8 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = silent, 
     if job.strict and not source.complete and stopped is None:
         done.error = done.error or InputError(source.warnings[-1])
     failed = done.error or outputs.missing  # said last, as the command's error
-    done.files, done.warnings = outputs.written, outputs.told(footer, failed)
+    said = outputs.told(footer, failed)
+    done.files, done.warnings = outputs.written, tuple(line for line in said if line not in unseen)  # in the verdict
     done.frames_per_s = (done.frames - before - 1) / max(time.perf_counter() - began, 1e-9)
     done.complete = footer.complete and done.error is None
     done.stopped = stopped if done.error is None else None

@@ -16,16 +16,17 @@ from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Box, Point, Start
+from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.recipe.face import DETECTORS
-from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.tracking.face.still import BOX as STILL
 from facetrack_cli.tracking.face.still import FACE, Similarity
 from facetrack_cli.tracking.start.detectors import Detector, detector
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 
 EVERY: Final = 15  # frames between two looks
-DOUBTFUL: Final = 0.5  # share of looks, and mean of a calibrated confidence: a track of less may be of something else
-SURE: Final = 0.9  # mean confidence from which a frame need not be looked at
+DOUBTFUL: Final = 0.5  # share of looks, and of rows that a calibrated confidence expects to be right: less is doubtful
+SURE: Final = 0.9  # the frame of the lowest mean confidence is named if that is less
 FEW: Final = 3  # looks of which fewer say nothing
 _SPANS: Final = 3  # that are named
 
@@ -35,13 +36,16 @@ class Watch:
     """Counts in bounded memory what the verdict on one run rests on; `detector` None: nobody looks."""
 
     start: Start = field(metadata={STORED: False})
-    calibrated: bool
+    calibrated: bool  # whether confidence is a probability
+    fitted: bool  # or one with other settings, which counts where it is low
     detector: Detector | None = field(metadata={STORED: False})
     frames: int = 0
     first: tuple[int, float] = (0, 0.0)
     looks: int = 0
     seen: int = 0
-    sure: float = 0.0
+    several: bool = False  # parts
+    judged: int = 0  # frames with a confidence
+    sure: float = 0.0  # the sum of their means
     least: tuple[float, int] = (np.inf, 0)
     lost_frames: int = 0
     lost: list[tuple[int, int]] = field(default_factory=list)  # first and last frames, the longest ones
@@ -49,9 +53,9 @@ class Watch:
 
     @classmethod
     def of(cls, recipe: Recipe, start: Start) -> Watch:
-        calibrated = any(one.confidence.calibration is not None for one in recipe.filters.values())
         name = next((name for name in DETECTORS if name == start.origin), None)
-        return cls(start, calibrated, None if name is None else detector(name))
+        settings = to_dict(recipe)
+        return cls(start, calibrated(settings), fitted(settings), None if name is None else detector(name))
 
     def after(self, stored: Watch | None) -> Watch:
         """This one, with what another has counted of the frames before."""
@@ -63,16 +67,17 @@ class Watch:
         if not self.frames:
             self.first = index, result.frame.time_s
         self.frames += 1
+        self.several |= len(rows) > 1
         gone = rows.status == "lost"
         if gone.any():
             self.lost_frames += 1
             self.now = (index if self.now is None else self.now[0], index)
         else:
             self._ended()
-        known = rows.confidence[np.isfinite(rows.confidence)]
+        known = rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")]
         if known.size:
             mean = float(known.mean())
-            self.sure += mean
+            self.judged, self.sure = self.judged + 1, self.sure + mean
             if not gone.any():
                 self.least = min(self.least, (mean, index))
         if self.detector is not None and self.frames % EVERY == 0 and not gone.all():
@@ -82,29 +87,37 @@ class Watch:
         """The verdict in one line."""
         self._ended()
         why = self.doubts()
-        lost = f"lost in {self.lost_frames} of {self.frames} frames" if self.lost_frames else "never reported lost"
+        who = "some part " if self.several else ""
+        lost = f"{who}called lost in {self.lost_frames} of {self.frames} frames"
         index, time_s = self.first
         skipped = f", {index} frame{'s' * (index > 1)} of the clip are before it" if index else ""
         begun = f"begins in frame {index} ({clock(time_s)}), by {self.start.origin}{skipped}"
-        parts = [f"doubtful: {why}" if why else lost, begun]
+        parts = [f"doubtful: {why}" if why else lost if self.lost_frames else "never called lost", begun]
         if self.detector is not None and not why and self.looks:
             parts.append(f"{self.detector.name} sees a face there in {self.seen} of {self.looks} looks")
         places = [f"{a} to {b}" if b > a else str(a) for a, b in sorted(self.lost)]
         look = [f"{', '.join(places)} (lost)"] if places else []
         if self.least[0] < SURE:
-            look.append(f"{self.least[1]} (least sure, {self.least[0]:.2f})")
+            raw = "" if self.calibrated else ", not calibrated"
+            look.append(f"{self.least[1]} (lowest confidence, {self.least[0]:.2f}{raw})")
         if look:
             parts.append(f"look at frames {', '.join(look)}")
         return "; ".join(parts)
 
     def doubts(self) -> str:
         """What speaks against the track; "" if nothing does."""
-        if self.detector is not None and self.looks >= FEW and self.seen < DOUBTFUL * self.looks:
-            looks = f"in {self.seen} of {self.looks} looks alone"
-            return f"{self.detector.name} sees a face there {looks}; it may be something else, begin with --box X,Y,W,H"
-        if self.calibrated and self.frames and self.sure < DOUBTFUL * self.frames:
-            return f"it is right with a probability of {self.sure / self.frames:.0%} on average"
+        if why := self.unseen():
+            return why
+        if self.fitted and self.sure < DOUBTFUL * self.judged:
+            return f"its confidence expects {self.sure / self.judged:.0%} of its rows to be right"
         return ""
+
+    def unseen(self) -> str:
+        """What the detector's looks speak against the track; "" if nothing."""
+        if self.detector is None or self.looks < FEW or self.seen >= DOUBTFUL * self.looks:
+            return ""
+        looks = f"in {self.seen} of {self.looks} looks alone"
+        return f"{self.detector.name} sees a face there {looks}; it may be something else, begin with --box X,Y,W,H"
 
     def _ended(self) -> None:
         """The longest spans, with the one that ends here."""

@@ -95,9 +95,9 @@ def test_key_frames_are_drawn_from_the_clip(tmp_path):
     assert make_report(tmp_path / "run").html == page.html
     assert {picture.shape for picture in shown(page.html).values()} == {(480, 640, 3)}  # enlarged, to be read
     text = Reader(page.html).text
-    assert "Lost a (confidence 0.05)" in text
-    assert "Tracked again a after 0.16 s (confidence 0.75)" in text
-    assert "End lost: b" in text
+    assert "Called lost a (confidence 0.05)" in text
+    assert "No longer called lost a after 0.16 s (confidence 0.75)" in text
+    assert "End called lost: b" in text
 
 
 @pytest.mark.usefixtures("no_plot")

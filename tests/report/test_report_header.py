@@ -9,11 +9,12 @@ from types import SimpleNamespace
 import pytest
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.recipe.calibrated import calibrated
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.command_line import command, recipe_yaml
-from facetrack_cli.report.text import _trust, calibrated
+from facetrack_cli.report.text import _trust, doubts
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import joined
@@ -73,15 +74,19 @@ def test_folders_are_repeated_at_their_rate_and_init_files_from_their_frame(exis
 
 
 def test_a_confidence_is_called_a_probability_only_where_it_is_one():
-    trusted = "By its calibrated confidence 98.0\u00a0% of the rows that are not called lost are right."
-
-    def header(recipe):
-        return SimpleNamespace(recipe=recipe)
-
     known, unknown = {"confidence": {"calibration": "a.json"}}, {"confidence": {"calibration": None}}
-    assert calibrated(header(known)) and not calibrated(header(unknown)) and not calibrated(header({}))
-    assert calibrated(header({"targets": {"a": known, "b": None}}))
-    assert not calibrated(header({"targets": {"a": known, "b": unknown}}))
-    assert _trust(True, 0.98) == trusted
-    assert "is doubtful: look at the key frames" in _trust(True, 0.4)
+    assert calibrated(known) and not calibrated(unknown) and not calibrated({})
+    assert calibrated({"targets": {"a": known, "b": None}})
+    assert not calibrated({"targets": {"a": known, "b": unknown}})
+    said = _trust(True, 0.98)
+    assert "expects 98.0\u00a0% of the rows to be right" in said
     assert "not how often the place is right" in _trust(False, 0.87)
+    assert doubts(SimpleNamespace(recipe=known), 0.49) and not doubts(SimpleNamespace(recipe=known), 0.5)
+    assert not doubts(SimpleNamespace(recipe=unknown), 0.1) and not doubts(SimpleNamespace(recipe=known), None)
+
+
+def test_a_shipped_calibration_holds_for_the_recipe_as_it_is_shipped():
+    assert calibrated(to_dict(load_recipe("skin_ncc_robust", ["seed=7"])))
+    changed = to_dict(load_recipe("skin_ncc_robust", ["likelihood.skin=null"]))
+    assert not calibrated(changed) and doubts(SimpleNamespace(recipe=changed), 0.4)  # low, it still says something
+    assert not calibrated(to_dict(load_recipe("skin_ncc")))

@@ -1,5 +1,6 @@
 """What a run says at its end: where it began, what bears it out, which frames to look at, and what to do next."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -28,9 +29,9 @@ class Sees:
         return Found(box, {}) if self.every and self.count % self.every == 0 else None
 
 
-def watched(statuses, confidences, *, sees=None, first=0, origin="--box"):
+def watched(statuses, confidences, *, sees=None, first=0, origin="--box", calibrated=True):
     start = Start(first, {"face": TargetStart((30.0, 20.0, 20.0, 20.0))}, origin)
-    watch = Watch(start, calibrated=True, detector=sees)
+    watch = Watch(start, calibrated=calibrated, fitted=calibrated, detector=sees)
     for i, (status, confidence) in enumerate(zip(statuses, confidences, strict=True)):
         frame = Frame(first + i, (first + i) / 25, np.zeros((60, 80, 3), np.uint8))
         box = part("box", 40, 30, 20, 20, confidence=confidence, status=status)
@@ -42,8 +43,8 @@ def test_where_it_began_and_which_frames_to_look_at():
     statuses = ["init", *["tracked"] * 9, *["lost"] * 5, *["tracked"] * 5, "lost"]
     sure = [1.0, *[0.9] * 8, 0.6, *[0.1] * 5, *[0.95] * 5, 0.1]
     assert watched(statuses, sure, first=18).line() == (
-        "lost in 6 of 21 frames; begins in frame 18 (0:00.72), by --box, 18 frames of the clip are before it; "
-        "look at frames 28 to 32, 38 (lost), 27 (least sure, 0.60)"
+        "called lost in 6 of 21 frames; begins in frame 18 (0:00.72), by --box, 18 frames of the clip are before it; "
+        "look at frames 28 to 32, 38 (lost), 27 (lowest confidence, 0.60)"
     )
 
 
@@ -58,7 +59,11 @@ def test_a_track_that_no_detector_confirms_is_doubtful():
 
 
 def test_a_low_calibrated_confidence_is_doubtful():
-    assert "a probability of 31% on average" in watched(["tracked"] * 20, [0.31] * 20).line()
+    low = ["init"] + ["tracked"] * 20, [1.0] + [0.49] * 20
+    assert watched(*low).line().startswith("doubtful: its confidence expects 49% of its rows to be right")
+    raw = watched(*low, calibrated=False).line()
+    assert raw.startswith("never called lost") and raw.endswith("(lowest confidence, 0.49, not calibrated)")
+    assert not watched(["init"] + ["tracked"] * 3, [1.0] + [float("nan")] * 3).doubts()  # it says nothing
 
 
 def test_memory_does_not_grow_with_the_clip():
@@ -76,7 +81,7 @@ def test_of_points_alone_the_box_of_the_start_moves_with_them():
     picture = np.zeros((120, 160, 3), np.uint8)
     picture[50:90, 70:110] = 255  # where the box has moved to
     start = Start(0, {"face": TargetStart((20.0, 30.0, 40.0, 40.0), {"nose": (40.0, 50.0)})}, "haar")
-    watch = Watch(start, calibrated=False, detector=Looks(0))
+    watch = Watch(start, calibrated=False, fitted=False, detector=Looks(0))
     for i in range(EVERY):
         nose = part("nose", 90, 70, 5, 5, confidence=1.0)
         watch.count(result(Frame(i, i / 25, picture), [target("face", [nose])]))
@@ -93,6 +98,8 @@ def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(tmp_path, monkey
     said = capsys.readouterr().err.splitlines()
     assert "doubtful: haar sees a face there in" in said[-2] and "43 frames of the clip are before it" in said[-2]
     assert said[-1] == "look: facetrack report 'a b'; correct: facetrack fix 'a b'"
+    (warning,) = json.loads((tmp_path / "a b" / "trajectory.json").read_text())["warnings"]  # for the report
+    assert f"doubtful: {warning};" in said[-2] and not any("warning" in line for line in said)
     assert main(["run", clip, "--init", "haar", "--no-video", "--stop", "50", "-o", "c", "-q"]) == 0
     assert capsys.readouterr() == ("", "")
     assert main(["run", clip, "--init", "haar", "--stop", "50", "--no-video", "--format", "csv", "-o", "d"]) == 0

@@ -165,7 +165,7 @@ class _Page:
             percent = 100 * sum(lost) / len(self.table)
             share = f"{percent:.0f} %" if percent >= 9.95 else f"{max(percent, 0.1):.1f} %"
             over = "frames" if len(lost) == 1 else f"rows, {sum(map(bool, lost))} of {len(lost)} parts"
-            found.append(f"lost in {share} of {over}" if any(lost) else "never lost")
+            found.append(f"called lost in {share} of {over}" if any(lost) else "never called lost")
         if len(self.corrected):
             found.append(f"corrected by hand in {len(self.corrected):,} of them")
         wrong = [error[~np.isin(pair.truth.status, UNSEEN)] for _, pair, error in self.paired]  # as in eval
