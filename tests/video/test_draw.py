@@ -389,7 +389,7 @@ def in_the_bar(**targets: list[Part]) -> tuple[Status, list[str]]:
 
 def test_what_the_bar_says() -> None:
     good, gone = part("nose"), part("lip_upper", status="lost")
-    assert in_the_bar(face=[good]) == ("tracked", ["not called lost", "not lost"])
+    assert in_the_bar(face=[good]) == ("tracked", ["tracked"])
     assert in_the_bar(face=[part(status="init")]) == ("init", ["init"])
     assert in_the_bar(face=[good, gone]) == ("lost", ["lost: lip upper", "lost 1/2", "lost"])
     assert in_the_bar(face=[good, gone], other=[good])[1][0] == "lost: face/lip upper"
@@ -524,13 +524,12 @@ def test_the_bar_says_calmly_what_is_absent_and_what_was_given_by_hand() -> None
         return in_the_bar(face=list(parts), **({"hand": list(other)} if other else {}))
 
     lip, hand = part("lip"), part("box", status="init", by_hand=True)
-    fine = ["not called lost; nose absent", "nose absent", "absent 1/2", "not called lost", "not lost"]
-    assert said(lip, gone()) == ("tracked", fine)
+    assert said(lip, gone()) == ("tracked", ["tracked; nose absent", "nose absent", "absent 1/2", "tracked"])
     assert said(gone(), gone("lip")) == ("absent", ["absent"])
     lost = {**lip, "status": "lost"}
     assert said(lost, gone()) == ("lost", ["lost: lip; nose absent", "lost: lip", "lost 1/2", "lost"])
     assert said({**lip, "status": "init"}, gone())[0] == "init"
-    assert said(gone(), gone("lip"), other=(part("box"),))[1][0] == "not called lost; face absent"
+    assert said(gone(), gone("lip"), other=(part("box"),))[1][0] == "tracked; face absent"
     assert said(lip, {**hand, "part": "nose"}) == ("init", ["nose by hand", "by hand"])
     assert said(lip, other=(hand,))[1][0] == "hand by hand"
 

@@ -16,7 +16,7 @@ _TROUGH: Colour = (130, 130, 130)
 LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the strip
 _WORDY = 28  # heights of capitals: where a bar is as wide, the number of the frame is said to be one
 # what stands in the bar beside the status; the last goes first where it is narrow
-_ITEMS = ("frame", "gauge", "clock", "title", "confidence", "scale")
+_ITEMS = ("frame", "gauge", "clock", "title", "percent", "scale")
 
 
 class StatusBar:
@@ -38,12 +38,12 @@ class StatusBar:
         adapted, title = adaptation(rows), self._title
         word = "frame " if self._width >= _WORDY * cap else ""
         texts = {"frame": f"{word}{result.frame.index}", "clock": clock(result.frame.time_s), "title": title}
-        texts |= {"confidence": "1.00", **adapted}
+        texts |= {"percent": "100%", **adapted}
         gap, gauge, icon = round(0.8 * cap), round(3.5 * cap), round(1.5 * cap)
         room = {item: font.width(text) + gap if text else 0 for item, text in texts.items()} | {"gauge": gauge + gap}
         shown, saying, spare = self._fit(sayings, room, self._width - 2 * gap - icon)
-        if not sure:  # 0 would be a lie of a tracker that does not say
-            shown = tuple(item for item in shown if item not in ("gauge", "confidence"))
+        if not sure:  # 0 % would be a lie of a tracker that does not say
+            shown = tuple(item for item in shown if item not in ("gauge", "percent"))
         if "title" not in shown:  # its beginning, as far as it says something
             length = next((n for n in range(len(title), 7, -1) if font.width(title[:n] + "..") <= spare - gap), 0)
             title = title[:length] + ".." if length else ""
@@ -65,9 +65,9 @@ class StatusBar:
                 cv2.rectangle(strip, (full, top), (end - 1, bottom), PALETTE[0], -1)
             right = full - gap
         room["title"] = font.width(title) + gap
-        for item, text in {"confidence": f"{mean:.2f}", "title": title, **adapted}.items():
+        for item, text in {"percent": f"{mean:.0%}", "title": title, **adapted}.items():
             if text and (item in shown or item == "title"):
-                colour = WHITE if item == "confidence" else _QUIET
+                colour = WHITE if item == "percent" else _QUIET
                 stamp(strip, font.sprite(text, colour), right - font.width(text), row)
                 right -= room[item]
 
@@ -107,7 +107,7 @@ def summary(rows: Trajectory) -> tuple[Status, list[str]]:
     init = rows.status == "init"
     status: Status = "init" if (init | (rows.status == "absent")).all() else "tracked"
     given = rows.by_hand & init
-    sayings: list[str] = ["not called lost", "not lost"] if status == "tracked" else [status]
+    sayings: list[str] = [status]
     if given.any():
         status, sayings = "init", [f"{', '.join(_named(rows, given))} by hand", "by hand"]
     both = [f"{sayings[0]}; {missing}", missing, f"absent {absent}/{len(rows)}"] if missing else []
