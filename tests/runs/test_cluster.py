@@ -304,8 +304,8 @@ def test_a_batch_that_is_stopped_leaves_nothing_at_work(dask, place, number, cod
     said = head.communicate(timeout=60)[1]
     assert head.returncode == code, said
     if number == signal.SIGINT:
-        assert said.count("; terminated") == 2
-        assert [read_manifest(place / out / f"c{i}-sir").stopped for i in (0, 1)] == ["terminated"] * 2
+        ended = [read_manifest(place / out / f"c{i}-sir").stopped for i in (0, 1)]  # one may be done by then
+        assert said.count("; terminated") == ended.count("terminated") > 0
     until(lambda: not any(one.is_running() for one in processes))
     assert not list(place.glob(f"{out}/*/{LOCK}")) and not list(place.glob(f"{out}/*/.*.part*"))
     assert dask.run(*SIR, "-o", out, "--cluster", dask.file, *names(), cwd=place).returncode == 0
