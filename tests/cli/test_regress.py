@@ -295,7 +295,7 @@ def test_a_face_by_skin_with_another_sigma_fails(change: str) -> None:
     assert found.status == "fails" and found.verdict is not None and found.verdict.closest > 1.1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_head_that_moves_more_fails_beside_hands_that_are_as_they_were() -> None:
     (found,) = verdicts("signing.head_hands", "targets.head.motion.sigma=0.14")
     assert found.status == "fails" and "head/box" in found.message

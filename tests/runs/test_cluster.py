@@ -276,6 +276,7 @@ def test_a_clip_that_hangs_and_a_worker_that_does(dask, place):
     until(lambda: not first.is_running() and not second.is_running())
 
 
+@pytest.mark.nightly
 def test_a_worker_without_space(dask, place):
     def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
@@ -312,6 +313,7 @@ def test_a_batch_that_is_stopped_leaves_nothing_at_work(dask, place, number, cod
     check_equal(place, out)
 
 
+@pytest.mark.nightly
 def test_a_scheduler_that_is_gone_and_comes_back(place, tmp_path):
     with Dask(tmp_path) as dask:
         dask.work(count=2)

@@ -167,7 +167,7 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
 
 
 @posix
-@pytest.mark.parametrize("kills", [1, 2])
+@pytest.mark.parametrize("kills", [pytest.param(1, marks=pytest.mark.nightly), 2])
 def test_a_worker_that_is_killed_is_replaced_once(clip, whole, tmp_path, kills):
     other = make_clip(tmp_path / "other.mp4", 5)
     process = subprocess.Popen(

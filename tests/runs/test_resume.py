@@ -236,6 +236,7 @@ def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch)
     assert not done.warnings and same(tmp_path / "out", tmp_path / "whole")
 
 
+@pytest.mark.nightly
 @posix
 def test_kills_at_random_moments(tmp_path):
     """`benchmarks/resume.py` does the same a hundred times, with ten recipes."""

@@ -59,7 +59,7 @@ def test_the_head_carries_its_points(overrides):
 
 
 @pytest.mark.skipif(detectors.yunet_model() is None, reason="needs the extra detect")
-@pytest.mark.parametrize("degrees", [0.0, 0.15, -0.15])
+@pytest.mark.parametrize("degrees", [0.15, *(pytest.param(n, marks=pytest.mark.nightly) for n in (0.0, -0.15))])
 def test_a_head_that_rolls_says_so(degrees):
     """And one that does not roll does not drift."""
     poses = [Pose(160, 120, 90, degrees * t) for t in range(120)]
