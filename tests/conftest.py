@@ -16,6 +16,9 @@ from tests.support.samples import FOLDER
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# images of containers often set this: every process that a test starts would compile all modules anew
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # property tests try the same examples each time; HYPOTHESIS_PROFILE=nightly tries ten times as many, new ones each time
 for profile, examples in {"default": 20, "nightly": 200}.items():
     unhealthy = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]

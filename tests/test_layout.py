@@ -2,6 +2,7 @@
 
 import ast
 import sys
+from functools import cache
 from pathlib import Path
 
 import facetrack_cli
@@ -45,7 +46,11 @@ def imports(source):
 
 
 FILES = {path.relative_to(PACKAGE): path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
-IMPORTS = [(path, *one) for path, text in FILES.items() for one in imports(text)]
+
+
+@cache
+def every_import():
+    return [(path, *one) for path, text in FILES.items() for one in imports(text)]
 
 
 def room_of(module):
@@ -78,34 +83,34 @@ def test_imports_between_rooms_point_down():
         room, other = path.parts[0], room_of(module)
         return len(path.parts) == 1 or not other or other in (room, *ROOMS[room].split())
 
-    assert not wrong(allowed, IMPORTS)
+    assert not wrong(allowed, every_import())
 
 
 def test_kernels_take_arrays_and_know_nothing_else():
     libraries = {"numba", "numpy", *sys.stdlib_module_names}
-    kernels = [one for one in IMPORTS if one[0].parts[:2] == ("tracking", "kernels")]
+    kernels = [one for one in every_import() if one[0].parts[:2] == ("tracking", "kernels")]
     ours = "facetrack_cli.tracking.kernels."
     assert kernels
     assert not wrong(lambda _, module: module.startswith(ours) or module.split(".")[0] in libraries, kernels)
 
 
 def test_filters_and_likelihoods_never_meet():
-    filters = [one for one in IMPORTS if one[0].stem == "filters"]
+    filters = [one for one in every_import() if one[0].stem == "filters"]
     assert filters
     assert not wrong(lambda _, module: module != "cv2" and "likelihoods" not in module, filters)
-    likelihoods = [one for one in IMPORTS if "likelihoods" in one[0].parts]
+    likelihoods = [one for one in every_import() if "likelihoods" in one[0].parts]
     assert not wrong(lambda _, module: not module.endswith(".filters"), likelihoods)
 
 
 def test_recipes_know_no_numerics():
-    recipes = [one for one in IMPORTS if one[0].parts[0] == "recipe"]
+    recipes = [one for one in every_import() if one[0].parts[0] == "recipe"]
     assert not wrong(lambda _, module: module.split(".")[0] not in NUMERICS, recipes)
     light = {"facetrack_cli.core.errors", "facetrack_cli.core.shipped", "facetrack_cli.core.yaml_tree"}
     assert not wrong(lambda _, module: room_of(module) != "core" or module in light, recipes)
 
 
 def test_commands_are_imported_by_the_lazy_loader_alone():
-    assert not wrong(lambda _, module: not module.startswith("facetrack_cli.cli.commands"), IMPORTS)
+    assert not wrong(lambda _, module: not module.startswith("facetrack_cli.cli.commands"), every_import())
 
 
 def test_what_help_needs_is_light():
@@ -124,7 +129,7 @@ def test_what_help_needs_is_light():
         "facetrack_cli." + name.removesuffix("/__init__.py").removesuffix(".py").replace("/", ".") for name in needed
     }
     allowed |= {"facetrack_cli.cli"}
-    those = [one for one in IMPORTS if one[0].as_posix() in needed and one[3]]
+    those = [one for one in every_import() if one[0].as_posix() in needed and one[3]]
     assert not wrong(
         lambda _, module: module in allowed or module.split(".")[0] in {*sys.stdlib_module_names, "click"}, those
     )

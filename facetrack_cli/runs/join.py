@@ -18,6 +18,7 @@ from facetrack_cli.runs.outputs import Outputs
 from facetrack_cli.runs.plan import FILE, Plan, read_plan
 from facetrack_cli.runs.seams import Seam, meet, renamed
 from facetrack_cli.runs.signals import Stop, StoppedError
+from facetrack_cli.runs.verdict import Watch
 from facetrack_cli.trajectory.manifest import read_manifest
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
@@ -132,6 +133,7 @@ def join(job: Job, outputs: Outputs, stop: Stop, report: Report = silent) -> Out
     assert job.out is not None and job.split is not None
     plan, done = read_plan(job.out / PIECES / FILE)[1], Outcome(job.clip)
     found, began = _Survey(job, plan), time.perf_counter()
+    watch = replace(Watch.of(job.recipe, plan.start), detector=None)  # it has looked at the pieces as they were tracked
     last = found.parts[-1].stop
     more: dict[str, object] = {"split": job.split.record(), "pieces": found.pieces}
     if found.seams:
@@ -147,6 +149,8 @@ def join(job: Job, outputs: Outputs, stop: Stop, report: Report = silent) -> Out
                 raise StoppedError
             outputs.write(rows)
             _count(done, rows)
+            for frame in rows.frames.tolist():
+                watch.take(rows.at(frame))
             report(done.frames, None)
             yield rows
 
@@ -183,6 +187,7 @@ def join(job: Job, outputs: Outputs, stop: Stop, report: Report = silent) -> Out
         error = error or InputError(found.warnings[-1])
     done.error = error or outputs.missing
     done.files, done.note = outputs.written, plan.start.note
+    done.verdict, done.doubtful = watch.line(), bool(watch.doubts())
     done.warnings = outputs.told(footer, done.error)
     done.frames_per_s = (done.frames - 1) / max(time.perf_counter() - began, 1e-9)
     done.complete = footer.complete and error is None

@@ -62,10 +62,16 @@ class Watch:
         return self if stored is None else replace(stored, start=self.start, detector=self.detector)
 
     def count(self, result: FrameResult) -> None:
-        """Take in one more frame."""
-        rows, index = result.rows, result.frame.index
+        """Take in one more frame, and look at every few."""
+        self.take(result.rows)
+        if self.detector is not None and self.frames % EVERY == 0 and not (result.rows.status == "lost").all():
+            self._look(result)
+
+    def take(self, rows: Trajectory) -> None:
+        """Take in the rows of one more frame."""
+        index = int(rows.frame[0])
         if not self.frames:
-            self.first = index, result.frame.time_s
+            self.first = index, float(rows.time_s[0])
         self.frames += 1
         self.several |= len(rows) > 1
         gone = rows.status == "lost"
@@ -80,8 +86,6 @@ class Watch:
             self.judged, self.sure = self.judged + 1, self.sure + mean
             if not gone.any():
                 self.least = min(self.least, (mean, index))
-        if self.detector is not None and self.frames % EVERY == 0 and not gone.all():
-            self._look(result)
 
     def line(self) -> str:
         """The verdict in one line."""

@@ -84,6 +84,8 @@ def test_pieces_are_tracked_and_joined(facetrack, clips, tmp_path):
         assert {line.rstrip(",") for line in rows[first:stop]} <= there
     whole, joined = read_trajectory(work / "whole"), read_trajectory(out)
     assert np.array_equal(whole.frame, joined.frame)
+    lost = len(np.unique(joined.frame[joined.status == "lost"]))
+    assert f"some part called lost in {lost} of 275 frames; begins in frame 0" in err
     assert np.array_equal(whole.time_s, joined.time_s)
     assert np.hypot(whole.x - joined.x, whole.y - joined.y).mean() < 2.5
     # and again
