@@ -1,11 +1,14 @@
-"""Points of faces on clips that nobody tuned on, from the start that a run finds by itself: docs/face.md.
+"""Points of faces on clips that nobody tuned on: docs/face.md.
 
     python benchmarks/face.py clips/*/ --config face --config factorized --init haar --seeds 10
+    python benchmarks/face.py clips/*/ --config face --init haar --start box
     python benchmarks/face.py rendered/*.mp4 --config face --config factorized_robust --seeds 3
 
 A clip is a folder with reference_points.csv (frame, part, x, y, score, unit: another detector's points, unit the
-distance between the eyes) and a video or img/; or a video with ground truth of points and an init file beside it. Of
-the former, over all frames with a reference, a frame without a row counting as off and lost:
+distance between the eyes) and a video or img/; or a video with ground truth of points and an init file beside it. The
+former begin where the run itself finds a face; or, by --start, with the first box of their groundtruth.csv, or with
+what the search finds given as in an init file. Of them, over all frames with a reference, a frame without a row
+counting as off and lost:
 
     .35, .2      share of frames with all points within .35, and within .2, of the distance between the eyes
     off, lost    of points that are off by more than .35, those called lost
@@ -29,6 +32,7 @@ import argparse
 import csv
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,11 +41,16 @@ import numpy as np
 from boxes import clip_in
 
 from facetrack_cli.core.errors import FacetrackError
-from facetrack_cli.core.types import Array, Mask
+from facetrack_cli.core.types import Array, Mask, Start, TargetStart
+from facetrack_cli.recipe.face import DetectorName
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.seeds import variant
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.start import read_init
+from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 
@@ -62,14 +71,27 @@ class Points(NamedTuple):
     gone: Mask
 
 
-def run(clip: Path, config: str, init: str | None, seed: int) -> Points:
+def start_of(clip: Path, recipe: Recipe, by: DetectorName | None, how: str) -> Start:
+    """Where a clip of `clips` begins: as it is found, or told by a box, or by an init file."""
+    if how == "box":
+        truth = read_truth(clip / "groundtruth.csv")
+        left, top, width, height = truth.boxes[0].tolist()
+        target = TargetStart((left, top, width, height))
+        given = Start(int(truth.frame[0]), {"face": target}, "--box", detector=detector(by).name)
+        return Begin(clip_in(clip), init=given).find(recipe)
+    found = Begin(clip_in(clip), init=by).find(recipe)
+    return found if how == "found" else replace(found, origin="a file", detector=found.origin)
+
+
+def run(clip: Path, config: str, init: DetectorName | None, how: str, seed: int) -> Points:
     cv2.setNumThreads(1)
     name, overrides = variant(config)
     recipe = load_recipe(name, overrides)
     if (clip / REFERENCE).exists():
-        return against_reference(track_video(clip_in(clip), recipe, init=init, seed=seed), clip / REFERENCE)
-    start = read_init(clip.with_suffix(".init.yaml"))
+        start = start_of(clip, recipe, init, how)
+        return against_reference(track_video(clip_in(clip), recipe, init=start, seed=seed), clip / REFERENCE)
     truth = read_trajectory(clip.with_suffix(".truth.csv"))
+    start = replace(read_init(clip.with_suffix(".init.yaml")), detector=detector(init).name)
     return against_truth(track_video(clip, recipe, init=start, seed=seed), truth)
 
 
@@ -142,14 +164,16 @@ def mean(values: Array | Mask) -> float:
     return float(np.mean(values)) if values.size else float("nan")
 
 
-def table(clips: Sequence[Path], configs: Sequence[str], init: str | None, seeds: int, jobs: int) -> None:
+def table(
+    clips: Sequence[Path], configs: Sequence[str], init: DetectorName | None, how: str, seeds: int, jobs: int
+) -> None:
     referred = (clips[0] / REFERENCE).exists()
     figures, names = (reference_figures, NAMES) if referred else (true_figures, TRUE_NAMES)
     columns = [*([clip.name for clip in clips] if len(clips) <= 8 else []), *names]
     print(f"| | {' | '.join(columns)} |\n{'|---' * (len(columns) + 1)}|")
     with ProcessPoolExecutor(jobs) as pool:
         waiting = [
-            (config, [[pool.submit(run, clip, config, init, seed) for seed in range(seeds)] for clip in clips])
+            (config, [[pool.submit(run, clip, config, init, how, seed) for seed in range(seeds)] for clip in clips])
             for config in configs
         ]
         for config, of_clips in waiting:
@@ -167,11 +191,12 @@ def main() -> None:
     parser.add_argument("clips", nargs="+", type=Path)
     parser.add_argument("--config", action="append", required=True, metavar="RECIPE[:key=value,...]")
     parser.add_argument("--init", choices=("haar", "yunet"), help="what finds the start [default: what is installed]")
+    parser.add_argument("--start", choices=("found", "box", "file"), default="found", help="[default: found]")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
     try:
-        table(args.clips, args.config, args.init, args.seeds, args.jobs)
+        table(args.clips, args.config, args.init, args.start, args.seeds, args.jobs)
     except FacetrackError as e:
         raise SystemExit(f"face.py: {e}") from None
 

@@ -165,7 +165,8 @@ class Correction:
 class Start:
     """Where a track begins: the source frame, each target, and the origin of both (a file's path, "haar", "--box").
 
-    `note` says to the user what a search took, and why.
+    `note` says to the user what a search took, and why. `detector`: what measures faces after a start that no detector
+    found, "" for the Haar cascades; `placed`: whether it has placed the points in a box that was given.
     `corrections` are in the order of their frames, all after `frame`; no target has two in one frame.
     """
 
@@ -174,3 +175,5 @@ class Start:
     origin: str
     corrections: tuple[Correction, ...] = ()
     note: str = ""
+    detector: str = ""
+    placed: bool = False

@@ -29,7 +29,8 @@ class Detections(Section):
     every: Annotated[int, Field(ge=1, le=1000), FRAMES] = 3
     """Frames from one look for the face to the next; while it is lost, the whole frame is searched as often."""
     by: DetectorName | Literal["auto"] = "auto"
-    """OpenCV's Haar cascades or YuNet (of the extra `detect`); auto: what found the start, else the cascades."""
+    """OpenCV's Haar cascades or YuNet (of the extra `detect`); auto: what found the start, else the better one
+    that is installed."""
 
 
 class Head(Section):

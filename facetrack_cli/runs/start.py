@@ -84,7 +84,10 @@ class Begin:
                 "change --start or --stop, or begin elsewhere with --init or --box"
             )
         if start is not None:
-            return completed(recipe, replace(start, frame=at), lambda: self.frame(at, origin), str(self.clip))
+            if start.origin not in DETECTORS and any(one.head is not None for one in recipe.filters.values()):
+                start = replace(start, detector=start.detector or detector().name)
+            start = replace(start, frame=at)
+            return completed(recipe, start, lambda: self.frame(at, origin), str(self.clip))
         with self.open(at) as source:
             by = next((name for name in DETECTORS if name == self.init), None)
             frames = _counted(frames_of(source, at, origin, stopped), source, looked)
@@ -146,8 +149,8 @@ def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: st
     if len(start.targets) > 1 or given.points or given.box is None or not recipe.points:
         return start
     said_in = clip if start.origin == "--box" else start.origin
-    [found] = box_start(first(), given.box, recipe.points, clip=said_in).targets.values()
-    return replace(start, targets={name: replace(found, windows=given.windows)})
+    [found] = box_start(first(), given.box, recipe.points, by=start.detector, clip=said_in).targets.values()
+    return replace(start, targets={name: replace(found, windows=given.windows)}, placed=start.detector != "")
 
 
 def search(

@@ -64,11 +64,14 @@ class StartRecord(BaseModel):
     frame: FrameNumber
     targets: dict[str, TargetRecord]
     corrections: tuple[CorrectionRecord, ...] = ()
+    detector: Literal["", "haar", "yunet"] = ""
+    placed: bool = False
 
     def start_from(self, origin: str) -> Start:
         """The start; `origin` is what said so."""
         corrections = tuple(one.correction(one.frame, one.target) for one in self.corrections)
-        return Start(self.frame, {name: one.target() for name, one in self.targets.items()}, origin, corrections)
+        targets = {name: one.target() for name, one in self.targets.items()}
+        return Start(self.frame, targets, origin, corrections, detector=self.detector, placed=self.placed)
 
 
 def to_record(start: Start) -> dict[str, Any]:
@@ -76,7 +79,8 @@ def to_record(start: Start) -> dict[str, Any]:
     targets = {}
     for name, one in start.targets.items():
         targets[name] = _members(box=one.box, points=dict(one.points), windows=dict(one.windows))
-    return {"frame": start.frame, "targets": targets, **corrections_record(start.corrections)}
+    measured = _members(detector=start.detector, placed=start.placed)
+    return {"frame": start.frame, "targets": targets, **measured, **corrections_record(start.corrections)}
 
 
 def corrections_record(corrections: Sequence[Correction]) -> dict[str, Any]:

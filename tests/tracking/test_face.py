@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,12 +11,14 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.face.registration import Registration
 from facetrack_cli.tracking.face.still import BOX as STILL_BOX
 from facetrack_cli.tracking.face.still import EYES, FACE, MIDDLE, SIDE, Similarity, turn_between
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start import detectors
+from facetrack_cli.tracking.start import detectors, write_init
+from facetrack_cli.trajectory.header import StartRecord, to_record
 from tests.support import moving_face as moving
 from tests.support.moving_face import PARTS, Pose
 
@@ -253,6 +256,28 @@ def test_a_detector_measures_the_points_of_the_still_face(detector):
     assert face.box[2] == pytest.approx(pose.side, rel=0.25)
     assert np.array(face.box[:2]) + np.array(face.box[2:]) / 2 == pytest.approx((pose.x, pose.y), abs=0.2 * pose.side)
     assert pytest.approx(0.363 * FACE) == EYES
+
+
+def test_the_detector_is_that_of_the_start_and_else_the_better_one(tmp_path):
+    """What a file or a box begins names it, so that corrections and the same start elsewhere keep to it."""
+    best, recipe = detectors.detector().name, load_recipe("face")
+    pose = Pose(160, 120, 90)
+    clip = tmp_path / "clip"
+    clip.mkdir()
+    for i, frame in enumerate(moving.clip([pose] * 3)):
+        cv2.imwrite(str(clip / f"{i}.png"), frame.bgr)
+    write_init(tmp_path / "clip.init.yaml", moving.start(pose))
+    by_file = Begin(clip).find(recipe)
+    by_box = Begin(clip, box=(115, 75, 90, 90)).find(recipe)
+    assert (by_file.detector, by_file.placed, by_box.detector, by_box.placed) == (best, False, best, True)
+    assert Begin(clip).find(load_recipe("factorized")).detector == ""
+    for start in (by_file, by_box):
+        again = StartRecord.model_validate(to_record(start)).start_from(start.origin)
+        assert again == start
+    of_others = replace(by_file, detector="haar"), replace(by_file, detector=""), replace(by_box, origin="haar")
+    built = [build_tracker(recipe, start)[0] for start in (by_file, by_box, *of_others)]
+    assert [one.detector.name for one in built] == [best, best, "haar", "haar", "haar"]
+    assert [one.searched for one in built] == [False, True, False, False, True]
 
 
 def test_what_is_not_installed_is_refused(monkeypatch):

@@ -387,18 +387,20 @@ def test_only_five_parts_can_be_placed(face):
         box_start(face[0], (0, 0, 50, 50), ["chin"])
 
 
-def test_a_box_drawn_by_hand_need_not_be_exact(face):
+@pytest.mark.parametrize("by", ["haar", None])
+def test_a_box_drawn_by_hand_need_not_be_exact(face, by):
     frame, truth = face
     x, y, w, h = find_faces(frame.bgr)[0]
     drawn = (x + 0.08 * w, y - 0.1 * h, 0.9 * w, 1.2 * h)
-    start = box_start(frame, drawn)
+    start = box_start(frame, drawn, by=by)
     assert start.targets["face"].box == drawn and start.origin == "--box"
     assert np.mean(errors_in_mouth_widths(start, truth)) < 0.12
 
 
-def test_a_box_stands_in_for_a_face_that_no_cascade_sees():
+@pytest.mark.parametrize("by", ["haar", None])
+def test_a_box_stands_in_for_a_face_that_no_detector_sees(by):
     frame = Frame(3, 0.1, np.full((200, 200, 3), 100, np.uint8))
-    points = box_start(frame, (40, 40, 100, 120)).targets["face"].points
+    points = box_start(frame, (40, 40, 100, 120), by=by).targets["face"].points
     (left, _), (right, _) = mean_eyes((40, 40, 100, 120))
     assert points["mouth_left"][0] == pytest.approx((left + right) / 2 - HALF_WIDTH[0] * (right - left), abs=2)
     assert 40 < points["nose"][1] < points["lip_upper"][1] < points["lip_lower"][1] < 160

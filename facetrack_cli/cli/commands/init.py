@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Init:
     """Write where the track of a clip begins, as a file to edit.
 
-    INPUT is a video or a folder of images. The first face that the Haar cascades find, and five points of it (nose,
+    INPUT is a video or a folder of images. The first face that is found, and five points of it (nose,
     corners of the mouth, lips), become an init file, which `facetrack run` takes from beside the clip. Nothing that is
     there already is replaced without --overwrite.
 

@@ -17,9 +17,9 @@ from facetrack_cli.core.geometry import inside
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.tracking.start import PARTS, box_start, name_targets
-from facetrack_cli.tracking.start.haar import NotHereError, find_faces
+from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.tracking.start.haar import NotHereError
 from facetrack_cli.tracking.start.init_file import NAME, TARGET
-from facetrack_cli.tracking.start.points import place
 from facetrack_cli.trajectory.header import FrameNumber, Pixels, Side
 from facetrack_cli.video.seek import Cache, Frames
 
@@ -165,11 +165,12 @@ class Proposer:
     def _find(self, index: int) -> Json:
         frame = self._frames.read(index)
         notes, proposals = [], []
-        for number, box in enumerate(find_faces(frame.bgr)[:MOST_FACES], start=1):
-            placed = place(frame.bgr, box) if self._points else {}
-            points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
+        for number, found in enumerate(detector().find(frame)[:MOST_FACES], start=1):
+            points = {part: (round(found.points[part][0], 2), round(found.points[part][1], 2)) for part in self._points}
             visible = {part: at for part, at in points.items() if inside(at, frame.size)}
-            start, note = self._complete(frame, Start(index, {TARGET: TargetStart(box, visible)}, "the face found"))
+            start, note = self._complete(
+                frame, Start(index, {TARGET: TargetStart(found.box, visible)}, "the face found")
+            )
             targets = {name: {"box": one.box, "points": one.points} for name, one in start.targets.items()}
             proposals.append({"label": f"face {number}", "targets": targets})
             notes.append(note)

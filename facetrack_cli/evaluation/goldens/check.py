@@ -4,7 +4,7 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeAlias
@@ -276,6 +276,7 @@ def update(
         _check_runs_here(recipe)
         last = known.stop if known is not None and not configs and stop is None else stop
         start = Begin(clip, stop=last).find(recipe, stopped=stopped or Stop())
+        start = replace(start, detector="", placed=False)  # the cascades are there wherever goldens are checked
         boxed = all(target.box for target in start.targets.values())
         missing = [part for part in recipe.points if any(part not in one.points for one in start.targets.values())]
         why = ""

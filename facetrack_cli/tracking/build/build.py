@@ -9,12 +9,13 @@ from facetrack_cli.recipe.affine import PatchLikelihood
 from facetrack_cli.recipe.load import in_frames
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, above
 from facetrack_cli.tracking import opencv
-from facetrack_cli.tracking.build.targets import box_with, face_target, particle_target
+from facetrack_cli.tracking.build.targets import box_with, detector_of, face_target, particle_target
 from facetrack_cli.tracking.corrected import Anew, CorrectedTarget, is_complete, spoken
 from facetrack_cli.tracking.loop import Target, Tracker
 from facetrack_cli.tracking.models.likelihoods.recognition import find_gallery
+from facetrack_cli.tracking.start.box import box_start
 from facetrack_cli.tracking.start.checks import box_of, check_size, check_start, check_windows
-from facetrack_cli.tracking.start.haar import PARTS, box_start
+from facetrack_cli.tracking.start.haar import PARTS
 from facetrack_cli.tracking.start.init_file import TARGET as FACE
 
 
@@ -89,7 +90,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         assert one.given.box is not None
         said_in = f"{start.origin}: the correction of {one.target} at frame {frame.index}"
         seen = [part for part in spoken(target.parts) if part not in one.hidden(target.parts)]
-        return box_start(frame, one.given.box, seen, clip=said_in).targets[FACE]
+        return box_start(frame, one.given.box, seen, by=detector_of(start), clip=said_in).targets[FACE]
 
     def build(frame: Frame, given: TargetStart) -> Target:
         if points and given.box is None:

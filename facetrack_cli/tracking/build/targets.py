@@ -7,7 +7,7 @@ import numpy as np
 
 from facetrack_cli.core.geometry import centre, size_of_points
 from facetrack_cli.core.types import BOX, Box, Start, TargetStart
-from facetrack_cli.recipe.face import DETECTORS, Detections, Head
+from facetrack_cli.recipe.face import DETECTORS, Head
 from facetrack_cli.recipe.files import resolve_file
 from facetrack_cli.recipe.model import Confidence, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.tracking.calibration import Calibration, load_calibration
@@ -50,6 +50,7 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
     windows = {part: (w / similarity.scale, h / similarity.scale) for part, (w, h) in begun.windows.items()}
     inside = TargetStart(None, {part: (x, y) for part, (x, y) in at.items()}, windows)
     judged = Confidence(lost_below=head.lost_below, patience=1)
+    by = None if head.detections is None else head.detections.by
     alone = ParticleFilter.model_construct(
         target=head.target, motion=head.motion, likelihood=head.likelihood, filter=head.filter, confidence=judged
     )
@@ -60,8 +61,8 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
         features=replace(particle_target(recipe, key, given, still, name), exclusion=None, calibration=None),
         settings=head,
         side=side,
-        detector=None if head.detections is None else detector(_detector(head.detections, start)),
-        searched=start.origin in DETECTORS,
+        detector=None if by is None else detector(detector_of(start) if by == "auto" else by),
+        searched=start.placed or start.origin in DETECTORS,
         calibration=_calibration(recipe, key, given),
     )
 
@@ -73,11 +74,9 @@ def _calibration(recipe: Recipe, key: str, given: ParticleFilter) -> Calibration
     return load_calibration(resolve_file(recipe, name, f"{above(key)}confidence.calibration"))
 
 
-def _detector(detections: Detections, start: Start) -> str:
-    """The name of the detector: with `auto`, so that a start gives the same track wherever it is, that of the start."""
-    if detections.by != "auto":
-        return detections.by
-    return start.origin if start.origin in DETECTORS else DETECTORS[0]
+def detector_of(start: Start) -> str:
+    """The name of the detector that measures faces: what found the start, or what it names."""
+    return start.origin if start.origin in DETECTORS else start.detector or DETECTORS[0]
 
 
 def box_with(given: TargetStart, begun: TargetStart) -> Box | None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point, factor_for
-from facetrack_cli.tracking.start.haar import LONGEST, find_faces, nearest
+from facetrack_cli.tracking.start.haar import LONGEST, face_in, find_faces, nearest
 from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, lips_of, place, place_upright
 
 MODEL: Final = "face_detection_yunet_2023mar.onnx"
@@ -48,6 +48,9 @@ class Detector(Protocol):
     def measure(self, image: Image, box: Box) -> Found | None:
         """The upright face that about fills `box` of a small image; None if none is seen there."""
 
+    def place(self, image: Image, box: Box) -> Mapping[str, Point]:
+        """The five points of the face that somebody drew `box` (BGR image) around, whether it is seen or not."""
+
     def marks(self, image: Image, box: Box) -> Array | None:
         """Marks (M, 2) of the face that about fills `box`, which turn with it by TILT of its tilt; None if unseen."""
 
@@ -62,6 +65,9 @@ class Haar:
     def measure(self, image: Image, box: Box) -> Found | None:
         face = nearest(image, box)
         return None if face is None else Found(face, place_upright(image, face))
+
+    def place(self, image: Image, box: Box) -> Mapping[str, Point]:
+        return place(image, face_in(image, box) or box)
 
     def marks(self, image: Image, box: Box) -> None:
         """The cascades say nothing of a tilt: their points are placed in an upright box."""
@@ -90,6 +96,15 @@ class YuNet:
         found = [self._found(image, (row[4:14].reshape(5, 2) + 0.5) / k - 0.5) for row in rows]
         best = max(found, key=lambda one: overlap(one.box, box), default=None)
         return None if best is None or overlap(best.box, box) < SAME else best
+
+    def place(self, image: Image, box: Box) -> Mapping[str, Point]:
+        (x, y, w, h), side = box, max(box[2:])
+        left, top = max(int(x - 0.5 * side), 0), max(int(y - 0.5 * side), 0)
+        near = image[top : int(y + h + 0.5 * side) + 1, left : int(x + w + 0.5 * side) + 1]
+        found = self.measure(near, (x - left, y - top, w, h))
+        if found is None:
+            return Haar().place(image, box)
+        return {name: (u + left, v + top) for name, (u, v) in found.points.items()}
 
     def marks(self, image: Image, box: Box) -> Array | None:
         rows = self._detect(image)

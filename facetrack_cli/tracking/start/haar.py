@@ -5,51 +5,25 @@ must be confirmed by one of two others, which leaves few false detections.
 """
 
 from collections.abc import Sequence
-from math import isfinite
 from typing import Final
 
 import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.geometry import centre, inside, overlap
-from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
-from facetrack_cli.tracking.start.points import cascade, place
+from facetrack_cli.core.geometry import overlap
+from facetrack_cli.core.types import Box, Image
+from facetrack_cli.tracking.start.points import cascade
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 """What can be placed; left and right as seen in the image."""
 LONGEST, SHORTEST = 640, 320  # bounds in pixels of the longer side of the image that is searched
 SMALLEST: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
 CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usual clips, 12 if hardly visible
-_ALL_OF_IT: Final = "draw it from the brows to the chin"
 
 
 class NotHereError(InputError):
     """A frame lacks what a start needs; a later one may have it."""
-
-
-def box_start(frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, clip: str = "the clip") -> Start:
-    """The start in a frame where the face's box (left, top, width, height; pixels) is known.
-
-    The parts are placed in the face that a cascade sees in the box, else in the box. InputError for a wrong box.
-    """
-    check_parts(parts)
-    size = f"the frame of {frame.size[0]}x{frame.size[1]} pixels"
-    if not all(map(isfinite, box)) or min(box[2:]) <= 0:
-        wrong = "has no area; give left, top, width and height in pixels"
-    elif min(box[2:]) < 2:
-        wrong = f"is smaller than 2 pixels; {_ALL_OF_IT}"
-    elif max(box[2] / frame.size[0], box[3] / frame.size[1]) > 2:
-        wrong = f"is far larger than {size}; {_ALL_OF_IT}"
-    elif not inside(centre(box), frame.size):
-        wrong = f"is not in {size}; give left, top, width and height in pixels of the frame"
-    else:
-        points = place(frame.bgr, _face_in(frame.bgr, box) or box)
-        outside = [part for part in parts if not inside(points[part], frame.size)]
-        if not outside:
-            return _start(frame, box, points, parts, "--box")
-        wrong = f"would put {', '.join(outside)} outside the frame; {_ALL_OF_IT}, or give the points with --init FILE"
-    raise InputError(f"{clip}: the box {','.join(f'{value:g}' for value in box)} {wrong}")
 
 
 def check_parts(parts: Sequence[str]) -> None:
@@ -100,7 +74,7 @@ def nearest(image: Image, box: Box) -> Box | None:
     return best if best is not None and overlap(best, box) >= 0.4 else None
 
 
-def _face_in(image: Image, box: Box) -> Box | None:
+def face_in(image: Image, box: Box) -> Box | None:
     """The face that fits a hand-drawn box best, if a cascade sees one."""
     x, y, w, h = box
     left, top = max(int(x - 0.4 * w), 0), max(int(y - 0.4 * h), 0)
@@ -115,9 +89,3 @@ def _face_in(image: Image, box: Box) -> Box | None:
     ]
     best = max(faces, key=lambda face: (overlap(face, box), face), default=None)
     return best if best is not None and overlap(best, box) > 0.35 else None
-
-
-def _start(frame: Frame, box: Box, points: dict[str, Point], parts: Sequence[str], origin: str) -> Start:
-    # to 0.01 px, as in an init file: a run from that file begins in the same place
-    placed = {part: (round(points[part][0], 2), round(points[part][1], 2)) for part in parts}
-    return Start(frame.index, {"face": TargetStart(box=box, points=placed)}, origin)

@@ -52,7 +52,12 @@ _FORMS: Final = {
     "absent": "[nose], or absent: true",
     "learn": "true or learn: false",
 }
-_HOW: Final = {"haar": "found by Haar cascades", "--box": "placed in the box given", "the page": "picked on the page"}
+_HOW: Final = {
+    "haar": "found by Haar cascades",
+    "yunet": "found by YuNet",
+    "--box": "placed in the box given",
+    "the page": "picked on the page",
+}
 WHAT_PARTS_ARE: Final = {
     "nose": "the tip of the nose",
     "mouth_left": "the corner of the mouth on the picture's left",
