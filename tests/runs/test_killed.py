@@ -122,9 +122,13 @@ def test_a_recovery_that_is_killed_is_made_again(clip, tmp_path, monkeypatch, mo
     def commit(*_):
         raise SystemExit
 
+    def left(claim, *_):
+        claim._ended.set()  # or its signs of life go to whatever file has this number next
+        os.close(claim._file)
+
     monkeypatch.setattr(module, "_close", torn)
     monkeypatch.setattr(module, "commit", commit)
-    monkeypatch.setattr(module.Claim, "__exit__", lambda self, *_: os.close(self._file))
+    monkeypatch.setattr(module.Claim, "__exit__", left)
     with pytest.raises(SystemExit):
         settle(tmp_path)
     monkeypatch.undo()
