@@ -5,16 +5,18 @@
     FACETRACK_CLIPS=../clips python tools/calibrations.py -j 2       # with the real clips in that folder
 
 Each recipe is fitted to rendered clips (benchmarks/rendered.py, seeds 0 to 3 of each kind, in --clips), to the
-sample clips that it has goldens of, and, if it follows boxes, to the real clips of $FACETRACK_CLIPS: folders with a
-groundtruth.csv and a video or images. For each it prints the calibration error and Brier score on clips left out, raw
-and calibrated. Clips that are rendered, and recipes that have a file, are left as they are, so that it may be
-interrupted. A clip that a recipe cannot run on is named and left out, and so is a recipe with fewer than two clips.
+sample clips that it has goldens of, and to the real clips of $FACETRACK_CLIPS: folders with a groundtruth.csv of a box
+and a video or images. Their points are those of reference_points.csv (benchmarks/face.py). For each it prints the
+calibration error and Brier score on clips left out, raw and calibrated. Clips that are rendered, and recipes that have
+a file, are left as they are, so that it may be interrupted. A clip that a recipe cannot run on is named and left out,
+and so is a recipe with fewer than two clips.
 Rendering needs the `samples` extra.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import os
 import subprocess
 import sys
@@ -31,12 +33,14 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 from boxes import clip_in
 
 from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.types import BOX
 from facetrack_cli.evaluation.experiments import calibrate
 from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ROOT / "sample_videos"
@@ -65,8 +69,24 @@ def clips_of(recipe: Recipe, rendered: Sequence[Path]) -> list[Path]:
     """The clips that the recipe is made for."""
     goldens = sorted((SAMPLES / "goldens").glob(f"*.{recipe.name}.json"))
     samples = [SAMPLES / f"{golden.name.partition('.')[0]}.mp4" for golden in goldens]
-    boxes = not recipe.points or any(one.head is not None for one in recipe.filters.values())
-    return samples if len(recipe.followed) > 1 else [*rendered, *samples, *(real() if boxes else [])]
+    return samples if len(recipe.followed) > 1 else [*rendered, *samples, *real()]
+
+
+def truth_of(clip: Path, recipe: Recipe) -> Trajectory:
+    """The ground truth of a clip, with the points of another detector where it has boxes alone."""
+    path = default_truth(clip)
+    reference, truth = path.with_name("reference_points.csv"), read_truth(path)
+    if not recipe.points or not reference.is_file():
+        return truth
+    lines = ["frame,target,part,x,y,w,h"]
+    for frame, x, y, w, h in zip(truth.frame, truth.x, truth.y, truth.w, truth.h, strict=True):
+        lines.append(f"{frame},face,{BOX},{x},{y},{w},{h}")
+    with reference.open(encoding="utf-8") as file:
+        lines += [f"{row['frame']},face,{row['part']},{row['x']},{row['y']},," for row in csv.DictReader(file)]
+    with tempfile.TemporaryDirectory() as folder:
+        both = Path(folder) / path.name
+        both.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return read_truth(both)
 
 
 def fit(recipe: Recipe, clips: Sequence[Path], seeds: int, workers: int) -> calibrate.Calibrated:
@@ -75,7 +95,7 @@ def fit(recipe: Recipe, clips: Sequence[Path], seeds: int, workers: int) -> cali
     def left_out(clip: Path, error: FacetrackError) -> None:
         print(f"{recipe.name}: {clip.name} is left out: {error}", file=sys.stderr, flush=True)
 
-    given = [(clip, read_truth(default_truth(clip))) for clip in clips]
+    given = [(clip, truth_of(clip, recipe)) for clip in clips]
     found = calibrate.run(recipe, given, seeds, workers=workers, failed=left_out)
     assert found is not None
     return found
