@@ -86,7 +86,7 @@ class Begin:
         if start is not None:
             if start.origin not in DETECTORS and any(one.head is not None for one in recipe.filters.values()):
                 start = replace(start, detector=start.detector or detector().name)
-            start = replace(start, frame=at)
+            start = replace(start, frame=at, placed=start.placed and start.frame == at)
             return completed(recipe, start, lambda: self.frame(at, origin), str(self.clip))
         with self.open(at) as source:
             by = next((name for name in DETECTORS if name == self.init), None)

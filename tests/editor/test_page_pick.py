@@ -318,6 +318,33 @@ def test_a_box_to_begin_with_has_its_points(clips):
         pass
 
 
+def test_the_file_says_which_detector_has_placed_what_nobody_moved(clips, tmp_path):
+    def saved(change=None, **more):
+        out = tmp_path / "a.init.yaml"
+        out.unlink(missing_ok=True)
+        with picking(clips / "face", out, **more) as (client, _):
+            targets = client.get("api/state").json["draft"]["targets"]
+            if not more:
+                targets = client.get("api/proposals/1").json["proposals"][0]["targets"]
+            if change == "point":
+                targets["face"]["points"]["nose"][0] += 1
+            elif change == "box":
+                targets["face"]["box"][2] += 1
+            assert client.put_draft(1, **targets).status == 200
+            assert client.save().status == 202
+            client.until(lambda state: state["ended"])
+        return read_init(out)
+
+    here = detector().name
+    begun = saved()
+    assert begun.detector == here and begun.placed
+    assert [saved(change).detector for change in ("point", "box")] == ["", ""]
+    assert [saved(change, box=(112, 79, 98, 98), frame=1).detector for change in (None, "point")] == [here, ""]
+    assert [saved(change, begun=begun).detector for change in (None, "point")] == [here, ""]
+    by_hand = replace(begun, detector="", placed=False)
+    assert saved(begun=by_hand).detector == ""
+
+
 def test_what_the_page_cannot_check_is_checked_by_the_engine(clips):
     recipe = load_recipe("contour_histogram")
     draft = Draft(0, {"face": DraftTarget((1, 1, 40, 40))})

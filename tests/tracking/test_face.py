@@ -282,6 +282,29 @@ def test_the_detector_is_that_of_the_start_and_else_the_better_one(tmp_path):
     assert [one.searched for one in built] == [False, True, False, False, True]
 
 
+@pytest.mark.parametrize("box", [None, (115, 75, 90, 90)])
+def test_an_init_file_begins_as_what_it_was_written_from(tmp_path, box):
+    recipe, frames = (
+        load_recipe("face", ["filter.particles=60"]),
+        moving.clip([Pose(160 + 3 * i, 120, 90) for i in range(4)]),
+    )
+    clip = tmp_path / "clip"
+    clip.mkdir()
+    for i, frame in enumerate(frames):
+        cv2.imwrite(str(clip / f"{i}.png"), frame.bgr)
+    found = Begin(clip, box=box).find(recipe)
+    write_init(tmp_path / "clip.init.yaml", found)
+    read = Begin(clip).find(recipe)
+    one, other = (list(track(build_tracker(recipe, start), iter(frames), 0)) for start in (found, read))
+    assert read.origin.endswith("clip.init.yaml")
+    for mine, yours in zip(one, other, strict=True):
+        assert np.array_equal(mine.rows.x, yours.rows.x) and np.array_equal(mine.rows.confidence, yours.rows.confidence)
+    assert (read.detector, read.placed) == (detectors.detector().name, True)
+    assert (
+        not Begin(clip, init=tmp_path / "clip.init.yaml", init_frame=1).find(recipe).placed
+    )  # a face that may have moved
+
+
 def test_what_is_not_installed_is_refused(monkeypatch):
     monkeypatch.setattr(detectors, "yunet_model", lambda: None)
     assert detectors.detector().name == "haar"

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
 from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.tracking.start import PARTS, box_start, check_start, find_init, read_init, search_start, write_init
 from facetrack_cli.tracking.start.haar import find_faces
 from facetrack_cli.tracking.start.points import HALF_WIDTH, MOUTH_Y, TIP_ABOVE_SHADE, mean_eyes, place, read_points
@@ -115,6 +116,13 @@ MISTAKES = {
     "frame true": ("frame: true\nbox: [1, 2, 3, 4]\n", 1, "frame must be a whole number"),
     "no value for frame": ("frame:\nbox: [1, 2, 3, 4]\n", 1, "frame must be a whole number"),
     "huge frame": ("frame: 99999999999\nbox: [1, 2, 3, 4]\n", 1, "frame must be a whole number, from 0 to 1000000000"),
+    "unknown detector": (
+        "frame: 0\nplaced_by: hand\nbox: [1, 2, 3, 4]\n",
+        2,
+        "placed_by names a detector, haar or yunet",
+    ),
+    "no value for placed_by": ("frame: 0\nplaced_by:\nbox: [1, 2, 3, 4]\n", 2, "remove the line if none did"),
+    "misspelt placed_by": ("frame: 0\nplacedby: haar\nbox: [1, 2, 3, 4]\n", 2, 'did you mean "placed_by"'),
     "only a frame": ("frame: 0\n", 1, "neither a box nor points"),
     "nothing in the target": (HEAD + "windows: {nose: [1, 2]}\n", 3, "neither a box nor points of face"),
     "target without value": ("frame: 0\nface:\n", 2, "a target holds box: and points:"),
@@ -211,7 +219,8 @@ def starts(draw):
         box = draw(st.tuples(numbers, numbers, sizes, sizes))
         windows = {part: draw(st.tuples(sizes, sizes)) for part in list(points)[:1]}
         targets[name] = TargetStart(None if points and draw(st.booleans()) else box, points, windows)
-    return Start(draw(st.integers(0, 10**9)), targets, "")
+    by = draw(st.sampled_from(["", *DETECTORS]))
+    return Start(draw(st.integers(0, 10**9)), targets, "", detector=by, placed=by != "")
 
 
 @given(starts(), st.sampled_from(["a.init.yaml", "a.init.json"]))
@@ -221,6 +230,7 @@ def test_what_is_written_is_read_back(tmp_path_factory, start, name):
     again = read_init(path)
     assert again.frame == start.frame
     assert dict(again.targets) == dict(start.targets)
+    assert (again.detector, again.placed) == (start.detector, start.placed)
     if name.endswith(".json"):
         json.loads(path.read_text())
 
@@ -230,11 +240,12 @@ def test_written_files_explain_themselves_and_are_not_replaced_unasked(tmp_path)
     start = Start(12, {"face": TargetStart((1, 2, 30, 40), {"nose": (10.25, 20)})}, "haar")
     write_init(path, start, clip="clip.mp4")
     text = path.read_text()
+    assert "\nplaced_by: haar  # remove this line once you have edited" in text and read_init(path).detector == "haar"
     assert "clip.mp4" in text and "left, top, width, height" in text and "the tip of the nose" in text
     with pytest.raises(OutputError, match="--overwrite"):
         write_init(path, start)
     write_init(path, Start(13, start.targets, ""), overwrite=True)
-    assert read_init(path).frame == 13
+    assert read_init(path).frame == 13 and "placed_by" not in path.read_text()
     assert [file.name for file in tmp_path.iterdir()] == ["clip.init.yaml"]
     with pytest.raises(OutputError, match="cannot be written"):
         write_init(tmp_path / "none" / "a.yaml", start)

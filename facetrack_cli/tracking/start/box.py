@@ -34,11 +34,13 @@ def box_start(
     elif not inside(centre(box), frame.size):
         wrong = f"is not in {size}; give left, top, width and height in pixels of the frame"
     else:
-        points = detector(by).place(frame.bgr, box)
+        look = detector(by)
+        points = look.place(frame.bgr, box)
         outside = [part for part in parts if not inside(points[part], frame.size)]
         if not outside:
             # to 0.01 px, as in an init file: a run from that file begins in the same place
             placed = {part: (round(points[part][0], 2), round(points[part][1], 2)) for part in parts}
-            return Start(frame.index, {"face": TargetStart(box=box, points=placed)}, "--box")
+            target = TargetStart(box=box, points=placed)
+            return Start(frame.index, {"face": target}, "--box", detector=look.name, placed=True)
         wrong = f"would put {', '.join(outside)} outside the frame; {_ALL_OF_IT}, or give the points with --init FILE"
     raise InputError(f"{clip}: the box {','.join(f'{value:g}' for value in box)} {wrong}")

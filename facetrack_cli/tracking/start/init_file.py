@@ -1,6 +1,7 @@
 """Init files: where a track begins, and its corrections, as a YAML or JSON file that people edit.
 
     frame: 0
+    placed_by: yunet                             # optional, the detector that has placed all that follows, or haar
     face:
       box: [100, 60, 80, 80]                     # left, top, width, height
       points: {nose: [141.0, 112.5], mouth_left: [120, 140], lip_upper: [131, 133]}
@@ -32,6 +33,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import write_new
 from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
+from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, whole
@@ -40,6 +42,7 @@ from facetrack_cli.trajectory.reader import MAX_FRAME
 SUFFIXES: Final = (".yaml", ".yml", ".json")
 TARGET: Final = "face"
 KEYS: Final = tuple(TargetRecord.model_fields)
+OF_FILES: Final = ("frame", "placed_by", "corrections")
 OF_CORRECTIONS: Final = tuple(key for key in CorrectedTarget.model_fields if key not in KEYS)
 MOST_TARGETS: Final = 100
 NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
@@ -97,7 +100,8 @@ def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bo
 
 def as_json(start: Start) -> str:
     """As JSON: a line a part of the start, and a line a target of a correction."""
-    members = [f'"frame": {start.frame}']
+    by = placed_by(start)
+    members = [f'"frame": {start.frame}', *([f'"placed_by": "{by}"'] if by else [])]
     for name, target in start.targets.items():
         keys = [] if target.box is None else [f'"box": {_flow(target.box)}']
         for key, pairs in (("points", target.points), ("windows", target.windows)):
@@ -123,6 +127,8 @@ def as_yaml(start: Start, clip: str = "") -> str:
         "# Edit the numbers: pixels of this frame, x to the right, y down; the centre of the first pixel is 0, 0.",
         f"frame: {start.frame}  # counted from 0",
     ]
+    if by := placed_by(start):
+        lines.append(f"placed_by: {by}  # remove this line once you have edited a point or the box")
     for name, target in start.targets.items():
         lines += [f"{_key(name)}:", *_target_lines(target)]
     if start.corrections:
@@ -141,6 +147,11 @@ def as_yaml(start: Start, clip: str = "") -> str:
                 split = isinstance(value, dict) and len(line) > _WIDE
                 lines += [f"    {key}:", *_below(value, 6)] if split else [line]
     return "\n".join(lines) + "\n"
+
+
+def placed_by(start: Start) -> str:
+    """The name of the detector that has placed the points of a start; "" if somebody did by hand."""
+    return start.origin if start.origin in DETECTORS else start.detector if start.placed else ""
 
 
 def _target_lines(target: TargetStart) -> list[str]:
@@ -191,9 +202,10 @@ def read_init(path: Path) -> Start:
         if root is None:
             raise InputError(f"{name}:1: the init file is empty; make one with facetrack init")
         keys = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
-        frame, corrections = _frame(keys, root), keys.pop("corrections", None)
+        frame, by, corrections = _frame(keys, root), _placed_by(keys), keys.pop("corrections", None)
         targets = _targets(keys, root)
-        return Start(frame, targets, name, _corrections(corrections, frame, targets) if corrections else ())
+        corrected = _corrections(corrections, frame, targets) if corrections else ()
+        return Start(frame, targets, name, corrected, detector=by, placed=by != "")
     except FileNotFoundError:
         raise InputError(f"{name}: no such init file; correct the name, or make one with facetrack init") from None
     except IsADirectoryError:
@@ -213,7 +225,7 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
     for key, node in keys.items():
         if key in OF_CORRECTIONS:
             _refuse(node, f'"{key}" is a key of corrections; move it below corrections:', at_key=True)
-        near = get_close_matches(key, ("frame", "corrections", *KEYS), n=1, cutoff=0.7)
+        near = get_close_matches(key, (*OF_FILES, *KEYS), n=1, cutoff=0.7)
         if key not in KEYS if alone else near or not isinstance(node.value, dict) or not NAME.fullmatch(key):
             form = f"keys are {', '.join(KEYS)}" if alone else "a target holds box: and points:, below its name"
             meant = f'did you mean "{near[0]}"?' if near else form
@@ -326,6 +338,14 @@ def _frame(keys: _KEYS, node: Node) -> int:
     if isinstance(at.value, bool) or not isinstance(at.value, int) or not 0 <= at.value <= MAX_FRAME:
         _refuse(at, f"frame must be a whole number, from 0 to {MAX_FRAME}")
     return at.value
+
+
+def _placed_by(keys: _KEYS) -> str:
+    """The detector that has placed the points, "" for nobody; the key is taken out."""
+    node = keys.pop("placed_by", None)
+    if node is not None and node.value not in DETECTORS:
+        _refuse(node, f"placed_by names a detector, {' or '.join(DETECTORS)}; remove the line if none did")
+    return "" if node is None else str(node.value)
 
 
 def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
