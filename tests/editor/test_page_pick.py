@@ -492,7 +492,15 @@ def test_a_port_that_is_taken_is_refused(clips, facetrack):
 
 def drive(monkeypatch, home, act):
     """Have the page that the command serves visited by `act`, instead of a browser."""
+    from _thread import interrupt_main
     from threading import Thread
+
+    def visited(client):
+        try:
+            act(client)
+        except BaseException:
+            interrupt_main()  # nobody else ends the command
+            raise
 
     def visit(address):
         # everybody may read the command line of a browser: it has no token, but a file of the user's own
@@ -501,7 +509,7 @@ def drive(monkeypatch, home, act):
         assert os.name != "posix" or stat.S_IMODE(file.stat().st_mode) == 0o600
         [url] = re.findall(r"url=(http://127\.0\.0\.1:[0-9]+/[^\"]+)", file.read_text())
         assert urlsplit(url).path.strip("/") not in address
-        Thread(target=act, args=(Client(url),)).start()
+        Thread(target=visited, args=(Client(url),)).start()
         return False
 
     monkeypatch.setattr(Path, "home", lambda: home)
