@@ -21,6 +21,7 @@ from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.runs.signals import StoppedError
+from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import choose
@@ -62,6 +63,7 @@ def runs(tmp_path_factory):
     (folder / "two.yaml").write_text(TWO)
     face, part = FOLDER / "expressions.mp4", ["--stop", STOP]
     run(folder / "face", face, *FEW, *part, video=True)
+    run(folder / "searched", face, "--config", "face", "--init", detector().name, *FEW, *part)
     run(folder / "two", face, "--init", folder / "two.yaml", "--config", "factorized_transition", *FEW, *part)
     run(folder / "box", FOLDER / "textured.mp4", "--config", "contour_histogram_correlation", *FEW, *part)
     run(folder / "affine", FOLDER / "zoom.mp4", "--config", "adaptive_velocity", *FEW, *part)
@@ -143,6 +145,7 @@ def box(target, frame, *sides):
 NOSE = points("face", 8, nose=(150.0, 130.5))
 CASES = {
     "face": [NOSE, Correction(15, "face", absent=("lip_upper",)), points("face", 19, lip_upper=(161.0, 152.0))],
+    "searched": [NOSE],
     "two": [
         points("ben", 9, nose=(158.25, 140.0)),
         points("anna", 14, mouth_left=(141.0, 155.0)),
