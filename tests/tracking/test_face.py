@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,6 +19,7 @@ from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import detectors, write_init
 from facetrack_cli.trajectory.header import StartRecord, to_record
 from tests.support import moving_face as moving
+from tests.support.media import write_pictures
 from tests.support.moving_face import PARTS, Pose
 
 ALONE = ("head.detections=null",)
@@ -264,10 +264,7 @@ def test_the_detector_is_that_of_the_start_and_else_the_better_one(tmp_path):
     """What a file or a box begins names it, so that corrections and the same start elsewhere keep to it."""
     best, recipe = detectors.detector().name, load_recipe("face")
     pose = Pose(160, 120, 90)
-    clip = tmp_path / "clip"
-    clip.mkdir()
-    for i, frame in enumerate(moving.clip([pose] * 3)):
-        cv2.imwrite(str(clip / f"{i}.png"), frame.bgr)
+    clip = write_pictures(tmp_path / "clip", [frame.bgr for frame in moving.clip([pose] * 3)])
     write_init(tmp_path / "clip.init.yaml", moving.start(pose))
     by_file = Begin(clip).find(recipe)
     by_box = Begin(clip, box=(115, 75, 90, 90)).find(recipe)
@@ -284,14 +281,9 @@ def test_the_detector_is_that_of_the_start_and_else_the_better_one(tmp_path):
 
 @pytest.mark.parametrize("box", [None, (115, 75, 90, 90)])
 def test_an_init_file_begins_as_what_it_was_written_from(tmp_path, box):
-    recipe, frames = (
-        load_recipe("face", ["filter.particles=60"]),
-        moving.clip([Pose(160 + 3 * i, 120, 90) for i in range(4)]),
-    )
-    clip = tmp_path / "clip"
-    clip.mkdir()
-    for i, frame in enumerate(frames):
-        cv2.imwrite(str(clip / f"{i}.png"), frame.bgr)
+    recipe = load_recipe("face", ["filter.particles=60"])
+    frames = list(moving.clip([Pose(160 + 3 * i, 120, 90) for i in range(4)]))
+    clip = write_pictures(tmp_path / "clip", [frame.bgr for frame in frames])
     found = Begin(clip, box=box).find(recipe)
     write_init(tmp_path / "clip.init.yaml", found)
     read = Begin(clip).find(recipe)
@@ -300,9 +292,8 @@ def test_an_init_file_begins_as_what_it_was_written_from(tmp_path, box):
     for mine, yours in zip(one, other, strict=True):
         assert np.array_equal(mine.rows.x, yours.rows.x) and np.array_equal(mine.rows.confidence, yours.rows.confidence)
     assert (read.detector, read.placed) == (detectors.detector().name, True)
-    assert (
-        not Begin(clip, init=tmp_path / "clip.init.yaml", init_frame=1).find(recipe).placed
-    )  # a face that may have moved
+    later = Begin(clip, init=tmp_path / "clip.init.yaml", init_frame=1).find(recipe)
+    assert not later.placed, "the face may have moved"
 
 
 def test_what_is_not_installed_is_refused(monkeypatch):

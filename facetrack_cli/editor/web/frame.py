@@ -98,6 +98,10 @@ class OnceCache(Generic[_Key, _Value]):
                 self._kept.put(key, value, self._size(value))
             return value
 
+    def kept(self, key: _Key) -> _Value | None:
+        """The value if it was computed and is still kept."""
+        return self._kept.get(key)
+
 
 class FrameImages:
     """Encoded frames of a clip, each encoded once while it is kept. Thread-safe. Raises what `Frames.read` raises."""
@@ -153,6 +157,12 @@ class Proposer:
     def __call__(self, index: int) -> Json:
         """{"frame", "proposals": [{"label", "targets"}], "note"}. Raises InputError if there is no such frame."""
         return self._found.get(index, lambda: self._worker.submit(self._find, index).result())
+
+    def proposed(self, index: int) -> list[Draft]:
+        """What was proposed in a frame, if anything was."""
+        found = self._found.kept(index) or {"proposals": []}
+        targets = ({name: DraftTarget(**of) for name, of in one["targets"].items()} for one in found["proposals"])
+        return [Draft(index, those) for those in targets]
 
     def close(self) -> None:
         self._worker.shutdown(wait=True, cancel_futures=True)

@@ -8,15 +8,15 @@ from typing import ClassVar, Final, Literal
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.web.frame import MOST_POINTS, Draft, DraftTarget, Json, Proposer, draft_of
+from facetrack_cli.editor.web.frame import MOST_POINTS, Draft, Json, Proposer, draft_of
 from facetrack_cli.editor.web.session import RefusedError, Session
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.recipe.skin import SkinCloud
 from facetrack_cli.report.text import names as listed
 from facetrack_cli.tracking.start import PARTS, check_size, check_start, name_targets, write_init
-from facetrack_cli.tracking.start.detectors import detector
-from facetrack_cli.tracking.start.init_file import KEYS, OF_CORRECTIONS, OF_FILES, TARGET, WHAT_PARTS_ARE, placed_by
+from facetrack_cli.tracking.start.detectors import detector, placed_by
+from facetrack_cli.tracking.start.init_file import KEYS, OF_CORRECTIONS, OF_FILES, TARGET, WHAT_PARTS_ARE
 from facetrack_cli.tracking.start.preview import write_preview
 from facetrack_cli.video.seek import Frames
 
@@ -64,9 +64,9 @@ class PickSession(Session):
         given = draft_of(shown, begun.targets if begun is not None else {})
         draft = given if box is None else proposer.in_box(first, box, str(clip))
         self._unchanged = draft if box is None else None
-        self._placed = [(draft, detector().name)] if box is not None else []
+        self._given = [] if box is None else [(draft, detector().name)]
         if begun is not None:
-            self._placed.append((draft_of(begun.frame, begun.targets), placed_by(begun)))
+            self._given.append((draft_of(begun.frame, begun.targets), placed_by(begun)))
         about = {
             "clip": clip.name or str(clip),
             "recipe": None if recipe is None else recipe.name,
@@ -77,15 +77,6 @@ class PickSession(Session):
         super().__init__(frames, proposer, draft, about)
         if begun is not None and box is None:
             self.message = f"taken from {begun.origin}"
-
-    def proposals(self, frame: int) -> Json:
-        found = super().proposals(frame)
-        with self.lock:
-            for one in found["proposals"]:
-                draft = Draft(frame, {name: DraftTarget(**of) for name, of in one["targets"].items()})
-                if (draft, detector().name) not in self._placed:
-                    self._placed.append((draft, detector().name))
-        return found
 
     def save(self, draft: Draft) -> None:
         frames = self.frames.count if self.frames.exact else None
@@ -107,11 +98,9 @@ class PickSession(Session):
 
     def _placed_by(self, chosen: Draft) -> str:
         """The detector that has placed exactly what is chosen; "" if somebody has moved or drawn a part of it."""
-        with self.lock:
-            by = [
-                name for draft, name in self._placed if (draft.frame, draft.placed()) == (chosen.frame, chosen.placed())
-            ]
-        return max(by, default="")
+        known = [*self._given, *((draft, detector().name) for draft in self._proposer.proposed(chosen.frame))]
+        same = chosen.frame, chosen.placed()
+        return max((by for draft, by in known if (draft.frame, draft.placed()) == same), default="")
 
     def _write(self, start: Start) -> None:
         messages = []

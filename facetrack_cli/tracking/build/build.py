@@ -9,12 +9,13 @@ from facetrack_cli.recipe.affine import PatchLikelihood
 from facetrack_cli.recipe.load import in_frames
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, above
 from facetrack_cli.tracking import opencv
-from facetrack_cli.tracking.build.targets import box_with, detector_of, face_target, particle_target
+from facetrack_cli.tracking.build.targets import box_with, face_target, particle_target
 from facetrack_cli.tracking.corrected import Anew, CorrectedTarget, is_complete, spoken
 from facetrack_cli.tracking.loop import Target, Tracker
 from facetrack_cli.tracking.models.likelihoods.recognition import find_gallery
 from facetrack_cli.tracking.start.box import box_start
 from facetrack_cli.tracking.start.checks import box_of, check_size, check_start, check_windows
+from facetrack_cli.tracking.start.detectors import detector_of
 from facetrack_cli.tracking.start.haar import PARTS
 from facetrack_cli.tracking.start.init_file import TARGET as FACE
 

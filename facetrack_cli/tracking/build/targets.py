@@ -7,14 +7,14 @@ import numpy as np
 
 from facetrack_cli.core.geometry import centre, size_of_points
 from facetrack_cli.core.types import BOX, Box, Start, TargetStart
-from facetrack_cli.recipe.face import DETECTORS, Head
+from facetrack_cli.recipe.face import Head
 from facetrack_cli.recipe.files import resolve_file
 from facetrack_cli.recipe.model import Confidence, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.tracking.calibration import Calibration, load_calibration
 from facetrack_cli.tracking.face.still import FACE, Similarity
 from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.models.spaces import Context
-from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.tracking.start.detectors import detector, detector_of, placed_by
 from facetrack_cli.tracking.target import ParticleTarget
 
 
@@ -62,7 +62,7 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
         settings=head,
         side=side,
         detector=None if by is None else detector(detector_of(start) if by == "auto" else by),
-        searched=start.placed or start.origin in DETECTORS,
+        searched=placed_by(start) != "",
         calibration=_calibration(recipe, key, given),
     )
 
@@ -72,11 +72,6 @@ def _calibration(recipe: Recipe, key: str, given: ParticleFilter) -> Calibration
     if name is None:
         return None
     return load_calibration(resolve_file(recipe, name, f"{above(key)}confidence.calibration"))
-
-
-def detector_of(start: Start) -> str:
-    """The name of the detector that measures faces: what found the start, or what it names."""
-    return start.origin if start.origin in DETECTORS else start.detector or DETECTORS[0]
 
 
 def box_with(given: TargetStart, begun: TargetStart) -> Box | None:

@@ -36,6 +36,7 @@ from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, rea
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
+from facetrack_cli.tracking.start.detectors import placed_by
 from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, whole
 from facetrack_cli.trajectory.reader import MAX_FRAME
 
@@ -147,11 +148,6 @@ def as_yaml(start: Start, clip: str = "") -> str:
                 split = isinstance(value, dict) and len(line) > _WIDE
                 lines += [f"    {key}:", *_below(value, 6)] if split else [line]
     return "\n".join(lines) + "\n"
-
-
-def placed_by(start: Start) -> str:
-    """The name of the detector that has placed the points of a start; "" if somebody did by hand."""
-    return start.origin if start.origin in DETECTORS else start.detector if start.placed else ""
 
 
 def _target_lines(target: TargetStart) -> list[str]:
